@@ -24,20 +24,10 @@ _LONGEST = 900
 
 
 def main(argv=None):
-    """Run the command line.
-
-    Parameters
-    ----------
-    argv : list of str, default=None
-        Arguments; None takes those of the process.
-
-    Returns
-    -------
-    int
-        Exit code: 0 if the result can be used; 2 if nothing was done, with one line
-        on stderr; 3 if it was done with a doubt, which is stated; 128 plus the
-        signal's number if the run was stopped, so 130 for an interrupt.
-    """
+    """Run the command line; return its exit code, see `_exit_codes`."""
+    # 0 if the result can be used; 2 if nothing was done, with one line on stderr; 3 if
+    # it was done with a doubt, which is stated; 128 plus the signal's number if the run
+    # was stopped, so 130 for an interrupt.
     arguments = None
     try:
         with stoppable():
@@ -150,13 +140,7 @@ def _tell_stop(number, arguments):
 
 
 def program():
-    """Run the command line as a program of its own.
-
-    Returns
-    -------
-    int
-        Exit code of `main`.
-    """
+    """Run the command line as a program of its own; return the exit code of `main`."""
     try:
         open_streams()
         return main()

@@ -185,10 +185,8 @@ def close(
     t=None,
     groups=None,
 ):
-    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`.
-
-    groups : labels of the rows, by default those of the recording.
-    """
+    """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
+    # groups: labels of the rows, by default those of the recording.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -209,10 +207,8 @@ def close(
 
 
 def _write(loop, report, out):
-    """Write all files or none; each appears complete.
-
-    Returns their paths, and what the descriptions do not have, by their names.
-    """
+    """Write all files or none; each appears complete."""
+    # Returns their paths, and what the descriptions do not have, by their names.
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
 
     texts = {
@@ -252,10 +248,8 @@ def _next_motion(outcome, out):
 
 
 def _left_out_lines(left_out):
-    """Say what descriptions go without, those that go without the same in one line.
-
-    left_out : dict of str to tuple of LeftOut, by the names of the files.
-    """
+    """Say what descriptions go without, those that go without the same in one line."""
+    # left_out: dict of str to tuple of LeftOut, by the names of the files.
     names = {}
     for name, left in left_out.items():
         if left:
@@ -283,10 +277,8 @@ def _left_out_text(left):
 
 
 def _write_parameters(robot, values, path):
-    """Write one row per parameter; empty where the data or the description are silent.
-
-    values : what `parameter_values` says of each.
-    """
+    """Write one row per parameter; empty where data or description are silent."""
+    # values: what `parameter_values` says of each.
     relative = ""
     if robot.gains_ is not None and not robot.gains_.absolute:
         names = [robot.joint_names_[j] for j in robot.gains_.references]

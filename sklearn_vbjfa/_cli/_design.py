@@ -131,13 +131,7 @@ def add_to(commands):
 
 
 class LimitsRefused(ValueError):
-    """Limits in a file that do not do, with the content of one that would.
-
-    Attributes
-    ----------
-    content : str
-        One line.
-    """
+    """Limits in a file that do not do, with the content, a line, of one that would."""
 
     def __init__(self, reason, content):
         super().__init__(reason)
@@ -146,32 +140,15 @@ class LimitsRefused(ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Robot:
-    """The robot that is to move.
-
-    Attributes
-    ----------
-    known : KnownRobot
-        What is known of it.
-    model : pinocchio.Model
-        Its description, joints in its own order.
-    name : str
-        What to call it.
-    file : str
-        Description that was given, or that a report tells.
-    held : tuple of str
-        Joints that are held.
-    dt : float or None
-        Sample period of its recordings so far [s].
-    is_relative : bool
-        Whether its torques are in units of a channel, not in N m or N.
-    """
+    """The robot that is to move."""
 
     known: object
-    model: object
+    model: object  # its description, joints in its own order
     name: str
-    file: str
-    held: tuple = ()
-    dt: float | None = None
+    file: str  # description that was given, or that a report tells
+    held: tuple = ()  # joints that are held
+    dt: float | None = None  # sample period of its recordings so far [s]
+    # whether its torques are in units of a channel, not in N m or N
     is_relative: bool = False
 
 
@@ -548,10 +525,8 @@ def _limits(arguments, robot):
 
 
 def _read_limits(path, names, model):
-    """Read limits of joints from CSV or JSON, dict of str to ndarray (nv,).
-
-    What is not given is nan.
-    """
+    """Read limits of joints from CSV or JSON, dict of str to ndarray (nv,)."""
+    # What is not given is nan.
     content = _template(names, model)
     try:
         text = path.read_text(encoding="utf-8-sig")
@@ -630,12 +605,10 @@ def _rows(path, text, content):
 
 
 def _template(names, model, given=None):
-    """Return the content of a file of limits that would do, JSON in one line.
-
-    Limits that the description lacks are left as they were given, or guessed: half a
-    turn to each side, through half of the range in a second, and ten times that speed
-    in a second.
-    """
+    """Return the content of a file of limits that would do, JSON in one line."""
+    # Limits that the description lacks are left as they were given, or guessed: half a
+    # turn to each side, through half of the range in a second, and ten times that speed
+    # in a second.
     from sklearn_vbjfa.model import joint_names
 
     described = joint_names(model)

@@ -85,24 +85,12 @@ def run(arguments):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Task:
-    """What is identified.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording.
-    protocol : Protocol
-        What of it is fitted, and what is held out.
-    identifier : RobotIdentifier
-        Settings that all methods share.
-    held : tuple of str
-        Joints of the description that were not recorded.
-    """
+    """What is identified."""
 
     recording: object
-    protocol: object
-    identifier: object
-    held: tuple = ()
+    protocol: object  # what of it is fitted, and what is held out
+    identifier: object  # settings that all methods share
+    held: tuple = ()  # joints of the description that were not recorded
 
 
 def _check(arguments):

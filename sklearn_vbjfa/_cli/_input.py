@@ -1,8 +1,4 @@
-"""Input of the command line: arguments and files.
-
-Each function returns a checked value, or refuses it in one line that names the option
-or the file.
-"""
+"""Input of the command line, checked or refused: arguments and files."""
 
 import contextlib
 import itertools
@@ -27,13 +23,7 @@ _MIN_SAMPLES = 64
 
 
 class Refused(ValueError):
-    """An argument in whose place another would do.
-
-    Attributes
-    ----------
-    options : dict of str to str
-        What would do, by the names that a command is made of.
-    """
+    """An argument in whose place another would do: `options`, as commands name them."""
 
     def __init__(self, reason, options):
         super().__init__(reason)
@@ -42,21 +32,11 @@ class Refused(ValueError):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taken:
-    """A recording of one's own, of one file or several, and its robot.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording.
-    urdf : Path
-        Description in which the joints that were not recorded are fixed.
-    held : tuple of str
-        Those joints.
-    """
+    """A recording of one's own, of one file or several, and its robot."""
 
     recording: object
-    urdf: Path
-    held: tuple
+    urdf: Path  # description in which the joints that were not recorded are fixed
+    held: tuple  # those joints
 
 
 def taken(arguments, gains, folder):
@@ -69,11 +49,9 @@ def taken(arguments, gains, folder):
 
 
 def robot(urdf, joints, folder, base_orientation=None):
-    """Check a description; write one to `folder` in which unrecorded joints are fixed.
-
-    base_orientation : of a free base, a text. Returns the path to use and the names of
-    the fixed joints.
-    """
+    """Check a description; write one to `folder` with the unrecorded joints fixed."""
+    # base_orientation: of a free base, a text. Returns the path to use and the names of
+    # the fixed joints.
     from sklearn_vbjfa.model import (
         load_model,
         load_reduced,
@@ -153,10 +131,8 @@ def _parser_messages(said):
 
 
 def read(arguments, urdf, joints, gains, *, identified=True):
-    """Read a recording that is long enough.
-
-    identified : whether gains that are unknown can be identified.
-    """
+    """Read a recording that is long enough."""
+    # identified: whether gains that are unknown can be identified.
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording._refusal import RecordingRefused
 
@@ -294,10 +270,8 @@ def named(paths):
 
 
 def no_formula(cell):
-    """Return a cell of a table that a spreadsheet does not take for a formula.
-
-    One that begins like a formula gets an apostrophe in front, unless it is a number.
-    """
+    """Return a cell of a table that a spreadsheet does not take for a formula."""
+    # One that begins like a formula gets an apostrophe in front, unless it is a number.
     text = str(cell)
     try:
         float(text)
@@ -315,11 +289,9 @@ def wrapped(text, stream):
 
 
 def check_overwriting(out, names, inputs, endings=()):
-    """Refuse, before the work begins, to write over or among files of others.
-
-    names : what a run writes to the folder; endings : of further files that are its
-    own where one of `names` is there.
-    """
+    """Refuse, before the work begins, to write over or among files of others."""
+    # names: what a run writes to the folder; endings: of further files that are its own
+    # where one of `names` is there.
     if not out.is_dir():
         return
     for name in names:
@@ -351,10 +323,8 @@ def _beside(out):
 
 
 def free(wanted, *endings):
-    """Return a path, with a number behind its stem if there is something already.
-
-    endings : of further files beside it, which must not be there either.
-    """
+    """Return a path, with a number behind its stem if there is something already."""
+    # endings: of further files beside it, which must not be there either.
     more = (
         wanted.with_name(f"{wanted.stem}-{k}{wanted.suffix}")
         for k in itertools.count(2)
@@ -498,10 +468,8 @@ def seed(number):
 
 
 def default_folder(paths):
-    """Folder for the files of a run if none is named.
-
-    It is called after the recording, or after the folder that holds several.
-    """
+    """Folder for the files of a run if none is named."""
+    # It is called after the recording, or after the folder that holds several.
     from sklearn_vbjfa.recording._concatenate import common_folder
 
     folder = common_folder(paths) if len(paths) > 1 else ""

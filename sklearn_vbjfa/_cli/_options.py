@@ -168,10 +168,8 @@ def add_cutoff(parser):
 
 
 def add_out(parser, ending, *, several=False):
-    """Add the folder for the files, by default named with an ending, and --force.
-
-    several : whether there may be several recordings.
-    """
+    """Add the folder for the files, by default named with an ending, and --force."""
+    # several: whether there may be several recordings.
     also = ", or of the folder of several," if several else ""
     parser.add_argument(
         "--out",

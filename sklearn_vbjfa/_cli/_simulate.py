@@ -85,27 +85,13 @@ def add_to(commands):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Task:
-    """What is simulated.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording.
-    rows : ndarray of int
-        Rows of it.
-    robots : dict of str to RobotIdentifier or IdentifiedRobot
-        Robots by their labels.
-    signals : object
-        What was recorded beside these rows.
-    told : str
-        What was identified, a line.
-    """
+    """What is simulated."""
 
     recording: object
-    rows: np.ndarray
-    robots: dict
-    signals: object
-    told: str
+    rows: np.ndarray  # of the recording
+    robots: dict  # by their labels
+    signals: object  # what was recorded beside these rows
+    told: str  # what was identified, a line
 
 
 def run(arguments):
@@ -336,10 +322,8 @@ def _identified(arguments, source, folder):
 
 
 def _robots(recording, urdf, library, known, settings):
-    """Identify the declared robot, and complete it if effects are to be looked for.
-
-    known : dict of the times and signals of the rows.
-    """
+    """Identify the declared robot, and complete it if effects are to be looked for."""
+    # known: dict of the times and signals of the rows.
     from sklearn_vbjfa import RobotIdentifier
 
     if not library:

@@ -20,24 +20,12 @@ _RESOLUTION = 120  # dots per inch
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Simulated:
-    """Windows of a recording, simulated.
-
-    Attributes
-    ----------
-    recording : Recording
-        Recording.
-    rows : ndarray of int
-        Rows of it that the windows are cut from.
-    windows : dict of str to SimulatedWindows
-        The same windows of each robot, by its label.
-    told : str
-        What was identified, some lines.
-    """
+    """Windows of a recording, simulated."""
 
     recording: object
-    rows: np.ndarray
-    windows: dict
-    told: str
+    rows: np.ndarray  # of the recording that the windows are cut from
+    windows: dict  # the same windows of each robot, by its label
+    told: str  # what was identified, some lines
 
 
 # -- what is said ----------------------------------------------------------------------
@@ -94,11 +82,9 @@ def errors_text(simulated, seconds):
 
 
 def doubts_of(simulated):
-    """Say what stands against the simulation, a list of str.
-
-    Of two models it is the last one that is handed on; a window that fails is left out
-    of the errors of both.
-    """
+    """Say what stands against the simulation, a list of str."""
+    # Of two models it is the last one that is handed on; a window that fails is left
+    # out of the errors of both.
     windows = simulated.windows
     last = list(windows.values())[-1]
     failed = [own for own in windows.values() if own.failures]

@@ -58,10 +58,8 @@ def _stop(number, frame):
 
 
 def stopped_by():
-    """Return the number of the signal that has stopped the run, or None.
-
-    Compiled modules may turn the exception into an error of their own.
-    """
+    """Return the number of the signal that has stopped the run, or None."""
+    # Compiled modules may turn the exception into an error of their own.
     return _CAME[0] if _CAME else None
 
 
@@ -88,11 +86,9 @@ def undisturbed():
 
 
 def open_streams():
-    """Give the process the standard streams that it was started without.
-
-    Otherwise the next file that is opened would take the place of one, and its
-    messages would go there.
-    """
+    """Give the process the standard streams that it was started without."""
+    # Otherwise the next file that is opened would take the place of one, and its
+    # messages would go there.
     for number in range(3):
         try:
             os.fstat(number)

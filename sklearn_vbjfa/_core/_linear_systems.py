@@ -5,11 +5,10 @@ length, or to a unit diagonal, a direction counts as known if its singular value
 rounding: rank, pseudo-inverse and null space then do not depend on the choice of units.
 
 Independent noise cannot be subtracted from inputs that are sums of each other. Second
-moments do not say which generate the rest (any basis of the span is as likely), but two
-unit-free rules do. If all dependent inputs are sums with non-negative weights of as few
-of them as the span has dimensions, those (the extreme rays of the cone of all) generate
-the rest. Otherwise it is the subset of largest volume in standardised columns, of which
-all others are combinations with weights of at most one.
+moments do not say which generate the rest, but two unit-free rules do. If all dependent
+inputs are sums with non-negative weights of as few of them as the span has dimensions,
+it is these, the extreme rays of the cone of all. Otherwise it is the subset of largest
+volume in standardised columns: all others have weights of at most one.
 """
 
 from dataclasses import dataclass, replace
@@ -100,7 +99,7 @@ class ScaledSolution:
     """Least squares in scaled columns."""
 
     coef: np.ndarray  # (n_features,): solution
-    # (n_features, n_features): of the scaled columns' Gram matrix, scaled back
+    # (n_features, n_features): pseudo-inverse of their Gram matrix, scaled back
     inverse: np.ndarray
     # (n_features,): coefficients that are the same in all solutions
     identified: np.ndarray

@@ -19,33 +19,20 @@ from sklearn_vbjfa.recording._resample import Log, join, median_period
 
 @dataclass(frozen=True, kw_only=True)
 class Protocol:
-    """How one recording is evaluated.
+    """How one recording is evaluated."""
 
-    Taken from what is published about the sets and their quick fits, not tuned on the
-    held-out part.
+    # Taken from what is published about the sets and their quick fits, not tuned on the
+    # held-out part.
 
-    Attributes
-    ----------
-    load : callable or None
-        Loader; takes `data_home` (but for the demo).
-    train, test : tuple of str
-        Names of the recordings to fit and to test; empty for a split in time.
-    share : float
-        With a split in time: this first share of every recording of `train` (of every
-        recording if `train` is empty) is fitted, the rest of those is tested.
-    cutoff : float or "auto"
-        Low-pass [Hz].
-    standstill : float or "auto"
-        Speed [rad/s or m/s] at or below which a joint counts as standing still.
-    friction : tuple of str
-        Friction columns.
-    """
-
-    load: Callable | None = None
+    load: Callable | None = None  # loader; takes `data_home` (but for the demo)
+    # names of the recordings to fit and to test; empty for a split in time
     train: tuple[str, ...] = ()
     test: tuple[str, ...] = ()
+    # with a split in time: the first share of every recording of `train`, by default of
+    # all, is fitted, and the rest of those is tested
     share: float = 0.7
-    cutoff: float | str = "auto"
+    cutoff: float | str = "auto"  # low-pass [Hz]
+    # speed [rad/s or m/s] at or below which a joint counts as standing still
     standstill: float | str = "auto"
     friction: tuple[str, ...] = ("viscous", "coulomb", "offset", "rotor_inertia")
 
@@ -75,40 +62,23 @@ class Protocol:
 
 @dataclass(frozen=True, kw_only=True)
 class DataSet:
-    """One measured set.
+    """One measured set."""
 
-    Attributes
-    ----------
-    read : callable
-        Reader: takes the `DataFiles` and the loader's own options, returns logs.
-    joint_names : tuple of str
-        Joints, as in the description of the robot.
-    position_units, torque_units : tuple of str
-        Units of positions and torques; one entry alone holds for every joint.
-    dt : float or None
-        Sample period [s]; None is the median step of the stamps.
-    drop_repeated : bool
-        Whether the logger wrote readings twice, which are then dropped.
-    urdf : callable
-        Finds the description of the robot among or for the `DataFiles`; None where the
-        model is built without one.
-    source : str
-        Where the files come from, for a set that is not on GitHub: they are found in
-        its folder and not downloaded, and it has no lines in ``remote_files.txt``.
-    licence, citation, description : str
-        Fields of the `Recording`.
-    protocol : Protocol
-        How the set is evaluated.
-    """
-
+    # reader: takes the `DataFiles` and the loader's own options, returns logs
     read: Callable[..., list[Log]]
-    joint_names: tuple[str, ...]
+    joint_names: tuple[str, ...]  # as in the description of the robot
+    # one entry alone holds for every joint
     position_units: tuple[str, ...] = ("rad",)
     torque_units: tuple[str, ...] = ("N m",)
-    dt: float | None = None
+    dt: float | None = None  # sample period [s]; None is the median step of the stamps
+    # whether the logger wrote readings twice, which are then dropped
     drop_repeated: bool = False
+    # finds the description among or for the files; None if the model is built without
     urdf: Callable[[DataFiles], str | None] = lambda files: None
+    # folder that files are found in and not downloaded to; they have no lines in
+    # ``remote_files.txt``
     source: str = ""
+    # fields of the `Recording`
     licence: str
     citation: str
     description: str

@@ -1,13 +1,10 @@
 """Robots under nominal feedforward and a low-gain controller, in forward dynamics.
 
-One evaluation of the dynamics a step: positions live at the sample times and
-velocities half way between (leapfrog), friction is treated implicitly at the middle of
-the step. The error is of second order, and friction is stable at any step. Without
-actuator dynamics the torques jump at the sample times; a jump then counts as half a
-step earlier, so that a torque belongs to the middle of the time for which it is held.
-
-`ClosedLoop` is the simulator: recordings are made with it, and so is the judgement of
-how well a robot tracks a motion with an identified model in control.
+One evaluation of the dynamics a step: positions live at the sample times and velocities
+half way between (leapfrog), friction is implicit at the middle of the step. The error
+is of second order, and friction is stable at any step. Without actuator dynamics a jump
+of the torques counts as half a step earlier: a torque belongs to the middle of the time
+for which it is held.
 """
 
 from dataclasses import dataclass, replace
@@ -53,15 +50,10 @@ _TORQUES = ("measured", "commanded")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Gains:
-    """Gains of the feedback.
+    """Gains of the feedback, (nv,) each."""
 
-    Parameters
-    ----------
-    stiffness : ndarray of shape (nv,)
-        Torque over position error [N m/rad or N/m].
-    damping : ndarray of shape (nv,)
-        Torque over velocity error [N m s/rad or N s/m].
-    """
+    # stiffness: torque over position error [N m/rad or N/m]; damping: over velocity
+    # error [N m s/rad or N s/m].
 
     stiffness: np.ndarray
     damping: np.ndarray
@@ -80,10 +72,9 @@ def low_gains(plant: Plant) -> Gains:
 
 
 class Response(NamedTuple):
-    """What the robots did, ndarrays of shape (n, n_copies, nv).
+    """What the robots did, ndarrays of shape (n, n_copies, nv)."""
 
-    True positions and velocities, torques behind the actuators, commands to them.
-    """
+    # True positions and velocities, torques behind the actuators, commands to them.
 
     q: np.ndarray
     v: np.ndarray
@@ -92,26 +83,13 @@ class Response(NamedTuple):
 
 
 class ClosedLoop:
-    """Copies of a robot with actuators and controller, stepped through time together.
+    """Copies of a robot with actuators and controller, stepped together."""
 
-    The controller sees encoder readings: its command is the feedforward plus stiffness
-    times position error plus damping times the low-passed derivative of that error.
-
-    Parameters
-    ----------
-    plant : Plant
-        Robot.
-    gains : Gains
-        Feedback.
-    dt : float
-        Period of controller and recording [s].
-    states : ndarray of shape (n_copies, 3 * nv)
-        First state [q | v | a] of each copy.
-    torques : ndarray of shape (n_copies, nv)
-        Torques behind the actuators at the start [N m or N].
-    substeps : int, default=1
-        Steps of the integration in a period.
-    """
+    # The controller sees encoder readings: its command is the feedforward plus
+    # stiffness times position error plus damping times the low-passed derivative of
+    # that error. states (n_copies, 3 nv): [q | v | a] at first; torques (n_copies, nv):
+    # behind the actuators then; substeps: of the integration in a period `dt` [s] of
+    # controller and recording.
 
     def __init__(self, plant, gains, dt, states, torques, substeps=1):
         self.plant, self.gains, self.dt = plant, gains, dt
@@ -126,11 +104,9 @@ class ClosedLoop:
         self._first_speed = v
 
     def run(self, reference, feedforward, noise) -> Response:
-        """Go on for as many periods as there are rows.
-
-        Desired positions [rad or m], feedforward [N m or N] and errors of the encoders
-        [rad or m] are (n, n_copies, nv) each.
-        """
+        """Go on for as many periods as there are rows."""
+        # Desired positions [rad or m], feedforward [N m or N] and errors of the
+        # encoders [rad or m] are (n, n_copies, nv) each.
         out = np.empty((4, *reference.shape))
         # A robot that runs away ends in infinities and nan, which callers look for.
         with np.errstate(all="ignore"):
@@ -311,12 +287,10 @@ class ClosedLoopRecording(Recording):
 def closed_loop_chunks(
     plant, nominal, motions, *, n, dt, encoder_noise, rng, gains=None, substeps=1
 ):
-    """Simulate recordings of n rows side by side, yield them piece by piece.
-
-    Each begins in the desired state of its motion, with the torque that the nominal
-    model says; in the first second or so it settles. Yields encoder readings, torques
-    behind the actuators and commands, (n_rows, n_recordings, nv) each.
-    """
+    """Simulate recordings of n rows side by side, yield them piece by piece."""
+    # Each begins in the desired state of its motion, with the torque that the nominal
+    # model says; in the first second or so it settles. Yields encoder readings, torques
+    # behind the actuators and commands, (n_rows, n_recordings, nv) each.
     gains = low_gains(plant) if gains is None else gains
     nv, loop = nominal.nv, None
     step = max(1, CHUNK // len(motions))

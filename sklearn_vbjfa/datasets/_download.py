@@ -88,10 +88,9 @@ class Access:
 
 @dataclass(frozen=True)
 class DataFiles:
-    """Public files of one set, found on disk or downloaded when they are asked for.
+    """Public files of one set, found on disk or downloaded when they are asked for."""
 
-    Those of a set with a `source` are in its folder or nowhere.
-    """
+    # Those of a set with a `source` are in its folder or nowhere.
 
     dataset: str
     access: Access
@@ -107,10 +106,8 @@ class DataFiles:
     def find(
         self, wanted: Callable[[str], bool] = lambda path: not _is_description(path)
     ) -> dict[str, Path]:
-        """Local file of each wanted path in the repository, by default all data.
-
-        Paths of a set with a `source` are those below its folder.
-        """
+        """Local file of each wanted path in the repository, by default all data."""
+        # Paths of a set with a `source` are those below its folder.
         if self.source:
             return self._on_disk(wanted)
         found = {}

@@ -55,15 +55,10 @@ _SPEED_SHARE = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SineMotion:
-    """Sum of sines in all joints, as long as one likes.
+    """Sum of sines in all joints, as long as one likes."""
 
-    Parameters
-    ----------
-    centre : ndarray of shape (nv,)
-        Middle of the motion [rad or m].
-    amplitude, frequency, phase : ndarray of shape (nv, n_harmonics)
-        Amplitudes [rad or m], frequencies [Hz] and phases [rad].
-    """
+    # centre (nv,) [rad or m]; amplitude [rad or m], frequency [Hz], phase [rad]: (nv,
+    # n_harmonics).
 
     centre: np.ndarray
     amplitude: np.ndarray
@@ -82,11 +77,9 @@ class SineMotion:
 
 
 def draw_motion(model, frequency, n_harmonics, rng):
-    """Draw a motion of sines in all joints.
-
-    Frequencies [Hz] go from a tenth of the highest up to it; whenever the sines meet,
-    the motion stays within 60 % of the range and half the speed limit.
-    """
+    """Draw a motion of sines in all joints."""
+    # Frequencies [Hz] go from a tenth of the highest up to it; whenever the sines meet,
+    # the motion stays within 60 % of the range and half the speed limit.
     shape = (model.nv, n_harmonics)
     centre, reach = joint_range(model)
     f = frequency * rng.uniform(0.1, 1.0, size=shape)
@@ -104,39 +97,21 @@ def draw_motion(model, frequency, n_harmonics, rng):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plant:
-    """A robot with all that its declared model lacks.
+    """A robot with all that its declared model lacks."""
 
-    Parameters
-    ----------
-    model : pinocchio.Model
-        True inertias; rotor inertias [kg m^2 or kg] in its ``armature``.
-    torque_size : ndarray of shape (nv,)
-        Root mean square of the torque in a typical motion [N m or N].
-    viscous : ndarray of shape (nv,)
-        Viscous friction [N m s/rad or N s/m].
-    coulomb, stiction : ndarray of shape (nv,)
-        Friction at speed, and how much more of it there is at creeping speed [N m].
-    creep_speed : ndarray of shape (nv,)
-        Speed at which friction has reached 71 % of its size [rad/s or m/s].
-    routing : ndarray of shape (n_cables, nv)
-        Elongation of each cable by each joint.
-    cable_rest : ndarray of shape (nv,)
-        Position in which no cable pulls [rad or m].
-    cable_spring, cable_hardening : ndarray of shape (n_cables,)
-        Linear and cubic stiffness [N m/rad, N m/rad^3].
-    cable_hysteresis : ndarray of shape (n_cables,)
-        Torque of the hysteresis when turned round [N m].
-    cable_turn : ndarray of shape (n_cables,)
-        Elongation over which it turns round [rad].
-    shell_side : ndarray of shape (nv,)
-        +1 or -1: towards which limit the shell is in the way.
-    shell_gap : ndarray of shape (nv,)
-        Where it begins to touch: ``shell_side * q`` [rad or m].
-    shell_stiffness : ndarray of shape (nv,)
-        Torque over squared deformation [N m/rad^2].
-    lag : float
-        Time constant of the actuators [s]; zero for torques at once.
-    """
+    # model: true inertias, with rotor inertias [kg m^2 or kg] in its ``armature``;
+    # torque_size (nv,): root mean square of the torque in a typical motion [N m or N];
+    # viscous (nv,) [N m s/rad or N s/m]; coulomb, stiction (nv,): friction at speed,
+    # and how much more of it there is at creeping speed [N m]; creep_speed (nv,): where
+    # friction has reached 71 % of its size; lag: time constant of the actuators [s],
+    # zero for torques at once.
+    # routing (n_cables, nv): elongation of each cable by each joint; cable_rest (nv,):
+    # position in which no cable pulls; cable_spring, cable_hardening (n_cables,):
+    # linear and cubic stiffness [N m/rad, N m/rad^3]; cable_hysteresis (n_cables,):
+    # torque when turned round [N m], over an elongation of cable_turn [rad].
+    # shell_side (nv,): +1 or -1, towards which limit the shell is in the way; shell_gap
+    # (nv,): where it begins to touch, ``shell_side * q``; shell_stiffness (nv,): torque
+    # over squared deformation [N m/rad^2].
 
     model: "pin.Model"
     torque_size: np.ndarray
@@ -161,18 +136,8 @@ class Plant:
         return nominal_parameters(self.model)
 
     def theta(self, friction=("viscous",)):
-        """Return the true parameters of the columns of a declared model.
-
-        Parameters
-        ----------
-        friction : tuple of str, default=("viscous",)
-            Friction columns, as in `RobotIdentifier`.
-
-        Returns
-        -------
-        ndarray of shape (nv * (10 + len(friction)),)
-            Parameters; what the robot does not have is zero.
-        """
+        """Return the true parameters of a declared model, (nv (10 + n_friction),)."""
+        # What the robot does not have is zero.
         known = {
             "viscous": self.viscous,
             "coulomb": self.coulomb,
@@ -190,10 +155,8 @@ class Plant:
         return self.viscous * v + r * (self.coulomb * np.sqrt(w) + extra * w)
 
     def cable_torque(self, q):
-        """Torque that the cables take along positions q, ndarray of shape (n, nv).
-
-        The hysteresis is neutral in the first row and follows the rows in order.
-        """
+        """Torque that the cables take along positions q, ndarray of shape (n, nv)."""
+        # The hysteresis is neutral in the first row and follows the rows in order.
         e = (q - self.cable_rest) @ self.routing.T
         z = np.zeros_like(e)
         for k in range(1, len(e)):
@@ -209,18 +172,7 @@ class Plant:
         return self.shell_side * self.shell_stiffness * deep**2
 
     def inverse_dynamics(self, states):
-        """Torques that move the robot as told, with all effects.
-
-        Parameters
-        ----------
-        states : ndarray of shape (n, 3 * nv)
-            States [q | v | a], in the order of time (hysteresis).
-
-        Returns
-        -------
-        ndarray of shape (n, nv)
-            Torques behind the actuators [N m or N].
-        """
+        """Torques (n, nv) behind the actuators for states (n, 3 nv), row after row."""
         q, v, _ = np.split(states, 3, axis=1)
         rigid = rigid_torques(self.model, states)
         return (
@@ -231,20 +183,8 @@ class Plant:
         )
 
     def command(self, torques, dt):
-        """Commands, held for dt [s] each, whose lagged torques are these.
-
-        Parameters
-        ----------
-        torques : ndarray of shape (n, nv)
-            Torques at the sample times, the first of them there already [N m or N].
-        dt : float
-            Sample period [s].
-
-        Returns
-        -------
-        ndarray of shape (n, nv)
-            Commands; the last repeats the one before.
-        """
+        """Commands, held for dt [s] each, whose lagged torques are these, (n, nv)."""
+        # The first torque is there already; the last command repeats the one before.
         if self.lag == 0:
             return torques.copy()
         kept = np.exp(-dt / self.lag)
@@ -253,12 +193,10 @@ class Plant:
 
 
 def draw_plant(nominal, *, perturbation, effects, effect_size, motion, rng):
-    """Draw a robot that differs from its nominal model by some of `EFFECTS`.
-
-    `perturbation` is how far inertias are from the nominal ones, relative;
-    `effect_size` a factor on all effects but the actuators' lag and viscous friction;
-    `motion` is what "typical" torques, speeds and accelerations are taken from.
-    """
+    """Draw a robot that differs from its nominal model by some of `EFFECTS`."""
+    # `perturbation` is how far inertias are from the nominal ones, relative;
+    # `effect_size` a factor on all effects but the actuators' lag and viscous friction;
+    # `motion` is what "typical" torques, speeds and accelerations are taken from.
     import pinocchio as pin
 
     if int(pin.__version__.split(".")[0]) < 3:

@@ -216,11 +216,9 @@ def read_ur5(files: DataFiles, gains=UR5_GAINS) -> list[Log]:
 
 
 def ur5_arrays(parts: dict[str, Path]) -> dict:
-    """Stamps t [s] (n_samples,) and the eight logs (n_samples, 6) of a movement.
-
-    The logs end at different rows, some in the middle of a line: that line and what
-    the shortest log lacks are left out.
-    """
+    """Stamps t [s] (n_samples,) and the eight logs (n_samples, 6) of a movement."""
+    # The logs end at different rows, some in the middle of a line: that line and what
+    # the shortest log lacks are left out.
     tables = {}
     for key in _UR5_LOGS:
         whole_lines = parts[f"log_{key}"].read_text("ascii").rpartition("\n")[0]

@@ -33,24 +33,15 @@ _RIPPLE_PERIOD = np.radians(20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Misfit:
-    """In what a robot is another one than its description.
+    """In what a robot is another one than its description."""
 
-    Attributes
-    ----------
-    base_tilt : tuple of 2 float
-        Roll and pitch by which gravity is turned in the frame of the base [rad].
-    zeros : ndarray of shape (nv,)
-        What encoders read where their joints are at zero [rad or m].
-    axes : dict of int to tuple of 3 float
-        Rotation vectors by which origins of joints are turned, in their frame [rad].
-    gains : ndarray of shape (nv,)
-        What torque channels read over the torque.
-    """
-
+    # roll and pitch by which gravity is turned in the frame of the base [rad]
     base_tilt: tuple = (0.0, 0.0)
+    # (nv,): what encoders read where their joints are at zero [rad or m]
     zeros: np.ndarray = 0.0
+    # rotation vectors by which origins of joints are turned, in their frame [rad]
     axes: dict = field(default_factory=dict)
-    gains: np.ndarray = 1.0
+    gains: np.ndarray = 1.0  # (nv,): what torque channels read over the torque
 
     @classmethod
     def of(cls, base_tilt, joint_zero, joint_axis, torque_gain, nv):
@@ -430,11 +421,9 @@ _TORQUES = {
 
 
 def undeclared_torque(undeclared, q, v, rigid, rest):
-    """Sum the torques (n, nv) of undeclared effects, name -> (joint from zero, size).
-
-    q, v and the torques of the rigid bodies, (n, nv) each, are those of one recording;
-    springs are at rest at `rest` (nv,).
-    """
+    """Sum torques (n, nv) of undeclared effects, name -> (joint from zero, size)."""
+    # q, v and the torques of the rigid bodies, (n, nv) each, are those of one
+    # recording; springs are at rest at `rest` (nv,).
     total = np.zeros_like(q)
     for name, entry in undeclared.items():
         if name not in _TORQUES:

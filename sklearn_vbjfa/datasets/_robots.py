@@ -157,11 +157,9 @@ def rigid_torques(model, states):
 
 
 def true_inertias(model, perturbation, rng):
-    """Draw inertial parameters (nv, 10) near the nominal ones, that some body has.
-
-    The pseudo-inertia J of each body is multiplied from both sides by the exponential
-    of a random symmetric matrix: it stays positive definite whatever is drawn.
-    """
+    """Draw inertial parameters (nv, 10) near the nominal ones, that some body has."""
+    # The pseudo-inertia J of each body is multiplied from both sides by the exponential
+    # of a random symmetric matrix: it stays positive definite whatever is drawn.
     from scipy.linalg import expm
 
     bodies = []

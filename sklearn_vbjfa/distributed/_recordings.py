@@ -1,6 +1,6 @@
 """Identification of a robot from recordings in many files.
 
-The passes are those of `RobotIdentifier.fit`, each of them a sum over recordings: their
+The passes are those of `RobotIdentifier.fit`, each a sum over recordings: their
 lengths; the spectra, for the cut-offs; the speeds, for the standstill mask; the second
 moments of the filtered equations; the noise of the torques. Every pass reads the files
 again, so that no worker holds more than the recordings that it is working on.

@@ -104,10 +104,8 @@ _OFFSETS = np.deg2rad([-135, -90, -45, 45, 90, 135, 180])
 
 
 def misplaced(model, names, signals):
-    """Find swapped channels, reversed joints and wrong zeros, the worst fault first.
-
-    Also returns the signals with these faults corrected.
-    """
+    """Find swapped channels, reversed joints and wrong zeros, the worst fault first."""
+    # Also returns the signals with these faults corrected.
     found = []
     for _ in range(model.nv):
         best = _best(model, signals)
@@ -120,34 +118,17 @@ def misplaced(model, names, signals):
 
 @dataclass(frozen=True, kw_only=True)
 class Correction:
-    """Another reading of some channels.
+    """Another reading of some channels."""
 
-    Attributes
-    ----------
-    kind : str
-        Kind of the finding.
-    joints : tuple of int
-        Joints concerned.
-    order : ndarray of shape (nv,) of int or None
-        Channel to read for each joint.
-    sign : ndarray of shape (nv,) or None
-        Directions of joints.
-    offset : ndarray of shape (nv,) or None
-        Offsets to add to the positions [rad].
-    gain : float
-        Logarithm of the factor by which the squared errors of the joints concerned
-        fall.
-    gain_t : float
-        The same in standard errors.
-    """
-
-    kind: str
+    kind: str  # of the finding
     joints: tuple
-    order: np.ndarray | None = None
-    sign: np.ndarray | None = None
+    order: np.ndarray | None = None  # (nv,) or None: channel to read for each joint
+    sign: np.ndarray | None = None  # (nv,) or None: directions of joints
+    # (nv,) or None: offsets to add to the positions [rad]
     offset: np.ndarray | None = None
+    # logarithm of the factor by which the squared errors of these joints fall
     gain: float
-    gain_t: float
+    gain_t: float  # the same in standard errors
 
     def put_right(self, signals):
         """Return the corrected signals."""
@@ -290,12 +271,11 @@ def _reads(model):
 
 
 class _Trial:
-    """Corrections that change the motion of the model, tried on a few rows.
+    """Corrections that change the motion of the model, tried on a few rows."""
 
-    A torque depends on the motion of the joints on a chain with its own alone, so that
-    a correction on one branch leaves the fits of the others as they are; none is made
-    twice.
-    """
+    # A torque depends on the motion of the joints on a chain with its own alone, so
+    # that a correction on one branch leaves the fits of the others as they are; none is
+    # made twice.
 
     def __init__(self, model, signals, joints):
         self._model, self._signals, self._joints = model, signals, joints
@@ -311,10 +291,8 @@ class _Trial:
         self._poor = _worst(fits)
 
     def _errors(self, correction, how=ChannelEquations.fit):
-        """Errors of all informative joints with a correction, joint -> of each.
-
-        how : method of `ChannelEquations`, `fit` or `least_errors`.
-        """
+        """Errors of all informative joints with a correction, joint -> of each."""
+        # how: method of `ChannelEquations`, `fit` or `least_errors`.
         signals = correction.put_right(self._signals)
         readings = self._readings(correction)
         # Fits that were made already are the best of bounds.
@@ -343,10 +321,8 @@ class _Trial:
         ]
 
     def _gain(self, correction, least):
-        """Gain over all joints, also in standard errors.
-
-        Zero if too few rows count, or if it cannot be `least` whatever the fits are.
-        """
+        """Gain over all joints, also in standard errors."""
+        # Zero if too few rows count, or if it cannot be `least` whatever the fits are.
         for how in (ChannelEquations.least_errors, ChannelEquations.fit):
             errors = self._errors(correction, how)
             if len(errors) < len(self._joints):

@@ -20,10 +20,8 @@ SURE = 5.0
 
 
 def fits_of(equations, signals, joints=None):
-    """Fit informative joints' torques as recorded, joint -> `ChannelFit`.
-
-    Those of all joints, or of some.
-    """
+    """Fit informative joints' torques as recorded, joint -> `ChannelFit`."""
+    # Those of all joints, or of some.
     now = signals.now
     return {
         int(j): equations.fit(j, now[:, [j]])
@@ -33,11 +31,10 @@ def fits_of(equations, signals, joints=None):
 
 
 def total(fits):
-    """Logarithms of squared errors by block, ndarray (n_blocks,), mean over joints.
-
-    An error above that of the torque's mean counts as the latter: how much worse it is
-    says nothing, and is no evidence for what predicts the torque a little less badly.
-    """
+    """Logarithms of squared errors by block, ndarray (n_blocks,), mean over joints."""
+    # An error above that of the torque's mean counts as the latter: how much worse it
+    # is says nothing, and is no evidence for what predicts the torque a little less
+    # badly.
     return np.mean(
         [np.minimum(fit.log_error[:, 0], fit.log_variance) for fit in fits.values()],
         axis=0,
@@ -67,30 +64,15 @@ _LEAST_NOMINAL = 0.15
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelSignals:
-    """Filtered and decimated signals.
+    """Filtered and decimated signals."""
 
-    Attributes
-    ----------
-    states : ndarray of shape (n, 3 * nv)
-        Filtered states [q | v | a].
-    sign : ndarray of shape (n, nv)
-        Filtered signs of the velocities.
-    tau : ndarray of shape (n, nv, n_shifts)
-        Filtered torques, read `shifts` samples after the positions.
-    weight : ndarray of shape (n, nv)
-        1 where the joint moves and no fault is known, else 0.
-    block : ndarray of shape (n,) of int
-        Block of time of each row.
-    shifts : ndarray of shape (n_shifts,) of int
-        Samples; the middle one is zero.
-    """
-
-    states: np.ndarray
-    sign: np.ndarray
+    states: np.ndarray  # (n, 3 * nv): filtered states [q | v | a]
+    sign: np.ndarray  # (n, nv): filtered signs of the velocities
+    # (n, nv, n_shifts): filtered torques, read `shifts` samples after the positions
     tau: np.ndarray
-    weight: np.ndarray
-    block: np.ndarray
-    shifts: np.ndarray
+    weight: np.ndarray  # (n, nv): 1 where the joint moves and no fault is known, else 0
+    block: np.ndarray  # (n,): block of time of each row
+    shifts: np.ndarray  # (n_shifts,): samples; the middle one is zero
 
     @property
     def now(self):
@@ -155,10 +137,8 @@ class ChannelSignals:
 
 
 def channel_signals(q, tau, dt, parts, usable):
-    """Filter q, tau (n, nv) of recordings; None if all are shorter than the filter.
-
-    `usable` (n, nv) marks samples without known faults.
-    """
+    """Filter q, tau (n, nv) of recordings; None if all are shorter than the filter."""
+    # `usable` (n, nv) marks samples without known faults.
     n, nv = q.shape
     labels = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
     states = StateEstimator(dt).fit(q, groups=labels).transform(q, groups=labels)
@@ -217,56 +197,32 @@ def _cutoff(v, dt, parts):
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelErrors:
-    """Errors of one torque channel, for several versions of the torque.
+    """Errors of one torque channel, for several versions of the torque."""
 
-    Attributes
-    ----------
-    log_error : ndarray of shape (n_blocks, n_versions)
-        Logarithm of the mean squared error of each block, predicted from the others;
-        nan for blocks without rows.
-    log_variance : float
-        Logarithm of the torque's variance.
-    """
-
+    # (n_blocks, n_versions): logarithm of the mean squared error of each block,
+    # predicted from the others; nan for blocks without rows
     log_error: np.ndarray
-    log_variance: float
+    log_variance: float  # of the torque
 
 
 @dataclass(frozen=True, kw_only=True)
 class ChannelFit(ChannelErrors):
-    """Fit of one torque channel, for several versions of the torque.
+    """Fit of one torque channel, for several versions of the torque."""
 
-    Attributes
-    ----------
-    error : ndarray of shape (n_versions,)
-        Root mean squared error in unseen blocks, relative to the torque's standard
-        deviation.
-    log_error : ndarray of shape (n_blocks, n_versions)
-        Logarithm of the mean squared error of each block, predicted from the others;
-        nan for blocks without rows.
-    log_variance : float
-        Logarithm of the torque's variance.
-    friction : float
-        Root mean square of the friction found, relative to the torque's.
-    power : float
-        Mean power that friction takes out of the motion [W].
-    power_t : float
-        The same in standard errors.
-    """
-
+    # (n_versions,): root mean squared error in unseen blocks, over the torque's
+    # deviation
     error: np.ndarray
-    friction: float
-    power: float
-    power_t: float
+    friction: float  # root mean square of the friction found, relative to the torque's
+    power: float  # mean power that friction takes out of the motion [W]
+    power_t: float  # the same in standard errors
 
 
 class ChannelEquations:
-    """Regressors of every joint's torque, from a model and its filtered recording.
+    """Regressors of every joint's torque, from a model and its filtered recording."""
 
-    Of the regressor only the entries that some motion makes nonzero are kept: on a
-    robot of many branches they are few. Another reading of the channels of the same
-    robot may take over the features of an earlier one.
-    """
+    # Of the regressor only the entries that some motion makes nonzero are kept: on a
+    # robot of many branches they are few. Another reading of the channels of the same
+    # robot may take over the features of an earlier one.
 
     def __init__(self, model, signals, features=None):
         if features is None:
@@ -302,23 +258,9 @@ class ChannelEquations:
         return self._signals.weight[:, j]
 
     def fit(self, j, torque, weight=None):
-        """Fit a joint's torque by friction, spring, drive and free inertias.
-
-        Parameters
-        ----------
-        j : int
-            Joint.
-        torque : ndarray of shape (n, n_versions)
-            Versions of its torque; friction and spread are reported for the middle
-            one.
-        weight : ndarray of shape (n,), default=None
-            Weights instead of the joint's own.
-
-        Returns
-        -------
-        ChannelFit
-            Errors and friction.
-        """
+        """Fit a joint's torque (n, n_versions) by friction, spring, drive, inertias."""
+        # Friction and spread are reported for the middle version; weight (n,): instead
+        # of the joint's own.
         w = self.weight(j) if weight is None else weight
         middle = torque.shape[1] // 2
         y = torque[:, middle]
@@ -338,10 +280,8 @@ class ChannelEquations:
         )
 
     def least_errors(self, j, torque):
-        """Errors (`ChannelErrors`) below which those of `fit` of a version do not fall.
-
-        At a third of the work, as nothing is fitted again without a block.
-        """
+        """`ChannelErrors` below which those of `fit` of a version do not fall."""
+        # At a third of the work, as nothing is fitted again without a block.
         w = self.weight(j)
         spread = max(_spread_of(torque[:, 0], w), np.finfo(float).tiny)
         _, moments = self._moments(j, torque, w)
@@ -362,20 +302,9 @@ class ChannelEquations:
         return free[:, :2], moments
 
     def inertia_scale(self, j):
-        """Regress the torque on nominal gravity and on the nominal rest, separately.
-
-        Parameters
-        ----------
-        j : int
-            Joint.
-
-        Returns
-        -------
-        gravity, gravity_t : float
-            Factor of the nominal torque at rest, and the same in standard errors.
-        motion, motion_error : float
-            Factor of the rest of the nominal torque, and its standard error.
-        """
+        """Regress the torque on nominal gravity and on the nominal rest, separately."""
+        # Returns the factor of the nominal torque at rest and the same in standard
+        # errors, and the factor of the rest of it and its standard error.
         n = self._signals.block.size
         w = self.weight(j)
         friction = self._columns(j)[:, :2]
@@ -419,26 +348,11 @@ class ChannelEquations:
         return np.column_stack([v, self._signals.sign[:, j], *others])
 
     def nominal_scale(self, j, *, rotor=False):
-        """Regress the torque on the nominal one, friction and a spring.
-
-        Parameters
-        ----------
-        j : int
-            Joint.
-        rotor : bool, default=False
-            Whether the joint's acceleration has a column of its own: a geared rotor
-            may have many times the inertia of a light link.
-
-        Returns
-        -------
-        scale : float
-            Factor of the nominal rigid-body torque.
-        scale_t : float
-            The same in standard errors.
-        share : float
-            Share of the torque left by friction and spring that the nominal one
-            explains.
-        """
+        """Regress the torque on the nominal one, friction and a spring."""
+        # rotor: whether the joint's acceleration has a column of its own; a geared
+        # rotor may have many times the inertia of a light link. Returns the factor of
+        # the nominal torque, the same in standard errors, and the share that it
+        # explains of what friction and spring leave.
         n, nv = self._signals.sign.shape
         w = self.weight(j)
         y = self._signals.now[:, [j]]
@@ -464,10 +378,9 @@ class ChannelEquations:
 
 
 class _Moments:
-    """Ridge regression with all blocks and with each block left out.
+    """Ridge regression with all blocks and with each block left out."""
 
-    Rows count if they have weight, and are in the order of their blocks.
-    """
+    # Rows count if they have weight, and are in the order of their blocks.
 
     def __init__(self, free, rigid, torque, weight, block):
         rows = np.flatnonzero(weight > 0)
@@ -485,11 +398,9 @@ class _Moments:
         self._count = np.diff(edges)
 
     def _regularised(self, middle, G, g):
-        """Add the prior to G (p, p) of all rows; also solve it for g (p,) of a version.
-
-        The prior is in units of the parameters; its weight follows the noise of that
-        version.
-        """
+        """Add the prior to G (p, p) of all rows; solve it for g (p,) of a version."""
+        # The prior is in units of the parameters; its weight follows the noise of that
+        # version.
         y = self._torque[:, middle]
         spread = np.var(y)
         variance = 0.1 * spread
@@ -527,12 +438,10 @@ class _Moments:
         return np.log(np.maximum(squares, np.finfo(float).tiny)), np.sqrt(total)
 
     def least_errors(self):
-        """Return log mean squared errors (n_blocks, 1) of the fit to all blocks.
-
-        Those of `errors` do not fall below them: a block's residuals without it are
-        these, times the inverse of I - H, where H is its block of the hat matrix and
-        has eigenvalues from 0 to below 1.
-        """
+        """Return log mean squared errors (n_blocks, 1) of the fit to all blocks."""
+        # Those of `errors` do not fall below them: a block's residuals without it are
+        # these, times the inverse of I - H, where H is its block of the hat matrix and
+        # has eigenvalues from 0 to below 1.
         design, torque = self._design, self._torque
         _, theta = self._regularised(0, design.T @ design, design.T @ torque[:, 0])
         left = torque - design @ theta[:, None]

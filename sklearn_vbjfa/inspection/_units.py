@@ -37,10 +37,8 @@ _LARGEST_MEAN = 0.5
 
 
 def counts(model, names, q, ratio):
-    """Find positions (n, nv) that are neither radians nor degrees: one error or none.
-
-    `ratio` (nv,) are the speeds over the fastest possible.
-    """
+    """Find positions (n, nv) neither in radians nor in degrees: one error or none."""
+    # `ratio` (nv,) are the speeds over the fastest possible.
     revolute = ~is_prismatic(model)
     degrees = np.where(revolute, np.pi / 180, 1.0)
     beyond, as_degrees = _beyond(model, q), _beyond(model, q * degrees)
@@ -136,11 +134,9 @@ def _beyond(model, q):
 
 
 def velocities(model, names, q, tau, dt, parts, usable, signals):
-    """Find velocities in the columns q (n, nv) of positions: one error or none.
-
-    `usable` (n, nv) marks samples without known faults, `signals` is the filtered
-    recording.
-    """
+    """Find velocities in the columns q (n, nv) of positions: one error or none."""
+    # `usable` (n, nv) marks samples without known faults, `signals` is the filtered
+    # recording.
     low, high = _limits(model)
     free = np.where(is_prismatic(model), _RANGE_SLIDE, _RANGE_TURN)
     width = np.where(_limited(model), high - low, free)
@@ -192,12 +188,10 @@ def _tiny(x):
 
 
 def gear_factors(model, names, signals):
-    """Find torques of another size than the model's.
-
-    These are doubts and not errors: the loop is right in whatever unit all channels
-    share, and a robot description with invented inertias looks the same. Factors that
-    differ between joints, however, would be compensated by spurious effects.
-    """
+    """Find torques of another size than the model's."""
+    # These are doubts and not errors: the loop is right in whatever unit all channels
+    # share, and a robot description with invented inertias looks the same. Factors that
+    # differ between joints, however, would be compensated by spurious effects.
     equations = ChannelEquations(model, signals)
     found = []
     for j in np.flatnonzero(signals.informative()):

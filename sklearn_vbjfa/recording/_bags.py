@@ -53,11 +53,9 @@ class _Kind:
 
 
 def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
-    """Read the joint states of a bag, which may be split over several files.
-
-    topic : name of the topic, None for the only one of joint states; wanted : names of
-    the robot's joints, empty for all.
-    """
+    """Read the joint states of a bag, which may be split over several files."""
+    # topic: name of the topic, None for the only one of joint states; wanted: names of
+    # the robot's joints, empty for all.
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore

@@ -16,13 +16,12 @@ _NOT_HERE |= {"groups": _LABEL}
 
 
 def positions_in_order(X, names):
-    """Put a data frame of positions or states into the model's order of joints.
-
-    Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
-    ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What has
-    no names comes back as it is. Where all positions are there by name, other columns
-    are `columns_beside` them; otherwise a name that is none of these is refused.
-    """
+    """Put a data frame of positions or states into the model's order of joints."""
+    # Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
+    # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What
+    # has no names comes back as it is. Where all positions are there by name, other
+    # columns are `columns_beside` them; otherwise a name that is none of these is
+    # refused.
     wanted, _ = _divided(X, names)
     if wanted:
         return X[wanted]
@@ -30,11 +29,9 @@ def positions_in_order(X, names):
 
 
 def columns_beside(X, names):
-    """Return what a data frame X holds beside the positions, `OfferedSignals`.
-
-    Time, labels of recordings and other channels of joints are no signals; they are
-    among those left out. Empty for what has no names.
-    """
+    """Return what a data frame X holds beside the positions, `OfferedSignals`."""
+    # Time, labels of recordings and other channels of joints are no signals; they are
+    # among those left out. Empty for what has no names.
     _, rest = _divided(X, names)
     if not rest:
         return OfferedSignals()
@@ -50,19 +47,15 @@ def columns_beside(X, names):
 
 
 def torques_in_order(y, names):
-    """Put a data frame of torques into the model's order of joints.
-
-    Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there is
-    a ``tau0``); likewise.
-    """
+    """Put a data frame of torques into the model's order of joints."""
+    # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
+    # is a ``tau0``).
     return _in_order(y, names, "y", (("tau", ""),))
 
 
 def _divided(X, names):
-    """Columns of positions or states in order, and columns beside them, two lists.
-
-    Both are empty where there is nothing beside them, or positions are not complete.
-    """
+    """Columns of positions or states in order, and columns beside them, two lists."""
+    # Both are empty where there is nothing beside them, or positions are not complete.
     columns = getattr(X, "columns", None)
     if columns is None or not all(isinstance(column, str) for column in columns):
         return [], []

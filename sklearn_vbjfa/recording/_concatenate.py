@@ -22,27 +22,13 @@ _NAMED = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedFile:
-    """A file as it was read, with what its recording no longer tells.
+    """A file as it was read, with what its recording no longer tells."""
 
-    Attributes
-    ----------
-    path : Path
-        File, as messages name it.
-    recording : Recording
-        What it holds.
-    notes : tuple of str
-        What a user should know of it.
-    stamped : bool
-        Whether it has time stamps.
-    torque_units : tuple of str
-        Units of the torques before they were multiplied by gains.
-    """
-
-    path: Path
-    recording: Recording
-    notes: tuple[str, ...]
-    stamped: bool
-    torque_units: tuple[str, ...]
+    path: Path  # as messages name it
+    recording: Recording  # what it holds
+    notes: tuple[str, ...]  # what a user should know of it
+    stamped: bool  # whether it has time stamps
+    torque_units: tuple[str, ...]  # before they were multiplied by gains
 
 
 def without_repeats(paths):
@@ -68,10 +54,8 @@ def common_folder(paths):
 
 
 def concatenate(files, again=(), name=None):
-    """Return the recording of all files, and what to say of it.
-
-    again : (path, first path) of files that were given twice and read once.
-    """
+    """Return the recording of all files, and what to say of it."""
+    # again: (path, first path) of files that were given twice and read once.
     _check_agreement(files)
     files, copies = _without_copies(files)
     copies = [*again, *copies]
@@ -220,10 +204,8 @@ def _group_names(files):
 
 
 def _signals(files):
-    """Return names of the signals in all files, and what is wrong with the others.
-
-    The third are the names of those that are missing somewhere.
-    """
+    """Return names of the signals in all files, and what is wrong with the others."""
+    # The third are the names of those that are missing somewhere.
     left_out, missing = {}, []
     for file in files:
         for key, reason in file.recording.left_out.items():

@@ -2,7 +2,7 @@
 
 Nothing is guessed from how frequent letters are. A mark at the beginning (Excel's
 "Unicode text" has one) settles it; text without one is UTF-8 if all of it is. What is
-left may be a CSV file that Excel saved in Western Europe, which has single bytes for
+left may be a CSV file that Excel saved in Western Europe, with single bytes for
 degrees, micro and umlauts: code page 1252.
 """
 
@@ -57,11 +57,9 @@ def _wrong(path, encoding):
 
 
 def _is_windows(path):
-    """Whether bytes that are not UTF-8 are text in the code page of Windows.
-
-    A file with some characters in UTF-8 is damaged, not in another encoding: by chance
-    two letters of the code page make no such character.
-    """
+    """Whether bytes that are not UTF-8 are text in the code page of Windows."""
+    # A file with some characters in UTF-8 is damaged, not in another encoding: by
+    # chance two letters of the code page make no such character.
     decoder = codecs.getincrementaldecoder("utf-8")("ignore")
     for chunk in _chunks(path):
         if chunk.translate(None, _CHARACTERS):

@@ -113,12 +113,10 @@ def listed(names, joints):
 
 
 def inspect_samples(names, q, tau, dt, parts, rows, revolute):
-    """Inspect every channel by itself, without a robot model.
-
-    q [rad or m], tau [N m or N] (n, nv); parts : slices of the recordings; rows (n,) :
-    row numbers for messages; revolute (nv,), bool. Returns findings, the fault-free
-    samples (n, nv), bool, and the unwrapped positions.
-    """
+    """Inspect every channel by itself, without a robot model."""
+    # q [rad or m], tau [N m or N] (n, nv); parts: slices of the recordings; rows (n,):
+    # row numbers for messages; revolute (nv,), bool. Returns findings, the fault-free
+    # samples (n, nv), bool, and the unwrapped positions.
     usable = np.ones(q.shape, dtype=bool)
     findings, q = wrapped_positions(names, q, revolute, parts, rows)
     still = still_joints(q, parts)
@@ -184,10 +182,8 @@ def runs(flags):
 
 
 def shuffled_rows(names, q, parts, labels=None):
-    """Find rows of positions (n, nv) that are out of time order; one error or none.
-
-    parts : slices of the recordings; labels (n,) : their names, if any.
-    """
+    """Find rows of positions (n, nv) that are out of time order; one error or none."""
+    # parts: slices of the recordings; labels (n,): their names, if any.
     if labels is not None:
         runs_ = len(parts)
         if runs_ >= _RUNS_PER_LABEL * len(set(np.asarray(labels).tolist())) and (
@@ -237,11 +233,10 @@ def _shuffled(names, evidence):
 
 
 def wrapped_positions(names, q, revolute, parts, rows):
-    """Find angles (n, nv) that jump by a full turn, and unwrap them.
-
-    Returns errors (differentiating across a jump gives speeds of hundreds of rad/s) and
-    the unwrapped positions. revolute (nv,), bool; rows (n,) : row numbers for messages.
-    """
+    """Find angles (n, nv) that jump by a full turn, and unwrap them."""
+    # Returns errors (differentiating across a jump gives speeds of hundreds of rad/s)
+    # and the unwrapped positions. revolute (nv,), bool; rows (n,): row numbers for
+    # messages.
     findings = []
     unwrapped = q
     for j in np.flatnonzero(revolute):
@@ -297,11 +292,9 @@ def _turns(x, turn, parts):
 
 
 def repeated_rows(names, q, tau, dt, moving, parts, rows):
-    """Find rows that the logger duplicated while the robot moved; moving (n,), bool.
-
-    Returns the lost rows (n,), bool, and findings: intervals in which the logger was
-    frozen, and other duplicated rows.
-    """
+    """Find rows that the logger duplicated while the robot moved; moving (n,), bool."""
+    # Returns the lost rows (n,), bool, and findings: intervals in which the logger was
+    # frozen, and other duplicated rows.
     same = np.zeros(q.shape[0], dtype=bool)
     for part in parts:
         table = np.hstack([q[part], tau[part]])
@@ -376,13 +369,11 @@ def _frozen_rows(names, q, dt, same, parts, rows):
 
 
 def held_channels(names, q, tau, dt, lost, parts, skip):
-    """Find positions or torques that were updated at a lower rate than the rows.
-
-    A held channel lags by half its period and changes in steps, which looks like delay,
-    elasticity and friction at reversals, but it still shows the recorded motion: a
-    doubt. Returns findings, and which positions and torques are held, (2, nv). Rows
-    `lost` (n,) and joints `skip` (nv,) are ignored.
-    """
+    """Find positions or torques that were updated at a lower rate than the rows."""
+    # A held channel lags by half its period and changes in steps, which looks like
+    # delay, elasticity and friction at reversals, but it still shows the recorded
+    # motion: a doubt. Returns findings, and which positions and torques are held, (2,
+    # nv). Rows `lost` (n,) and joints `skip` (nv,) are ignored.
     findings = []
     held = np.zeros((2, q.shape[1]), dtype=bool)
     for i, (what, channels) in enumerate((("position", q), ("torque", tau))):
@@ -486,21 +477,17 @@ def nothing_moves(names, q):
 
 
 def levels(tau):
-    """Lowest, second highest and highest value of each torque, ndarray (3, nv).
-
-    The second is the lowest where a torque has no third value. Levels of levels are
-    those of all rows together.
-    """
+    """Lowest, second highest and highest value of each torque, ndarray (3, nv)."""
+    # The second is the lowest where a torque has no third value. Levels of levels are
+    # those of all rows together.
     low, high = tau.min(axis=0), tau.max(axis=0)
     return np.stack([low, np.where(tau < high, tau, low).max(axis=0), high])
 
 
 def two_values(names, moves, tau):
-    """Find torques that tell two values only, of all joints that move: one or none.
-
-    moves (nv,) : which joints move; tau (n, nv), or their `levels`. Where one joint's
-    torque shows more, those of others are merely coarse.
-    """
+    """Find torques that tell two values only, of all joints that move: one or none."""
+    # moves (nv,): which joints move; tau (n, nv), or their `levels`. Where one joint's
+    # torque shows more, those of others are merely coarse.
     low, second, high = levels(tau)
     joints = np.flatnonzero(moves & (low < high))
     if not joints.size or (moves & (low < second)).any():
@@ -675,10 +662,8 @@ def _frozen(name, j, x, dt, parts, lost, rows):
 
 
 def position_jumps(names, q, parts, rows):
-    """Find jumps of positions (n, nv), as between concatenated recordings.
-
-    These are the findings of `inspect_samples` of the kind "position_jumps".
-    """
+    """Find jumps of positions (n, nv), as between concatenated recordings."""
+    # These are the findings of `inspect_samples` of the kind "position_jumps".
     nothing = np.zeros(q.shape[0], dtype=bool)
     found = []
     for j in range(q.shape[1]):

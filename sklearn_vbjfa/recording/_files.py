@@ -96,11 +96,9 @@ _CHUNK = 1 << 20
 
 
 def read_table(path, topic=None, wanted=lambda: ()) -> Table:
-    """Read a file's columns, at least one and one row.
-
-    path : file, folder of a bag or of a LeRobot data set, or "-" for standard input;
-    topic : topic of a bag; wanted : function that returns the robot's joints.
-    """
+    """Read a file's columns, at least one and one row."""
+    # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
+    # topic: topic of a bag; wanted: function that returns the robot's joints.
     path = expanded(path)
     with contextlib.ExitStack() as stack:
         if path.is_dir():

@@ -41,45 +41,24 @@ _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """What a column of a file is.
+    """What a column of a file is."""
 
-    Attributes
-    ----------
-    column : str
-        Name in the file.
-    unit : str
-        Unit that it is in, empty if nothing tells.
-    """
-
-    column: str
-    unit: str = ""
+    column: str  # its name
+    unit: str = ""  # empty if nothing tells
 
 
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """What the columns of a file are.
+    """What the columns of a file are."""
 
-    Attributes
-    ----------
-    roles : dict of str to Role
-        Columns by the names that this package would give them.
-    beside : frozenset of str
-        Columns that are known not to be conditions of the robot.
-    times : tuple of Role
-        Columns of time, the best first.
-    joints : tuple of str
-        Names of the numbered joints, in the order of the numbers, if the file has any.
-    what : str
-        The log as which the file was recognised, or whose names were given.
-    certain : bool
-        Whether what has a channel's name is one: a mapping or a preset says so.
-    """
-
-    roles: dict
+    roles: dict  # columns by the names that this package would give them
+    # columns that are known not to be conditions of the robot
     beside: frozenset = frozenset()
-    times: tuple = ()
+    times: tuple = ()  # the best first
+    # names of the numbered joints, in the order of the numbers, if the file has any
     joints: tuple = ()
-    what: str = ""
+    what: str = ""  # log as which the file was recognised, or whose names were given
+    # whether what has a channel's name is one: a mapping or a preset says so
     certain: bool = False
 
 
@@ -88,10 +67,8 @@ class MappingRefused(ValueError):
 
 
 def parse_mapping(text) -> dict[str, str]:
-    """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp".
-
-    A mapping or pairs in a text; refuses what is no channel or comes twice.
-    """
+    """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp"."""
+    # A mapping or pairs in a text; refuses what is no channel or comes twice.
     if isinstance(text, Mapping):
         pairs = [(str(key), str(value)) for key, value in text.items()]
     else:
@@ -142,11 +119,9 @@ def name_and_unit(table: Table, column: str) -> tuple[str, str]:
 
 
 def matches(pattern: str, table: Table) -> list[Match]:
-    """Return the columns that fit a pattern.
-
-    {i} is a number, {joint} and * are anything. A unit behind the name counts with it
-    or without.
-    """
+    """Return the columns that fit a pattern."""
+    # {i} is a number, {joint} and * are anything. A unit behind the name counts with it
+    # or without.
     bare, unit = split_unit(pattern)
     expression, without = _expression(pattern), _expression(bare)
     found = []
@@ -220,10 +195,8 @@ def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
 
 
 def _claimed(mapping, found):
-    """Return the key of a mapping for each column that fits one.
-
-    Of patterns that fit the same column, the one counts that spells out more of it.
-    """
+    """Return the key of a mapping for each column that fits one."""
+    # Of patterns that fit the same column, the one counts that spells out more of it.
     spelled = {key: len(_EVERY.sub("", re.escape(x))) for key, x in mapping.items()}
     taken = {}
     for key, own in found.items():
@@ -280,10 +253,8 @@ def by_names(table: Table, joints=()) -> Layout:
 
 
 def _is_channel(bare, unit, joints=None):
-    """Whether a name is that of a channel, so that what follows it is meant as a unit.
-
-    With `joints`, it must be followed by a number or one of them.
-    """
+    """Whether a name is that of a channel, so that a unit may follow it."""
+    # With `joints`, it must be followed by a number or one of them.
     kind = _kind(bare)
     if kind not in KINDS:
         return False
@@ -297,10 +268,9 @@ def _is_channel(bare, unit, joints=None):
 
 
 def by_preset(table: Table, name: str | None, joints=()):
-    """Return the layouts of known logs that the columns fit, one for each preset.
-
-    `name` is a preset or None for any; `joints` are those of the robot, if it is known.
-    """
+    """Return the layouts of known logs that the columns fit, one for each preset."""
+    # `name` is a preset or None for any; `joints` are those of the robot, if it is
+    # known.
     found = {}
     for preset, logs in PRESETS.items():
         if name in (None, preset):

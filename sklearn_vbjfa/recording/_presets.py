@@ -9,44 +9,24 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, kw_only=True)
 class KnownLog:
-    """Names of the channels in one kind of log.
+    """Names of the channels in one kind of log."""
 
-    Attributes
-    ----------
-    what : str
-        The log, in words.
-    source : str
-        Where its names come from.
-    q, tau : str
-        Patterns of positions and torques; ``*`` is anything, the same in all.
-    v : str, default=""
-        Pattern of velocities.
-    times : tuple of str
-        Columns of time, the best first; two with a plus between them are seconds and
-        nanoseconds.
-    time_unit : str
-        Unit of time.
-    motor_unit : str, default=""
-        Unit of what is proportional to torques; "" where they are in N m or N.
-    joints : str, default=""
-        Column with all joints' names, or pattern of those with one of them each.
-    segment : str, default=""
-        Column that tells recordings apart.
-    beside : tuple of str, default=()
-        Regular expressions of other columns of the tool that are no conditions of the
-        robot: counters, references, commands, frames, what follows from the rest.
-    """
-
-    what: str
-    source: str
+    what: str  # the log, in words
+    source: str  # where its names come from
+    # patterns of positions and torques; ``*`` is anything, the same in all
     q: str
     tau: str
     v: str = ""
+    # columns, the best first; two with a plus between are seconds and nanoseconds
     times: tuple[str, ...]
     time_unit: str = "s"
+    # unit of what is proportional to torques; "" where they are in N m or N
     motor_unit: str = ""
+    # column with all joints' names, or pattern of those with one of them each
     joints: str = ""
-    segment: str = ""
+    segment: str = ""  # column that tells recordings apart
+    # regular expressions of columns that are no conditions of the robot: counters,
+    # references, commands, frames, what follows from the rest
     beside: tuple[str, ...] = ()
 
 

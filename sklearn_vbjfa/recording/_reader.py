@@ -397,10 +397,8 @@ def _otherwise(table: Table, asked, names):
 
 
 def _named(layout: Layout) -> Layout:
-    """Put the joints' names into the names of numbered channels, where there are any.
-
-    Numbers count from 0 or 1, as elsewhere.
-    """
+    """Put the joints' names, if there are any, into those of numbered channels."""
+    # Numbers count from 0 or 1, as elsewhere.
     if not layout.joints:
         return layout
     roles = {}
@@ -436,10 +434,8 @@ def _matched(layout: Layout, kind, names):
 
 
 def _channels(table: Table, layout, asked, robot, notes):
-    """Return the roles of each kind, a list in the order of the joints, and the joints.
-
-    Refuses, all at once, what is missing.
-    """
+    """Return the roles of each kind, listed in the order of the joints, and those."""
+    # Refuses, all at once, what is missing.
     names = robot.names or _own_joints(layout)
     robot = replace(robot, names=names)
     matched = {kind: _matched(layout, kind, names) for kind in _layout.KINDS}
@@ -564,10 +560,8 @@ def _refuse_two(table, one, other):
 
 
 def _values(table: Table, kind, roles):
-    """Return the columns of one kind (n_rows, nv) in units of this package, and those.
-
-    The second is the base of the unit of each column, None where nothing tells.
-    """
+    """Return the columns of one kind (n_rows, nv) in the package's units, and these."""
+    # The second is the base of the unit of each column, None where nothing tells.
     columns, bases = [], []
     for role in roles:
         unit = _layout.channel_unit(table, kind, role)

@@ -13,10 +13,8 @@ if TYPE_CHECKING:
 
 
 def contiguous_groups(groups, n_samples):
-    """Return slices of the recordings, one per run of equal labels (n_samples,).
-
-    None as labels is one recording.
-    """
+    """Return slices of the recordings, one per run of equal labels (n_samples,)."""
+    # None as labels is one recording.
     if groups is None:
         return [slice(0, n_samples)]
     labels = np.asarray(groups)
@@ -344,12 +342,10 @@ class Recording:
 def take_arrays(
     X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
 ):
-    """Make a recording of the validated arguments of a fit.
-
-    X : positions (n_samples, nv) or states (n_samples, 3 nv); y (n_samples, nv); groups
-    : labels in any form; weight (n_samples, nv); t : time stamps; dt : sample period
-    [s]; signals : arrays (n_samples,) by name.
-    """
+    """Make a recording of the validated arguments of a fit."""
+    # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
+    # nv); groups: labels in any form; t: time stamps; dt [s]; signals (n_samples,) by
+    # name.
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
     lengths = [rows.stop - rows.start for rows in segments]
@@ -371,10 +367,8 @@ def take_arrays(
 
 
 def take_rows(recording, rows, groups):
-    """Make a recording of some rows (ascending) of another, in new segments.
-
-    groups (n_kept,) : labels of the segments in any form.
-    """
+    """Make a recording of some rows (ascending) of another, in new segments."""
+    # groups (n_kept,): labels of the segments in any form.
     t, weight = (
         None if x is None else x[rows] for x in (recording.t, recording.weight)
     )

@@ -1,8 +1,4 @@
-"""The refusal of a file whose columns are not recognised, and what would be taken.
-
-It lists all that is missing at once, with the columns that come nearest to it, and the
-options with which the file would be read.
-"""
+"""The refusal of a file whose columns are not recognised, and what would be taken."""
 
 import re
 from collections import Counter
@@ -72,12 +68,10 @@ class _Family:
 
 
 def suggestion(table: Table, joints, needed, given, *, timed, gained):
-    """Return the options that would read a file, {} if they cannot be told.
-
-    joints : names of the robot's joints, empty if unknown; needed : kinds without a
-    column ("q", "tau", "t"); given : mapping as far as it stands; timed : whether a
-    period is known; gained : whether gains are.
-    """
+    """Return the options that would read a file, {} if they cannot be told."""
+    # joints: names of the robot's joints, empty if unknown; needed: kinds without a
+    # column ("q", "tau", "t"); given: mapping as far as it stands; timed: whether a
+    # period is known; gained: whether gains are.
     mapping, numbered = dict(given), None
     families = _families(table, joints)
     best = _best_pair(table, families, joints, needed)

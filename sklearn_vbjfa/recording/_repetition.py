@@ -24,45 +24,22 @@ _OVERLAP = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class RepeatedMotion:
-    """A motion that was recorded more than once.
+    """A motion that was recorded more than once."""
 
-    Attributes
-    ----------
-    seconds : float
-        Its length [s].
-    count : float
-        How many times it is there.
-    recordings : tuple of int
-        Recordings that it is in, from zero.
-    """
-
-    seconds: float
-    count: float
-    recordings: tuple
+    seconds: float  # its length [s]
+    count: float  # how many times it is there
+    recordings: tuple  # from zero
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Repetition:
-    """Which motions there are, and when each recording goes through them.
+    """Which motions there are, and when each recording goes through them."""
 
-    Attributes
-    ----------
-    begins : ndarray of shape (r,)
-        When recordings begin [s].
-    seconds : ndarray of shape (r,)
-        Their lengths [s].
-    motion : ndarray of shape (r,)
-        Motion of each recording, from zero.
-    delay : ndarray of shape (r,)
-        How far in its motion each recording begins [s].
-    period : ndarray of shape (m,)
-        Periods of the motions [s], infinite for one that does not repeat by itself.
-    """
-
-    begins: np.ndarray
-    seconds: np.ndarray
-    motion: np.ndarray
-    delay: np.ndarray
+    begins: np.ndarray  # (r,): when recordings begin [s]
+    seconds: np.ndarray  # (r,): their lengths [s]
+    motion: np.ndarray  # (r,): motion of each recording, from zero
+    delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
+    # (m,): periods of the motions [s], infinite for one that does not repeat by itself
     period: np.ndarray
 
     def motions(self):
@@ -91,11 +68,8 @@ class Repetition:
         return self._repeats
 
     def phase(self, recording, t):
-        """Return the motion (n,) and the time in it (n,) [s] of rows.
-
-        recording : ndarray of shape (n,), number of the recording of each row; t their
-        times [s].
-        """
+        """Return the motion (n,) and the time in it (n,) [s] of rows."""
+        # recording (n,): its number for each row; t (n,): times of the rows [s].
         motion = self.motion[recording]
         phase = t - self.begins[recording] + self.delay[recording]
         period = self.period[motion]
@@ -119,22 +93,9 @@ def commands_among(signals, q):
 
 
 def find_repetition(q, t, parts):
-    """Look for motion that repeats.
-
-    Parameters
-    ----------
-    q : ndarray of shape (n, nv)
-        Positions, or commanded ones [rad or m].
-    t : ndarray of shape (n,)
-        Times [s].
-    parts : sequence of slice
-        Recordings.
-
-    Returns
-    -------
-    Repetition
-        False if nothing repeats.
-    """
+    """Look for motion that repeats in positions (n, nv); false if nothing does."""
+    # q: measured, or commanded ones, at times t (n,) [s]; parts: slices of the
+    # recordings.
     seconds = np.array([np.ptp(t[part]) for part in parts])
     rows = sum(part.stop - part.start for part in parts)
     step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))

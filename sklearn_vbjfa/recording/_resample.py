@@ -80,11 +80,10 @@ def interpolate(
     dt: float,
     cubic: Callable = local_cubic,
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
-    """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt.
+    """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt."""
+    # Positions "q" follow the cubic that `cubic` builds from stamps and rows; all else,
+    # being noisier, follows straight lines.
 
-    Positions "q" follow the cubic that `cubic` builds from stamps and rows; all else,
-    being noisier, follows straight lines.
-    """
     # Rounding of t must not cost the last point.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
     query = np.minimum(grid, t[-1])
@@ -148,11 +147,9 @@ def join(
     resample: bool = True,
     drop_repeated: bool = False,
 ) -> dict:
-    """Concatenate logs into the array fields of a `Recording`.
-
-    With `resample` each log is put on multiples of dt; one with long gaps becomes
-    several recordings, "name [1]", "name [2]", ...
-    """
+    """Concatenate logs into the array fields of a `Recording`."""
+    # With `resample` each log is put on multiples of dt; one with long gaps becomes
+    # several recordings, "name [1]", "name [2]", ...
     pieces = []
     for log in logs:
         channels = {"q": log.q, "tau": log.tau, **log.signals}
@@ -175,11 +172,9 @@ def resample_uniform(
     dt: float,
     drop_repeated: bool = False,
 ) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
-    """Return grid (n_part,) [s] and channels of each part of a log between long gaps.
-
-    A log that is uniform already is left as it is; `drop_repeated` also drops rows
-    equal to the one before in every channel, readings that the logger wrote twice.
-    """
+    """Return grid (n_part,) [s] and channels of a log's parts between long gaps."""
+    # A log that is uniform already is left as it is; `drop_repeated` also drops rows
+    # equal to the one before in every channel, readings that the logger wrote twice.
     step = np.diff(t)
     if np.any(step < 0):
         raise ValueError(
@@ -243,12 +238,10 @@ class _Tally:
 
 
 def on_grid(table: Table, t, labels, dt, channels, notes):
-    """Cut a file at segments and gaps, return the array fields of a `Recording`.
-
-    Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of
-    the stamps; channels (n_rows, ...), "q" and "tau" among them. What was found goes to
-    `notes`.
-    """
+    """Cut a file at segments and gaps, return the array fields of a `Recording`."""
+    # Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of
+    # the stamps; channels (n_rows, ...), "q" and "tau" among them. What was found goes
+    # to `notes`.
     segments = _segments(labels, table.n_rows)
     if t is None:
         pieces = [
@@ -284,11 +277,9 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
 
 
 def on_one_grid(recordings, names, dt):
-    """Concatenate files whose periods are nearly dt [s], and say which have another.
-
-    names : of the recordings in them, one after the other. Returns the array fields of
-    a `Recording`, and the positions of the files that were interpolated.
-    """
+    """Concatenate files whose periods are nearly dt [s], and say which have another."""
+    # names: of the recordings in them, one after the other. Returns the array fields of
+    # a `Recording`, and the positions of the files that were interpolated.
     pieces, names, moved, noise = [], iter(names), [], []
     for k, one in enumerate(recordings):
         channels = {"q": one.q, "tau": one.tau, **one.signals}

@@ -80,10 +80,8 @@ def _check_size(path):
 
 
 def _titles(rows, filled):
-    """Count the rows above the names: the names fill the cells that numbers do.
-
-    The first row of numbers tells which; a row of units may stand between.
-    """
+    """Count the rows above the names: the names fill the cells that numbers do."""
+    # The first row of numbers tells which; a row of units may stand between.
     cells = {k: [j for j, x in enumerate(rows[k]) if x != ""] for k in filled}
     count = next((n for n, k in enumerate(filled) if _is_data(rows[k])), 0)
     k = filled[count]

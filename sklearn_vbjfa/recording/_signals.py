@@ -1,9 +1,8 @@
 """What was recorded beside the motion, and which of it may stand for a cause.
 
-A temperature, a voltage, the state of a tool: conditions of the robot that its friction
-may vary with. What is merely the motion or the torque under another name (a motor
-current, a reference) explains the torque by itself, and is no condition; a clock is
-none either.
+A temperature, a voltage, the state of a tool are conditions of the robot that its
+friction may vary with. What is merely the motion or the torque under another name (a
+motor current, a reference) explains the torque by itself, and is none; nor is a clock.
 """
 
 from collections.abc import Mapping
@@ -31,17 +30,10 @@ _ROUNDING = 1e-12
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OfferedSignals:
-    """Columns that came with the motion and that nobody asked for by name.
+    """Columns that came with the motion and that nobody asked for by name."""
 
-    Attributes
-    ----------
-    columns : mapping of str to ndarray
-        Columns as they were read, numbers or not.
-    left_out : mapping of str to str
-        Those that are known not to be usable: what is wrong with them.
-    """
-
-    columns: Mapping = field(default_factory=dict)
+    columns: Mapping = field(default_factory=dict)  # as they were read, numbers or not
+    # those that are known not to be usable: what is wrong with them
     left_out: Mapping = field(default_factory=dict)
 
     @classmethod
@@ -76,10 +68,8 @@ class OfferedSignals:
 
 
 def as_numbers(values, n_samples):
-    """Return a column as floats (n_samples,), and what is wrong with it.
-
-    The first is None where the second is not empty.
-    """
+    """Return a column as floats (n_samples,), and what is wrong with it."""
+    # The first is None where the second is not empty.
     values = np.asarray(values)
     if values.shape != (n_samples,):
         return None, (
@@ -124,10 +114,8 @@ def check_given(signals, n_samples):
 
 
 def signals_for(effects, given, offered, n_samples):
-    """Return the signals that effects use by name, a dict of arrays (n_samples,).
-
-    given : by name, or `OfferedSignals`; offered : `OfferedSignals` of the same rows.
-    """
+    """Return the signals that effects use by name, a dict of arrays (n_samples,)."""
+    # given: by name, or `OfferedSignals`; offered: `OfferedSignals` of the same rows.
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     found = check_given(given, n_samples)
@@ -158,12 +146,10 @@ def check_useful(given, recording):
 
 
 def survey(given, offered, recording, effects):
-    """Choose the signals of a recording that a search for effects may use.
-
-    Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
-    `offered` that are left out. Of those asked for by name, by the caller or by an
-    effect, none is: they are refused.
-    """
+    """Choose the signals of a recording that a search for effects may use."""
+    # Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
+    # `offered` that are left out. Of those asked for by name, by the caller or by an
+    # effect, none is: they are refused.
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     n_samples = recording.n_samples
@@ -193,11 +179,9 @@ def survey(given, offered, recording, effects):
 
 
 def fault(values, recording, share=_COPY):
-    """Say why a column (n_samples,) is no condition of the robot; empty if it may be.
-
-    recording : what it was recorded beside; share : of its variance that makes it
-    another channel.
-    """
+    """Say why a column (n_samples,) is no condition of the robot, if it is none."""
+    # recording: what it was recorded beside; share: of its variance that makes it
+    # another channel.
     if np.ptp(values) <= _ROUNDING * np.abs(values).max():
         return f"is constant ({values[0]:.6g} in all rows), so that nothing varies"
     if _is_clock(values, recording):

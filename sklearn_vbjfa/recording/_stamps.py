@@ -1,10 +1,9 @@
 """Time stamps of a recording: which period they have, and when its rows were sampled.
 
-Stamps are irregular for three reasons, which call for different remedies. A steady
-sampling was stamped late: the rows are taken as they are. Rows are missing: the others
-are taken as they are, and the missing ones interpolated. The robot was really sampled
-at irregular times: all is interpolated. Positions tell the first from the last, as they
-are smooth functions of the time at which they were sampled, and of no other.
+Stamps are irregular for three reasons. A steady sampling was stamped late: the rows are
+taken as they are. Rows are missing: these are interpolated. The robot was really
+sampled at irregular times: all is interpolated. Positions tell the first from the last,
+as they are smooth functions of the time at which they were sampled, and of no other.
 """
 
 import warnings
@@ -42,52 +41,32 @@ _MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 @dataclass(frozen=True, kw_only=True)
 class TimeStamps:
-    """What the time stamps of one recording tell.
+    """What the time stamps of one recording tell."""
 
-    Attributes
-    ----------
-    dt : float
-        Sample period [s].
-    uniform : bool
-        Whether the stamps are those of a steady clock, but for rounding and gaps, and
-        no row is missing between gaps.
-    sampled : bool
-        Whether the robot was sampled at the time of the stamps, else steadily.
-    late : bool
-        Whether stamps are irregular while the sampling was steady.
-    slots : ndarray of int
-        Period in which each row was sampled, from 0 on in each piece between gaps;
-        without meaning if `sampled`.
-    jitter : float
-        Standard deviation of the steps from the period, gaps left out [s].
-    shortest, longest : float
-        Shortest and longest step, gaps left out [s].
-    doubled : int
-        Number of stamps equal to the one before.
-    gaps : ndarray of int
-        Rows after which more than five periods are missing.
-    """
-
-    dt: float
+    dt: float  # sample period [s]
+    # whether the stamps are those of a steady clock, but for rounding and gaps, and no
+    # row is missing between gaps
     uniform: bool
+    # whether the robot was sampled at the time of the stamps, else steadily
     sampled: bool
-    late: bool
+    late: bool  # whether stamps are irregular while the sampling was steady
+    # period in which each row was sampled, from 0 on in each piece between gaps;
+    # without meaning if `sampled`
     slots: np.ndarray
-    jitter: float
+    jitter: float  # standard deviation of the steps from the period, gaps left out [s]
+    # shortest and longest step, gaps left out [s]
     shortest: float
     longest: float
-    doubled: int
-    gaps: np.ndarray
+    doubled: int  # number of stamps equal to the one before
+    gaps: np.ndarray  # rows after which more than five periods are missing
 
 
 def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
-    """Return what the stamps t (n_samples,) [s] of one recording tell.
-
-    dt [s] is the period if it is known; `where` turns a row (from 0) into words;
-    positions (n_samples, nv) tell whether irregular stamps are the time of sampling,
-    without them a steady sampling is taken. Refuses time that stands still or runs
-    backwards, is not in seconds, contradicts dt, or says nothing of the period.
-    """
+    """Return what the stamps t (n_samples,) [s] of one recording tell."""
+    # dt [s] is the period if it is known; `where` turns a row (from 0) into words;
+    # positions (n_samples, nv) tell whether irregular stamps are the time of sampling,
+    # without them a steady sampling is taken. Refuses time that stands still or runs
+    # backwards, is not in seconds, contradicts dt, or says nothing of the period.
     t = np.asarray(t, dtype=float)
     where = where or (lambda row: f"row {row}")
     if t.ndim != 1 or t.size < 2:
@@ -265,10 +244,8 @@ def _followed_slots(t, dt, whole):
 
 
 def _when(t, pieces, period, whole, positions, where):
-    """Return the period [s], slots, and whether the stamps are the time of sampling.
-
-    `whole` tells whether the steps show how many rows are missing.
-    """
+    """Return the period [s], slots, and whether the stamps are the time of sampling."""
+    # `whole` tells whether the steps show how many rows are missing.
     followed = []
     for piece in pieces:
         slots, own = None, period
@@ -323,11 +300,9 @@ def _check_rate(t, pieces, dt, slots, where):
 
 
 def _roughness(times, pieces, positions):
-    """Compare the smoothness of positions (n, nv) under several times of their rows.
-
-    Returns for each of `times` the sum over the joints of the logarithm of the squared
-    prediction errors; zeros if no joint moves.
-    """
+    """Compare the smoothness of positions (n, nv) under several times of their rows."""
+    # Returns for each of `times` the sum over the joints of the logarithm of the
+    # squared prediction errors; zeros if no joint moves.
     squares = np.zeros((len(times), positions.shape[1]))
     for piece in pieces:
         for k, t in enumerate(times):
@@ -337,11 +312,9 @@ def _roughness(times, pieces, positions):
 
 
 def prediction_errors(t, values):
-    """Return how far values (n, k) are from the cubic through their neighbours, (m, k).
-
-    In units of their standard deviation for unit white noise; rows beside equal times t
-    (n,) [s], which must not fall, are left out.
-    """
+    """Return how far values (n, k) are from cubics through their neighbours, (m, k)."""
+    # In units of their standard deviation for unit white noise; rows beside equal times
+    # t (n,) [s], which must not fall, are left out.
     near = (-2, -1, 1, 2)
     n = t.size - 4
     if n < 1:
@@ -366,11 +339,10 @@ def prediction_errors(t, values):
 
 
 def check_time_stamps(t, dt, parts):
-    """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones.
-
-    Nothing is asked of the step from one of the slices `parts` to the next; without t
-    nothing at all, without dt (rows need not be equidistant) only that the stamps rise.
-    """
+    """Refuse stamps t (n,) [s] that contradict dt [s], warn of irregular ones."""
+    # Nothing is asked of the step from one of the slices `parts` to the next; without t
+    # nothing at all, without dt (rows need not be equidistant) only that the stamps
+    # rise.
     if t is None:
         return
     time = np.asarray(t, dtype=float)

@@ -19,33 +19,19 @@ class Loss(str):
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Named columns of equal length, numbers or text, out of a file.
+    """Named columns of equal length, numbers or text, out of a file."""
 
-    Attributes
-    ----------
-    path : Path
-        File, as messages name it.
-    columns : dict of str to ndarray
-        Columns by name.
-    scalars : dict of str to ndarray
-        Arrays of one entry, or of none per row, that stand beside the columns.
-    where : callable
-        Turns a row (from 0) into words: a line of the file where it has lines.
-    units : mapping of str to str
-        Units of columns out of a row of their own.
-    joints : tuple of str
-        Joints whose columns are called q_<joint> and tau_<joint> for certain.
-    notes : tuple of str
-        What a user should know of the file.
-    """
-
-    path: Path
-    columns: dict[str, np.ndarray]
+    path: Path  # as messages name it
+    columns: dict[str, np.ndarray]  # by name
+    # arrays of one entry, or of none per row, that stand beside the columns
     scalars: dict[str, np.ndarray] = field(default_factory=dict)
+    # turns a row (from 0) into words: a line of the file where it has lines
     where: Callable[[int], str]
+    # units of columns out of a row of their own
     units: Mapping[str, str] = field(default_factory=dict)
+    # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()  # what a user should know of the file
 
     @property
     def n_rows(self) -> int:

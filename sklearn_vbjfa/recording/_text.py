@@ -45,10 +45,9 @@ class _Text(Source):
 
 
 class _Lines:
-    """Lines of data of a text file, without blank ones and comments.
+    """Lines of data of a text file, without blank ones and comments."""
 
-    Iterating reads the file anew, line by line.
-    """
+    # Iterating reads the file anew, line by line.
 
     def __init__(self, path, header=-1):
         self.path = path
@@ -233,12 +232,10 @@ def _header(path):
 
 
 def _echo_names(line):
-    """Return names for the cells of a JointState by ``ros2 topic echo --csv``.
-
-    It writes the values of a message one after another and no header (message_to_csv in
-    rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py): the stamp, the
-    frame, names, positions, velocities and efforts. [] if the line is not one.
-    """
+    """Return names for the cells of a JointState by ``ros2 topic echo --csv``."""
+    # It writes the values of a message one after another and no header (message_to_csv
+    # in rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py): the stamp,
+    # the frame, names, positions, velocities and efforts. [] if the line is not one.
     cells = _split(line, ",")
     n, rest = divmod(len(cells) - 3, 4)
     if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
@@ -253,11 +250,9 @@ def _echo_names(line):
 
 
 def _below_preamble(path, first):
-    """Return the line of names, below what an instrument says of itself.
-
-    The first row of numbers tells how many cells it has: it is the last line before
-    them with as many, where the first line has another number.
-    """
+    """Return the line of names, below what an instrument says of itself."""
+    # The first row of numbers tells how many cells it has: it is the last line before
+    # them with as many, where the first line has another number.
     seen = []
     for k, line in _raw_lines(path):
         content = line.split("#", 1)[0]

@@ -35,33 +35,22 @@ WAYS = ("prior", "free", "fixed")
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one is heavier or lighter than the description has it.
+    """Bodies of which one is heavier or lighter than the description has it."""
 
-    Attributes
-    ----------
-    bodies : tuple of str
-        Joints that carry them, the most probable first: another size of any of them
-        explains the torques about as well, within three nats.
-    factors : tuple of float
-        How many times the body of the description each of them would be.
-    stds : tuple of float
-        Standard deviations of the factors.
-    log_odds : float
-        Logarithm of the odds that the first of them departs further than descriptions
-        usually do, over that none does.
-    """
-
+    # joints that carry them, the most probable first: another size of any of them
+    # explains the torques about as well, within three nats
     bodies: tuple[str, ...]
+    # how many times the body of the description each of them would be
     factors: tuple[float, ...]
-    stds: tuple[float, ...]
+    stds: tuple[float, ...]  # standard deviations of the factors
+    # logarithm of the odds that the first of them departs further than descriptions
+    # usually do, over that none does
     log_odds: float
 
 
 def _rounder(P):
-    """Pseudo-inertia of a body to which its mean extension is added on all sides.
-
-    A thin rod whose description has its centre a little beside it is not far off.
-    """
+    """Pseudo-inertia of a body to which its mean extension is added on all sides."""
+    # A thin rod whose description has its centre a little beside it is not far off.
     first, mass = P[:3, 3], P[3, 3]
     about = P[:3, :3] - np.outer(first, first) / mass
     out = P.copy()
@@ -71,41 +60,23 @@ def _rounder(P):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Description:
-    """Bodies of a description as the centre of a prior.
+    """Bodies of a description as the centre of a prior."""
 
-    The distance of a body from its description is tr((P0^-1 dP)^2) with its
-    pseudo-inertia P0, which does not depend on the frame and is the metric of [1]_ at
-    P0; below one, the body is consistent.
+    # The distance of a body from its description is tr((P0^-1 dP)^2) with its
+    # pseudo-inertia P0, which does not depend on the frame and is the metric of Lee,
+    # Wensing and Park (IEEE Trans. Robotics 36(2), 2020, doi:10.1109/TRO.2019.2926491)
+    # at P0; below one, the body is consistent.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Joints that carry the bodies.
-    places : ndarray of shape (n, 10)
-        Where their parameters are among all.
-    centre : ndarray of shape (n, 10)
-        Their parameters.
-    root : ndarray of shape (n, 10, 10)
-        Of upper triangular R with distance |R d|^2 for a change d of a body.
-
-    References
-    ----------
-    .. [1] T. Lee, P. Wensing, F. Park, "Geometric robot dynamic identification: a
-       convex programming approach", IEEE Trans. Robotics 36(2), 2020.
-       :doi:`10.1109/TRO.2019.2926491`
-    """
-
-    names: tuple[str, ...]
-    places: np.ndarray
-    centre: np.ndarray
+    names: tuple[str, ...]  # joints that carry the bodies
+    places: np.ndarray  # (n, 10): where their parameters are among all
+    centre: np.ndarray  # (n, 10): their parameters
+    # (n, 10, 10): upper triangular R with distance |R d|^2 for a change d of a body
     root: np.ndarray
 
     @classmethod
     def of(cls, model, per_joint):
-        """Take the bodies of a model that have mass and extension; None without any.
-
-        Bodies that have none are left free, as nothing is said of them.
-        """
+        """Take the bodies of a model that have mass and extension; None without any."""
+        # Bodies that have none are left free, as nothing is said of them.
         bodies = nominal_parameters(model)
         solid = np.flatnonzero(solid_bodies(bodies))
         if not solid.size:
@@ -141,34 +112,19 @@ class Description:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BodyPosterior:
-    """Parameters that torques and a description determine together.
+    """Parameters that torques and a description determine together."""
 
-    Attributes
-    ----------
-    theta : ndarray of shape (p,)
-        Posterior mean.
-    covariance : ndarray of shape (p, p)
-        Posterior covariance; infinite on the diagonal where nothing tells a parameter.
-    prior : ndarray of shape (p, p)
-        Precision of the prior.
-    before : ndarray of shape (p,)
-        Deviations of the prior, at the scales that bodies turned out to have; nan for
-        what the description does not say.
-    departures : tuple of Departure
-        Bodies that are not as described, or what they cannot be told apart from.
-    noise : float
-        Variance of the noise that the normal equations were divided by.
-    common : float
-        Size of all bodies together over the description.
-    """
-
-    theta: np.ndarray
+    theta: np.ndarray  # (p,): posterior mean
+    # (p, p): posterior; infinite on the diagonal where nothing tells a parameter
     covariance: np.ndarray
-    prior: np.ndarray
+    prior: np.ndarray  # (p, p): precision of the prior
+    # (p,): deviations of the prior, at the scales that bodies turned out to have; nan
+    # for what the description does not say
     before: np.ndarray
+    # bodies not as described, or what they cannot be told apart from
     departures: tuple[Departure, ...] = ()
-    noise: float = 1.0
-    common: float = 1.0
+    noise: float = 1.0  # variance that the normal equations were divided by
+    common: float = 1.0  # size of all bodies together over the description
 
 
 def little_learned(std, before):
@@ -179,10 +135,9 @@ def little_learned(std, before):
 
 @dataclass(frozen=True, eq=False)
 class _Site:
-    """What the prior of a body says in a Gaussian model: precision and its product.
+    """What the prior of a body says in a Gaussian model: precision and its product."""
 
-    scale : root mean square of the scale that the body turned out to have.
-    """
+    # scale: root mean square of the scale that the body turned out to have.
 
     precision: np.ndarray
     right: np.ndarray
@@ -196,10 +151,9 @@ class _Site:
 
 @dataclass(frozen=True, eq=False)
 class _Solution:
-    """Gaussian posterior of the change from a description, and of its common size.
+    """Gaussian posterior of the change from a description, and of its common size."""
 
-    The last entry is the share by which all of its bodies together are larger.
-    """
+    # The last entry is the share by which all of its bodies together are larger.
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -214,11 +168,10 @@ class _Solution:
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Normal equations A theta = b in units of the noise, beside a description.
+    """Normal equations A theta = b in units of the noise, beside a description."""
 
-    Bodies are seen in coordinates in which their prior is round. `sized`: their common
-    size is that of the description.
-    """
+    # Bodies are seen in coordinates in which their prior is round. `sized`: their
+    # common size is that of the description.
 
     description: Description
     A: np.ndarray
@@ -239,11 +192,9 @@ class _Problem:
         return self.description.vector(self.b.size)
 
     def solved(self, sites):
-        """Return the `_Solution` with some sites.
-
-        The size of all bodies together is known to the usual share from `common`: what
-        a torque channel calls a newton metre is sometimes not known at all.
-        """
+        """Return the `_Solution` with some sites."""
+        # The size of all bodies together is known to the usual share from `common`:
+        # what a torque channel calls a newton metre is sometimes not known at all.
         p, centre = self.b.size, self.centre
         total, right = np.zeros((p + 1, p + 1)), np.zeros(p + 1)
         total[:p, :p] = self.A
@@ -263,10 +214,8 @@ class _Problem:
         return _Solution(eigen.solve(right), eigen.inverse())
 
     def common(self):
-        """Size of all bodies together by least squares, everything else free; or one.
-
-        A description in other units, or torques in others, is thousands of times off.
-        """
+        """Size of all bodies together by least squares, all else free; or one."""
+        # A description in other units, or torques in others, is thousands of times off.
         centre = self.centre
         rest = np.ones(centre.size, dtype=bool)
         rest[self.description.places] = False
@@ -286,14 +235,9 @@ class _Problem:
         return inverse, inverse @ (root @ solution.mean[at])
 
     def sites(self):
-        """Sites by expectation propagation: they match mean and covariance [1]_.
-
-        References
-        ----------
-        .. [1] T. Minka, "Expectation propagation for approximate Bayesian inference",
-           UAI 2001; for scale mixtures M. Seeger, "Bayesian inference and optimal
-           design for the sparse linear model", J. Machine Learning Research 9, 2008.
-        """
+        """Sites by expectation propagation: they match mean and covariance."""
+        # T. Minka, UAI 2001; for scale mixtures M. Seeger, J. Machine Learning Research
+        # 9, 2008.
         sites = [_Site.of_scale(DESCRIBED)] * len(self.description.names)
         for number in range(_PASSES):
             solution = self.solved(sites)
@@ -315,11 +259,9 @@ class _Problem:
         return sites
 
     def departures(self):
-        """Bodies that are larger or smaller than descriptions usually err, one by one.
-
-        Everything else is as far off as usual: where all scales are open, each body
-        takes over a part of what another one lacks.
-        """
+        """Bodies larger or smaller than descriptions usually err, one by one."""
+        # Everything else is as far off as usual: where all scales are open, each body
+        # takes over a part of what another one lacks.
         names, root = self.description.names, self.description.root
         # The direction of a body that is more or less of the same.
         size = np.einsum("kij,kj->ki", root, self.description.centre)
@@ -372,11 +314,9 @@ def _inverse(covariance):
 
 
 def _matched(precision, product, site):
-    """Site with which a body has the mean and covariance of its scale mixture.
-
-    precision, product : of the body with its present site. Returns the site and how
-    far the mean moves, in deviations.
-    """
+    """Site with which a body has the mean and covariance of its scale mixture."""
+    # precision, product: of the body with its present site. Returns the site and how
+    # far the mean moves, in deviations.
     value, vectors = np.linalg.eigh(precision - site.precision)
     value = np.maximum(value, 0.0)
     rest = vectors.T @ (product - site.right)
@@ -403,20 +343,9 @@ def _matched(precision, product, site):
 
 
 def around(description, A, b):
-    """Estimate parameters from normal equations and a description.
-
-    Parameters
-    ----------
-    description : Description
-        Bodies.
-    A, b : ndarray of shape (p, p) and (p,)
-        Gram matrix and right-hand side, in units of the noise.
-
-    Returns
-    -------
-    BodyPosterior
-        Parameters; those without a prior are free.
-    """
+    """Estimate parameters from normal equations A theta = b and a description."""
+    # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
+    # free.
     first = _Problem(description, A, b).common()
     problem = _Problem(description.scaled(first), A, b)
     sites = problem.sites()
@@ -448,10 +377,8 @@ def around(description, A, b):
 
 
 def as_described(description, A, b):
-    """Estimate what is not in a description, with its bodies as they are in it.
-
-    Parameters and result as of `around`.
-    """
+    """Estimate what is not in a description, with its bodies as they are in it."""
+    # Parameters and result as of `around`.
     p = b.size
     free = np.ones(p, dtype=bool)
     free[description.places] = False

@@ -1,15 +1,10 @@
 """Parameters from the simulated closed loop: direct and inverse dynamic models.
 
 The robot is simulated with its controller, which keeps it near the measured motion
-whatever the parameters. The simulated states are free of noise; least squares of the
-measured torques on the regressor matrix that they give, repeated, is DIDIM [1]_. The
-states hardly depend on the parameters there, which is why no sensitivities are needed.
-
-References
-----------
-.. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method for
-   parameter identification of robot dynamics", IEEE Trans. Control Syst. Technol.
-   21(2), 2013. :doi:`10.1109/TCST.2012.2185697`
+whatever the parameters. Least squares of the measured torques on the regressor of the
+noise-free simulated states, repeated, is DIDIM (Gautier, Janot and Vandanjon, IEEE
+Trans. Control Syst. Technol. 21(2), 2013, doi:10.1109/TCST.2012.2185697). The states
+hardly depend on the parameters there, so that no sensitivities are needed.
 """
 
 from dataclasses import dataclass, replace
@@ -34,21 +29,12 @@ _MOST_HALVES = 5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Loop:
-    """A simulated closed loop.
+    """A simulated closed loop."""
 
-    Attributes
-    ----------
-    theta : ndarray of shape (p,)
-        Parameters of the robot.
-    states : ndarray of shape (n, 3 * nv)
-        Simulated states.
-    positions, torques : ndarray of shape (nv,)
-        Root mean square of simulated minus measured positions [rad or m] and, behind
-        the low-pass of the fit, torques [N m or N].
-    """
-
-    theta: np.ndarray
-    states: np.ndarray
+    theta: np.ndarray  # (p,): of the robot
+    states: np.ndarray  # (n, 3 * nv): simulated
+    # (nv,): root mean square of simulated minus measured positions [rad or m] and,
+    # behind the low-pass of the fit, torques [N m or N]
     positions: np.ndarray
     torques: np.ndarray
 
@@ -108,13 +94,11 @@ def _size(errors):
 def refine_controlled(
     predictor, found, recording, states, controller, reference, estimate_from
 ):
-    """Refine the parameters of a torque fit with the simulated closed loop.
-
-    reference (n, nv) : commanded positions; estimate_from : `RecordingStates` ->
-    `Estimate` of the measured torques with the regressor of these states. Steps are
-    halved until the torques of the simulated controller come closer to the measured
-    ones, weighted as in the fit. Returns `Refined`.
-    """
+    """Refine the parameters of a torque fit with the simulated closed loop."""
+    # reference (n, nv): commanded positions; estimate_from: `RecordingStates` ->
+    # `Estimate` of the measured torques with the regressor of these states. Steps are
+    # halved until the simulated controller's torques come closer to the measured ones,
+    # weighted as in the fit. Returns `Refined`.
 
     def run(theta):
         return Loop.of(predictor, theta, recording, states, controller, reference)

@@ -9,37 +9,20 @@ from sklearn_vbjfa.effects import TorqueGain
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ColumnPowers:
-    """Mean products of the columns of friction and effects in a fitted recording.
+    """Mean products of the columns of friction and effects in a fitted recording."""
 
-    The square of the root mean square of an effect's torque is coef' (products) coef.
+    # The square of the root mean square of an effect's torque is coef' (products) coef.
 
-    Attributes
-    ----------
-    friction : ndarray of shape (nv, n_friction)
-        Mean squares of the declared columns.
-    effects : tuple of ndarray of shape (nv, k, k)
-        Mean products of each effect's columns in the equations of every joint; nan
-        where they are not known.
-    """
-
-    friction: np.ndarray
+    friction: np.ndarray  # (nv, n_friction): mean squares of the declared columns
+    # (nv, k, k): products of each effect's columns in the equations of every joint; nan
+    # where they are not known
     effects: tuple = ()
 
     @classmethod
     def of_moments(cls, moments, n_rigid, n_friction, effects, gains):
-        """Take them from the moments of a fit.
-
-        Parameters
-        ----------
-        moments : JointMoments
-            Of equations whose columns are the parameters.
-        n_rigid, n_friction : int
-            Number of parameters of bodies and friction, and of friction columns.
-        effects : sequence of Effect
-            Effects that come behind them; in the first of several passes fewer.
-        gains : ndarray of shape (nv,)
-            What the rows of each joint are multiplied by.
-        """
+        """Take them from a fit's `JointMoments`, whose columns are the parameters."""
+        # The effects come last, in the first of several passes fewer; gains (nv,): what
+        # the rows of each joint are multiplied by.
         nv = moments.n.size
         with np.errstate(divide="ignore", invalid="ignore"):
             mean = moments.G / (np.asarray(gains) ** 2 * moments.n)[:, None, None]

@@ -26,11 +26,9 @@ _BLOCKS = KFold(5)
 
 
 def methods(n_parameters):
-    """Return name -> settings of `RobotIdentifier` for every method.
-
-    All share states, filter, mask and joint weights (except ordinary least squares);
-    hyperparameters are cross-validated over five blocks of time of the training part.
-    """
+    """Return name -> settings of `RobotIdentifier` for every method."""
+    # All share states, filter, mask and joint weights (except ordinary least squares);
+    # hyperparameters are cross-validated over five blocks of time of the training part.
     components = sorted(
         {int(c) for c in np.geomspace(3, max(4, 0.8 * n_parameters), 8)}
     )
@@ -76,54 +74,23 @@ def methods(n_parameters):
 
 @dataclass(frozen=True, kw_only=True)
 class MethodResult:
-    """One method on one recording.
-
-    Attributes
-    ----------
-    name : str
-        Method.
-    error : ndarray of shape (nv,)
-        Held-out error of each joint: root mean square of the residual over the
-        standard deviation of the torque.
-    train_error : ndarray of shape (nv,)
-        The same on the training part.
-    min_eigenvalue : float
-        Smallest eigenvalue over all bodies' pseudo-inertia matrices, dimensionless.
-    n_inconsistent : int
-        Number of bodies that are not physically consistent.
-    message : str
-        Why the method gave no result; empty otherwise.
-    """
+    """One method on one recording."""
 
     name: str
+    # (nv,): held out: root mean square of the residual over the torque's deviation
     error: np.ndarray
-    train_error: np.ndarray
+    train_error: np.ndarray  # (nv,): the same on the training part
+    # smallest over all bodies' pseudo-inertia matrices, dimensionless
     min_eigenvalue: float
-    n_inconsistent: int
-    message: str = ""
+    n_inconsistent: int  # number of bodies that are not physically consistent
+    message: str = ""  # why the method gave no result; empty otherwise
 
 
 def compare_methods(identifier, train, test, *, names=None, on_progress=None):
-    """Fit all methods to the training part and evaluate them on the held-out part.
-
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Settings shared by all methods.
-    train, test : tuple of (X, y, groups)
-        Positions, torques and labels of the two parts.
-    names : sequence of str, default=None
-        Methods to compare; None compares all.
-    on_progress : callable, default=None
-        Called with the name of each method before it starts.
-
-    Returns
-    -------
-    results : list of MethodResult
-        In the order of `methods`.
-    base : RobotIdentifier
-        The fitted identifier of the first method.
-    """
+    """Fit all methods to the training part and evaluate them on the held-out part."""
+    # train, test: (X, y, groups); names: by default all; on_progress: called with each
+    # name. Returns a `MethodResult` each, and the fitted identifier of the first
+    # method.
     if identifier.period is not None:
         raise ValueError(
             "Methods are compared on recordings as they are: identifier must have "

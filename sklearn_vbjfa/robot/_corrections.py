@@ -24,125 +24,67 @@ _ALONG = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class TiltCorrection:
-    """A base that is not level.
+    """A base that is not level."""
 
-    Attributes
-    ----------
-    roll, pitch : float
-        By which gravity is turned in the base's frame [rad].
-    roll_degrees, pitch_degrees : float
-        The same in degrees.
-    gravity : tuple of 3 float
-        Gravity in the base's frame [m/s^2].
-    lean_rpy, lean_rpy_degrees : tuple of 3 float
-        How the base itself leans, the opposite turn: roll, pitch and yaw of its frame
-        in that of a level base, as a URDF has them [rad, degrees].
-    """
-
+    # by which gravity is turned in the base's frame [rad]
     roll: float
     pitch: float
     roll_degrees: float
     pitch_degrees: float
-    gravity: tuple
+    gravity: tuple  # gravity in the base's frame [m/s^2]
+    # how the base itself leans, the opposite turn: roll, pitch and yaw of its frame in
+    # that of a level base, as a URDF has them [rad, degrees]
     lean_rpy: tuple
     lean_rpy_degrees: tuple
 
 
 @dataclass(frozen=True, kw_only=True)
 class ZeroCorrection:
-    """An encoder whose zero is off.
+    """An encoder whose zero is off."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    subtract : float
-        To subtract from what the encoder reads [rad or m].
-    plain, plain_unit : float, str
-        The same in degrees or mm.
-    """
-
-    joint: int
+    joint: int  # from zero
     joint_name: str
-    subtract: float
+    subtract: float  # to subtract from what the encoder reads [rad or m]
+    # the same in degrees or mm
     plain: float
     plain_unit: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class AxisCorrection:
-    """A joint whose axis is not where the description has it.
+    """A joint whose axis is not where the description has it."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    about_x, about_y : float
-        By which it is turned [rad].
-    about_x_degrees, about_y_degrees : float
-        The same in degrees.
-    about : tuple of 2 str
-        What these two turns are about, axes of the joint's frame.
-    old_rpy, new_rpy : tuple of 3 float
-        Roll, pitch and yaw of the joint's origin in a URDF, before and after [rad].
-    """
-
-    joint: int
+    joint: int  # from zero
     joint_name: str
+    # by which it is turned [rad]
     about_x: float
     about_y: float
     about_x_degrees: float
     about_y_degrees: float
-    about: tuple
+    about: tuple  # what these two turns are about, axes of the joint's frame
+    # roll, pitch and yaw of the joint's origin in a URDF, before and after [rad]
     old_rpy: tuple
     new_rpy: tuple
 
 
 @dataclass(frozen=True, kw_only=True)
 class GainCorrection:
-    """A torque channel with a wrong gain.
+    """A torque channel with a wrong gain."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    joint_name : str
-        Its name.
-    gain : float
-        To divide what the channel reads by.
-    percent : float
-        What it reads too much [%].
-    """
-
-    joint: int
+    joint: int  # from zero
     joint_name: str
-    gain: float
-    percent: float
+    gain: float  # to divide what the channel reads by
+    percent: float  # what it reads too much [%]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Corrections:
-    """What the effects in the model of a fitted robot ask for.
+    """What the effects in the model of a fitted robot ask for."""
 
-    Attributes
-    ----------
-    tilt : TiltCorrection or None
-        Of the base.
-    zeros : tuple of ZeroCorrection
-        Of encoders.
-    axes : tuple of AxisCorrection
-        Of joints; a URDF that is written has them.
-    gains : tuple of GainCorrection
-        Of torque channels, unless all are unknown: then `ChannelGains` has them.
-    """
-
-    tilt: TiltCorrection | None = None
-    zeros: tuple = ()
-    axes: tuple = ()
+    tilt: TiltCorrection | None = None  # of the base
+    zeros: tuple = ()  # of encoders
+    axes: tuple = ()  # of joints; a URDF that is written has them
+    # those of torque channels, unless all are unknown: then `ChannelGains` has them
     gains: tuple = ()
 
 
@@ -174,22 +116,13 @@ def _turns(robot):
 
 
 def turned_joints(robot):
-    """Return turns of the joints' placements, joint's name -> matrix (3, 3).
-
-    robot : fitted `RobotIdentifier`.
-    """
+    """Return turns of a fitted robot's joint placements, name -> matrix (3, 3)."""
     names = robot.joint_names_
     return {names[joint]: turn for joint, turn in _turns(robot).joints.items()}
 
 
 def corrections_of(robot):
-    """Say what is to be corrected of a robot, `Corrections`.
-
-    Parameters
-    ----------
-    robot : RobotIdentifier
-        Fitted.
-    """
+    """Say what is to be corrected of a fitted robot, `Corrections`."""
     turned, values = _turns(robot), {}
     for effect in robot.effects_:
         if isinstance(effect, TorqueGain) and robot.gains_ is not None:

@@ -2,9 +2,9 @@
 
 A piece is a run of filtered rows of one segment. It is built from the states within
 reach of its filter and reduced to second moments at once, so that the regressor is
-never held in memory as a whole and pieces can be computed in parallel. How a recording
-is divided does not depend on the number of jobs, and pieces are summed in recording
-order: the result is bit-for-bit the same on one processor and on many.
+never held as a whole and pieces can be computed in parallel. How a recording is divided
+does not depend on the number of jobs, and pieces are summed in recording order: the
+result is bit-for-bit the same on one processor and on many.
 """
 
 import functools
@@ -43,35 +43,19 @@ _LOAD_BYTES = 64 << 20
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Equations:
-    """Equations of motion, tau = Phi theta, of all joints at some instants.
+    """Equations of motion, tau = Phi theta, of all joints at some instants."""
 
-    Attributes
-    ----------
-    Phi : ndarray of shape (n, nv, p)
-        Regressor matrices.
-    tau : ndarray of shape (n, nv)
-        Torques [N m or N].
-    weight : ndarray of shape (n, nv)
-        Weight of each joint's equation; zero leaves it out.
-    index : ndarray of shape (n,) or None
-        Row of the recording at the centre of each filtered row.
-    instruments : ndarray of shape (n, nv, p) or None
-        Second, independent measurement of `Phi`.
-    difference : ndarray of shape (n, nv, p) or None
-        Regressor matrices from the even samples minus those from the odd ones.
-    blocks : tuple of ndarray or None
-        Blocks of time of the rows, see `Numbering.parts`.
-    ranges : SignalRanges or None
-        Ranges of positions, speeds and directions in rows with weight.
-    """
-
-    Phi: np.ndarray
-    tau: np.ndarray
-    weight: np.ndarray
+    Phi: np.ndarray  # (n, nv, p)
+    tau: np.ndarray  # (n, nv) [N m or N]
+    weight: np.ndarray  # (n, nv): zero leaves an equation out
+    # (n,) or None: row of the recording at the centre of each filtered row
     index: np.ndarray | None = None
+    # (n, nv, p) or None: second, independent measurement of `Phi`
     instruments: np.ndarray | None = None
+    # (n, nv, p) or None: regressors from the even samples minus the odd ones
     difference: np.ndarray | None = None
-    blocks: tuple | None = None
+    blocks: tuple | None = None  # blocks of time of the rows, see `Numbering.parts`
+    # ranges of positions, speeds and directions in rows with weight
     ranges: SignalRanges | None = None
 
     def moments(self):
@@ -113,15 +97,13 @@ def make_motion(
     signals=None,
     ranges=(),
 ):
-    """Build the `Motion` that effects are computed from.
-
-    states (n, 3 nv); t (n,) [s] or None; parts : slices of the segments; theta :
-    parameters of the features (p,), for the load, and behind them what
-    `plain_coefficients` picks of the effects' coefficients, for the whole torque;
-    bandwidth : cut-off of the low-pass [Hz]; rest : velocity signs at rest; since :
-    first time of the fit [s]; signals : recorded beside the motion; see `Motion`;
-    ranges : what the effects' motion is held within, see `Plan`.
-    """
+    """Build the `Motion` that effects are computed from."""
+    # states (n, 3 nv); t (n,) [s] or None; parts: slices of the segments; theta:
+    # parameters of the features (p,), for the load, and behind them what
+    # `plain_coefficients` picks of the effects' coefficients, for the whole torque;
+    # bandwidth: cut-off of the low-pass [Hz]; rest: velocity signs at rest; since:
+    # first time of the fit [s]; signals: recorded beside the motion; ranges: what the
+    # effects' motion is held within, see `Plan`.
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
     if theta is not None:
@@ -189,33 +171,13 @@ def plain_coefficients(effects, coefs):
 
 
 class RegressorRows:
-    """Regressor matrices of any range of rows, with the effects' columns appended.
+    """Regressor matrices of any range of rows, with the effects' columns appended."""
 
-    Effects have memory (hysteresis, time), so their columns are computed once for the
-    whole recording; the rigid-body regressor is computed on demand.
-
-    Parameters
-    ----------
-    features : RigidBodyFeatures
-        Loaded features.
-    states : ndarray of shape (n, 3 * nv) or SplineStates
-        States.
-    columns : sequence of (Effect, ndarray)
-        Effects and their columns for these rows.
-    rest : Rest or None
-        Velocity signs at rest, see `Motion`.
-
-    Attributes
-    ----------
-    n_joints, n_parameters : int
-        Size of a regressor matrix.
-    support : ndarray of shape (n_joints, n_parameters), bool
-        Entries that are nonzero in some motion.
-    used : ndarray of shape (n_entries,)
-        Their positions in a flattened matrix, the features' first.
-    n_rigid : int
-        Number of the features' parameters, which come first.
-    """
+    # Effects have memory (hysteresis, time), so their columns are computed once for the
+    # whole recording; the rigid-body regressor is computed on demand. states: (n, 3 nv)
+    # or `SplineStates`; columns: of each effect for these rows; support (n_joints,
+    # n_parameters): entries that are nonzero in some motion; used (n_entries,): their
+    # positions in a flattened matrix, the features' (n_rigid) first.
 
     def __init__(self, features, states, columns=(), rest=None):
         self._features, self._states, self._rest = features, states, rest
@@ -242,11 +204,9 @@ class RegressorRows:
     def with_effects(
         cls, features, states, effects, motion, rest=None, *, tangents=False, ranges=()
     ):
-        """Compute the columns of effects (n rows) from a motion, held within ranges.
-
-        Those of effects that are in the model are zero unless their `tangents` are
-        wanted.
-        """
+        """Compute the columns of effects (n rows) from a motion, held within ranges."""
+        # Those of effects that are in the model are zero unless their `tangents` are
+        # wanted.
         for effect in effects:
             if effect.in_model and not tangents:
                 continue
@@ -339,12 +299,10 @@ class RegressorRows:
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
-    """Regressor of each segment, with the columns of the plan's effects.
-
-    Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
-    the load and the torque, see `make_motion`, rest the velocity signs at rest. Returns
-    a list of `RegressorRows`.
-    """
+    """Regressor of each segment, with the columns of the plan's effects."""
+    # Takes the states (n, 3 nv) of each segment, arrays or `SplineStates`; theta gives
+    # the load and the torque, see `make_motion`, rest the velocity signs at rest.
+    # Returns a list of `RegressorRows`.
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).
@@ -384,38 +342,20 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
 
 @dataclass(frozen=True, kw_only=True)
 class Segment:
-    """One contiguous piece of a recording before the low-pass.
+    """One contiguous piece of a recording before the low-pass."""
 
-    Attributes
-    ----------
-    first : int
-        Index of its first row.
-    states : ndarray of shape (n, 3 * nv) or SplineStates
-        States, for the standstill mask.
-    rows : RegressorRows or None
-        Regressor; None takes the mean of the two halves. A quarter of the squared
-        difference is then exactly its noise: subtracting it leaves the cross product
-        of the halves.
-    halves : tuple of RegressorRows or None
-        Regressors from the even and from the odd samples.
-    torque, weight : ndarray of shape (n, nv)
-        Measured torques and their weights.
-    standstill : ndarray of shape (nv,)
-        Speeds at or below which a joint's rows are masked.
-    edge : int
-        Rows at each end that are masked.
-    number : int
-        Number of the segment.
-    """
-
-    first: int
-    states: object
+    first: int  # its first row
+    states: object  # (n, 3 * nv): for the standstill mask
+    # regressor; None takes the mean of the two halves. A quarter of the squared
+    # difference is then exactly its noise: subtracting it leaves the cross product of
+    # the halves
     rows: RegressorRows | None
-    halves: tuple | None
+    halves: tuple | None  # regressors from the even and from the odd samples
+    # (n, nv): measured, and their weights
     torque: np.ndarray
     weight: np.ndarray
-    standstill: np.ndarray
-    edge: int = 0
+    standstill: np.ndarray  # (nv,): speeds at or below which a joint's rows are masked
+    edge: int = 0  # rows at each end that are masked
     number: int = 0
 
     @property
@@ -432,11 +372,9 @@ class Segment:
         return self.weight[rows] * moves * inside[:, None]
 
     def pieces(self, lowpass):
-        """Divide into slices of filtered rows of at most `CHUNK_BYTES`.
-
-        Unfiltered ones are smaller. Neighbouring pieces share input rows over the
-        length of the filter, so none is shorter than twice the filter.
-        """
+        """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""
+        # Unfiltered ones are smaller. Neighbouring pieces share input rows over the
+        # length of the filter, so none is shorter than twice the filter.
         one = self.rows if self.rows is not None else self.halves[0]
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
         per_output = 8 * kinds * one.n_joints * one.n_parameters
@@ -446,10 +384,9 @@ class Segment:
         return [slice(i, min(i + count, total)) for i in range(0, total, count)]
 
     def equations(self, lowpass, outputs, numbering=None):
-        """Return the equations of a slice of filtered rows.
-
-        Includes the difference of the halves, if any, and the blocks of a `Numbering`.
-        """
+        """Return the equations of a slice of filtered rows."""
+        # Includes the difference of the halves, if any, and the blocks of a
+        # `Numbering`.
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
         made = () if self.rows is None else (self.rows,)
@@ -484,11 +421,9 @@ class Segment:
         )
 
     def loads(self, lowpass, torques):
-        """Range of the loads in filtered rows with weight, `SignalRanges`.
-
-        torques : (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
-        filtered before, which is the same for motion in the band of the filter.
-        """
+        """Range of the loads in filtered rows with weight, `SignalRanges`."""
+        # torques: (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
+        # filtered before, which is the same for motion in the band of the filter.
         weight = filter_weight(lowpass, self.counts(slice(0, self.n_rows)))
         states = decimate(lowpass, np.ascontiguousarray(self.states[:]))
         return SignalRanges.of([torques(*np.split(states, 3, axis=1))], weight > 0)
@@ -525,10 +460,8 @@ def _filter_rows(made, seen, lowpass, count):
 
 
 def edge_rows(n, state_estimator):
-    """Return the number of rows at each end of n where the smoother is one-sided.
-
-    Zero for given states (no estimator).
-    """
+    """Return the number of rows at each end of n where the smoother is one-sided."""
+    # Zero for given states (no estimator).
     if state_estimator is None:
         return 0
     slowest = state_estimator.cutoff_.min()
@@ -539,13 +472,11 @@ def edge_rows(n, state_estimator):
 
 
 def segments(recording, states, plan, features, *, theta=None, rest=None, first=0):
-    """Combine a recording with its regressor, segment by segment.
-
-    states : `RecordingStates`, with halves where the noise of the regressor is
-    measured; theta : parameters for the load in effects' columns, see `make_motion`;
-    rest : velocity signs at rest, for comparisons only (a fit masks standstill); first
-    : number of the first segment. Returns a list of `Segment`.
-    """
+    """Combine a recording with its regressor, segment by segment."""
+    # states: `RecordingStates`, with halves where the noise of the regressor is
+    # measured; theta: parameters for the load in effects' columns, see `make_motion`;
+    # rest: velocity signs at rest, for comparisons only (a fit masks standstill);
+    # first: number of the first segment. Returns a list of `Segment`.
 
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
@@ -592,11 +523,9 @@ def equations(made, lowpass):
 
 
 def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
-    """Second moments (`JointMoments`) of the filtered equations of segments.
-
-    `numbering` gives the blocks of time if `made` are not all the segments. None if
-    every segment is shorter than the filter.
-    """
+    """Second moments (`JointMoments`) of the filtered equations of segments."""
+    # `numbering` gives the blocks of time if `made` are not all the segments. None if
+    # every segment is shorter than the filter.
     numbering = numbering or numbered(made, lowpass)
     tasks = [
         (segment, lowpass, outputs, numbering)
@@ -612,11 +541,9 @@ def _piece_moments(segment, lowpass, outputs, numbering):
 
 
 def held_columns(features, effects):
-    """Numbers of parameters whose column an effect of their joint has already.
-
-    Plain terms, and columns of further effects: of the same columns the data would know
-    the sum alone, and none of them.
-    """
+    """Numbers of parameters whose column an effect of their joint has already."""
+    # Plain terms, and columns of further effects: of the same columns the data would
+    # know the sum alone, and none of them.
     per_joint = features.n_parameters_ // features.n_joints_
     first = per_joint - len(features.friction_)
     found, taken, at = [], set(), features.n_parameters_
@@ -634,11 +561,10 @@ def held_columns(features, effects):
 
 
 def unexcited_entries(moments, n_rigid):
-    """Find entries (nv, p), bool, of the regressor that are zero up to rounding.
-
-    Entries that are zero in every motion are already left out; a joint that does not
-    move in this recording adds more. Only the first `n_rigid` parameters are examined.
-    """
+    """Find entries (nv, p), bool, of the regressor that are zero up to rounding."""
+    # Entries that are zero in every motion are already left out; a joint that does not
+    # move in this recording adds more. Only the first `n_rigid` parameters are
+    # examined.
     nv, n_all = moments.g.shape
     power = np.diagonal(moments.G, axis1=1, axis2=2)[:, :n_rigid]
     rounding = np.zeros((nv, n_all), dtype=bool)

@@ -40,54 +40,31 @@ _LEAST_FREEDOM = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate:
-    """Parameters shared by all joints, and their uncertainty.
+    """Parameters shared by all joints, and their uncertainty."""
 
-    Attributes
-    ----------
-    theta, theta_unconstrained : ndarray of shape (p,)
-        Parameters after and before a projection.
-    std : ndarray of shape (p,)
-        Posterior standard deviations of the latter, accounting for residuals
-        correlated in time; nan if the regressor provides none.
-    joint_weights : ndarray of shape (nv,)
-        Weights of the joints' equations [1 / torque squared].
-    metric : ndarray of shape (p, p)
-        Weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35.
-    input_noise : ndarray of shape (p, p) or None
-        Covariance of the input noise in a weighted equation, where it was measured.
-    moments : JointMoments
-        Moments of the fit, without blocks of time.
-    regressor : estimator
-        The fitted regressor.
-    covariance : ndarray of shape (p, p) or None
-        Posterior covariance, with one factor for residuals correlated in time; infinite
-        on the diagonal where nothing tells a parameter, None if the regressor has none.
-    projector : PhysicalProjector or None
-        The fitted projector.
-    block_factors : list of ndarray of shape (n, nv) or None
-        Relative precision of each row's noise, piece by piece.
-    bodies : BodyPosterior or None
-        What the description added, where bodies have a prior.
-    wider : ndarray of shape (p,)
-        Factors by which residuals correlated in time widen the deviations.
-    pooled : float
-        Factor of the variance in the mean of all directions.
-    """
-
+    # (p,): parameters after and before a projection
     theta: np.ndarray
     theta_unconstrained: np.ndarray
+    # (p,): posterior deviations of the latter, accounting for residuals correlated in
+    # time; nan if the regressor provides none
     std: np.ndarray
-    joint_weights: np.ndarray
+    joint_weights: np.ndarray  # (nv,): of the joints' equations [1 / torque squared]
+    # (p, p): weighted Gram matrix, input noise subtracted, X_t' X_t of eq. 35
     metric: np.ndarray
+    # (p, p) or None: covariance in a weighted equation, where it was measured
     input_noise: np.ndarray | None
-    moments: JointMoments
+    moments: JointMoments  # of the fit, without blocks of time
     regressor: object
+    # (p, p): posterior, with one factor for residuals correlated in time; infinite on
+    # the diagonal where nothing tells a parameter, None if the regressor has none
     covariance: np.ndarray | None = None
     projector: object = None
+    # (n, nv) or None: relative precision of each row's noise, piece by piece
     block_factors: list | None = None
-    bodies: object = None
+    bodies: object = None  # what the description added, where bodies have a prior
+    # (p,): factors by which residuals correlated in time widen the deviations
     wider: np.ndarray | None = None
-    pooled: float = 1.0
+    pooled: float = 1.0  # that of the variance in the mean of all directions
 
     @property
     def identifiable(self):
@@ -108,24 +85,12 @@ class Estimate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlainEstimate:
-    """Least squares without a prior and without a projection.
+    """Least squares without a prior and without a projection."""
 
-    Attributes
-    ----------
-    theta : ndarray of shape (p,)
-        Parameters; directions that the data do not determine are left out.
-    covariance : ndarray of shape (p, p)
-        Their covariance, without these directions.
-    known : ndarray of shape (p,), bool
-        Parameters that the data determine individually.
-    eigen : ScaledEigen
-        Decomposition of the Gram matrix, input noise subtracted.
-    """
-
-    theta: np.ndarray
-    covariance: np.ndarray
-    known: np.ndarray
-    eigen: ScaledEigen
+    theta: np.ndarray  # (p,): directions that the data do not determine are left out
+    covariance: np.ndarray  # (p, p): without these directions
+    known: np.ndarray  # (p,): parameters that the data determine individually
+    eigen: ScaledEigen  # of the Gram matrix, input noise subtracted
 
     @property
     def std(self):
@@ -152,23 +117,11 @@ def estimate(
     block_noise=False,
     forward=None,
 ):
-    """Estimate one parameter vector from the equations of all joints; not projected.
-
-    Parameters
-    ----------
-    moments : JointMoments
-        Second moments of all equations.
-    regressor : estimator or None
-        Linear regressor, which is cloned.
-    joint_weights : "auto", None or array-like of shape (nv,)
-        Weights of the joints' equations.
-    rows : sequence of Equations
-        The equations themselves, if the regressor or `block_noise` needs them.
-    block_noise : bool
-        Whether the noise of each joint may differ between blocks of time.
-    forward : callable, default=None
-        (regressor, rows, weights of the equations) -> keyword arguments of its `fit`.
-    """
+    """Estimate one parameter vector from the equations of all joints; not projected."""
+    # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
+    # the equations themselves, if the regressor or `block_noise` (noise that differs
+    # between blocks of time) needs them; forward: (regressor, rows, weights) -> keyword
+    # arguments of its `fit`.
     regressor = default_regressor() if regressor is None else clone(regressor)
     factors = None
     if block_noise:
@@ -198,11 +151,9 @@ def estimate(
 
 
 def plain_estimate(moments, joint_weights="auto"):
-    """Estimate by weighted least squares without a prior, input noise corrected for.
-
-    Its covariance accounts for residuals correlated in time. Directions that the data
-    do not determine are left out. Returns a `PlainEstimate`.
-    """
+    """Estimate by weighted least squares without a prior, input noise corrected for."""
+    # Its covariance accounts for residuals correlated in time. Directions that the data
+    # do not determine are left out. Returns a `PlainEstimate`.
     weight = resolve_weights(joint_weights, moments)
     if isinstance(joint_weights, str):
         with np.errstate(divide="ignore"):
@@ -231,10 +182,8 @@ def _noise_variance(moments, weight, theta, rank):
 
 
 def beside_description(found, description, bodies="prior"):
-    """Return an `Estimate` with the bodies around their description, or as described.
-
-    The likelihood is worth what its scatter between blocks of time leaves of it.
-    """
+    """Return an `Estimate` with the bodies near their description, or as described."""
+    # The likelihood is worth what its scatter between blocks of time leaves of it.
     moments, weight = found.moments, found.joint_weights
     total = moments.total(weight)
     rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
@@ -297,12 +246,10 @@ def resolve_weights(joint_weights, moments):
 
 
 def _correlation(moments, weight, theta):
-    """Factors (p,) by which residuals correlated in time widen the deviations.
-
-    They include the standard deviation of Student's t with the blocks' degrees of
-    freedom, slightly larger than that of a normal distribution. The second value is the
-    factor of the variance in the mean of all directions.
-    """
+    """Factors (p,) by which residuals correlated in time widen the deviations."""
+    # They include the standard deviation of Student's t with the blocks' degrees of
+    # freedom, slightly larger than that of a normal distribution. The second value is
+    # the factor of the variance in the mean of all directions.
     if moments.blocks is None or not np.isfinite(theta).all():
         return np.ones(theta.size), 1.0
     found = block_scatter(moments, weight, theta)
@@ -387,10 +334,8 @@ def _read_coefficients(regressor, sample):
 
 
 def denoised(total, noise):
-    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected.
-
-    Directions in which the noise exceeds the signal keep nothing.
-    """
+    """Gram matrix without the input noise's share (X_t' X_t of eq. 35), projected."""
+    # Directions in which the noise exceeds the signal keep nothing.
     scale = np.sqrt(np.diagonal(total.S_xx))
     unit = np.where(scale > 0, scale, 1.0)
     signal = total.S_xx - total.n_samples * noise
@@ -428,14 +373,13 @@ def project(found, projector, features):
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):
-    """Return a consistent vector (p,) near the model's parameters, in the data's unit.
-
-    The torques do not depend on some directions; the projection completes them from
-    this point: the inertias of the robot description or, where it has none, a solid
-    ball of the links' mean mass and the robot's length. A common factor scales them to
-    the estimate theta (p,) in the Gram matrix metric (p, p), so that a change of torque
-    unit changes only the unit of the result. Bodies of followers (n, 10) come last.
-    """
+    """Return a consistent vector (p,) near the model's parameters, in data's units."""
+    # The torques do not depend on some directions; the projection completes them from
+    # this point: the inertias of the robot description or, where it has none, a solid
+    # ball of the links' mean mass and the robot's length. A common factor scales them
+    # to the estimate theta (p,) in the Gram matrix metric (p, p), so that a change of
+    # torque unit changes only the unit of the result. Bodies of followers (n, 10) come
+    # last.
     bodies = np.vstack([nominal_parameters(model), followers])
     bodies = _complete(bodies, _robot_length(model))
     p = model.nv * per_joint
@@ -476,24 +420,10 @@ def _complete(bodies, length):
 
 
 def fit_projector(projector, model, theta, metric, friction, followers=None):
-    """Fit a projector to an estimate, filling in the settings the user left open.
-
-    Parameters
-    ----------
-    projector : "default" or PhysicalProjector
-        The user's choice.
-    model : pinocchio.Model
-        Robot.
-    theta : ndarray of shape (p + n_effects,)
-        Estimate; effects come last and are unconstrained, except the bodies of
-        followers, which come first among them.
-    metric : ndarray of shape (p + n_effects, p + n_effects)
-        De-noised Gram matrix of the estimation (eq. 35).
-    friction : tuple of str
-        Friction columns.
-    followers : ndarray of shape (n_followers, 10) or None
-        Bodies of the followers in the description, as far as theta has them.
-    """
+    """Fit a projector to an estimate, filling in the settings the user left open."""
+    # theta (p + n_effects,): effects come last and are unconstrained, except the bodies
+    # of followers, (n_followers, 10) in the description, which come first among them;
+    # metric: de-noised Gram matrix of the estimation (eq. 35).
     followers = np.empty((0, 10)) if followers is None else followers
     default = isinstance(projector, str)
     if default and projector != "default":
@@ -554,12 +484,10 @@ def identifiable(metric):
 
 
 def project_beside(projector, model, theta, metric, friction, followers=None):
-    """Project the bodies and re-optimise the effects' coefficients, which come last.
-
-    The distance (eq. 35) is minimised over both. A metric given by the user covers the
-    bodies only: they are projected first, then the effects are re-optimised. Returns
-    the fitted projector and the projected theta (p,).
-    """
+    """Project the bodies and re-optimise the effects' coefficients, which come last."""
+    # The distance (eq. 35) is minimised over both. A metric given by the user covers
+    # the bodies only: they are projected first, then the effects are re-optimised.
+    # Returns the fitted projector and the projected theta (p,).
     p = model.nv * (10 + len(friction))
     own = getattr(projector, "metric", None) is not None
     if theta.size == p or not own:

@@ -111,26 +111,10 @@ class LeftOut:
 
 
 def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
-    """Write a robot as MJCF.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to write.
-    robot : TorqueModel
-        What was identified.
-    min_eigenvalues : ndarray of shape (nv,)
-        Smallest pseudo-inertia eigenvalue of each body.
-    powers : ColumnPowers or None, default=None
-        Sizes of columns in the recording; None makes all sizes nan.
-    notes : sequence of str, default=()
-        What else a reader of the file has to know.
-
-    Returns
-    -------
-    tuple of LeftOut
-        What the file does not have.
-    """
+    """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
+    # min_eigenvalues (nv,): smallest of each body's pseudo-inertia; powers:
+    # `ColumnPowers`, without which all sizes are nan; notes: what else a reader of the
+    # file has to know.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, powers)
     dynamics = _mjcf_dynamics(account)
@@ -156,30 +140,8 @@ def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
 def to_urdf(
     path, source, robot, min_eigenvalues, powers=None, notes=(), turned_joints=None
 ):
-    """Write a robot as URDF, into a copy of its description.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File to write.
-    source : str or os.PathLike
-        Path or text of the description.
-    robot : TorqueModel
-        What was identified.
-    min_eigenvalues : ndarray of shape (nv,)
-        Smallest pseudo-inertia eigenvalue of each body.
-    powers : ColumnPowers or None, default=None
-        Sizes of columns in the recording; None makes all sizes nan.
-    notes : sequence of str, default=()
-        What else a reader of the file has to know.
-    turned_joints : mapping of str to ndarray of shape (3, 3), default=None
-        Joints whose origin is turned, see `write_urdf`.
-
-    Returns
-    -------
-    tuple of LeftOut
-        What the file does not have.
-    """
+    """Write a `TorqueModel` into a copy of its URDF; see `to_mjcf`."""
+    # source: path or text of the description; turned_joints: see `write_urdf`.
     account = _Account(robot, powers)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
     _left_of_urdf(account)
@@ -463,22 +425,13 @@ def _one_sided(effect, rest):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Coupled:
-    """Couplings as tendons.
+    """Couplings as tendons."""
 
-    Attributes
-    ----------
-    damping, armature : ndarray of shape (nv,)
-        Of the joints, without what the tendons do to a joint by itself.
-    tendons : tuple of Tendon
-        Tendons.
-    left : list of (Coupling, ndarray of shape (3,))
-        What is left of each coupling's coefficients.
-    """
-
+    # (nv,): what the joints keep, without what the tendons do to a joint by itself
     damping: np.ndarray
     armature: np.ndarray
     tendons: tuple
-    left: list
+    left: list  # (3,): what is left of each coupling's coefficients
 
 
 # Of w, in units of the own joint's speed, beside the other's.
@@ -495,31 +448,16 @@ def in_line(model):
 
 
 def as_tendons(couplings, damping, armature, lined):
-    """Turn couplings into tendons, as far as both joints feel each other.
-
-    Parameters
-    ----------
-    couplings : list of (Coupling, ndarray of shape (3,))
-        Effects with their coefficients Fvm, Fcm, Iam.
-    damping, armature : ndarray of shape (nv,)
-        Of the joints, not negative.
-    lined : ndarray of shape (nv, nv), bool
-        Which joints carry each other; see `in_line`.
-
-    Returns
-    -------
-    Coupled
-        What the joints keep, the tendons, and what is left.
-
-    Notes
-    -----
-    A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
-    joint j and s times that on k: the matrix of dampings is symmetric, as that of
-    whatever rubs between two joints. What one joint feels and the other does not is
-    left out, and so is what would ask for a negative damping of a joint. The same holds
-    for inertias, and those between joints of two branches are left out: MuJoCo has no
-    place for them in its sparse inertia matrix, and takes no notice of them.
-    """
+    """Turn couplings into tendons, as far as both joints feel each other; `Coupled`."""
+    # A tendon with the coefficients (1, s) and the damping d puts d (v_j + s v_k) on
+    # joint j and s times that on k: the matrix of dampings is symmetric, as that of
+    # whatever rubs between two joints. What one joint feels and the other does not is
+    # left out, and so is what would ask for a negative damping of a joint. The same
+    # holds for inertias, and those between joints of two branches are left out: MuJoCo
+    # has no place for them in its sparse inertia matrix, and takes no notice of them.
+    # couplings: effects with their coefficients Fvm, Fcm, Iam; damping, armature (nv,):
+    # of the joints, not negative; lined (nv, nv): which joints carry each other, see
+    # `in_line`.
     taken = [np.zeros(3) for _ in couplings]
     parts = {}
     for at, available in ((0, damping), (2, armature)):

@@ -22,27 +22,10 @@ _MEAN_TORQUE = 0.1
 
 
 def parameter_names_of(names, nv):
-    """Read the names of the parameters off those of the columns.
-
-    Parameters
-    ----------
-    names : array-like of str of shape (nv * p,) or None
-        Names of the columns, such as "tau_joint_1/joint_2:m"; a prefix, as
-        `ColumnTransformer` adds, is allowed.
-    nv : int
-        Number of joints.
-
-    Returns
-    -------
-    tuple of str of shape (p,) or None
-        Names such as "joint_2:m"; None where the columns are not those of
-        `RigidBodyFeatures`.
-
-    Raises
-    ------
-    ValueError
-        If only some of them are, or in another order.
-    """
+    """Read the names of the p parameters off those of the nv * p columns."""
+    # Columns are such as "tau_joint_1/joint_2:m" with any prefix, as
+    # `ColumnTransformer` adds. None where they are not those of `RigidBodyFeatures`,
+    # ValueError where only some are.
     names = [] if names is None else [str(name) for name in names]
     if not any(re.search("(^|__)tau_.+/.+:", name) for name in names):
         return None
@@ -72,30 +55,10 @@ def _one_joint(block, parameters):
 
 
 def check_as_computed(X, tau, parameter_names=None, *, warn_only=False):
-    """Refuse columns that a scaler or another transformer has changed.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, nv * p)
-        Columns of all joints.
-    tau : ndarray of shape (n_samples, nv)
-        Torques of all joints.
-    parameter_names : sequence of str of shape (p,), default=None
-        Names of the parameters.
-    warn_only : bool, default=False
-        Whether to warn instead.
-
-    Raises
-    ------
-    ValueError
-        If the values are what a scaler leaves, or cannot be those of their names.
-
-    Warns
-    -----
-    UserWarning
-        The same with `warn_only`; or if all columns have a mean of zero and the
-        torques have not.
-    """
+    """Refuse (or warn of) columns that a scaler or another transformer has changed."""
+    # X (n_samples, nv * p), tau (n_samples, nv). Values that a scaler leaves, or that
+    # cannot be those of their names, are refused; that all columns have a mean of zero
+    # and the torques have not is a warning.
     trace = _trace_of_a_scaler(X) or _impossible(X, tau.shape[1], parameter_names)
     if trace:
         message = (

@@ -7,24 +7,15 @@ from sklearn_vbjfa.model import FollowingJoint, import_pinocchio
 
 
 def with_followers(effects, features):
-    """Return the bodies of a robot's followers, and behind them declared effects.
-
-    Parameters
-    ----------
-    effects : tuple of Effect
-        What is declared; followers among them are taken from the robot instead.
-    features : RigidBodyFeatures
-        Loaded features.
-    """
+    """Return the bodies of a robot's followers, and behind them declared effects."""
+    # Followers among the declared ones are taken from the robot instead.
     declared = tuple(one for one in effects if not _follows(one))
     return (*map(_follower, features.followers_), *declared)
 
 
 def follower_parameters(effects, coefficients):
-    """Return the inertial parameters (10,) of followers, by the joints' names.
-
-    effects, coefficients : all effects of a robot and what each was found to be.
-    """
+    """Return the inertial parameters (10,) of followers, by the joints' names."""
+    # effects, coefficients: all effects of a robot and what each was found to be.
     return {
         effect.of: np.asarray(own)
         for effect, own in zip(effects, coefficients)
@@ -33,11 +24,9 @@ def follower_parameters(effects, coefficients):
 
 
 def following_joints(effects, coefficients, names):
-    """Return the followers as MJCF has them, a tuple of `FollowingJoint`.
-
-    effects, coefficients : all effects of a robot and what each was found to be;
-    names : joints of the robot.
-    """
+    """Return the followers as MJCF has them, a tuple of `FollowingJoint`."""
+    # effects, coefficients: all effects of a robot and what each was found to be;
+    # names: joints of the robot.
     pin = import_pinocchio()
     found = [pair for pair in zip(effects, coefficients) if _follows(pair[0])]
     # What carries others has a shorter way to the base.
@@ -66,10 +55,8 @@ def following_joints(effects, coefficients, names):
 
 
 def refuse_followers(effects, what, remedy):
-    """Refuse something that cannot be done with joints that follow others.
-
-    effects : all effects of a robot; what : what cannot be done; remedy : what can.
-    """
+    """Refuse something that cannot be done with joints that follow others."""
+    # effects: all effects of a robot; what: what cannot be done; remedy: what can.
     names = [effect.of for effect in effects if _follows(effect)]
     if names:
         raise ValueError(

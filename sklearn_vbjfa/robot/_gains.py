@@ -1,16 +1,11 @@
 """Unknown gains of several torque channels, relative to one of them.
 
-The channel of joint j reads y_j = g_j Phi_j theta. Joints share the parameters theta of
-the bodies that they move, so that the ratios of the gains are in the couplings between
-them; their common factor is in theta and in no recording.
-
-In the inverse gains h the equations h_j y_j = Phi_j theta are linear, with the torques
-as inputs. These have noise, which least squares takes for signal: inverse gains come
-out too small, by much more than the share of the noise, as it is only what the bodies
-of other joints do not explain that tells them apart. The gains are therefore taken on
-the side of the model, and the likelihood is maximised over their logarithms by Gauss
-and Newton. It depends on a recording through the second moments of each joint's
-equations alone, so that all steps together cost one pass over it.
+The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
+move: the ratios of the gains are in their couplings, the common factor is in theta and
+in no recording. Least squares for the inverse gains, which is linear, takes noise of
+the torques for signal, and they come out much too small. The likelihood is therefore
+maximised over the logarithms of the gains by Gauss and Newton, from the second moments
+of the joints' equations.
 """
 
 from dataclasses import dataclass, field, replace
@@ -44,22 +39,14 @@ _SETTLED = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RelativeGains:
-    """Gains of torque channels as the moments of a recording show them.
+    """Gains of torque channels as the moments of a recording show them."""
 
-    Attributes
-    ----------
-    gains : ndarray of shape (nv,)
-        Gains relative to that of the reference; 1 where they are not seen.
-    reference : ndarray of shape (nv,) of int
-        Joint whose channel is the unit of each: itself for a reference, and for a joint
-        whose gain is not seen relative to any other.
-    std : ndarray of shape (nv,)
-        Standard deviations of the logarithms, for residuals independent in time.
-    """
-
+    # (nv,): relative to that of the reference; 1 where they are not seen
     gains: np.ndarray
+    # (nv,): joint whose channel is the unit of each: itself for a reference, and for a
+    # joint whose gain is not seen relative to any other
     reference: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # (nv,): of the logarithms, for residuals independent in time
 
     @property
     def held(self):
@@ -72,10 +59,8 @@ class RelativeGains:
         return np.unique(self.reference[~self.held]).tolist()
 
     def vague(self, found):
-        """Joints (nv,), bool, whose interval is wider than what is plausible.
-
-        found : ModelValues.
-        """
+        """Joints (nv,), bool, whose interval is wider than what is plausible."""
+        # found: ModelValues.
         n_rigid = found.estimate.theta.size - sum(
             len(effect.coefficients) for effect in found.effects
         )
@@ -104,11 +89,9 @@ class RelativeGains:
 
 
 def relative_gains(moments, references=()):
-    """Gains from the moments of equations with gains of 1.
-
-    moments : JointMoments; references : joints whose channels are to be the units, for
-    groups of joints in which one of them is; the others' are chosen, see `_grouped`.
-    """
+    """Gains from the moments of equations with gains of 1."""
+    # moments: JointMoments; references: joints whose channels are to be the units, for
+    # groups of joints in which one of them is; the others' are chosen, see `_grouped`.
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
     nv = moments.n.size
     logs, found = _most_likely(moments, used)
@@ -127,23 +110,12 @@ def relative_gains(moments, references=()):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Likelihood:
-    """Likelihood of logarithms of gains of k joints, everything else fitted.
+    """Likelihood of logarithms of gains of k joints, everything else fitted."""
 
-    Attributes
-    ----------
-    cost : float
-        Minus its logarithm, up to a constant.
-    score : ndarray of shape (k,)
-        Slope of the logarithm.
-    information : ndarray of shape (k, k)
-        Fisher information.
-    size : ndarray of shape (k,)
-        Its diagonal where nothing else has to be fitted: torque over noise, squared.
-    """
-
-    cost: float
-    score: np.ndarray
-    information: np.ndarray
+    cost: float  # minus its logarithm, up to a constant
+    score: np.ndarray  # (k,): slope of the logarithm
+    information: np.ndarray  # (k, k): Fisher's
+    # (k,): its diagonal where nothing else has to be fitted: (torque over noise)^2
     size: np.ndarray
 
     @classmethod
@@ -272,33 +244,21 @@ def gain_places(effects, n_rigid):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ChannelGains:
-    """Gains of the torque channels of an identified robot.
-
-    Attributes
-    ----------
-    joint_names : tuple of str
-        Joints.
-    gain : ndarray of shape (nv,)
-        What each channel reads over the torque: over that in units of the reference
-        channel, or over the torque itself [recorded unit / (N m or N)] where a known
-        mass says how much that is. 1 (relative) where the recording does not show it.
-    std : ndarray of shape (nv,)
-        Standard deviations; 0 for a reference, which is the unit, nan where the
-        recording does not show the gain.
-    reference : ndarray of shape (nv,) of int
-        Joint whose channel each is relative to: itself for a reference and for a joint
-        whose gain is not shown relative to any other.
-    common : CommonGain
-        What fixes the common factor.
-    intervals : ndarray of shape (2, nv)
-        Ends of the 90 % intervals; nan where the recording does not show the gain.
-    """
+    """Gains of the torque channels of an identified robot."""
 
     joint_names: tuple
+    # (nv,): what each channel reads over the torque: over that in units of the
+    # reference channel, or over the torque itself [recorded unit / (N m or N)] where a
+    # known mass says how much that is. 1 (relative) where the recording does not show
+    # it
     gain: np.ndarray
+    # (nv,): 0 for a reference, which is the unit, nan where the gain is not shown
     std: np.ndarray
+    # (nv,): joint whose channel each is relative to: itself for a reference and for a
+    # joint whose gain is not shown relative to any other
     reference: np.ndarray
-    common: object
+    common: object  # what fixes the common factor
+    # (2, nv): ends of the 90 % intervals; nan where the gain is not shown
     intervals: np.ndarray = field(init=False)
 
     def __post_init__(self):
@@ -321,11 +281,9 @@ class ChannelGains:
 
     @property
     def doubtful(self):
-        """Joints (tuple of int) whose gain is far from those of all others.
-
-        By more than is plausible, from the median of those that are relative to one
-        channel.
-        """
+        """Joints (tuple of int) whose gain is far from those of all others."""
+        # By more than is plausible, from the median of those that are relative to one
+        # channel.
         found, logs = [], np.log(self.gain)
         for reference in self.references:
             own = np.flatnonzero(self.reference == reference)
@@ -340,11 +298,9 @@ class ChannelGains:
 
 
 def channel_gains(robot, relative, common, places):
-    """Collect the gains of a fitted identifier, `ChannelGains`.
-
-    relative : RelativeGains; common : CommonGain; places : of the gains among the
-    parameters.
-    """
+    """Collect the gains of a fitted identifier, `ChannelGains`."""
+    # relative: RelativeGains; common: CommonGain; places: of the gains among the
+    # parameters.
     std = robot.theta_std_[places]
     if common.factor is None:
         std[relative.references] = 0.0

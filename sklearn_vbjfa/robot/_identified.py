@@ -8,19 +8,9 @@ from sklearn_vbjfa.simulation._stepper import Stepper, causal
 
 
 def torque_model(robot):
-    """Return the `TorqueModel` of an identified robot, for simulation and control.
-
-    Parameters
-    ----------
-    robot : RobotIdentifier or IdentifiedRobot
-        Fitted.
-
-    Returns
-    -------
-    TorqueModel
-        The robot as `predict` knows it for states: the model that the effects
-        correct, and velocity signs as without noise.
-    """
+    """Return the `TorqueModel` of an identified robot, for simulation and control."""
+    # The robot as `predict` knows it for states: the model that the effects correct,
+    # and velocity signs as without noise.
     return predictor_of(robot).torque_model()
 
 

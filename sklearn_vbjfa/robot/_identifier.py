@@ -631,11 +631,9 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
         self._plan = replace(self._plan, effects=effects)
 
     def _settle(self, recording, states, relative):
-        """Correct the robot until the values of effects in the model stay.
-
-        relative : `RelativeGains` to begin with, or None. Returns the segments of the
-        last fit.
-        """
+        """Correct the robot until the values of effects in the model stay."""
+        # relative: `RelativeGains` to begin with, or None. Returns the segments of the
+        # last fit.
         found = self._corrections(recording, states, relative)
         if relative is not None:
             while (vague := relative.vague(found)).any():
@@ -912,10 +910,8 @@ class RobotIdentifier(RecordingRegressorMixin, PredictsTorques, BaseEstimator):
             self._tell_ranges(sum_ranges(loads))
 
     def _split(self, parameters):
-        """Split parameters (p,) into those of each effect that is in use, a list.
-
-        In the first of several passes effects of the load are missing.
-        """
+        """Split parameters (p,) into those of each effect that is in use, a list."""
+        # In the first of several passes effects of the load are missing.
         own = parameters[self.features_.n_parameters_ :]
         return split_effects(self.effects_, own)
 
@@ -1458,11 +1454,9 @@ def conclude(identifier, plan, moments):
 
 
 def corrected(identifier, effects):
-    """Return a fitted identifier with its robot corrected, parameters as they were.
-
-    effects : `ModelEffect` of those that correct it, beside its own, or in place of
-    them where they are the same with other values.
-    """
+    """Return a fitted identifier with its robot corrected, parameters as they were."""
+    # effects: `ModelEffect` of those that correct it, beside its own, or in place of
+    # them where they are the same with other values.
     other = copy.copy(identifier)
     own = {effect.key(): effect for effect in (*identifier.effects_, *effects)}
     other.features_ = identifier.features_.corrected(own.values())
@@ -1470,11 +1464,9 @@ def corrected(identifier, effects):
 
 
 def noise_of(identifier, X, y, segments, clock=None, signals=None):
-    """Measure the torque noise of recordings; a list of `NoiseFacts`, one per segment.
-
-    X : positions or states; y : torques; segments : slices; clock : time of each row
-    [s] or None; signals : recorded beside the motion, by name.
-    """
+    """Measure the torque noise of recordings, `NoiseFacts` of each segment."""
+    # X: positions or states; y: torques; segments: slices; clock: time of each row [s]
+    # or None; signals: recorded beside the motion, by name.
     if not seen(identifier.dt, identifier.cutoff_):
         return []
     found, predictor = [], predictor_of(identifier)
@@ -1507,13 +1499,11 @@ def states_of(identifier, X, groups=None):
 def equations_of(
     identifier, X, y, groups, weight, t=None, *, states=None, signals=None
 ):
-    """Return the filtered `Equations` of a recording, as in a fitted identifier.
-
-    Their `index` gives the row at the centre of each. states : `states_of` the
-    recording, where they are known already; signals : recorded beside the motion.
-    Columns of effects in the model are the derivatives by their values, for other fits
-    to correct them; they have no part in what is predicted, see `linear_part`.
-    """
+    """Return the filtered `Equations` of a recording, as in a fitted identifier."""
+    # Their `index` gives the row at the centre of each. states: `states_of` the
+    # recording, where they are known already; signals: recorded beside the motion.
+    # Columns of effects in the model are the derivatives by their values, for other
+    # fits to correct them; they have no part in what is predicted, see `linear_part`.
     recording = identifier._recording(X, y, groups, weight, t, signals)
     if states is None:
         states = states_of(identifier, X, groups)
@@ -1545,10 +1535,8 @@ def beginning_with(identifier, fitted):
 
 
 def outside_of(identifier, recording):
-    """Find where a recording leaves what a fitted identifier was fitted on.
-
-    Rows without weight do not count. Returns a tuple of `OutsideRange`.
-    """
+    """Find where a recording leaves what a fitted identifier was fitted on."""
+    # Rows without weight do not count. Returns a tuple of `OutsideRange`.
     t = recording.clock(stamped=True)
     known = t, recording.weight, recording.signals
     predictor = predictor_of(identifier)
@@ -1556,12 +1544,10 @@ def outside_of(identifier, recording):
 
 
 def pieces_of(identifier, X, y, groups, *, halves=None):
-    """Equations of a recording for other estimators, a list of `Equations`.
-
-    halves : use of the states of the even and the odd samples. "noise" gives the
-    difference of their regressors, "instruments" the odd ones as instruments of the
-    even.
-    """
+    """Equations of a recording for other estimators, a list of `Equations`."""
+    # halves: use of the states of the even and the odd samples. "noise" gives the
+    # difference of their regressors, "instruments" the odd ones as instruments of the
+    # even.
     weight = np.ones(y.shape)
     recording = identifier._recording(X, y, groups, weight)
     plan, features = identifier._plan, identifier.features_
@@ -1600,21 +1586,17 @@ def estimate_of(identifier, pieces, settings):
 
 
 def tell_spreads(identifier, estimates):
-    """Tell a fitted identifier how well its last effects are known, for predictions.
-
-    estimates : for each of them, with the tuned parameters `shape` and the joint
-    `covariance` of coefficients and shape.
-    """
+    """Tell a fitted identifier how well its last effects are known, for predictions."""
+    # estimates: for each of them, with the tuned parameters `shape` and the joint
+    # `covariance` of coefficients and shape.
     if estimates:
         own = [Spread(shape=one.shape, covariance=one.covariance) for one in estimates]
         identifier._spreads = (*identifier._spreads[: -len(own)], *own)
 
 
 def asked_again(identifier):
-    """Parameters for a fit with the effects of a fitted identifier, a dict.
-
-    Channels that were the units of gains stay that.
-    """
+    """Parameters for a fit with the effects of a fitted identifier, a dict."""
+    # Channels that were the units of gains stay that.
     asked = {"effects": identifier.effects_}
     if identifier.gains_ is not None:
         names = identifier.joint_names_
@@ -1623,8 +1605,6 @@ def asked_again(identifier):
 
 
 def load_parameters(identifier):
-    """Parameters used for the effects' load in a fit; None without load.
-
-    Those of the features, and behind them the effects' that need none: `make_motion`.
-    """
+    """Parameters used for the effects' load in a fit; None without load."""
+    # Those of the features, and behind them the effects' that need none: `make_motion`.
     return identifier._load

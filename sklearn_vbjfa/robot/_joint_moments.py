@@ -23,20 +23,10 @@ _MOST_PARTS = 4 * _BLOCKS
 
 @dataclass(frozen=True, kw_only=True)
 class Numbering:
-    """How filtered rows are divided into blocks.
+    """How filtered rows are divided into blocks, however a recording is split."""
 
-    The division does not depend on how a recording is split into pieces.
-
-    Attributes
-    ----------
-    rows : int
-        Rows per block.
-    together : int
-        Recordings per block, if there are more recordings than blocks.
-    """
-
-    rows: int
-    together: int = 1
+    rows: int  # per block
+    together: int = 1  # recordings per block, if there are more recordings than blocks
 
     @classmethod
     def of(cls, lengths):
@@ -47,11 +37,9 @@ class Numbering:
         )
 
     def parts(self, recording, rows):
-        """Divide rows (a slice) of a recording, given by its number.
-
-        Returns keys (n_parts, 2), recording and block number of each part, and starts
-        (n_parts,), the first row of each part within the slice.
-        """
+        """Divide rows (a slice) of a recording, given by its number."""
+        # Returns keys (n_parts, 2), recording and block number of each part, and starts
+        # (n_parts,), the first row of each part within the slice.
         if self.together > 1:
             return np.array([[recording // self.together, 0]]), np.zeros(1, dtype=int)
         numbers = np.arange(rows.start // self.rows, -(-rows.stop // self.rows))
@@ -61,27 +49,13 @@ class Numbering:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BlockMoments:
-    """Moments of the rows of several blocks, or of parts of them.
+    """Moments of the rows of several blocks, or of parts of them."""
 
-    Attributes
-    ----------
-    keys : ndarray of shape (n_parts, 2)
-        Recording and number of each block.
-    n : ndarray of shape (n_parts, nv)
-        Sums of the weights.
-    columns : tuple of slice
-        Range from the first to the last nonzero column of each joint.
-    G : tuple of ndarray of shape (n_parts, k, k)
-        Sums of w phi phi' over these columns.
-    g : tuple of ndarray of shape (n_parts, k)
-        Sums of w phi tau over these columns.
-    """
-
-    keys: np.ndarray
-    n: np.ndarray
-    columns: tuple
-    G: tuple
-    g: tuple
+    keys: np.ndarray  # (n_parts, 2): recording and number of each block
+    n: np.ndarray  # (n_parts, nv): sums of the weights
+    columns: tuple  # range from the first to the last nonzero column of each joint
+    G: tuple  # (n_parts, k, k): sums of w phi phi' over these columns
+    g: tuple  # (n_parts, k): sums of w phi tau over these columns
 
 
 def _merge_blocks(first, second):
@@ -127,11 +101,9 @@ def _join(several):
 
 
 def block_scatter(stats, weight, theta):
-    """Compare the scatter of an estimate between blocks with that of white residuals.
-
-    weight (nv,) : weights of the joints; theta (p,) : estimate. Entries that are zero
-    in the total moments count as zero in the blocks. Returns a `BlockVariance`.
-    """
+    """Compare an estimate's scatter between blocks with that of white residuals."""
+    # weight (nv,): weights of the joints; theta (p,): estimate. Entries that are zero
+    # in the total moments count as zero in the blocks. Returns a `BlockVariance`.
     keys = np.concatenate([moments.keys for moments in stats.blocks])
     if np.unique(keys, axis=0).shape[0] < keys.shape[0]:
         return block_scatter(
@@ -165,36 +137,20 @@ def block_scatter(stats, weight, theta):
 
 @dataclass(frozen=True, kw_only=True)
 class JointMoments:
-    """Second moments of each joint's equations, sufficient for a shared fit.
+    """Second moments of each joint's equations, sufficient for a shared fit."""
 
-    Attributes
-    ----------
-    n : ndarray of shape (nv,)
-        Sum of the weights of the joint's rows.
-    n_rows : ndarray of shape (nv,)
-        Number of the joint's rows with positive weight.
-    G : ndarray of shape (nv, p, p)
-        Sum of w phi phi' over the rows phi of each joint's regressor.
-    g : ndarray of shape (nv, p)
-        Sum of w phi tau.
-    yy : ndarray of shape (nv,)
-        Sum of w tau^2.
-    noise : ndarray of shape (nv, p, p) or None
-        Contribution of input noise to G, if measured.
-    blocks : tuple of BlockMoments or None
-        G and g by blocks of time, if the time order of the rows is known.
-    ranges : SignalRanges or None
-        Ranges of positions, speeds and directions in the joint's rows with weight,
-        where the states are known.
-    """
-
-    n: np.ndarray
-    n_rows: np.ndarray
+    n: np.ndarray  # (nv,): sum of the weights of the joint's rows
+    n_rows: np.ndarray  # (nv,): number of the joint's rows with positive weight
+    # (nv, p, p): sum of w phi phi' over the rows phi of each joint's regressor
     G: np.ndarray
-    g: np.ndarray
-    yy: np.ndarray
+    g: np.ndarray  # (nv, p): sum of w phi tau
+    yy: np.ndarray  # (nv,): sum of w tau^2
+    # (nv, p, p) or None: contribution of input noise to G, if measured
     noise: np.ndarray | None = None
+    # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
+    # ranges of positions, speeds and directions in the joint's rows with weight, where
+    # the states are known
     ranges: SignalRanges | None = None
 
     def __add__(self, other):
@@ -233,11 +189,9 @@ class JointMoments:
         return np.maximum(squares, 1e-13 * self.yy)
 
     def split_residual(self, theta):
-        """Split each joint's residual into input noise and the rest, deviations (nv,).
-
-        The first is the input noise through the parameters; the second is nan for a
-        joint without rows.
-        """
+        """Split residuals into input noise and the rest, deviations (nv,) each."""
+        # The first is the input noise through the parameters; the second is nan for a
+        # joint without rows.
         n = np.where(self.n > 0, self.n, np.nan)
         through = np.zeros(n.size)
         if self.noise is not None:
@@ -270,21 +224,17 @@ class JointMoments:
 
 
 def joint_moments(Phi, tau, weight, difference=None, parts=None):
-    """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv).
-
-    difference (n, nv, p) : of two regressors from separate halves of the samples; it
-    has the noise of both, their mean a quarter of its square. parts : blocks of time of
-    the rows, see `Numbering.parts`.
-    """
+    """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
+    # difference (n, nv, p): of two regressors from separate halves of the samples; it
+    # has the noise of both, their mean a quarter of its square. parts: blocks of time
+    # of the rows, see `Numbering.parts`.
     return sum_moments([piece_moments(Phi, tau, weight, difference, parts)])
 
 
 def piece_moments(Phi, tau, weight, difference=None, parts=None):
-    """Accumulate rows for `sum_moments`, see `joint_moments`.
-
-    G and noise hold the range of each joint's columns and the matrix of these: of many
-    joints whole matrices would be larger than the rows of a piece.
-    """
+    """Accumulate rows for `sum_moments`, see `joint_moments`."""
+    # G and noise hold the range of each joint's columns and the matrix of these: of
+    # many joints whole matrices would be larger than the rows of a piece.
     root = np.sqrt(weight)
     keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
     made = _part_moments(Phi, tau, root, starts)

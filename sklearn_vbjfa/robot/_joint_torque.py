@@ -43,10 +43,8 @@ class ForwardingMixin:
         return router
 
     def _forwarded(self, regressor, values):
-        """Return what a regressor's `fit` requests of the named values, as keywords.
-
-        values : groups and weights (n_equations,) of the equations, by name.
-        """
+        """Return what a regressor's `fit` requests of the named values, as keywords."""
+        # values: groups and weights (n_equations,) of the equations, by name.
         if not get_config()["enable_metadata_routing"]:
             return {}
         requested = _requested(regressor) & set(values)
@@ -59,10 +57,8 @@ class ForwardingMixin:
 
 
 def labels_of_equations(labels, counted):
-    """Repeat the label of each piece for its equations, (n_equations,).
-
-    counted : masks (n_rows, nv) of the equations in use, one per piece.
-    """
+    """Repeat the label of each piece for its equations, (n_equations,)."""
+    # counted: masks (n_rows, nv) of the equations in use, one per piece.
     return np.repeat(np.asarray(labels), [int(keep.sum()) for keep in counted])
 
 

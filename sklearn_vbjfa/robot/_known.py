@@ -13,50 +13,24 @@ _KNOWN = 0.5
 
 @dataclass(frozen=True, kw_only=True)
 class BodyMass:
-    """Mass of a body that a joint moves.
+    """Mass of a body that a joint moves."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    name : str
-        Name of the body.
-    mass : float
-        Value of the fitted robot [kg].
-    std : float
-        Its standard deviation [kg]; nan or infinite where there is none.
-    nominal : float
-        Value of the robot description [kg].
-    known : {"yes", "no", "in combination", "from the description"}
-        Whether the recording determines it, see `known_parameters`.
-    """
-
-    joint: int
-    name: str
-    mass: float
-    std: float
-    nominal: float
-    known: str
+    joint: int  # from zero
+    name: str  # of the body
+    mass: float  # of the fitted robot [kg]
+    std: float  # [kg]; nan or infinite where there is none
+    nominal: float  # of the robot description [kg]
+    known: str  # whether the recording determines it, see `known_parameters`
 
 
 def known_parameters(robot):
-    """State which parameters of a fitted identifier the recording determines.
-
-    Parameters
-    ----------
-    robot : RobotIdentifier or IdentifiedRobot
-        Fitted; a robot from a file says itself what was known.
-
-    Returns
-    -------
-    tuple of str of length p
-        "yes": determined by itself, as well as its standard deviation says. "in
-        combination": torques depend on it, but only together with others; its value
-        agrees with them and with the robot description, but is one of many. "from the
-        description": the torques say little beyond it (`from_description_`). "no": no
-        torque depends on it, or it is a mass whose deviation, with what the projection
-        moved it by, is over half its value.
-    """
+    """State which parameters of a fitted identifier the recording determines."""
+    # "yes": by itself, as well as its standard deviation says. "in combination":
+    # torques depend on it, but only together with others; its value agrees with them
+    # and with the robot description, but is one of many. "from the description": the
+    # torques say little beyond it (`from_description_`). "no": no torque depends on it,
+    # or it is a mass whose deviation, with what the projection moved it by, is over
+    # half its value. A robot from a file says itself what was known.
     if hasattr(robot, "known_"):
         return robot.known_
     # Values of effects in the model have no columns of their own.

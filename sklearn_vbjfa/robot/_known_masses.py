@@ -1,11 +1,9 @@
 """What a known mass says of the common gain of all torque channels.
 
-With a common gain a the recording determines a theta and not theta. A mass that is
-known is one linear equation in theta, which fixes a exactly if the mass, or a sum of
-several known ones, is among what the recording determines. Torques show the mass of a
-link of its own only where it is moved along its joint; most are seen together with
-first moments of the bodies before them. The change of mass when something is picked up
-is a difference, and shown by every motion against gravity.
+With a common gain a the recording determines a theta and not theta. A known mass, or a
+sum of several, is one linear equation in theta, which fixes a exactly if the recording
+determines it. Torques show a link's own mass only where it is moved along its joint,
+but every motion against gravity shows the mass of something that is picked up.
 """
 
 from dataclasses import dataclass, replace
@@ -25,53 +23,27 @@ _CHANCE = 0.01
 
 @dataclass(frozen=True, kw_only=True)
 class KnownMass:
-    """A mass that was given, and what the recording makes of it.
+    """A mass that was given, and what the recording makes of it."""
 
-    Attributes
-    ----------
-    name : str
-        Body, or "payload".
-    mass : float
-        As given [kg].
-    found : float
-        What the recording has for it, in units of the reference channel; nan where it
-        has none.
-    std : float
-        Its standard deviation.
-    shown : bool
-        Whether the recording determines it by itself.
-    used : bool
-        Whether it is part of what fixes the common gain.
-    """
-
-    name: str
-    mass: float
+    name: str  # body, or "payload"
+    mass: float  # as given [kg]
+    # what the recording has for it, in units of the reference channel; nan for nothing
     found: float
-    std: float
-    shown: bool
-    used: bool = False
+    std: float  # its standard deviation
+    shown: bool  # whether the recording determines it by itself
+    used: bool = False  # whether it is part of what fixes the common gain
 
 
 @dataclass(frozen=True, kw_only=True)
 class CommonGain:
-    """What fixes the common factor of all gains.
+    """What fixes the common factor of all gains."""
 
-    Attributes
-    ----------
-    factor : float or None
-        Gain of the reference channel [recorded unit / (N m or N)]; None where nothing
-        fixes it. Parameters were divided by it.
-    std : float
-        Its standard deviation; nan where nothing fixes it.
-    masses : tuple of KnownMass
-        The masses that were given.
-    p_value : float
-        Probability of masses that disagree as much by chance; nan for a single one.
-    """
-
+    # gain of the reference channel [recorded unit / (N m or N)]; None where nothing
+    # fixes it. Parameters were divided by it
     factor: float | None = None
-    std: float = float("nan")
-    masses: tuple = ()
+    std: float = float("nan")  # nan where nothing fixes it
+    masses: tuple = ()  # those that were given
+    # probability of masses that disagree as much by chance; nan for a single one
     p_value: float = float("nan")
 
     @property
@@ -84,12 +56,10 @@ class CommonGain:
         return CommonGain(masses=tuple(replace(m, used=False) for m in self.masses))
 
     def widened(self, theta, std, units, gains, covariance):
-        """Deviations (p,) of parameters with that of the common gain.
-
-        theta : parameters in kg and N m (p,); std : deviations of the same with the
-        factor as it is, gains relative to a reference; units : of the parameters;
-        gains : places of gains among them; covariance : see `common_gain`.
-        """
+        """Deviations (p,) of parameters with that of the common gain."""
+        # theta: parameters in kg and N m (p,); std: deviations of the same with the
+        # factor as it is, gains relative to a reference; units: of the parameters;
+        # gains: places of gains among them; covariance: see `common_gain`.
         power = np.array([_power(unit) for unit in units])
         power[gains] = 1
         # A parameter is what it was in relative units times this power of the factor.
@@ -108,10 +78,8 @@ def _power(unit):
 
 
 def check_masses(masses, gains, model):
-    """Return known masses as a dict, rejecting what is no mass of the robot's bodies.
-
-    masses : dict of str to float [kg], or None; gains : the identifier's parameter.
-    """
+    """Return known masses as a dict; reject what is no mass of the robot's bodies."""
+    # masses: dict of str to float [kg], or None; gains: the identifier's parameter.
     if masses is None or not len(masses):
         return {}
     if gains is None:
@@ -133,10 +101,8 @@ def check_masses(masses, gains, model):
 
 
 def mass_places(masses, model, effects, n_rigid):
-    """Where known masses are among the parameters, a list of (name, mass, place).
-
-    A payload that is picked up and put down is there twice.
-    """
+    """Where known masses are among the parameters, a list of (name, mass, place)."""
+    # A payload that is picked up and put down is there twice.
     bodies, found = body_names(model), []
     for name, mass in masses.items():
         if name in bodies:
@@ -150,17 +116,13 @@ def mass_places(masses, model, effects, n_rigid):
 
 
 def common_gain(masses, places, theta, estimate):
-    """Find the common gain that known masses ask for.
-
-    Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters in
-    units of the reference channel, or None if nothing fixes it. Every
-    sum of known masses that the recording determines is one equation; all of them are
-    weighted by how well they are known.
-
-    masses : dict of str to float; places : their `mass_places`; theta : parameters of
-    the fit (p,); estimate : `PlainEstimate` of the same, with the relative gains beside
-    them.
-    """
+    """Find the common gain that known masses ask for."""
+    # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters
+    # in units of the reference channel, or None if nothing fixes it. Every sum of known
+    # masses that the recording determines is one equation; all of them are weighted by
+    # how well they are known. masses: dict of str to float; places: their
+    # `mass_places`; theta: parameters of the fit (p,); estimate: `PlainEstimate` of the
+    # same, with the relative gains beside them.
     missing = tuple(
         KnownMass(name=name, mass=mass, found=np.nan, std=np.nan, shown=False)
         for name, mass in masses.items()

@@ -34,40 +34,20 @@ _KNOWN = ("yes", "in combination", "from the description", "no")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SavedRobot:
-    """What a file holds of an identified robot.
+    """What a file holds of an identified robot."""
 
-    Attributes
-    ----------
-    predictor : TorquePredictor
-        What predicts the torques.
-    urdf : str
-        Robot description, XML without declaration.
-    from_file : bool
-        Whether that is the description which the robot came from; else it was written
-        from the tree of a `pinocchio.Model`.
-    theta_std : ndarray of shape (p,)
-        Standard deviations of the parameters.
-    identifiable : ndarray of shape (p,), bool
-        Parameters that the data determine individually.
-    known : tuple of str
-        What the recording says of each parameter; see `known_parameters`.
-    noise_floor : ndarray of shape (nv,)
-        Torque residuals expected from noise alone [N m or N].
-    gains : ChannelGains or None
-        Unknown gains of the torque channels.
-    package : str
-        Package and version that the robot was saved with at first.
-    """
-
-    predictor: TorquePredictor
-    urdf: str
+    predictor: TorquePredictor  # what predicts the torques
+    urdf: str  # robot description, XML without declaration
+    # whether the robot came from that description; else it was written from the tree of
+    # a `pinocchio.Model`
     from_file: bool
-    theta_std: np.ndarray
-    identifiable: np.ndarray
-    known: tuple
+    theta_std: np.ndarray  # (p,)
+    identifiable: np.ndarray  # (p,): parameters that the data determine individually
+    known: tuple  # what the recording says of each parameter; see `known_parameters`
+    # (nv,): torque residuals expected from noise alone [N m or N]
     noise_floor: np.ndarray
     gains: ChannelGains | None
-    package: str
+    package: str  # and version that the robot was saved with at first
 
     @property
     def names(self):
@@ -228,10 +208,8 @@ _NOT_PLAIN = object()
 
 
 def _plain(value):
-    """Return a value as JSON has it, or `_NOT_PLAIN`.
-
-    Texts stay texts, so that numbers that JSON lacks are objects.
-    """
+    """Return a value as JSON has it, or `_NOT_PLAIN`."""
+    # Texts stay texts, so that numbers that JSON lacks are objects.
     if isinstance(value, np.generic):
         value = value.item()
     if value is None or isinstance(value, (bool, int, str)):
@@ -360,23 +338,8 @@ def _torque_spread(spread):
 
 
 def read(path, effects=()):
-    """Read a `SavedRobot`.
-
-    Parameters
-    ----------
-    path : str or os.PathLike
-        File.
-    effects : iterable of type
-        Classes of effects that are not in the library.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is not JSON, not of this format, of a newer version, or something in it is
-        missing or wrong.
-    """
+    """Read a `SavedRobot`; ValueError if something in the file is missing or wrong."""
+    # effects: classes of those that are not in the library.
     file = read_place(path)
     if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
         raise ValueError(

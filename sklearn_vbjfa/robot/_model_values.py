@@ -1,12 +1,10 @@
 """Values of effects that are part of the robot model, by Gauss and Newton.
 
 The torque is linear in the parameters of the bodies and not in a tilt of the base or
-the gain of a channel. With the derivatives by these values as columns beside the
-regressor, all are fitted together by least squares, the values are corrected, and the
-regressor is made anew of the corrected robot, until no value moves by more than a tenth
-of its standard error. A prior on the corrections would hold each value where it began,
-so there is none; the parameters of the bodies are estimated afterwards, with the values
-as found.
+the gain of a channel. With the derivatives by these values as columns, all are fitted
+by least squares and the regressor is made anew of the corrected robot, until no value
+moves by more than a tenth of its standard error. A prior on the corrections would hold
+each value where it began; bodies are estimated afterwards, with the values as found.
 """
 
 import warnings
@@ -32,35 +30,21 @@ _END = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ModelValues:
-    """What a fit says of the values of effects that are in the model.
+    """What a fit says of the values of effects that are in the model."""
 
-    Attributes
-    ----------
-    effects : tuple of Effect
-        All effects of the fit.
-    places : ndarray of int
-        Where those values are among the parameters.
-    step : ndarray
-        Corrections of the values; zero where the recording does not show them.
-    std : ndarray
-        Standard deviations of the values; nan where the recording does not show them.
-    estimate : PlainEstimate or None
-        Of everything, with corrections in the places of the values.
-    """
-
-    effects: tuple
-    places: np.ndarray
+    effects: tuple  # all effects of the fit
+    places: np.ndarray  # where those values are among the parameters
+    # corrections of the values; zero where the recording does not show them
     step: np.ndarray
-    std: np.ndarray
+    std: np.ndarray  # of the values; nan where the recording does not show them
+    # estimate of everything, with corrections in the places of the values
     estimate: PlainEstimate | None = None
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights):
-        """Fit the values beside everything else to the moments of equations.
-
-        Columns of the moments are those of the features, `n_rigid` of them, and then
-        those of the effects, with derivatives by the values.
-        """
+        """Fit the values beside everything else to the moments of equations."""
+        # Columns of the moments are those of the features, `n_rigid` of them, and then
+        # those of the effects, with derivatives by the values.
         places, at = [], n_rigid
         for effect in effects:
             stop = at + len(effect.coefficients)
@@ -78,10 +62,8 @@ class ModelValues:
         )
 
     def stay(self):
-        """Whether no value moves by more than a tenth of its standard error.
-
-        One at the end of what is plausible stays where it would go on outwards.
-        """
+        """Whether no value moves by more than a tenth of its standard error."""
+        # One at the end of what is plausible stays where it would go on outwards.
         own = [effect for effect in self.effects if effect.in_model]
         low, high = (np.concatenate(x) for x in zip(*[e.bounds() for e in own]))
         with np.errstate(invalid="ignore"):
@@ -108,10 +90,8 @@ class ModelValues:
         return tuple(found)
 
     def tell_bounds(self, names):
-        """Warn of values at the bounds of what is plausible: they fit something else.
-
-        names : of the joints.
-        """
+        """Warn of values at the bounds of the plausible: they fit something else."""
+        # names: of the joints.
         told = []
         for effect in self.effects:
             if not effect.in_model:

@@ -23,15 +23,9 @@ _FADED = 1e-100
 
 
 class OnlineMoments:
-    """Second moments of a robot's equations with exponential forgetting.
+    """Second moments of a robot's equations with exponential forgetting."""
 
-    Parameters
-    ----------
-    features : RigidBodyFeatures
-        Loaded features.
-    forgetting : float
-        Factor by which each new row scales the weight of earlier ones.
-    """
+    # forgetting: factor by which each new row scales the weight of earlier ones.
 
     def __init__(self, features, forgetting):
         self._features = features
@@ -72,10 +66,8 @@ class OnlineMoments:
         self._prepare()
 
     def add(self, X, y, weight, standstill):
-        """Add rows X (n, 3 nv), y (n, nv), weight (n, nv) in time order.
-
-        Rows of a joint at or below its standstill speed (nv,) do not count.
-        """
+        """Add rows X (n, 3 nv), y (n, nv), weight (n, nv) in time order."""
+        # Rows of a joint at or below its standstill speed (nv,) do not count.
         nv = y.shape[1]
         weight = weight * (np.abs(X[:, nv : 2 * nv]) > standstill)
         motion = np.empty((X.shape[0], 3, nv))

@@ -1,19 +1,16 @@
-r"""Output error: parameters whose simulated motion is the measured one.
+"""Output error: parameters whose simulated motion is the measured one.
 
 A recording is divided into windows. In each, the robot is simulated from the measured
-state of its first row, driven by the measured torques, and its positions are compared
-with the measured ones. The errors of a window are integrals of one another, so that a
-window counts as one observation of each joint, of unknown variance. With the mean
-square e_j of the errors of joint j over all rows of W windows, minus twice the
-logarithm of the likelihood is, but for a constant,
+state of its first row, driven by the measured torques. The errors of a window are
+integrals of one another, so that it counts as one observation of each joint, of unknown
+variance. With the mean square e_j of the errors of joint j over all rows of W windows,
+minus twice the logarithm of the likelihood is, but for a constant,
 
-.. math::
-
-    J(\theta, z) = W \sum_j \log(e_j(\theta, z) + \epsilon_j^2) + \sum_w z_w^\top z_w,
+    J(theta, z) = W sum_j log(e_j(theta, z) + epsilon_j^2) + sum_w z_w' z_w,
 
 where epsilon_j is the noise of the encoder, below which no error matters, and z_w what
-the start state of a window is moved by, in units of its measurement noise. Starts are
-eliminated in every step of Gauss and Newton, as each belongs to one window alone.
+the start of a window is moved by, in units of its measurement noise. Starts are
+eliminated in every step of Gauss and Newton: each belongs to one window alone.
 """
 
 import warnings
@@ -87,48 +84,28 @@ class SimulationCriteria:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Refined:
-    """Parameters after a refinement.
+    """Parameters after a refinement."""
 
-    Attributes
-    ----------
-    theta, unconstrained, std : ndarray of shape (p,)
-        Parameters; those of the last step before its projection; deviations.
-    criteria : SimulationCriteria
-        Errors before and after.
-    determined : float
-        Number of directions of the parameters that the simulation determined.
-    """
-
+    # (p,): parameters; those of the last step before its projection; deviations
     theta: np.ndarray
     unconstrained: np.ndarray
     std: np.ndarray
-    criteria: SimulationCriteria
+    criteria: SimulationCriteria  # errors before and after
+    # directions of the parameters that the simulation determined
     determined: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Windows:
-    """Windows of a recording, W of L rows.
+    """Windows of a recording, W of L rows."""
 
-    Attributes
-    ----------
-    recording : Recording
-        Their rows, one segment each, with clock, torques and signals.
-    measured : ndarray of shape (W, L, nv)
-        Positions [rad or m].
-    weight : ndarray of shape (W, L, nv)
-        Weights of the positions; their sum is 1 in each window of a joint that has any.
-    start : ndarray of shape (W, 2 * nv)
-        Measured state of each first row.
-    noise : ndarray of shape (2 * nv,)
-        Standard deviations of its noise.
-    """
-
-    recording: object
-    measured: np.ndarray
+    recording: object  # their rows, one segment each, with clock, torques and signals
+    measured: np.ndarray  # (W, L, nv): positions [rad or m]
+    # (W, L, nv): weights of positions, with the sum 1 in each window of a joint that
+    # has any
     weight: np.ndarray
-    start: np.ndarray
-    noise: np.ndarray
+    start: np.ndarray  # (W, 2 * nv): measured state of each first row
+    noise: np.ndarray  # (2 * nv,): standard deviations of its noise
 
     @property
     def count(self):
@@ -142,11 +119,9 @@ class Windows:
 
     @classmethod
     def of(cls, predictor, recording, states, rows):
-        """Cut a recording into windows of some number of rows.
-
-        states : `RecordingStates`. What remains of a recording is left out, half of it
-        at each end; recordings shorter than a window are left out.
-        """
+        """Cut a recording into windows of some number of rows."""
+        # states: `RecordingStates`. What remains of a recording is left out, half of it
+        # at each end; recordings shorter than a window are left out.
         nv = predictor.features.n_joints_
         picked, start = [], []
         for part, own in zip(recording.segments, states.own):
@@ -197,10 +172,8 @@ class Windows:
 
 
 def _start_noise(estimator, nv):
-    """Deviations (2 nv,) of the noise of smoothed states.
-
-    Zero for states that were given, and where the noise is not known: `refine` tells.
-    """
+    """Deviations (2 nv,) of the noise of smoothed states."""
+    # Zero for states that were given, and where the noise is not known: `refine` tells.
     if estimator is None:
         return np.zeros(2 * nv)
     variance = estimator.noise_variance_
@@ -226,13 +199,11 @@ def _tell_unknown_noise(predictor):
 
 
 def window_rows(window, predictor, recording, states):
-    """Return the number of rows of a window, from the parameter `window` [s].
-
-    "auto" is five times as long as friction takes to slow the slowest joint to 1 / e:
-    after that a joint has forgotten with which velocity it started, and the errors show
-    what friction and gravity lack rather than the noise of the start. It is at least
-    five periods of the fastest motion, and leaves at least eight windows.
-    """
+    """Return the number of rows of a window, from the parameter `window` [s]."""
+    # "auto" is five times as long as friction takes to slow the slowest joint to 1 / e:
+    # after that a joint has forgotten with which velocity it started, and the errors
+    # show what friction and gravity lack rather than the noise of the start. It is at
+    # least five periods of the fastest motion, and leaves at least eight windows.
     dt, lengths = recording.dt, [s.stop - s.start for s in recording.segments]
     longest = max(lengths)
     if not isinstance(window, str):
@@ -310,10 +281,8 @@ def _check_window(window):
 
 
 def run_windows(predictor, windows, starts):
-    """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv).
-
-    The robot has no joint limits here: it was where the recording says.
-    """
+    """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv)."""
+    # The robot has no joint limits here: it was where the recording says.
     robot = predictor.torque_model()
     model = robot.model.copy()
     nv = model.nv
@@ -338,24 +307,12 @@ def run_windows(predictor, windows, starts):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fit:
-    """Simulated windows of some parameters and starts.
+    """Simulated windows of some parameters and starts."""
 
-    Attributes
-    ----------
-    predictor : TorquePredictor
-        Robot with its parameters.
-    z : ndarray of shape (W, 2 * nv)
-        What starts are moved by, in units of their noise.
-    states : ndarray of shape (W, L, 3 * nv)
-        Simulated states.
-    errors : ndarray of shape (W, L, nv)
-        Simulated minus measured positions.
-    """
-
-    predictor: object
-    z: np.ndarray
-    states: np.ndarray
-    errors: np.ndarray
+    predictor: object  # robot with its parameters
+    z: np.ndarray  # (W, 2 * nv): what starts are moved by, in units of their noise
+    states: np.ndarray  # (W, L, 3 * nv): simulated
+    errors: np.ndarray  # (W, L, nv): simulated minus measured positions
 
     @classmethod
     def of(cls, predictor, windows, z):
@@ -384,24 +341,12 @@ class Fit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Normal:
-    """Normal equations of each window, half the derivatives of the criterion.
+    """Normal equations of each window, half the derivatives of the criterion."""
 
-    Attributes
-    ----------
-    H : ndarray of shape (p, p)
-        Gauss-Newton matrix of the parameters, starts eliminated.
-    g : ndarray of shape (W, p)
-        Gradients of the windows, starts eliminated.
-    cross : ndarray of shape (W, 2 * nv, p)
-        Changes of z by parameters.
-    step : ndarray of shape (W, 2 * nv)
-        Changes of z for the present parameters.
-    """
-
-    H: np.ndarray
-    g: np.ndarray
-    cross: np.ndarray
-    step: np.ndarray
+    H: np.ndarray  # (p, p): Gauss-Newton matrix of the parameters, starts eliminated
+    g: np.ndarray  # (W, p): gradients of the windows, starts eliminated
+    cross: np.ndarray  # (W, 2 * nv, p): changes of z by parameters
+    step: np.ndarray  # (W, 2 * nv): changes of z for the present parameters
 
     @classmethod
     def of(cls, fit, windows):
@@ -440,16 +385,12 @@ class Normal:
 
 
 def refine(predictor, found, recording, states, settings):
-    """Refine the parameters of a torque fit by output error.
-
-    Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
-    the torque fit, each projected onto the physically consistent parameters in its own
-    metric, and taken only where the criterion falls.
-
-    predictor : `TorquePredictor` of the torque fit; found : its `Estimate`; recording,
-    states : what was fitted; settings : has `window` and `projector`. Returns
-    `Refined`.
-    """
+    """Refine the parameters of a torque fit by output error."""
+    # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
+    # the torque fit, each projected onto the physically consistent parameters in its
+    # own metric, and taken only where the criterion falls. predictor: `TorquePredictor`
+    # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
+    # settings: has `window` and `projector`. Returns `Refined`.
     rows = window_rows(settings.window, predictor, recording, states)
     windows = Windows.of(predictor, recording, states, rows)
     _tell_unknown_noise(predictor)
@@ -572,28 +513,21 @@ def _torque_errors(moments, theta):
 
 
 def deviations(normal, metric, damping, before):
-    r"""Find the standard deviations (p,) of refined parameters.
-
-    With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
-    mu, the covariance is
-
-    .. math::
-
-        A^{-1} \Big(\tfrac{W}{\nu - 2} \sum_w g_w g_w^\top\Big) A^{-1} + T C T^\top,
-        \quad A = H + \mu G, \quad T = 1 - A^{-1} H, \quad \nu = \max(W - r, 3),
-
-    the sandwich of the gradients of the windows, whatever their errors are correlated
-    like within a window; where the simulation does not determine parameters (T = 1)
-    they keep the deviations of the torque fit, in its covariance C.
-
-    r counts the directions that the simulation determines. The fit leaves (W - r) / W
-    of the squares of the gradients, if each window tells one direction, and Student's t
-    of W - r degrees of freedom has the variance (W - r) / (W - r - 2): together W / (W
-    - r - 2). A window that tells many directions loses less of its gradient, so that
-    there are gradients left for W <= r as well, where the formula has no value. The
-    floor of three degrees then multiplies their squares by W, which is more than enough
-    for one direction a window and for many (``tests/robot/test_output_error.py``).
-    """
+    """Find the standard deviations (p,) of refined parameters."""
+    # With H the Gauss-Newton matrix, G the metric of the torque fit and a small damping
+    # mu, the covariance is
+    #     A^-1 (W / (nu - 2) sum_w g_w g_w') A^-1 + T C T',
+    #     A = H + mu G,  T = 1 - A^-1 H,  nu = max(W - r, 3),
+    # the sandwich of the gradients of the windows, whatever their errors are correlated
+    # like within a window; where the simulation does not determine parameters (T = 1)
+    # they keep the covariance C of the torque fit.
+    # r counts the directions that the simulation determines. The fit leaves (W - r) / W
+    # of the squares of the gradients, if each window tells one direction, and Student's
+    # t of W - r degrees of freedom has the variance (W - r) / (W - r - 2): together W /
+    # (W - r - 2). A window that tells many directions loses less of its gradient, so
+    # that there are gradients left for W <= r as well, where the formula has no value.
+    # The floor of three degrees then multiplies their squares by W, which is more than
+    # enough for one direction a window and for many (tests/robot/test_output_error.py).
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
     inverse, shrunk = A.inverse(), _shares(normal, metric, damping)

@@ -30,57 +30,36 @@ _PERIODS_SEEN, _SAMPLES_SEEN = 8.0, 60
 
 @dataclass(frozen=True, kw_only=True)
 class PeriodAverages:
-    """One period of each recording, measured twice.
+    """One period of each recording, measured twice."""
 
-    Rows are those of the first recording's period, then of the second's, and so on.
+    # Rows, m = n_recordings * n_period, are those of the first recording's period, then
+    # of the second's, and so on.
 
-    Attributes
-    ----------
-    n_period : int
-        Samples of a period.
-    counts : ndarray of shape (n_recordings,)
-        Whole periods of each recording.
-    even, odd : ndarray of shape (n_recordings * n_period, n_columns)
-        Means over the even and over the odd periods of the positions [rad or m], or
-        of states.
-    torque : ndarray of shape (n_recordings * n_period, nv)
-        Weighted means over all periods [N m or N].
-    torque_noise : ndarray of shape (n_recordings * n_period, nv)
-        Realisation of noise with the size and colour of the noise of `torque` [N m or
-        N]: the scaled difference of even and odd periods; nan where only one of the two
-        has weight.
-    weight : ndarray of shape (n_recordings * n_period, nv)
-        Mean weights over the periods, in proportion to the number of periods of the
-        recording.
-    groups : ndarray of shape (n_recordings * n_period,)
-        Number of the recording.
-    """
-
-    n_period: int
-    counts: np.ndarray
+    n_period: int  # samples
+    counts: np.ndarray  # (n_recordings,): whole periods of each recording
+    # (m, n_columns): means over the even and the odd periods of positions, or states
     even: np.ndarray
     odd: np.ndarray
-    torque: np.ndarray
+    torque: np.ndarray  # (m, nv): weighted means over all periods [N m or N]
+    # (m, nv): realisation of noise with the size and colour of that of `torque`: the
+    # scaled difference of even and odd periods; nan where only one of them has weight
     torque_noise: np.ndarray
+    # (m, nv): mean over the periods, in proportion to their number in the recording
     weight: np.ndarray
-    groups: np.ndarray
+    groups: np.ndarray  # (m,): number of the recording
 
     @property
     def mean(self):
-        """Mean of `even` and `odd`.
-
-        With an odd number of periods this is not the mean of all, so that a quarter of
-        the squared difference is exactly the covariance of its noise.
-        """
+        """Mean of `even` and `odd`."""
+        # With an odd number of periods this is not the mean of all, so that a quarter
+        # of the squared difference is exactly the covariance of its noise.
         return 0.5 * (self.even + self.odd)
 
     def repeated(self, margin):
-        """Return rows, and slices of recordings, of periods continued at both ends.
-
-        Each period is extended by `margin` samples on either side. rows (n_recordings *
-        (n_period + 2 margin),) : the period's row at each extended one; parts : slices
-        of the recordings among them.
-        """
+        """Return rows, and slices of recordings, of periods continued at both ends."""
+        # Each period is extended by `margin` samples on either side. rows (n_recordings
+        # * (n_period + 2 margin),): the period's row at each extended one; parts:
+        # slices of the recordings among them.
         one = np.arange(-margin, self.n_period + margin) % self.n_period
         first = self.n_period * np.arange(self.counts.size)
         rows = (first[:, None] + one).ravel()
@@ -88,24 +67,21 @@ class PeriodAverages:
         return rows, [slice(int(a), int(a) + one.size) for a in starts]
 
     def both_starts(self):
-        """Return each recording's period and the same started half a period later.
-
-        For spectral estimates: the taper fades out the ends of each, and together the
-        two weight all samples alike. X (2 n_recordings * n_period, n_columns), and
-        group labels.
-        """
+        """Return each recording's period and the same started half a period later."""
+        # For spectral estimates: the taper fades out the ends of each, and together the
+        # two weight all samples alike. X (2 n_recordings * n_period, n_columns), and
+        # group labels.
         n, p = self.counts.size, self.n_period
         later = np.roll(self.mean.reshape(n, p, -1), p // 2, axis=1)
         X = np.concatenate([self.mean, later.reshape(n * p, -1)])
         return X, np.concatenate([self.groups, n + self.groups])
 
     def states(self, estimator):
-        """Estimate the states (n_recordings * n_period, 3 nv) of even and odd periods.
-
-        The smoother is one-sided at the ends of a recording. A periodic motion has
-        none: each period is extended by itself as far as the smoother reaches, and the
-        extension is discarded. Without an estimator the columns are states already.
-        """
+        """Estimate the states (m, 3 nv) of even and odd periods."""
+        # The smoother is one-sided at the ends of a recording. A periodic motion has
+        # none: each period is extended by itself as far as the smoother reaches, and
+        # the extension is discarded. Without an estimator the columns are states
+        # already.
         if estimator is None:
             return self.even, self.odd
         slowest = estimator.cutoff_.min()
@@ -123,10 +99,8 @@ class PeriodAverages:
         )
 
     def mean_states(self, estimator, halves):
-        """Estimate the `RecordingStates` of the mean periods.
-
-        With `halves`, those of `even` and `odd` as well.
-        """
+        """Estimate the `RecordingStates` of the mean periods."""
+        # With `halves`, those of `even` and `odd` as well.
         both = self.states(estimator)
         _, parts = self.repeated(0)
         # smoothing is linear: these are the states of the mean
@@ -134,12 +108,10 @@ class PeriodAverages:
         return RecordingStates.of_rows(parts, mean, both if halves else None)
 
     def extended(self, recording, states, margin):
-        """Extend the mean period by `margin` samples on either side, for filtering.
-
-        With half the filter as margin, the filter is centred on each sample of the
-        period once. Returns a `Recording` of one extended period per recording, and its
-        states.
-        """
+        """Extend the mean period by `margin` samples on either side, for filtering."""
+        # With half the filter as margin, the filter is centred on each sample of the
+        # period once. Returns a `Recording` of one extended period per recording, and
+        # its states.
         rows, parts = self.repeated(margin)
         one = rows[parts[0]]
 
@@ -162,10 +134,8 @@ class PeriodAverages:
         return mean, states
 
     def filtered_torque_noise(self, lowpass):
-        """Measure the noise of filtered torques: standard deviations (nv,) [N m or N].
-
-        nan for a joint whose even and odd periods never both have weight.
-        """
+        """Measure the noise of filtered torques, deviations (nv,) [N m or N]."""
+        # nan for a joint whose even and odd periods never both have weight.
         known = np.isfinite(self.torque_noise)
         noise = np.where(known, self.torque_noise, 0.0)
         rows, parts = self.repeated(lowpass.half)
@@ -216,34 +186,11 @@ def _whole_samples(count, n_periods):
 
 
 def average_periods(X, y, n_period, groups=None, sample_weight=None):
-    """Average the even and the odd periods of a periodic motion.
-
-    Every recording starts a new period; rows after its last whole period are not used.
-
-    Parameters
-    ----------
-    X : ndarray of shape (n_samples, n_columns)
-        Positions [rad or m], or states.
-    y : ndarray of shape (n_samples, nv)
-        Torques [N m or N].
-    n_period : float
-        Samples per period; whole, up to a slip far below one sample.
-    groups : array-like of shape (n_samples,), default=None
-        Labels of separate recordings.
-    sample_weight : ndarray of shape (n_samples,) or (n_samples, nv), default=None
-        Weights of the torques.
-
-    Returns
-    -------
-    PeriodAverages
-        Two independent measurements of one period of each recording.
-
-    Raises
-    ------
-    ValueError
-        If a recording holds less than two whole periods, or the period is not a whole
-        number of samples.
-    """
+    """Average the even and the odd periods of a periodic motion, `PeriodAverages`."""
+    # Every recording starts a new period; rows after its last whole period are not
+    # used. X (n_samples, n_columns): positions or states; y, sample_weight (n_samples,
+    # nv); n_period: whole, up to a slip far below one sample. Less than two periods are
+    # refused.
     weight = np.ones(y.shape) if sample_weight is None else np.asarray(sample_weight)
     weight = np.broadcast_to(weight.reshape(len(y), -1), y.shape)
     parts = contiguous_groups(groups, X.shape[0])
@@ -295,10 +242,8 @@ def _weighted(values, weight, total):
 
 
 def check_periodic(recording, n_period, counts):
-    """Warn of joints whose periods differ by far more than noise can explain.
-
-    counts (n_recordings,) : whole periods of each recording.
-    """
+    """Warn of joints whose periods differ by far more than noise can explain."""
+    # counts (n_recordings,): whole periods of each recording.
     positions, parts = recording.q, recording.segments
     names, dt = recording.joint_names, recording.dt
     between, within = np.zeros((2, positions.shape[1]))
@@ -329,10 +274,8 @@ def check_periodic(recording, n_period, counts):
 
 
 def measure_periods(settings, recording, effects):
-    """Average the periods of a recording, if the settings declare a period.
-
-    Returns `PeriodAverages`, or None without a period.
-    """
+    """Average the periods of a recording, if the settings declare a period."""
+    # Returns `PeriodAverages`, or None without a period.
     if settings.period is None:
         return None
     varying = {"time", "signals"}

@@ -17,21 +17,11 @@ _WIDTH = 240
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """A value in a file.
-
-    Attributes
-    ----------
-    path : str
-        File.
-    at : str
-        Where the value is, such as ``parameters[3].value``.
-    value : object
-        What the JSON holds.
-    """
+    """A value in a file."""
 
     path: str
-    at: str
-    value: object
+    at: str  # where the value is, such as ``parameters[3].value``
+    value: object  # what the JSON holds
 
     def wrong(self, what):
         """Return the error that says what is wrong with the value."""
@@ -114,15 +104,7 @@ class Place:
 
 
 def read_place(path):
-    """Read a JSON file, a `Place`.
-
-    Raises
-    ------
-    FileNotFoundError
-        If there is no such file.
-    ValueError
-        If it is not JSON.
-    """
+    """Read a JSON file, a `Place`; ValueError if it is not JSON."""
     name = str(path)
     try:
         text = Path(path).read_text(encoding="utf-8")
@@ -157,10 +139,8 @@ def spelled_all(values):
 
 
 def readable(value, indent=0):
-    """Write JSON with one line for each list or object of plain values.
-
-    Floats are written so that the same ones are read.
-    """
+    """Write JSON with one line for each list or object of plain values."""
+    # Floats are written so that the same ones are read.
     if not isinstance(value, (dict, list)) or not value:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)
     inner = value.values() if isinstance(value, dict) else value

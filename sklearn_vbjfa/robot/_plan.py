@@ -34,50 +34,28 @@ _LOAD_PASSES = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Plan:
-    """How a recording becomes equations.
+    """How a recording becomes equations."""
 
-    Attributes
-    ----------
-    dt : float or None
-        Sample period [s].
-    state_estimator : StateEstimator or None
-        Estimates states from positions; None if states are given.
-    cutoff : float
-        Cut-off of the low-pass of regressor and torques [Hz].
-    lowpass : Lowpass
-        That filter.
-    standstill : ndarray of shape (nv,)
-        Speeds at or below which a joint's equations are masked; negative ones mask
-        nothing.
-    effects : tuple of Effect
-        Effects that add columns to the regressor.
-    corrects_noise : bool
-        Whether the regressor accepts a measured covariance of the input noise.
-    repeats : bool
-        Whether the rows are periods continued at both ends, which need no edge mask.
-    fastest_period : ndarray of shape (nv,) or None
-        Period [s] of a sine as fast as the recorded motion, if nothing is filtered.
-    time : tuple of (float, float) or None
-        First and last time of the rows [s], if effects need the clock.
-    tangents : bool
-        Whether effects that are in the model have the derivatives by their values for
-        columns; they have zeros otherwise, as the model holds the values.
-    ranges : tuple of EffectRange or None
-        For each effect, what its motion is held within, None where nothing is held;
-        empty for a fit.
-    """
-
-    dt: float | None
-    state_estimator: object
-    cutoff: float
+    dt: float | None  # [s]
+    state_estimator: object  # estimates states from positions; None if states are given
+    cutoff: float  # of the low-pass of regressor and torques [Hz]
     lowpass: _lowpass.Lowpass
+    # (nv,): speeds at or below which equations are masked; none if negative
     standstill: np.ndarray
-    effects: tuple = ()
+    effects: tuple = ()  # effects that add columns to the regressor
+    # whether the regressor accepts a measured covariance of the input noise
     corrects_noise: bool = False
+    # whether rows are periods continued at both ends, which need no edge mask
     repeats: bool = False
+    # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
     fastest_period: np.ndarray | None = None
+    # first and last time of the rows [s], if effects need the clock
     time: tuple | None = None
+    # whether effects that are in the model have the derivatives by their values for
+    # columns; they have zeros otherwise, as the model holds the values
     tangents: bool = False
+    # for each effect, what its motion is held within, None where nothing is held; empty
+    # for a fit
     ranges: tuple = ()
 
     @property
@@ -95,20 +73,16 @@ class Plan:
         return any("time" in effect.needs for effect in self.effects)
 
     def set_to(self, recording):
-        """Return the plan with the time of the recording that it is for.
-
-        Rejects stamps that the effects cannot use.
-        """
+        """Return the plan with the time of the recording that it is for."""
+        # Rejects stamps that the effects cannot use.
         clock = self.clock(recording)
         if not self.timed or clock is None:
             return self
         return replace(self, time=(float(clock[0]), float(clock[-1])))
 
     def passes(self):
-        """Plans of successive fits: effects that need the load come later.
-
-        Those in the model have no columns in a fit; their values are corrected after.
-        """
+        """Plans of successive fits: effects that need the load come later."""
+        # Those in the model have no columns in a fit; their values are corrected after.
         if not needs_load(e for e in self.effects if not e.in_model):
             return [self]
         plain = tuple(e for e in self.effects if "load" not in e.needs)
@@ -125,10 +99,8 @@ class Plan:
 
 
 def make_plan(settings, effects, lengths, estimator, facts):
-    """Resolve the settings of a fit to a `Plan`.
-
-    lengths : rows of each recording; facts : `MotionFacts` of all recordings.
-    """
+    """Resolve the settings of a fit to a `Plan`."""
+    # lengths: rows of each recording; facts: `MotionFacts` of all recordings.
     dt = settings.dt
     cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator)
     lowpass = _lowpass.design(dt or 1.0, cutoff)
@@ -208,32 +180,21 @@ def n_fastest(n):
 
 @dataclass(frozen=True, kw_only=True)
 class MotionFacts:
-    """Range of positions and fastest speeds.
-
-    Attributes
-    ----------
-    n : int
-        Number of samples.
-    lowest, highest : ndarray of shape (nv,)
-        Range of the positions [rad or m].
-    fastest : ndarray of shape (k, nv)
-        The largest speeds of each joint [rad/s or m/s], in any order.
-    period : ndarray of shape (nv,) or None
-        `fastest_period` [s], if all states were available together.
-    """
+    """Range of positions and fastest speeds."""
 
     n: int
+    # (nv,): range of the positions [rad or m]
     lowest: np.ndarray
     highest: np.ndarray
+    # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
+    # (nv,): `fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
 
     @classmethod
     def of(cls, positions, velocities, keep):
-        """Statistics of the positions and velocities (n, nv) of one recording.
-
-        `keep` is `n_fastest` of all recordings together.
-        """
+        """Statistics of the positions and velocities (n, nv) of one recording."""
+        # `keep` is `n_fastest` of all recordings together.
         return cls(
             n=positions.shape[0],
             lowest=positions.min(axis=0),
@@ -268,11 +229,10 @@ def merge_all(facts, keep):
 
 
 def fastest_period(states):
-    """Return the period (nv,) [s] of a sine of each joint's top speed and acceleration.
+    """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
+    # That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
+    # without.
 
-    That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
-    without.
-    """
     # Contiguous per joint, which dominates the cost of a partition.
     _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
     fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))
@@ -281,12 +241,10 @@ def fastest_period(states):
 
 
 def observe(recording, estimator, periods, halves, n_jobs):
-    """Estimate the states of a recording, and the statistics of its motion.
-
-    estimator : None if states are given; periods : `PeriodAverages` that replace the
-    recording by its mean period, or None; halves : also from even and odd samples, or
-    periods. Returns `RecordingStates` and `MotionFacts`.
-    """
+    """Estimate the states of a recording, and the statistics of its motion."""
+    # estimator: None if states are given; periods: `PeriodAverages` that replace the
+    # recording by its mean period, or None; halves: also from even and odd samples, or
+    # periods. Returns `RecordingStates` and `MotionFacts`.
     if periods is not None:
         states = periods.mean_states(estimator, halves)
     elif estimator is None:
@@ -301,11 +259,9 @@ def observe(recording, estimator, periods, halves, n_jobs):
 
 
 def smooth(recording, estimator, halves, keep, n_jobs):
-    """Smooth the positions of a recording, segment by segment, `n_jobs` at a time.
-
-    halves : also from the even and odd samples; keep : `n_fastest` of all samples.
-    Returns `RecordingStates` and `MotionFacts`.
-    """
+    """Smooth the positions of a recording, segment by segment, `n_jobs` at a time."""
+    # halves: also from the even and odd samples; keep: `n_fastest` of all samples.
+    # Returns `RecordingStates` and `MotionFacts`.
     tasks = [
         (recording.q[part], part.start, estimator, halves, keep)
         for part in recording.segments
@@ -353,10 +309,8 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator):
 
 
 def resolve_standstill(standstill, fast):
-    """Return the speeds (nv,) at or below which a joint counts as standing still.
-
-    `fast` (nv,) are the 99.5th percentiles of the joints' speeds.
-    """
+    """Return the speeds (nv,) at or below which a joint counts as standing still."""
+    # `fast` (nv,) are the 99.5th percentiles of the joints' speeds.
     nv = fast.size
     if standstill is None:
         return np.full(nv, -1.0)

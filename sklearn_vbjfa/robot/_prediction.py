@@ -42,20 +42,13 @@ from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueSpread:
-    """How far measured torques may be from predicted ones, in the band of the fit.
+    """How far measured torques may be from predicted ones, in the band of the fit."""
 
-    Attributes
-    ----------
-    covariance : ndarray of shape (p, p)
-        Of the parameters; infinite on the diagonal where nothing tells one.
-    through : ndarray of shape (nv,)
-        Variance of the noise of the positions in the residual [N m or N, squared].
-    rest : ndarray of shape (nv,)
-        Variance of all else in the residual: noise of torques, what the model lacks.
-    """
-
+    # (p, p): infinite on the diagonal where nothing tells a parameter
     covariance: np.ndarray
+    # (nv,): variance of the noise of the positions in the residual [(N m or N)^2]
     through: np.ndarray
+    # (nv,): variance of all else in it: noise of torques, what the model lacks
     rest: np.ndarray
 
     @classmethod
@@ -79,10 +72,8 @@ class TorqueSpread:
         )
 
     def std(self, rows, *, noiseless):
-        """Deviations (n, nv) for `RegressorRows`, with or without noise of positions.
-
-        Infinite where a row asks for a parameter that nothing tells.
-        """
+        """Deviations (n, nv) for `RegressorRows`, with noise of positions or not."""
+        # Infinite where a row asks for a parameter that nothing tells.
         told = np.isfinite(np.diagonal(self.covariance))
         known = self.covariance[np.ix_(told, told)]
         variance = self.rest if noiseless else self.rest + self.through
@@ -106,42 +97,24 @@ def _rounding(Phi, n_rigid):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorquePredictor:
-    """What an identified robot predicts torques with.
+    """What an identified robot predicts torques with."""
 
-    Attributes
-    ----------
-    features : RigidBodyFeatures
-        The robot, corrected by its effects.
-    plan : Plan
-        How the fit smoothed and filtered, with the values of the effects.
-    theta : ndarray of shape (p,)
-        Parameters.
-    load : ndarray or None
-        Parameters that the load of the effects is made with; see `make_motion`.
-    ranges : tuple of EffectRange
-        What each effect was fitted on: first friction by joint, then the effects, of
-        which those that are not `bounded` are held within theirs. Empty, or for all.
-    signal_ends : mapping of str to (float, float)
-        Lowest and highest value of each recorded signal in the fit.
-    spreads : tuple of Spread
-        How well each effect is known.
-    state_cutoff : "auto", float, array-like or None
-        Cut-off [Hz] of a smoother for positions where the fit was given states.
-    powers : ColumnPowers or None
-        How large columns of friction and effects were in the fit.
-    spread : TorqueSpread or None
-        How far measured torques may be from predicted ones.
-    """
-
-    features: RigidBodyFeatures
-    plan: Plan
-    theta: np.ndarray
+    features: RigidBodyFeatures  # the robot, corrected by its effects
+    plan: Plan  # how the fit smoothed and filtered, with the values of the effects
+    theta: np.ndarray  # (p,)
+    # parameters that the load of the effects is made with; see `make_motion`
     load: np.ndarray | None = None
+    # what each effect was fitted on: first friction by joint, then the effects, of
+    # which those that are not `bounded` are held within theirs. Empty, or for all
     ranges: tuple = ()
+    # lowest and highest value of each recorded signal in the fit
     signal_ends: Mapping = field(default_factory=dict)
-    spreads: tuple = ()
+    spreads: tuple = ()  # how well each effect is known
+    # [Hz], of a smoother for positions where the fit was given states
     state_cutoff: object = "auto"
+    # how large columns of friction and effects were in the fit
     powers: ColumnPowers | None = None
+    # how far measured torques may be from predicted ones
     spread: TorqueSpread | None = None
 
     @property
@@ -170,10 +143,8 @@ class TorquePredictor:
     # -- parameters by what they belong to ------------------------------------------
 
     def split(self, parameters):
-        """Split parameters (p,) into those of each effect, a list.
-
-        In the first of several passes effects of the load are missing.
-        """
+        """Split parameters (p,) into those of each effect, a list."""
+        # In the first of several passes effects of the load are missing.
         return split_effects(self.effects, parameters[self.features.n_parameters_ :])
 
     def bodies(self, parameters):
@@ -196,10 +167,8 @@ class TorquePredictor:
         return X, signals_for(self.effects, signals, beside, X.shape[0])
 
     def clock(self, t, n_samples):
-        """Return the time of each row of a query [s], stamped if effects need it.
-
-        Without stamps it begins as the fit did.
-        """
+        """Return the time of each row of a query [s], stamped if effects need it."""
+        # Without stamps it begins as the fit did.
         dt, time = self.plan.dt, self.plan.time
         if t is not None and self.plan.timed:
             return check_clock(t, n_samples, dt)
@@ -207,10 +176,8 @@ class TorquePredictor:
         return clock if time is None or clock is None else clock + time[0]
 
     def smoother(self, X, groups, *, in_band=False):
-        """State estimator of a query; None if X holds states.
-
-        With `in_band` it smooths to the identified band.
-        """
+        """State estimator of a query; None if X holds states."""
+        # With `in_band` it smooths to the identified band.
         if X.shape[1] == 3 * self.features.n_joints_:
             return None
         estimator = self.plan.state_estimator

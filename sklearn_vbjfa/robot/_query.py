@@ -15,24 +15,12 @@ _EDGE_SHARE = 0.25
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Query:
-    """Rows of a recording without torques.
+    """Rows of a recording without torques."""
 
-    Attributes
-    ----------
-    recording : Recording
-        The rows, with their clock.
-    states : ndarray of shape (n, 3 * nv)
-        States in the band of the fit.
-    rest : Rest
-        Velocity signs at rest.
-    smoother : StateEstimator or None
-        What the states come from; None if they were given.
-    """
-
-    recording: Recording
-    states: np.ndarray
-    rest: Rest
-    smoother: object = None
+    recording: Recording  # the rows, with their clock
+    states: np.ndarray  # (n, 3 * nv): in the band of the fit
+    rest: Rest  # velocity signs at rest
+    smoother: object = None  # what the states come from; None if they were given
 
     def noiseless(self, plan):
         """Return the same query, its states taken for those of the robot."""
@@ -40,10 +28,8 @@ class Query:
         return replace(self, rest=plan.rest(nothing))
 
     def signals(self, features, inertial=None):
-        """Return positions, speeds, directions and, with inertial parameters, loads.
-
-        Arrays of shape (n, nv) by their names in `EffectRange`.
-        """
+        """Return positions, speeds, directions and, with inertial parameters, loads."""
+        # Arrays of shape (n, nv) by their names in `EffectRange`.
         q, v, a = np.split(self.states, 3, axis=1)
         found = {"position": q, "speed": np.abs(v), "direction": np.sign(v)}
         if inertial is not None:
@@ -51,11 +37,9 @@ class Query:
         return found
 
     def counts(self, standstill):
-        """Rows in which each signal can be judged, (n, nv), bool, by its name.
-
-        Not those in which the smoother sees one side only, nor those without weight; a
-        joint at rest has no speed, as in the fit.
-        """
+        """Rows in which each signal can be judged, (n, nv), bool, by its name."""
+        # Not those in which the smoother sees one side only, nor those without weight;
+        # a joint at rest has no speed, as in the fit.
         shape = self.states.shape[0], self.recording.nv
         inner = np.zeros(shape, dtype=bool)
         for part in self.recording.segments:

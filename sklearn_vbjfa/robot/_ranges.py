@@ -18,14 +18,9 @@ _PLURALS = {"position": "positions", "speed": "speeds", "load": "loads"}
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SignalRanges:
-    """Lowest and highest values of signals in the rows of each joint that count.
+    """Lowest and highest values of signals in the rows of each joint that count."""
 
-    Attributes
-    ----------
-    lowest, highest : ndarray of shape (k, nv)
-        Of k signals of each joint; infinite, and of the wrong order, without a row.
-    """
-
+    # (k, nv): of k signals of each joint; infinite, of the wrong order, without a row
     lowest: np.ndarray
     highest: np.ndarray
 
@@ -71,12 +66,10 @@ def sum_ranges(several):
 
 
 def effect_ranges(friction, effects, motion, load=None):
-    """Return an `EffectRange` for each joint's declared friction, then each effect.
-
-    friction : names of the declared columns; effects : tuple of Effect; motion :
-    `SignalRanges` of positions, speeds and directions; load : that of the loads, if it
-    is known.
-    """
+    """Return an `EffectRange` for each joint's declared friction, then each effect."""
+    # friction: names of the declared columns; effects: tuple of Effect; motion:
+    # `SignalRanges` of positions, speeds and directions; load: that of the loads, if it
+    # is known.
     positions, speeds, directions = motion.pairs()
     nv = len(positions)
     loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]
@@ -104,10 +97,8 @@ def ends(signals):
 
 
 def signals_outside_text(fitted, signals):
-    """Say which recorded signals leave what was fitted, a list of str.
-
-    fitted : `ends` of each in the fit; effects are straight lines in a signal.
-    """
+    """Say which recorded signals leave what was fitted, a list of str."""
+    # fitted: `ends` of each in the fit; effects are straight lines in a signal.
     said = []
     for name, (low, high) in fitted.items():
         values = signals[name]
@@ -143,10 +134,8 @@ def outside_text(found, names, prismatic):
 
 
 def held_text(found, label=str):
-    """Say which effects are held and which go on; empty for directions.
-
-    label : name of an effect -> what to call it.
-    """
+    """Say which effects are held and which go on; empty for directions."""
+    # label: name of an effect -> what to call it.
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]
     others = [name for one in found for name in one.names if name not in one.held]

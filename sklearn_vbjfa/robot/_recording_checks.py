@@ -43,12 +43,10 @@ def check_widths(names, X, y=None):
 
 
 def check_speed(dt, fast, travel, model):
-    """Reject a sample period dt [s] at which the robot could not move as recorded.
-
-    A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
-    those of robots. fast (nv,) : 99.5th percentiles of the speeds [rad/s or m/s];
-    travel (nv,) : ranges of the positions [rad or m]; model : for the velocity limits.
-    """
+    """Reject a sample period dt [s] at which the robot could not move as recorded."""
+    # A period in ms or Hz makes speeds that are a thousandth of, or a thousand times,
+    # those of robots. fast (nv,): 99.5th percentiles of the speeds [rad/s or m/s];
+    # travel (nv,): ranges of the positions [rad or m]; model: for the velocity limits.
     if dt is None or not np.max(fast, initial=0.0) > 0:
         return
     limit = np.asarray(model.velocityLimit, dtype=float)
@@ -99,11 +97,9 @@ def check_input_noise(input_noise):
 
 
 def check_channels(names, positions, torques, n_rows):
-    """Reject torques without information, warn of joints that do not move.
-
-    positions (n, nv) : at least their lowest and highest values; torques (n, nv) : at
-    least their `levels`; n_rows : of the recordings.
-    """
+    """Reject torques without information, warn of joints that do not move."""
+    # positions (n, nv): at least their lowest and highest values; torques (n, nv): at
+    # least their `levels`; n_rows: of the recordings.
     moves = np.ptp(positions, axis=0) > 0
     if not moves.any():
         raise ValueError(
@@ -140,10 +136,8 @@ def check_motion(names, positions, parts):
 
 
 def warn_of_disorder(names, positions, parts, groups):
-    """Warn of rows out of time order, and of unlabelled boundaries between recordings.
-
-    positions (n, nv); parts : slices of the recordings; groups (n,) : labels or None.
-    """
+    """Warn of rows out of time order, and of unlabelled borders of recordings."""
+    # positions (n, nv); parts: slices of the recordings; groups (n,): labels or None.
     found = shuffled_rows(names, positions, parts, groups)
     if not found:
         rows = np.arange(positions.shape[0])

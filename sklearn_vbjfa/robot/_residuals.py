@@ -60,10 +60,8 @@ class TorqueResiduals:
 
 
 def torque_spread(*parts):
-    """Return the weighted standard deviation of the torque over all parts, (nv,).
-
-    The parts are `TorqueResiduals` of one recording after the same low-pass.
-    """
+    """Return the weighted standard deviation of the torque over all parts, (nv,)."""
+    # The parts are `TorqueResiduals` of one recording after the same low-pass.
     torque = np.concatenate([part.torque for part in parts])
     weight = np.concatenate([part.weight for part in parts])
     mean = _weighted(torque, weight)

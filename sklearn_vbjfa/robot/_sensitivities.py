@@ -1,24 +1,18 @@
-r"""Derivatives of simulated positions by parameters and by the start of the motion.
+"""Derivatives of simulated positions by parameters and by the start of the motion.
 
 Along a simulated motion the torques that the drives produce, tau(q, v, a, theta), do
 not change. A small change of parameters therefore moves it by s with
 
-.. math::
+    M d2s/dt2 + D ds/dt + K s = -Phi dtheta,
+    M = dtau/da,  D = dtau/dv,  K = dtau/dq,
 
-    M \ddot s + D \dot s + K s = -\Phi\,\delta\theta, \quad
-    M = \frac{\partial \tau}{\partial a}, \quad
-    D = \frac{\partial \tau}{\partial v}, \quad
-    K = \frac{\partial \tau}{\partial q},
-
-where Phi is the regressor matrix, columns of friction and effects among them. The
-equation is integrated at the recording's rate by the implicit midpoint rule, which is
-stable for friction and springs of any steepness.
-
-A joint that sticks does not move for a small change: its equation is replaced by zero
-velocity. Where a joint turns round, dry friction jumps by c, which is an impulse c
-delta(v) of D. In a step of length h with the mean acceleration a it has the mean
-c / (h abs(a)), and the midpoint rule then gives the jump of s that a shifted instant of
-turning causes, the ratio of the accelerations after and before.
+where Phi is the regressor, columns of friction and effects among them. The equation is
+integrated by the implicit midpoint rule, which is stable for friction and springs of
+any steepness. For a joint that sticks it is replaced by zero velocity. Where a joint
+turns round, dry friction jumps by c, an impulse c delta(v) of D. In a step of length h
+with the mean acceleration a it has the mean c / (h abs(a)), and the midpoint rule then
+gives the jump of s that a shifted instant of turning causes, the ratio of the
+accelerations after and before.
 """
 
 from dataclasses import dataclass
@@ -39,31 +33,21 @@ _SHARE = 1e-6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Slopes:
-    """Derivatives of the torques along a motion.
+    """Derivatives of the torques along a motion."""
 
-    Attributes
-    ----------
-    mass, damping, stiffness : ndarray of shape (n, nv, nv)
-        By accelerations, velocities and positions.
-    jump : ndarray of shape (n, nv)
-        By how much the torque of a joint rises where its velocity passes through zero.
-    Phi : ndarray of shape (n, nv, p)
-        By parameters.
-    """
-
+    # (n, nv, nv): by accelerations, velocities and positions
     mass: np.ndarray
     damping: np.ndarray
     stiffness: np.ndarray
+    # (n, nv): rise of the torque of a joint where its velocity passes through zero
     jump: np.ndarray
-    Phi: np.ndarray
+    Phi: np.ndarray  # (n, nv, p): by parameters
 
 
 def slopes(predictor, recording, states):
-    """Differentiate the torques of a robot along motions.
-
-    predictor : `TorquePredictor`; recording : `Recording` with the segments and clock
-    of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
-    """
+    """Differentiate the torques of a robot along motions."""
+    # predictor: `TorquePredictor`; recording: `Recording` with the segments and clock
+    # of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
     mass, damping, stiffness = _of_bodies(predictor, states)
     extra = _differences(predictor, recording, states)
     rows = regressor_rows(
@@ -86,10 +70,8 @@ def slopes(predictor, recording, states):
 
 
 def held_parameters(predictor):
-    """Return which parameters (p,), bool, a simulation does not depend on as columns.
-
-    Values of effects in the model, and effects that a simulation leaves out.
-    """
+    """Return which parameters (p,) a simulation does not depend on as columns."""
+    # Values of effects in the model, and effects that a simulation leaves out.
     held = [np.zeros(predictor.features.n_parameters_, dtype=bool)]
     for effect in predictor.effects:
         out = effect.in_model or isinstance(effect, tuple(LEFT_OUT))
@@ -161,22 +143,9 @@ def _differences(predictor, recording, states):
 
 
 def propagate(found, states, dt):
-    """Integrate the sensitivities of positions along motions of equal length.
-
-    Parameters
-    ----------
-    found : Slopes
-        Along W motions of L rows, one after the other (n = W L).
-    states : ndarray of shape (W, L, 3 * nv)
-        Simulated states.
-    dt : float
-        Sample period [s].
-
-    Returns
-    -------
-    ndarray of shape (L, W, nv, p + 2 * nv)
-        Derivatives of the positions by parameters, start positions and velocities.
-    """
+    """Sensitivities of positions (L, W, nv, p + 2 nv) along W motions of L rows."""
+    # By parameters, start positions and velocities. found: along one motion after the
+    # other (n = W L); states (W, L, 3 nv); dt [s].
     W, L, nv = *states.shape[:2], states.shape[2] // 3
     p = found.Phi.shape[2]
     shape = (W, L, nv, -1)

@@ -117,11 +117,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self._choose(longest, moving, spectra)
 
     def _choose(self, longest, moving, spectra):
-        """Choose the cut-offs, from the length of the longest recording and spectra.
-
-        `moving` (nv,) tells which joints do, `spectra` what `acceleration_spectra`
-        says of all of them; None where all recordings are too short.
-        """
+        """Choose the cut-offs, from the length of the longest recording and spectra."""
+        # `moving` (nv,) tells which joints do, `spectra` what `acceleration_spectra`
+        # says of all of them; None where all recordings are too short.
         dt, nv = check_dt(self.dt), self.n_features_in_
         self.noise_variance_ = np.full(nv, np.nan)
         self.bandwidth_ = np.zeros(nv)
@@ -333,18 +331,10 @@ def _evaluate(splines, n):
 
 
 class SplineStates:
-    """States of one recording, evaluated on demand.
+    """States of one recording, evaluated on demand from one spline a joint."""
 
-    Takes a slice of rows as an array of states would, and keeps the coefficients of
-    the splines only.
-
-    Parameters
-    ----------
-    splines : list of Spline
-        One a joint.
-    n : int
-        Number of rows.
-    """
+    # Takes a slice of rows as an array of states would, and keeps the coefficients
+    # alone.
 
     def __init__(self, splines, n):
         self._splines = splines
@@ -375,17 +365,10 @@ class SplineStates:
 
 @dataclass(frozen=True, kw_only=True)
 class RecordingStates:
-    """States of a recording's segments, and those of half of its samples each.
+    """States of a recording's segments, and those of half of its samples each."""
 
-    Attributes
-    ----------
-    own : list of ndarray of shape (n, 3 * nv) or SplineStates
-        One a segment.
-    halves : tuple of two such lists, or None
-        From the even and from the odd samples, whose noise is independent.
-    """
-
-    own: list
+    own: list  # (n, 3 * nv): one a segment
+    # those from the even and from the odd samples, whose noise is independent
     halves: tuple | None = None
 
     @classmethod
@@ -398,11 +381,9 @@ class RecordingStates:
 
 
 def smooth_segment(x, start, estimator, *, halves):
-    """Fit splines to the positions (n, nv) of a segment that begins at row `start`.
-
-    Returns its `SplineStates`, and with `halves` those of the even and of the odd
-    samples, or else None.
-    """
+    """Fit splines to the positions (n, nv) of a segment that begins at row `start`."""
+    # Returns its `SplineStates`, and with `halves` those of the even and of the odd
+    # samples, or else None.
     n = x.shape[0]
     both = None
     if halves:
@@ -417,19 +398,9 @@ def fit_states(dt, cutoff, X, groups):
 
 
 def choose_states(dt, cutoff, longest, moving, spectra):
-    """`fit_states` from what `acceleration_spectra` says of all recordings.
-
-    Parameters
-    ----------
-    dt, cutoff
-        Parameters of `StateEstimator`.
-    longest : int
-        Rows of the longest recording.
-    moving : ndarray of shape (nv,), bool
-        Joints that move.
-    spectra : tuple or None
-        None where all recordings are too short.
-    """
+    """`fit_states` from what `acceleration_spectra` says of all recordings."""
+    # longest: rows of the longest one; moving (nv,): joints that move; spectra: None
+    # where all recordings are too short.
     estimator = StateEstimator(dt, cutoff=cutoff)
     estimator.n_features_in_ = moving.size
     return lighter(estimator._choose(longest, moving, spectra))

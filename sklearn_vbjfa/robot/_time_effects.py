@@ -15,18 +15,10 @@ _MARGIN = 0.1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spread:
-    """How well an effect's coefficients and shape are known.
+    """How well an effect's coefficients and shape are known."""
 
-    Attributes
-    ----------
-    shape : tuple of str
-        Shape parameters that were tuned with the coefficients.
-    covariance : ndarray of shape (k + n_shape, k + n_shape)
-        Joint covariance of coefficients and shape.
-    """
-
-    shape: tuple
-    covariance: np.ndarray
+    shape: tuple  # parameters that were tuned with the coefficients
+    covariance: np.ndarray  # (k + n_shape, k + n_shape): of coefficients and shape
 
     @classmethod
     def of_deviations(cls, deviations):
@@ -66,10 +58,8 @@ class EffectOfTime:
 
 
 def effect_of_time(effect, coef, spread, motion, time):
-    """Compute the share of an effect with coefficients (k,) in a motion.
-
-    spread : `Spread`; time : first and last time of the fit [s].
-    """
+    """Compute the share of an effect with coefficients (k,) in a motion."""
+    # spread: `Spread`; time: first and last time of the fit [s].
 
     def columns(one):
         made = one.columns(motion)
@@ -103,11 +93,9 @@ def effect_of_time(effect, coef, spread, motion, time):
 
 
 def beyond_text(found, time, names, prismatic):
-    """Say which effects of time are predicted outside the time of the fit.
-
-    found : `EffectOfTime` of each; time : first and last time of the fit [s]. Returns a
-    list of str, empty if there is nothing to say.
-    """
+    """Say which effects of time are predicted outside the time of the fit."""
+    # found: `EffectOfTime` of each; time: first and last time of the fit [s]. Returns a
+    # list of str, empty if there is nothing to say.
     said = []
     margin = _MARGIN * (time[1] - time[0])
     for one in found:

@@ -1,14 +1,12 @@
 """Noise of torque channels inside the band of the fit, from what surrounds the motion.
 
-The noise inside the band cannot be told from what a model lacks by its size. It is
-told by its spectrum. Above the band no motion is: there the spectrum of the residual is
-measured by differences of high order at several strides, those aside that hold a
-reversal of the joint, where dry friction jumps. Noise is a smooth continuation of that
-spectrum into the band. Where it bends towards a flat one this is known from above;
-where it still rises, the residual between the band of the motion and the cut-off says
-how far, less the friction of the joint's own that the model may lack. A residual there
-that no such continuation reaches is what the model lacks: then the noise is what it is
-from above, or unknown.
+Noise and what a model lacks are told apart by their spectra. Above the band no motion
+is: there that of the residual is measured by differences of high order, without
+reversals, where dry friction jumps. Noise continues it smoothly into the band: known
+from above where it bends towards a flat one; where it still rises, the residual between
+the band of the motion and the cut-off says how far, less friction that the model may
+lack. What no such continuation reaches is what the model lacks: then the noise is what
+it is from above, or unknown.
 """
 
 import itertools
@@ -55,17 +53,8 @@ _SHORTEST = 64
 
 
 def given_noise(given, nv, dt, cutoff):
-    """Return the white torque noise (nv,) that passes the low-pass, from that given.
-
-    Parameters
-    ----------
-    given : float, array-like of shape (nv,) or None
-        Standard deviation of the white noise of a sample [N m or N]; None gives nan.
-    nv : int
-        Number of joints.
-    dt, cutoff : float
-        Sample period [s], cut-off [Hz].
-    """
+    """Return the white torque noise (nv,) that passes the low-pass, from that given."""
+    # given: deviation of a sample [N m or N]; None gives nan.
     if given is None:
         return np.full(nv, np.nan)
     noise = np.asarray(given, dtype=float)
@@ -83,25 +72,14 @@ def given_noise(given, nv, dt, cutoff):
 
 @dataclass(frozen=True, kw_only=True)
 class NoiseFacts:
-    """Noise measurements from the torques of one recording.
-
-    Attributes
-    ----------
-    n : int
-        Number of rows.
-    hold : ndarray of shape (nv,)
-        Rows for which a torque is held.
-    scales : ndarray of shape (nv, n_strides)
-        Variances of differences at the strides, per sample of what is held; nan where
-        the recording is too short.
-    gap : ndarray of shape (nv, n_bands)
-        Power per row in the bands of the gap.
-    """
+    """Noise measurements from the torques of one recording."""
 
     n: int
-    hold: np.ndarray
+    hold: np.ndarray  # (nv,): rows for which a torque is held
+    # (nv, n_strides): variances of differences at the strides, per sample of what is
+    # held; nan where the recording is too short
     scales: np.ndarray
-    gap: np.ndarray
+    gap: np.ndarray  # (nv, n_bands): power per row in the bands of the gap
 
 
 def seen(dt, cutoff):
@@ -110,17 +88,8 @@ def seen(dt, cutoff):
 
 
 def noise_facts(residual, torque, states, dt, cutoff):
-    """Measure the spectrum of the residual of one recording.
-
-    Parameters
-    ----------
-    residual, torque : ndarray of shape (n, nv)
-        Measured minus predicted torques, and the measured ones.
-    states : ndarray of shape (n, 3 * nv)
-        States.
-    dt, cutoff : float
-        Sample period [s], cut-off of the fit [Hz].
-    """
+    """Measure the spectrum of the residual (n, nv) of one recording."""
+    # states (n, 3 nv); dt [s]; cutoff: of the fit [Hz].
     n, nv = residual.shape
     hold = np.array([held_rows(x) for x in torque.T])
     scales = np.full((nv, len(_STRIDES)), np.nan)
@@ -203,24 +172,10 @@ def _gap_shape():
 
 
 def filtered_noise(facts, dt, cutoff):
-    """Return the standard deviations of the noise that passes the low-pass.
-
-    Parameters
-    ----------
-    facts : list of NoiseFacts
-        Recordings.
-    dt : float or None
-        Sample period [s].
-    cutoff : float
-        Cut-off of the low-pass [Hz].
-
-    Returns
-    -------
-    ndarray of shape (nv,)
-        Standard deviations [N m or N]; nan where they cannot be found: without a
-        low-pass, with one too close to the Nyquist frequency, or where the spectrum
-        rises towards the band and what is left there is not its continuation.
-    """
+    """Deviations (nv,) [N m or N] of the noise that passes the low-pass."""
+    # nan where they cannot be found: without a low-pass, with one too close to the
+    # Nyquist frequency, or where the spectrum rises towards the band and what is left
+    # there is not its continuation.
     nv = facts[0].hold.size
     found = np.full(nv, np.nan)
     if not seen(dt, cutoff):
@@ -268,27 +223,15 @@ def _mean(values, rows):
 
 @dataclass(frozen=True, kw_only=True)
 class _Family:
-    """Spectra that noise may have, each of one amplitude.
+    """Spectra that noise may have, each of one amplitude."""
 
-    White noise; noise of one pole, and of two (a sensor's low-pass), with their corner
-    anywhere, and with white noise on top.
+    # White noise; noise of one pole, and of two (a sensor's low-pass), with their
+    # corner anywhere, and with white noise on top.
 
-    Attributes
-    ----------
-    prior : ndarray of shape (m,)
-        How likely they are: white noise as likely as all others.
-    scales : ndarray of shape (m, n_strides)
-        Logarithms of the variances of differences.
-    gap : ndarray of shape (m, n_bands)
-        Logarithms of the power per row in the gap.
-    band : ndarray of shape (m,)
-        Logarithms of the variance behind the low-pass.
-    """
-
-    prior: np.ndarray
-    scales: np.ndarray
-    gap: np.ndarray
-    band: np.ndarray
+    prior: np.ndarray  # (m,): how likely they are: white noise as likely as all others
+    scales: np.ndarray  # (m, n_strides): logarithms of the variances of differences
+    gap: np.ndarray  # (m, n_bands): logarithms of the power per row in the gap
+    band: np.ndarray  # (m,): logarithms of the variance behind the low-pass
 
     @classmethod
     def of(cls, dt, hold, cutoff):
@@ -340,16 +283,10 @@ class _Family:
         )
 
     def deviation(self, scales, scale_spread, gap, gap_spread):
-        """Return the deviation behind the low-pass of what was measured, or nan.
-
-        Parameters
-        ----------
-        scales, scale_spread : ndarray of shape (n_strides,)
-            Variances of differences, nan where not seen; deviations of their
-            logarithms.
-        gap, gap_spread : ndarray of shape (n_bands,)
-            Power per row in the gap; deviations of their logarithms.
-        """
+        """Return the deviation behind the low-pass of what was measured, or nan."""
+        # scales (n_strides,): variances of differences, nan where not seen; gap
+        # (n_bands,): power per row in the gap; the spreads are deviations of their
+        # logarithms.
         with np.errstate(invalid="ignore", divide="ignore"):
             above = (np.log(scales) - self.scales) / scale_spread
             between = (np.log(gap) - self.gap) / gap_spread

@@ -14,11 +14,9 @@ def least_squares(G, g):
 
 
 def noise_weights(moments, max_iter=30, tol=1e-6):
-    """Inverse residual variance of each joint by iterated weighted least squares.
-
-    Starts from the mean squared torques, so the unit of a joint's torque does not
-    matter; a joint without rows gets zero weight.
-    """
+    """Inverse residual variance of each joint by iterated weighted least squares."""
+    # Starts from the mean squared torques, so the unit of a joint's torque does not
+    # matter; a joint without rows gets zero weight.
     used = moments.n > 0
     n = np.where(used, moments.n, 1.0)
     variance = np.where(used & (moments.yy > 0), moments.yy / n, np.inf)
@@ -46,15 +44,13 @@ _STUDENT_FREEDOM = 4.0
 
 
 def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
-    """Relative precision of each joint's noise in each block of time, by EM.
-
-    Residuals are Gaussian with a precision of their own in every block, Gamma(nu/2,
-    nu/2) times the joint's: a multivariate Student t. Model errors (stiction,
-    transients) are confined to intervals of time, which are then down-weighted.
-    Parameters are fitted by weighted least squares in between. blocks : block number
-    (n,) of each row of each piece; returns weight factors (n, nv), near one, for each
-    piece.
-    """
+    """Relative precision of each joint's noise in each block of time, by EM."""
+    # Residuals are Gaussian with a precision of their own in every block, Gamma(nu/2,
+    # nu/2) times the joint's: a multivariate Student t. Model errors (stiction,
+    # transients) are confined to intervals of time, which are then down-weighted.
+    # Parameters are fitted by weighted least squares in between. blocks: block number
+    # (n,) of each row of each piece; returns weight factors (n, nv), near one, for each
+    # piece.
     n_blocks = 1 + max(int(block.max()) for block in blocks)
     nv = pieces[0].tau.shape[1]
     nu = _STUDENT_FREEDOM

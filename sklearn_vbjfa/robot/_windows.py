@@ -192,12 +192,10 @@ class SimulatedWindows:
 
 
 def clearly_smaller(errors, others):
-    """Whether the means of errors (n, ...) are clearly smaller than those of others.
-
-    Student's t of the differences row by row, one-sided at a level of 5 %. Rows follow
-    one another in time: their mean has the variance of independent ones times 1 + 2 r,
-    with the correlation r of neighbours where it is positive.
-    """
+    """Whether the means of errors (n, ...) are clearly smaller than those of others."""
+    # Student's t of the differences row by row, one-sided at a level of 5 %. Rows
+    # follow one another in time: their mean has the variance of independent ones times
+    # 1 + 2 r, with the correlation r of neighbours where it is positive.
     difference = np.asarray(errors) - np.asarray(others)
     n = len(difference)
     if n < 2:
@@ -418,10 +416,8 @@ def _rows(asked, standstill, length, dt):
 
 
 def tell_once(caught, where, stacklevel):
-    """Pass on each kind of recorded warning once, and how often it came up.
-
-    Texts that begin alike, up to a colon, are of one kind; where : what was repeated.
-    """
+    """Pass on each kind of recorded warning once, and how often it came up."""
+    # Texts that begin alike, up to a colon, are of one kind; where: what was repeated.
     kinds = {}
     for one in caught:
         kind = str(one.message).partition(":")[0]

@@ -11,11 +11,9 @@ from sklearn_vbjfa.robot._prediction import predictor_of
 
 
 def urdf_of(robot, source, path):
-    """Write the description of an identified robot; see `RobotIdentifier.to_urdf`.
-
-    robot : RobotIdentifier or IdentifiedRobot; source : description that it came from,
-    path or text; path : file to write. Returns a tuple of `LeftOut`.
-    """
+    """Write the description of an identified robot; see `RobotIdentifier.to_urdf`."""
+    # robot: RobotIdentifier or IdentifiedRobot; source: description that it came from,
+    # path or text; path: file to write. Returns a tuple of `LeftOut`.
     predictor = predictor_of(robot)
     nominal = predictor.features.nominal_
     return to_urdf(
@@ -43,11 +41,9 @@ def _note_of_gravity(gravity):
 
 
 def mjcf_of(robot, path):
-    """Write an identified robot as MJCF; see `RobotIdentifier.to_mjcf`.
-
-    robot : RobotIdentifier or IdentifiedRobot; path : file to write. Returns a tuple of
-    `LeftOut`.
-    """
+    """Write an identified robot as MJCF; see `RobotIdentifier.to_mjcf`."""
+    # robot: RobotIdentifier or IdentifiedRobot; path: file to write. Returns a tuple of
+    # `LeftOut`.
     predictor = predictor_of(robot)
     return to_mjcf(
         path,

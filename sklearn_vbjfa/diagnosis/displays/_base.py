@@ -13,11 +13,10 @@ _MOST_ROWS = 36
 
 
 class Display:
-    """A new figure, or the user's axes, and the legend of what is drawn in them.
+    """A new figure, or the user's axes, and the legend of what is drawn in them."""
 
-    A display stores its data in the constructor; its `plot` calls `_open`, draws on
-    `axes_` and ends with `_close`. Matplotlib is imported when a figure is made.
-    """
+    # A display stores its data in the constructor; its `plot` calls `_open`, draws on
+    # `axes_` and ends with `_close`. Matplotlib is imported when a figure is made.
 
     # What `from_estimator` takes, for those who give something else.
     _accepts = ""
@@ -69,10 +68,8 @@ class Display:
 
 
 def fitted_robot(estimator):
-    """Return the fitted RobotIdentifier, of a discovery its completed model, or None.
-
-    Raises TypeError if it is no estimator instance, NotFittedError if it is not fitted.
-    """
+    """Return the fitted RobotIdentifier (a discovery's completed model), or None."""
+    # TypeError if it is no estimator instance, NotFittedError if it is not fitted.
     check_is_fitted(estimator)
     if isinstance(estimator, EffectDiscovery):
         return estimator.identifier_

@@ -34,73 +34,37 @@ class Shape:
 
 @dataclass(frozen=True, kw_only=True)
 class Chart:
-    """A frame with axes.
-
-    Attributes
-    ----------
-    title : str
-        Above it.
-    x_label, y_label : str
-        What the axes show, with units.
-    x_ticks, y_ticks : tuple of (float, str)
-        Place in per cent from the left or the top, and text.
-    shapes : tuple of Shape
-        From the back to the front.
-    """
+    """A frame with axes."""
 
     title: str
+    # what the axes show, with units
     x_label: str
     y_label: str
+    # place in per cent from the left or the top, and text
     x_ticks: tuple
     y_ticks: tuple
-    shapes: tuple
+    shapes: tuple  # from the back to the front
 
 
 @dataclass(frozen=True, kw_only=True)
 class About:
-    """What an effect is.
+    """What an effect is."""
 
-    Attributes
-    ----------
-    formula : str
-        What it adds to the torque, as MathML; empty where none is given.
-    paragraphs : tuple of str
-        In words.
-    link : str
-        Address of its page; empty for none.
-    """
-
-    formula: str
-    paragraphs: tuple
-    link: str
+    formula: str  # what it adds to the torque, as MathML; empty where none is given
+    paragraphs: tuple  # in words
+    link: str  # address of its page; empty for none
 
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Charts that belong together, with the numbers behind them.
-
-    Attributes
-    ----------
-    title : str
-        Of the figure.
-    charts : tuple of Chart
-        Side by side.
-    data : dict
-        For the library: names, kinds and packed values of the series.
-    keys : tuple of (str, str)
-        Class and text of each entry of the legend.
-    about : About or None
-        What is unfolded below.
-    anchor : str
-        Its place on a page; empty for none.
-    """
+    """Charts that belong together, with the numbers behind them."""
 
     title: str
-    charts: tuple
-    data: dict
-    keys: tuple
-    about: About | None = None
-    anchor: str = ""
+    charts: tuple  # side by side
+    data: dict  # for the library: names, kinds and packed values of the series
+    keys: tuple  # class and text of each entry of the legend
+    about: About | None = None  # what is unfolded below
+    anchor: str = ""  # its place on a page; empty for none
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -140,24 +104,8 @@ class _Frame:
 
 
 def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
-    """Draw what a model leaves without and with an effect, over the effect's signal.
-
-    Parameters
-    ----------
-    curves : EffectCurves
-        Cloud, means and law.
-    title, x_label, y_label : str
-        Of the figure and its axes, with units.
-    about : About or None
-        What the effect is.
-    anchor : str
-        Its place on a page; empty for none.
-
-    Returns
-    -------
-    Figure
-        Two charts on the same axes.
-    """
+    """Draw what a model leaves without and with an effect, over the effect's signal."""
+    # Two charts on the same axes; anchor: its place on a page, empty for none.
     values = np.r_[curves.without, curves.after, curves.law_mean]
     frame = _Frame(x=_ends(curves.center), y=_range(values))
     way = ", in the direction of motion" if curves.with_motion else ""
@@ -200,22 +148,7 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
 
 
 def torque_figure(torques, line, *, title, y_label):
-    """Draw measured and predicted torque over time.
-
-    Parameters
-    ----------
-    torques : TorqueCurves
-        Of a joint.
-    line : TimeLine
-        Borders and untouched stretches.
-    title, y_label : str
-        Of the figure and its vertical axis, with the unit.
-
-    Returns
-    -------
-    Figure
-        One chart.
-    """
+    """Draw measured and predicted torque over time."""
     seconds = torques.seconds
     # The declared model on top, or the completed one would hide where they agree.
     values = (torques.measured, torques.after, torques.before)
@@ -248,23 +181,9 @@ def torque_figure(torques, line, *, title, y_label):
 
 
 def line_figure(seconds, values, *, title, y_label, levels=()):
-    """Draw one signal over time between levels that it keeps to.
-
-    Parameters
-    ----------
-    seconds, values : ndarray of shape (n,)
-        Times [s] and values.
-    title, y_label : str
-        Of the figure and its vertical axis, with the unit.
-    levels : sequence of float
-        Levels. Those that would leave the signal less than a quarter of the height are
-        not drawn, but said.
-
-    Returns
-    -------
-    Figure
-        One chart.
-    """
+    """Draw one signal (n,) over time [s] between levels that it keeps to."""
+    # Levels that would leave the signal less than a quarter of the height are not
+    # drawn, but said.
     low, high = float(values.min()), float(values.max())
     size = max(high - low, max(abs(low), abs(high))) or 1.0
     near = [x for x in levels if low - 3 * size <= x <= high + 3 * size]

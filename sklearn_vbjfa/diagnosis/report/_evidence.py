@@ -41,10 +41,8 @@ class Figures:
 
 
 def effect_figures(outcome):
-    """Draw each effect over its own signal, and say what it is; None without any.
-
-    One with too few rows for a picture has the words alone.
-    """
+    """Draw each effect over its own signal, and say what it is; None without any."""
+    # One with too few rows for a picture has the words alone.
     found = []
     drawn = outcome.curves.get("effects", ())
     for effect, curves, anchor in zip(outcome.effects, drawn, anchors(outcome)):
@@ -85,10 +83,8 @@ def effect_figures(outcome):
 
 
 def anchors(outcome):
-    """Return where each effect is drawn or explained on a page, a tuple of str.
-
-    Empty for one that is neither.
-    """
+    """Return where each effect is drawn or explained on a page, a tuple of str."""
+    # Empty for one that is neither.
     drawn = outcome.curves.get("effects", ())
     if not drawn:
         return ("",) * len(outcome.effects)

@@ -1,7 +1,4 @@
-"""What the figures of a report hold for: their band, and what cannot be known.
-
-Each function returns sentences on an outcome, none where there is nothing to say.
-"""
+"""What the figures of a report hold for: their band, and what cannot be known."""
 
 from dataclasses import replace
 
@@ -20,10 +17,8 @@ _OTHER_MASS = 0.5
 
 
 def band_sentences(outcome, errors):
-    """Say what the band of the errors is, why, what lies in it, and what above it.
-
-    errors : mean errors of the verdict.
-    """
+    """Say what the band of the errors is, why, what lies in it, and what above it."""
+    # errors: mean errors of the verdict.
     band = outcome.band
     if band is None:
         return ()

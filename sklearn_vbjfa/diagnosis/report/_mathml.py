@@ -56,30 +56,9 @@ _FENCES = {".": "", "\\{": "{", "\\}": "}", "\\|": "‖"}
 
 
 def mathml(formula):
-    r"""Convert a formula.
-
-    Parameters
-    ----------
-    formula : str
-        LaTeX, as between dollar signs.
-
-    Returns
-    -------
-    str
-        ``math`` elements, one for each of the parts between wide spaces (``\quad``),
-        between which a page may break the line.
-
-    Raises
-    ------
-    ValueError
-        If it holds LaTeX that is not known here.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.diagnosis.report._mathml import mathml
-    >>> print(mathml(r"F_v\,v"))
-    <math><msub><mi>F</mi><mi>v</mi></msub><mspace width="0.17em"/><mi>v</mi></math>
-    """
+    """Convert LaTeX, as between dollar signs; ValueError for what is not known here."""
+    # One ``math`` element for each of the parts between wide spaces (\quad), where a
+    # line may break.
     parts = re.split(r"\\q?quad(?![A-Za-z])", formula)
     converted = [_Reader(part).all() for part in parts if part.strip()]
     return " ".join(f"<math>{one}</math>" for one in converted)

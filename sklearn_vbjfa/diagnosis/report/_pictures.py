@@ -19,46 +19,21 @@ _SHADES = 6
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A joint's residual before and after, in a frame of WIDTH by HEIGHT.
+    """A joint's residual before and after, in a frame of WIDTH by HEIGHT."""
 
-    Attributes
-    ----------
-    kind : {"line", "area"}
-        Whether the paths are lines, or envelopes of more points than fit.
-    before, after : str
-        Path data.
-    band : tuple of float
-        Noise floor, one standard deviation to each side: (top, height); empty if it
-        is unknown.
-    limit : float
-        Torque at the upper edge, the lower one is its negative [N m or N].
-    """
-
-    kind: str
+    kind: str  # whether the paths are lines, or envelopes of more points than fit
+    # path data
     before: str
     after: str
+    # noise floor, one standard deviation to each side: (top, height); empty if unknown
     band: tuple
-    limit: float
+    limit: float  # torque at the upper edge, the lower one is its negative [N m or N]
 
 
 def residual_picture(curves, joint, floor):
-    """Draw a joint's residual before and after over the untouched part.
-
-    Parameters
-    ----------
-    curves : dict of str to ndarray
-        ``"before"``, ``"after"``, ``"weight"``: arrays (m, nv); ``"seconds"``, where it
-        is known: (m,), rising.
-    joint : int
-        Joint, from zero.
-    floor : float
-        Noise floor [N m or N]; may be nan.
-
-    Returns
-    -------
-    Picture or None
-        None if there is nothing to draw.
-    """
+    """Draw a joint's residual before and after over the untouched part, if any."""
+    # curves: "before", "after", "weight" (m, nv), and "seconds" (m,), rising, where it
+    # is known; floor [N m or N] may be nan.
     before, after, weight = (
         np.asarray(curves[key], dtype=float)[:, joint]
         for key in ("before", "after", "weight")
@@ -87,34 +62,16 @@ def residual_picture(curves, joint, floor):
 
 @dataclass(frozen=True, kw_only=True)
 class MapPicture:
-    """Two maps, each a frame of WIDTH by HEIGHT; load rises upwards.
+    """Two maps, each a frame of WIDTH by HEIGHT; load rises upwards."""
 
-    Attributes
-    ----------
-    measured, function : tuple of (str, float, str)
-        Sign (``"up"`` or ``"down"``), opacity and path data of each shade.
-    limit : float
-        Torque that has the full colour [N m or N].
-    """
-
+    # for each shade: sign (``"up"`` or ``"down"``), opacity and path data
     measured: tuple
     function: tuple
-    limit: float
+    limit: float  # torque that has the full colour [N m or N]
 
 
 def map_picture(drawn):
-    """Draw a residual over speed and load beside the function that explains it.
-
-    Parameters
-    ----------
-    drawn : Map
-        Means in cells.
-
-    Returns
-    -------
-    MapPicture
-        Both maps in the same shades.
-    """
+    """Draw a residual over speed and load beside the function that explains it."""
     sizes = np.abs(drawn.measured[np.isfinite(drawn.measured)])
     # A few cells with little in them would leave the others pale.
     limit = float(np.quantile(sizes, 0.95)) if sizes.size else 0.0

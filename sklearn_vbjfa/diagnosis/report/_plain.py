@@ -16,21 +16,11 @@ _UNITS = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}
 
 @dataclass(frozen=True, kw_only=True)
 class Plain:
-    """A parameter in a plain unit.
-
-    Attributes
-    ----------
-    value : float
-        Value.
-    interval : (float, float) or None
-        90 % interval.
-    unit : str
-        "degrees", "mm" or "%".
-    """
+    """A parameter in a plain unit."""
 
     value: float
-    interval: tuple | None
-    unit: str
+    interval: tuple | None  # 90 %
+    unit: str  # "degrees", "mm" or "%"
 
 
 def in_model(outcome, effect):
@@ -124,28 +114,16 @@ def _about(outcome, effect):
 
 @dataclass(frozen=True, kw_only=True)
 class Remedy:
-    """What to do about an effect of the robot model.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    joint : int
-        Joint, from zero; 0 for what belongs to none.
-    text : str
-        What to do.
-    """
+    """What to do about an effect of the robot model."""
 
     name: str
-    joint: int
+    joint: int  # from zero; 0 for what belongs to none
     text: str
 
 
 def remedies(outcome):
-    """Say what to do about each effect in the completed model, a tuple of `Remedy`.
-
-    Those that were declared are among them.
-    """
+    """Say what to do about each effect in the completed model, a tuple of `Remedy`."""
+    # Those that were declared are among them.
     found = outcome.corrections
     told = [
         Remedy(name=BaseTilt.name, joint=0, text=_level(t)) for t in [found.tilt] if t

@@ -22,22 +22,12 @@ _FORMS = (
 
 @dataclass(frozen=True, kw_only=True)
 class Remains:
-    """What remains of a joint's residual.
+    """What remains of a joint's residual."""
 
-    Attributes
-    ----------
-    kind : {"form", "recording", "nothing"}
-        Some function explains it; one does within a recording but not in the next;
-        none does.
-    source : int
-        The fewest signals that do, as an index of a `Ceiling`'s shares.
-    share : float
-        Share of the squared residual that they explain.
-    """
-
+    # whether a function explains it, one does within a recording only, or none does
     kind: str
-    source: int
-    share: float
+    source: int  # fewest signals that do, as an index of a `Ceiling`'s shares
+    share: float  # share of the squared residual that they explain
 
 
 def remains(outcome, joint):
@@ -61,11 +51,9 @@ def has_picture(found):
 
 
 def statement(alike, floor):
-    """Say in a sentence what remains.
-
-    alike : `Remains` of joints of which the same is said; one alone if it is a form.
-    floor : noise floor of one of them, nan if unknown.
-    """
+    """Say in a sentence what remains."""
+    # alike: `Remains` of joints of which the same is said; one alone if it is a form.
+    # floor: noise floor of one of them, nan if unknown.
     first = alike[0]
     if first.kind == "form":
         return (

@@ -92,10 +92,8 @@ def markdown(sections):
 
 
 def page(sections, package=None):
-    """Write the sections as a whole page.
-
-    package : dotted name of one whose folder ``templates`` has further templates.
-    """
+    """Write the sections as a whole page."""
+    # package: dotted name of one whose folder ``templates`` has further templates.
     zooms = any(getattr(section.drawn, "figures", ()) for section in sections)
     return _template("page.html.j2", package).render(
         sections=sections,
@@ -124,11 +122,9 @@ def style():
 
 @lru_cache
 def _vendored():
-    """Return the library that zooms pictures: its script and style as they are.
-
-    Both are uPlot's (MIT licence, beside them), which a page holds as it is to work
-    without a network.
-    """
+    """Return the library that zooms pictures: its script and style as they are."""
+    # Both are uPlot's (MIT licence, beside them), which a page holds as it is to work
+    # without a network.
     folder = importlib.resources.files("sklearn_vbjfa.diagnosis.report") / "vendor"
     return {
         "script": (folder / "uPlot.iife.min.js").read_text(encoding="utf-8"),

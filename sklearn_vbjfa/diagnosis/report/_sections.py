@@ -53,55 +53,29 @@ _ACTIONS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Rows of cells, each a str or a tuple of str (one a line).
+    """Rows of cells, each a str or a tuple of str (one a line)."""
 
-    Attributes
-    ----------
-    heads : tuple of str
-        Heads of the columns; empty for none.
-    rows : tuple of tuple
-        Cells.
-    links : tuple of str
-        Where on its page the effect of each row leads; empty for nowhere.
-    numbers : bool
-        Whether all columns but the first and the last are aligned as numbers are.
-    """
-
-    heads: tuple = ()
+    heads: tuple = ()  # empty for none
     rows: tuple
+    # where on its page the effect of each row leads; empty for nowhere
     links: tuple = ()
+    # whether all columns but the first and the last are aligned as numbers are
     numbers: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
 class Section:
-    """A part of the report.
+    """A part of the report."""
 
-    Attributes
-    ----------
-    heading : str
-        Its title, which a terminal does not show.
-    sentences : tuple of str
-        Paragraphs, or the entries of a list.
-    table : Table or None
-        Below them.
-    note : str
-        Small print below that.
-    terminal : tuple of str or Table
-        What a terminal shows; by default the sentences and the table.
-    template : str
-        Which of ``templates/<template>.html.j2`` draws it on a page.
-    drawn : object
-        What only that template shows.
-    """
-
-    heading: str
-    sentences: tuple = ()
-    table: Table | None = None
-    note: str = ""
+    heading: str  # which a terminal does not show
+    sentences: tuple = ()  # paragraphs, or the entries of a list
+    table: Table | None = None  # below them
+    note: str = ""  # small print below that
+    # what a terminal shows; by default the sentences and the table
     terminal: tuple | None = None
+    # which of ``templates/<template>.html.j2`` draws it on a page
     template: str = "section"
-    drawn: object = None
+    drawn: object = None  # what only that template shows
 
     def __post_init__(self):
         if self.terminal is None:
@@ -483,10 +457,9 @@ def _terminal(sentences, rows):
 
 @dataclass(frozen=True, kw_only=True)
 class Maps:
-    """Residuals over speed and load.
+    """Residuals over speed and load."""
 
-    Of each joint: label, what full colour means, speeds, loads, and the MapPicture.
-    """
+    # Of each joint: label, what full colour means, speeds, loads, and the MapPicture.
 
     pictures: tuple
 

@@ -10,10 +10,8 @@ def is_of_model(outcome, hidden):
 
 
 def model_sentences(outcome):
-    """Say which effects of the robot model could not be seen, a tuple of sentences.
-
-    Those that no motion can show are reported elsewhere: `model_parts`.
-    """
+    """Say which effects of the robot model could not be seen, a tuple of sentences."""
+    # Those that no motion can show are reported elsewhere: `model_parts`.
     groups = {}
     for one in outcome.hidden:
         if is_of_model(outcome, one) and one.reason != "span":

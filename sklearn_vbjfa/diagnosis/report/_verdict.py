@@ -19,34 +19,19 @@ _MEAN_TORQUE = 1.0
 
 @dataclass(frozen=True, kw_only=True)
 class JointVerdict:
-    """What was found out about a joint.
+    """What was found out about a joint."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    label : str
-        What it is called in a sentence.
-    status : str
-        ``"floor"`` (only noise is left), ``"unexplained"``, ``"above"`` (above the
-        floor on the untouched part only), ``"unknown"`` (no floor), ``"worse"``,
-        ``"failed"`` (an error of 100 % or more), ``"few"`` (moves too little in the
-        untouched part for a verdict), ``"unsearched"`` (its channels show too little)
-        or ``"no data"``.
-    n_effects : int
-        Accepted effects.
-    text : str
-        The same in words.
-    remains : str
-        What is known of what remains, in a sentence.
-    """
+    # status: "floor" (only noise is left), "unexplained", "above" (above the floor on
+    # the untouched part only), "unknown" (no floor), "worse", "failed" (an error of 100
+    # % or more), "few" (moves too little in the untouched part for a verdict),
+    # "unsearched" (its channels show too little) and "no data".
 
-    joint: int
-    label: str
+    joint: int  # from zero
+    label: str  # what it is called in a sentence
     status: str
-    n_effects: int
-    text: str
-    remains: str
+    n_effects: int  # accepted ones
+    text: str  # the same in words
+    remains: str  # what is known of what remains, in a sentence
 
 
 @dataclass(frozen=True, kw_only=True)

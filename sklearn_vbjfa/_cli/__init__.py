@@ -301,7 +301,7 @@ def _effects(arguments):
 def _datasets(arguments):
     from tabulate import tabulate
 
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets import protocols
 
     rows = []
     for name, protocol in protocols().items():

@@ -11,9 +11,7 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import _readers
-from sklearn_vbjfa.datasets._catalogue import CATALOGUE
-from sklearn_vbjfa.datasets._download import find_file, remote_files
+from sklearn_vbjfa.datasets import CATALOGUE, _readers, find_file, remote_files
 from sklearn_vbjfa.model import build_model, find_description
 
 # name -> (samples of each recording, joints, period [s])

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     TreeRegressor,
     load_model,

@@ -137,7 +137,7 @@ APART = {
 # The simulators of `datasets` work on the models themselves.
 DOORS_TO_PINOCCHIO = {"model", "datasets"}
 # scikit-learn's private parts, in one file that is no estimator.
-COMPAT = "sklearn_vbjfa.regression._sklearn_compat"
+COMPAT = "sklearn_vbjfa.regression._base"
 
 
 def forbidden_rooms(path):

@@ -20,7 +20,7 @@ from sklearn_vbjfa.diagnosis.report._charts import effect_figure
 from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.effects._in_model import cross_axes, rotation
 from sklearn_vbjfa.effects._library import closure
-from sklearn_vbjfa.model._corrected import CorrectedModel
+from sklearn_vbjfa.model import CorrectedModel
 from sklearn_vbjfa.robot import RigidBodyFeatures
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf

@@ -33,7 +33,7 @@ def main(argv=None):
         with stoppable():
             # Imports take a second, in which a run may be stopped as well.
             arguments = _arguments(argv)
-            from sklearn_vbjfa.physical._threads import one_blas_thread
+            from sklearn_vbjfa.physical._solver import one_blas_thread
 
             # The matrices are small: threads would only wait for each other.
             with one_blas_thread():
@@ -301,7 +301,7 @@ def _effects(arguments):
 def _datasets(arguments):
     from tabulate import tabulate
 
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets import protocols
 
     rows = []
     for name, protocol in protocols().items():

@@ -154,9 +154,7 @@ class _Robot:
 
 def run(arguments):
     """Design a motion, print what it decides and write the files."""
-    from sklearn_vbjfa import effects
-    from sklearn_vbjfa.design import _page, design_motion
-    from sklearn_vbjfa.design._open_questions import read_report
+    from sklearn_vbjfa import design, effects
 
     _check(arguments)
     out = _input.path(arguments.out)
@@ -166,7 +164,7 @@ def run(arguments):
     if arguments.effects is not None:
         asked = _input.names("--effects", arguments.effects, effects.available())
     report = None if arguments.report is None else _input.path(arguments.report)
-    found = None if report is None else read_report(report)
+    found = None if report is None else design.read_report(report)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
@@ -178,7 +176,7 @@ def run(arguments):
         start = _numbers("--start", arguments.start, names, positive=False)
         dt = arguments.dt or _period(robot, found)
         with _progress(f"designing {arguments.duration:g} s for {len(names)} joints"):
-            motion = design_motion(
+            motion = design.design_motion(
                 robot.known,
                 duration=arguments.duration,
                 dt=dt,
@@ -190,11 +188,11 @@ def run(arguments):
             )
         if not motion.within_limits:
             raise ValueError(
-                f"no motion within the limits was found: {_page.exceeded(motion)}; "
+                f"no motion within the limits was found: {design.exceeded(motion)}; "
                 "give another --start, a longer --duration or another --seed."
             )
         noise = np.array(robot.known.torque_noise)
-        background = _page.Background(
+        background = design.Background(
             robot=robot.name,
             description=robot.file,
             report="" if report is None else str(report),
@@ -206,15 +204,15 @@ def run(arguments):
             file=out.name,
             commands=_next(arguments, robot, found),
         )
-        text = _page.summary(motion, background)
+        text = design.summary(motion, background)
         arguments.doubts = [
-            *_page.undecided(motion),
-            *_page.unseen(motion, asked),
+            *design.undecided(motion),
+            *design.unseen(motion, asked),
             *_exit_codes.of_warnings(caught),
         ]
         try:
             with undisturbed():
-                written = _write(motion, _page.page(motion, background), out)
+                written = _write(motion, design.page(motion, background), out)
                 arguments.written = True
         except OSError:
             print("\n".join(text))
@@ -354,7 +352,7 @@ def _robot(arguments, report, found, folder):
 
 def _described(arguments, found, folder):
     """Take a robot of which only the description is known."""
-    from sklearn_vbjfa.design._known_robot import KnownRobot
+    from sklearn_vbjfa.design import KnownRobot
 
     given, joints = _input.path(arguments.urdf), _input.joint_names(arguments.joints)
     if not joints and found is not None:
@@ -374,7 +372,7 @@ def _described(arguments, found, folder):
 def _identified(arguments, path, found, folder):
     """Take a robot from the file that close-loop wrote."""
     from sklearn_vbjfa import load_identified
-    from sklearn_vbjfa.design._known_robot import KnownRobot
+    from sklearn_vbjfa.design import KnownRobot
 
     _options.refuse_given(
         arguments, ("base_orientation",), f"is that of {path}; leave it out"
@@ -422,12 +420,12 @@ def _without_torque_limits(model):
 
 def _agreeing(urdf, model, path):
     """Return the model of a description, refused if it is of another robot."""
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import joint_names, load_reduced, movable_joints
 
-    names = _loading.joint_names(model)
+    names = joint_names(model)
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    movable = _loading.movable_joints(urdf)
+    movable = movable_joints(urdf)
     missing = [name for name in names if name not in movable]
     if missing:
         raise ValueError(
@@ -435,8 +433,8 @@ def _agreeing(urdf, model, path):
             f"has {', '.join(movable)}. Leave --urdf out, or give the description that "
             "close-loop was run with."
         )
-    own = _loading.load_reduced(urdf, names)
-    order = _loading.joint_names(own)
+    own = load_reduced(urdf, names)
+    order = joint_names(own)
     for j, name in enumerate(names, 1):
         k = order.index(name) + 1
         # What holds a joint may come from elsewhere where others are held.
@@ -463,9 +461,8 @@ def _period(robot, found):
 
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot; and what was read."""
-    from sklearn_vbjfa.design import MotionLimits
-    from sklearn_vbjfa.design._refusal import MotionRefused
-    from sklearn_vbjfa.model._loading import joint_names
+    from sklearn_vbjfa.design import MotionLimits, MotionRefused
+    from sklearn_vbjfa.model import joint_names
 
     names, described = robot.known.joint_names, joint_names(robot.model)
     given = {name: np.full(len(names), np.nan) for name in _LIMITS}
@@ -612,7 +609,7 @@ def _template(names, model, given=None):
     # Limits that the description lacks are left as they were given, or guessed: half a
     # turn to each side, through half of the range in a second, and ten times that speed
     # in a second.
-    from sklearn_vbjfa.model._loading import joint_names
+    from sklearn_vbjfa.model import joint_names
 
     described = joint_names(model)
     rows = {}

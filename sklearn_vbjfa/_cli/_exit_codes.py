@@ -44,7 +44,7 @@ def of_channels(findings):
 
 def of_warnings(caught):
     """Texts of the warnings that state a doubt, each once, a list of str."""
-    from sklearn_vbjfa.model._doubts import DoubtWarning
+    from sklearn_vbjfa.model import DoubtWarning
 
     texts = [
         str(one.message) for one in caught if issubclass(one.category, DoubtWarning)

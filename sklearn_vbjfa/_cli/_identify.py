@@ -116,7 +116,7 @@ def _check(arguments):
 def _of_catalogue(arguments):
     """Load a measured set, or the recording that comes with the package."""
     from sklearn_vbjfa import RobotIdentifier
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets import protocols
 
     known, name = protocols(), arguments.data or "demo"
     if name not in known:
@@ -142,7 +142,7 @@ def _of_catalogue(arguments):
 def _own(arguments, folder):
     """Read a recording of one's own."""
     from sklearn_vbjfa import RobotIdentifier
-    from sklearn_vbjfa.datasets._catalogue import Protocol
+    from sklearn_vbjfa.datasets import Protocol
     from sklearn_vbjfa.effects import _declared
 
     source = _input.named(_input.sources(arguments.recording))

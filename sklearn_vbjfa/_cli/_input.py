@@ -52,7 +52,12 @@ def robot(urdf, joints, folder, base_orientation=None):
     """Check a description; write one to `folder` with the unrecorded joints fixed."""
     # base_orientation: of a free base, a text. Returns the path to use and the names of
     # the fixed joints.
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import (
+        load_model,
+        load_reduced,
+        movable_joints,
+        write_reduced,
+    )
 
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
@@ -60,9 +65,9 @@ def robot(urdf, joints, folder, base_orientation=None):
     try:
         with _parser_messages(said):
             if joints:
-                _loading.load_reduced(urdf, joints, base)
+                load_reduced(urdf, joints, base)
             else:
-                _loading.load_model(urdf, base)
+                load_model(urdf, base)
     except ValueError as error:
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
         reason = f" ({said[0]})" if said else ""
@@ -73,8 +78,8 @@ def robot(urdf, joints, folder, base_orientation=None):
         raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
     if not joints and base is None:
         return urdf, ()
-    reduced, joints = folder / urdf.name, joints or _loading.movable_joints(urdf)
-    held = _loading.write_reduced(urdf, reduced, joints, base)
+    reduced, joints = folder / urdf.name, joints or movable_joints(urdf)
+    held = write_reduced(urdf, reduced, joints, base)
     # Files written from this copy get the permissions of the original.
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, held
@@ -179,23 +184,23 @@ def read(arguments, urdf, joints, gains, *, identified=True):
 
 def hold_others(urdf, recording, held, folder):
     """Fix the joints without columns; return the description and all held joints."""
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import movable_joints, write_reduced
 
     moving = recording.joint_names
-    if set(moving) == set(_loading.movable_joints(urdf)):
+    if set(moving) == set(movable_joints(urdf)):
         return urdf, held
     reduced = folder / f"held-{urdf.name}"
-    more = _loading.write_reduced(urdf, reduced, moving)
+    more = write_reduced(urdf, reduced, moving)
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, (*held, *more)
 
 
 def other_joints(urdf, held):
     """Say which joints are held, and which follow others; a list of lines."""
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import load_folded
 
     lines = [f"held at zero: {', '.join(held)}"] if held else []
-    follow = [body.name for body in _loading.load_folded(urdf).followers]
+    follow = [body.name for body in load_folded(urdf).followers]
     if follow:
         lines.append(f"follow other joints, without columns: {', '.join(follow)}")
     return lines
@@ -214,7 +219,7 @@ def channel_findings(recording, urdf, gains):
 
 def check_channels(recording, urdf, gains, source):
     """Refuse channels that cannot be what their names say, warn of doubtful ones."""
-    from sklearn_vbjfa.model._doubts import DoubtWarning
+    from sklearn_vbjfa.model import DoubtWarning
 
     findings = channel_findings(recording, urdf, gains)
     errors = [found.message for found in findings if found.severity == "error"]
@@ -411,7 +416,7 @@ def known_masses(texts, gains):
 
 def check_gains(gains, masses, urdf):
     """Refuse unknown gains of a robot that cannot show them, and unknown links."""
-    from sklearn_vbjfa.model._loading import body_names, load_model
+    from sklearn_vbjfa.model import body_names, load_model
 
     if gains != "unknown":
         return

@@ -16,18 +16,18 @@ from scipy import linalg
 from scipy.linalg import lapack
 from scipy.special import digamma
 
+from sklearn_vbjfa._core._linear_systems import ROUNDING, scaled_eigen
 from sklearn_vbjfa._core._moments import SquareRoot
-from sklearn_vbjfa._core._scaled_eigen import ROUNDING, scaled_eigen
 from sklearn_vbjfa._core._solver import (
+    ENOUGH,
+    LARGEST_LOG,
     PlainSteps,
     Solution,
     climb,
     rounding_of_bound,
     rounding_of_fit,
 )
-from sklearn_vbjfa._core._updates import precision_bound
-
-_LOG_2PI = float(np.log(2 * np.pi))
+from sklearn_vbjfa._core._updates import LOG_2PI, precision_bound
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,7 +94,7 @@ def expect_latent(moments, latent, state):
     if latent.exact:
         residual = yy - 2 * beta @ xy + beta @ S @ beta
         spread = float(np.einsum("ij,ji->", state.beta_cov, S))
-        value = -0.5 * (n * (_LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
+        value = -0.5 * (n * (LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
         return LatentSums(S_tt=S, S_ty=xy, bound=value)
     # The uncertainty of beta acts as additional precision beta_cov / s2 on t.
     H, P, logdet = _given_beta(latent, state.beta_cov, s2)
@@ -116,16 +116,13 @@ def expect_latent(moments, latent, state):
     )  # [C6]
     S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
     cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
-    value = -0.5 * (n * (_LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
+    value = -0.5 * (n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
     return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
 
 
 # Newton steps to the joint maximum of mean and noise; it is close from the second
 # iteration on, and the outer loop continues where this one stops.
 _NEWTON_STEPS = 20
-_ENOUGH = 1e-4  # share of the predicted gain that a step must achieve
-# Largest logarithm of a precision or a noise: its exponential must not overflow.
-_LARGEST_LOG = 300.0
 
 
 def precisions_given_others(mean, variance, alpha, shape0, rate0):
@@ -212,11 +209,11 @@ def mean_and_noise(moments, latent, G, start, alpha):
         step = scaled_eigen(curvature, scale=unit).by_magnitude().solve(gradient)
         promised = gradient @ step
         # The exponential of the log noise must not overflow.
-        length = min(1.0, _LARGEST_LOG / max(abs(step[d]), 1.0))
+        length = min(1.0, LARGEST_LOG / max(abs(step[d]), 1.0))
         while True:
             trial = mean + length * step[:d], log_noise + length * step[d]
             new = value(*trial)
-            if new >= best + _ENOUGH * length * promised:
+            if new >= best + ENOUGH * length * promised:
                 break
             length *= 0.5
             if length * promised <= np.finfo(float).eps * n:
@@ -351,7 +348,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Point:
+class CorrelatedPoint:
     """A state with everything the next step needs, and its bound."""
 
     state: CorrelatedState
@@ -492,13 +489,13 @@ class CorrelatedProblem:
             # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
             # variances of directions with little information do not cancel.
             left = self.root.z - self.root.R @ state.beta_mean
-            data = self.n * (_LOG_2PI + np.log(state.psi_y)) + spread
+            data = self.n * (LOG_2PI + np.log(state.psi_y)) + spread
             data += (left @ left + self.root.rest) / state.psi_y
             sums = replace(sums, bound=-0.5 * float(data))  # [C12]
         value = sums.bound + _prior_bound(
             state, self.ard_shape, self.ard_rate, logdet, self.shared
         )
-        return Point(
+        return CorrelatedPoint(
             state=state, logdet=logdet, precisions=precisions, sums=sums, value=value
         )
 
@@ -531,7 +528,7 @@ class CorrelatedProblem:
     def moved(self, point, vector):
         """Return a point with these coordinates, to make a plain step from."""
         d, state = self.d, point.state
-        logs = np.clip(vector[: d + 1], -_LARGEST_LOG, _LARGEST_LOG)
+        logs = np.clip(vector[: d + 1], -LARGEST_LOG, LARGEST_LOG)
         state = replace(
             state,
             alpha_rate=state.alpha_shape * np.exp(-logs[:d]),

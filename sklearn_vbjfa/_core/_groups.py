@@ -6,6 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import logsumexp
 
+from sklearn_vbjfa._core._linear_systems import or_one
+
 # Scales of a group's torque, over that of the joint, at which its evidence is summed.
 _SCALES = np.geomspace(1e-4, 1e2, 25)
 # Share of its power that a direction of a group must keep beside everything else.
@@ -114,10 +116,10 @@ class Groups:
     def coefficients(self):
         """Coefficients (c, k) of least squares, of what is seen of each group."""
         value, rest, vectors = self._spectral
-        inside = rest / np.where(value > 0, value, 1.0)
+        inside = rest / or_one(value)
         return np.einsum("cab,cb->ca", vectors, inside) * self.unit
 
     def gain(self):
         """Fall (c,) of the weighted squared error by least squares."""
         value, rest, _ = self._spectral
-        return (rest**2 / np.where(value > 0, value, 1.0)).sum(axis=1)
+        return (rest**2 / or_one(value)).sum(axis=1)

@@ -1,18 +1,47 @@
-"""Least squares on columns of unit length, and total least squares.
+"""Linear systems in scaled columns: eigenvalues, least squares, dependent columns.
 
-The alternatives to the joint factor models work on the rows or a triangular factor of
-them; columns are first scaled to unit length, so that ranks do not depend on units.
+Columns of data, or of a Gram or covariance matrix, may have any unit. Scaled to unit
+length, or to a unit diagonal, a direction counts as known if its singular value exceeds
+rounding: rank, pseudo-inverse and null space then do not depend on the choice of units.
+
+Independent noise cannot be subtracted from inputs that are sums of each other. Second
+moments do not say which generate the rest, but two unit-free rules do. If all dependent
+inputs are sums with non-negative weights of as few of them as the span has dimensions,
+it is these, the extreme rays of the cone of all. Otherwise it is the subset of largest
+volume in standardised columns: all others have weights of at most one.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy import linalg, optimize
 
-from sklearn_vbjfa._core._moments import is_constant
-
+# Rounding of a constant column is a few units in the last place of its values; a
+# spread below this fraction of its mean carries no data.
+CONSTANT_COLUMN = 32 * float(np.finfo(float).eps)
 # Relative distance of squared singular values below which total least squares is
 # nongeneric: nearer than this, half of the solution's digits are rounding.
 NONGENERIC = np.sqrt(np.finfo(np.float64).eps)
+# Rounding of a zero eigenvalue, as a share of the largest one, per row.
+ROUNDING = 4 * float(np.finfo(float).eps)
+# Share of a standardised column's variance below which a dependency counts as exact:
+# a generous bound on the rounding of second moments.
+DEPENDENCY_TOLERANCE = 1e-9
+# Beyond this many dependent columns the search for extreme rays is not worth its cost.
+_MOST_RAYS = 500
+
+
+def is_constant(spread, mean):
+    """Whether columns are constant up to rounding, whatever their unit."""
+    # spread, mean: root mean square deviation from the mean, and the mean; about zero,
+    # the root mean square and zero: then a column is constant only if it is zero.
+    noise = CONSTANT_COLUMN * np.abs(mean)
+    return spread <= np.maximum(noise, np.finfo(np.float64).tiny)
+
+
+def or_one(sizes):
+    """Return sizes to divide by: one in place of what is not positive."""
+    return np.where(sizes > 0, sizes, 1.0)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +61,7 @@ def unit_columns(X, weight, *, center):
     # pass removes the rounding of the first mean: any unit and offset is treated alike.
     total = weight.sum()
     magnitude = np.maximum(X.max(axis=0), -X.min(axis=0))
-    magnitude = np.where(magnitude > 0, magnitude, 1.0)
+    magnitude = or_one(magnitude)
     values = X / magnitude
     mean = np.zeros(X.shape[1])
     if center:
@@ -58,7 +87,7 @@ def rank_tolerance(matrix):
 def orthonormal_basis(matrix):
     """Orthonormal basis of the column space, columns scaled to one length first."""
     length = np.linalg.norm(matrix, axis=0)
-    scaled = matrix / np.where(length > 0, length, 1.0)
+    scaled = matrix / or_one(length)
     U, s, _ = np.linalg.svd(scaled, full_matrices=False)
     if s.size == 0:
         return U
@@ -80,7 +109,7 @@ class ScaledSolution:
 def scaled_lstsq(matrix, target):
     """Least squares, of minimum norm among the columns scaled to one length."""
     length = np.linalg.norm(matrix, axis=0)
-    length = np.where(length > 0, length, 1.0)
+    length = or_one(length)
     U, s, Vt = np.linalg.svd(matrix / length, full_matrices=True)
     rank = int(np.sum(s > rank_tolerance(matrix) * s.max(initial=0.0)))
     basis = Vt[:rank].T / s[:rank]
@@ -135,3 +164,178 @@ def _classical_tls(columns, target, floor):
         rank -= 1
         rest = np.hypot(rest, along[rank])
     return np.zeros(columns.shape[1]), 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ScaledEigen:
+    """Decomposition of A = D V diag(values) V' D, and which directions are known."""
+
+    scale: np.ndarray  # (p,): D; one for a column whose diagonal is not positive
+    values: np.ndarray  # (p,): eigenvalues of the scaled matrix, ascending
+    vectors: np.ndarray  # (p, p): eigenvectors, in scaled coordinates
+    known: np.ndarray  # (p,): directions above the tolerance
+
+    @property
+    def rank(self):
+        """Number of known directions."""
+        return int(self.known.sum())
+
+    @property
+    def known_values(self):
+        """Eigenvalues of the known directions, ndarray of shape (rank,)."""
+        return self.values[self.known]
+
+    @property
+    def known_vectors(self):
+        """Known directions in scaled coordinates, ndarray of shape (p, rank)."""
+        return self.vectors[:, self.known]
+
+    @property
+    def null_space(self):
+        """Directions that are not known, in scaled coordinates, (p, p - rank)."""
+        return self.vectors[:, ~self.known]
+
+    def lost(self, share):
+        """Columns (p,), bool, with more than this share in the null space."""
+        return (self.null_space**2).sum(axis=1) > share
+
+    def matrix(self):
+        """Return A without its null space, ndarray of shape (p, p)."""
+        values = np.where(self.known, self.values, 0.0)
+        scaled = (self.vectors * values) @ self.vectors.T
+        return scaled * np.outer(self.scale, self.scale)
+
+    def by_magnitude(self):
+        """Decomposition with the magnitudes of the eigenvalues, none below rounding."""
+        # A Newton step with it is an ascent, whatever the signs of the curvature.
+        size = np.abs(self.values)
+        floor = size.size * np.finfo(float).eps * size[-1]
+        known = np.ones(size.size, dtype=bool)
+        return replace(self, values=np.maximum(size, floor), known=known)
+
+    def root(self):
+        """F of shape (rank, p) with F'F = A without its null space."""
+        return (self.known_vectors * np.sqrt(self.known_values)).T * self.scale
+
+    def inverse_root(self):
+        """L of shape (p, rank) with L L' the pseudo-inverse of A in scaled columns."""
+        return self.known_vectors / np.sqrt(self.known_values) / self.scale[:, None]
+
+    def inverse(self):
+        """Pseudo-inverse of A in scaled columns, ndarray of shape (p, p)."""
+        V = self.known_vectors
+        scaled = (V * (1.0 / self.known_values)) @ V.T
+        return scaled / np.outer(self.scale, self.scale)
+
+    def solve(self, b):
+        """Minimum-norm solution x of A x = b, (p,) or (p, k), in scaled columns."""
+        V, scale = self.known_vectors, self.scale
+        values = self.known_values
+        if b.ndim == 2:
+            scale, values = scale[:, None], values[:, None]
+        return V @ ((V.T @ (b / scale)) / values) / scale
+
+
+def scaled_eigen(A, tolerance=None, *, scale=None, relative=True):
+    """Decompose a symmetric matrix (p, p) in columns of a scale."""
+    # scale (p,): the root of the diagonal if None; 1.0 takes A as it is.
+    # tolerance: share of the largest eigenvalue above which a direction is known, by
+    # default the rounding of p rows; with relative=False the eigenvalue itself.
+    p = A.shape[0]
+    if scale is None:
+        diagonal = np.diagonal(A)
+        scale = np.sqrt(or_one(diagonal))
+    scale = np.broadcast_to(np.asarray(scale, dtype=float), (p,))
+    values, vectors = linalg.eigh(A / np.outer(scale, scale))
+    limit = p * ROUNDING if tolerance is None else tolerance
+    if relative:
+        limit = limit * max(values[-1], 0.0) if p else limit
+    return ScaledEigen(
+        scale=scale, values=values, vectors=vectors, known=values > limit
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Dependencies:
+    """Generators among the inputs."""
+
+    basis: np.ndarray  # columns that generate all others, ascending
+    # for each column of the basis, the column itself and its exact copies
+    copies: tuple
+    rule: str  # how the basis was found
+
+
+def find_dependencies(R):
+    """Find the generating columns from the correlation matrix R (d, d)."""
+    d = R.shape[0]
+    eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
+    alone = tuple(np.array([j]) for j in range(d))
+    if eigen.rank == d:
+        return Dependencies(basis=np.arange(d), copies=alone, rule="full rank")
+    involved = eigen.lost(1e-6)
+    dependent, free = np.flatnonzero(involved), np.flatnonzero(~involved)
+    groups = _copies(R, dependent)
+    first = np.array([group[0] for group in groups])
+    rank = eigen.rank - free.size
+    # Columns as points: F'F = R without the null space.
+    rays = _extreme_rays(eigen.root(), first) if first.size <= _MOST_RAYS else None
+    if rays is not None and rays.size == rank:
+        chosen, rule = rays, "rays"
+    else:
+        chosen, rule = _largest_volume(R, first, rank), "volume"
+    members = {int(group[0]): group for group in groups}
+    members.update({int(j): np.array([j]) for j in free})
+    basis = np.sort(np.concatenate([free, chosen]))
+    return Dependencies(
+        basis=basis, copies=tuple(members[int(j)] for j in basis), rule=rule
+    )
+
+
+def _copies(R, columns):
+    """Group columns that are multiples of each other."""
+    waiting, groups = list(columns), []
+    while waiting:
+        j = waiting[0]
+        same = [k for k in waiting if abs(R[j, k]) > 1 - DEPENDENCY_TOLERANCE]
+        groups.append(np.array(same))
+        waiting = [k for k in waiting if k not in same]
+    return groups
+
+
+def _extreme_rays(F, columns):
+    """Columns that are not non-negative combinations of the others."""
+    kept = list(columns)
+    for j in columns:
+        others = [k for k in kept if k != j]
+        if not others:
+            break
+        _, distance = optimize.nnls(F[:, others], F[:, j])
+        if distance < np.sqrt(DEPENDENCY_TOLERANCE):
+            kept.remove(j)
+    return np.array(kept)
+
+
+def _largest_volume(R, columns, rank):
+    """Greedy pivoting, then swaps while they enlarge the volume."""
+    S = R[np.ix_(columns, columns)].copy()
+    left = np.diagonal(S).copy()
+    L = np.zeros((columns.size, rank))
+    chosen = []
+    for k in range(rank):
+        j = int(np.argmax(left))
+        L[:, k] = (S[:, j] - L[:, :k] @ L[j, :k]) / np.sqrt(left[j])
+        left -= L[:, k] ** 2
+        chosen.append(j)
+        left[chosen] = -np.inf
+    inside = np.array(chosen)
+    outside = np.setdiff1d(np.arange(columns.size), inside)
+    while outside.size:
+        weights = linalg.solve(
+            S[np.ix_(inside, inside)], S[np.ix_(inside, outside)], assume_a="pos"
+        )
+        i, j = np.unravel_index(np.argmax(np.abs(weights)), weights.shape)
+        # Each swap multiplies the volume by the weight: it ends.
+        if abs(weights[i, j]) <= 1 + 1e-6:
+            break
+        inside[i], outside[j] = outside[j], inside[i]
+    return columns[inside]

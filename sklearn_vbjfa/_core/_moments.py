@@ -11,25 +11,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import is_constant, scaled_eigen
 
 _EPS = float(np.finfo(float).eps)
-
-# Rounding of a constant column is a few units in the last place of its values; a
-# spread below this fraction of its mean carries no data.
-CONSTANT_COLUMN = 32 * _EPS
 
 # Rows per block of the one pass over the data: small enough that the centred copy
 # of a block stays in the processor's cache, large enough for the matrix product.
 _BLOCK_BYTES = 4 << 20
-
-
-def is_constant(spread, mean):
-    """Whether columns are constant up to rounding, whatever their unit."""
-    # spread, mean: root mean square deviation from the mean, and the mean; about zero,
-    # the root mean square and zero: then a column is constant only if it is zero.
-    noise = CONSTANT_COLUMN * np.abs(mean)
-    return spread <= np.maximum(noise, np.finfo(np.float64).tiny)
 
 
 # ------------------------------------------------------------------ rows to moments

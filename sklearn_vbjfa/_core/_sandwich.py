@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 
 # Directions of the scaled Gram matrix below this count as undetermined.
 _RANK = 1e-10

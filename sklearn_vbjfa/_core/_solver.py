@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     HiddenExpectations,
@@ -201,7 +201,7 @@ def start(moments, prior, input_noise):
 
 _TINY = float(np.finfo(float).tiny)
 # Largest logarithm: its exponential must not overflow.
-_LARGEST_LOG = 300.0
+LARGEST_LOG = 300.0
 
 
 def _blocks(prior):
@@ -236,9 +236,9 @@ def from_vector(vector, like, prior):
     values = {}
     for name, row in zip(names, rows):
         if not name.endswith("mean"):
-            row = np.exp(np.clip(row, -_LARGEST_LOG, _LARGEST_LOG))
+            row = np.exp(np.clip(row, -LARGEST_LOG, LARGEST_LOG))
         values[name] = np.maximum(row, VARIANCE_FLOOR) if name[:3] == "psi" else row
-    psi_y = np.exp(np.clip(vector[-1], -_LARGEST_LOG, _LARGEST_LOG))
+    psi_y = np.exp(np.clip(vector[-1], -LARGEST_LOG, LARGEST_LOG))
     values["psi_y"] = max(float(psi_y), VARIANCE_FLOOR)
     return update_precisions(replace(like, **values), prior)
 
@@ -308,7 +308,7 @@ def slope(moments, state, hidden, prior):
 # limited-memory quasi-Newton methods (Nocedal and Wright, 2006, section 7.2).
 _MEMORY = 10
 # Share of the gain predicted by the slope that a step must achieve (their c1).
-_ENOUGH = 1e-4
+ENOUGH = 1e-4
 # Trials along one direction before the plain step is taken instead.
 _TRIALS = 4
 
@@ -407,7 +407,7 @@ class QuasiNewtonSteps(PlainSteps):
         for k in range(trials):
             vector = _on_grid(start + length * direction, point)
             trial = self.problem.evaluate(from_vector(vector, point.state, prior))
-            if trial.value >= point.value + _ENOUGH * length * promised:
+            if trial.value >= point.value + ENOUGH * length * promised:
                 return trial, k + 1
             # The parabola through both values and the slope, within [0.1, 0.5].
             short = 2 * (point.value + length * promised - trial.value)

@@ -252,7 +252,7 @@ def update_noise(moments, old, state, hidden, prior):
     )
 
 
-_LOG_2PI = float(np.log(2 * np.pi))
+LOG_2PI = float(np.log(2 * np.pi))
 
 
 def bound(moments, state, hidden, prior):
@@ -266,9 +266,9 @@ def data_bound(moments, hidden):
     # x_m ~ N(0, psi_x + w_x^2 / a_m) and y | x ~ N(c'x, s), a_m being `t_precision`;
     # each sample then also pays -log(a_m) / 2.
     n = moments.n
-    x_part = n * (_LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
+    x_part = n * (LOG_2PI + np.log(hidden.x_var) + np.log(hidden.t_precision))
     x_part = x_part + moments.xx / hidden.x_var
-    y_part = n * (_LOG_2PI + np.log(hidden.y_var)) + hidden.S_ee / hidden.y_var
+    y_part = n * (LOG_2PI + np.log(hidden.y_var)) + hidden.S_ee / hidden.y_var
     return -0.5 * float(x_part.sum() + y_part)  # [B1]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_vbjfa.datasets import _readers
 from sklearn_vbjfa.datasets._download import Access, DataFiles, source_address
-from sklearn_vbjfa.model._descriptions import find_description, kr300_description
+from sklearn_vbjfa.model import find_description, kr300_description
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._resample import Log, join, median_period
 
@@ -81,7 +81,7 @@ class DataSet:
     # fields of the `Recording`
     licence: str
     citation: str
-    description: str
+    description: str | dict[str, str]  # the same; of each choice of ``which``
     protocol: Protocol
 
     def load(
@@ -106,13 +106,20 @@ class DataSet:
             source=self.source or source_address(name),
             licence=self.licence,
             citation=self.citation,
-            description=self.description,
+            description=_chosen(self.description, options),
         )
 
 
 def load(name: str, access: Access, **options) -> Recording:
     """Load one set of the catalogue; see `DataSet.load`."""
     return CATALOGUE[name].load(name, access, **options)
+
+
+def _chosen(said, options):
+    """Return what is said of the files that were chosen."""
+    return (
+        said if isinstance(said, str) else said[options.get("which", next(iter(said)))]
+    )
 
 
 def _one_each(units, nv):
@@ -130,6 +137,8 @@ _FIGAROH = (
     'Lamiraux, "FIGAROH: a Python toolbox for dynamic identification and '
     'geometric calibration of robots and humans", Humanoids 2023.'
 )
+
+_PENDULUM = "Double pendulum with two AK80-6 drives (ratio 6), design A.0."
 
 CATALOGUE = {
     "emps": DataSet(
@@ -276,10 +285,10 @@ CATALOGUE = {
             '"Open Source Dual-Purpose Acrobot and Pendubot Platform", IEEE '
             "Robotics & Automation Magazine 31(2), 2024."
         ),
-        description=(
-            "Double pendulum with two AK80-6 drives (ratio 6), design A.0. Torque "
-            "measured by the drives."
-        ),
+        description={
+            "short": f"{_PENDULUM} Torque measured by the drives.",
+            "long": f"{_PENDULUM} Torque as commanded.",
+        },
         protocol=Protocol(cutoff=12.0),
     ),
     "tiago": DataSet(

@@ -1,22 +1,82 @@
 """Public loaders of the measured sets: what each of them holds, for users."""
 
+import functools
+import inspect
+import textwrap
 from collections.abc import Sequence
-from dataclasses import replace
 from os import PathLike
 
-from sklearn_vbjfa.datasets._catalogue import load
+from sklearn_vbjfa.datasets._catalogue import CATALOGUE, load
 from sklearn_vbjfa.datasets._download import Access
 from sklearn_vbjfa.datasets._readers import UR5_GAINS
 from sklearn_vbjfa.recording._recording import Recording
 
+# What the documentation of all loaders shares, by where it stands.
+_SHARED = {
+    "{access}": """\
+data_home : path-like or None, default=None
+    Folder that holds, or will hold, the folder ``{name}``; by default
+    ``sklearn_vbjfa`` in scikit-learn's data folder.
+download_if_missing : bool, default=True
+    Whether to download what is absent instead of raising an error.
+n_retries : int, default=3
+    Further tries after a failure of the network.
+delay : float, default=1.0
+    Time between two tries [s].""",
+    "{resample}": """\
+resample : bool, default=True
+    If False, samples and stamps are as recorded.""",
+    "{raises}": """\
+Raises
+------
+OSError
+    If a file is absent and may not or cannot be downloaded, or does not
+    hold what was published.""",
+}
 
-def fetch_emps(
-    *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
-) -> Recording:
+
+def _loader(told):
+    """Make the public loader of a set from its own options and their documentation."""
+    # It has the options of `Access` in front, and where the documentation names them
+    # what `_SHARED` and the catalogue say.
+    name = told.__name__.removeprefix("fetch_")
+    common = inspect.signature(Access).parameters
+    own = inspect.signature(told).parameters
+    parameters = [
+        one.replace(kind=one.KEYWORD_ONLY) for one in (*common.values(), *own.values())
+    ]
+    signature = inspect.Signature(parameters, return_annotation=Recording)
+
+    @functools.wraps(told)
+    def fetch(**options):
+        bound = signature.bind(**options)
+        bound.apply_defaults()
+        given = bound.arguments
+        access = Access(*(given.pop(key) for key in common))
+        return load(name, access, **given)
+
+    del fetch.__wrapped__
+    fetch.__signature__ = signature
+    fetch.__annotations__ = {one.name: one.annotation for one in parameters}
+    fetch.__annotations__["return"] = Recording
+    fetch.__doc__ = told.__doc__ and _documented(told.__doc__, name)
+    return fetch
+
+
+def _documented(text, name):
+    """Fill in what the documentation of a loader leaves to `_SHARED` and catalogue."""
+    cited = textwrap.wrap(
+        f".. [1] {CATALOGUE[name].citation}", 76, subsequent_indent="   "
+    )
+    cited = "\n".join(["References", "----------", *cited])
+    parts = _SHARED | {"{references}": cited}
+    for key, part in parts.items():
+        text = text.replace(f"    {key}", textwrap.indent(part, "    "))
+    return text.replace("{name}", name)
+
+
+@_loader
+def fetch_emps():
     """Load the electro-mechanical positioning system: one horizontal slide.
 
     A ball screw driven by a direct-current motor, in closed loop at 1 kHz.
@@ -24,15 +84,7 @@ def fetch_emps(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``emps``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
 
     Returns
     -------
@@ -45,11 +97,7 @@ def fetch_emps(
         "pulses" (n_samples,) [N] (zero in the first recording). The model is
         a prismatic joint without gravity.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
@@ -57,10 +105,7 @@ def fetch_emps(
     a licence text. The publishers identified a mass of 95.1 kg, 203.5 N s/m
     viscous and 20.4 N dry friction, and an offset of -3.16 N.
 
-    References
-    ----------
-    .. [1] A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of
-       EMPS", Workshop on Nonlinear System Identification Benchmarks, 2019.
+    {references}
 
     Examples
     --------
@@ -69,17 +114,10 @@ def fetch_emps(
     >>> emps.select("DATA_EMPS").q.shape  # doctest: +SKIP
     (24841, 1)
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("emps", access)
 
 
-def fetch_tflex_1dof(
-    *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
-) -> Recording:
+@_loader
+def fetch_tflex_1dof():
     """Load the T-Flex axis: a flexure hinge with a direct-drive motor.
 
     Random motion at 1 kHz. Angle and speed are converted from degrees;
@@ -87,15 +125,7 @@ def fetch_tflex_1dof(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``tflex_1dof``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
 
     Returns
     -------
@@ -107,20 +137,14 @@ def fetch_tflex_1dof(
         model is a hinge about the vertical, so without gravity; its inertia
         of 1 is a placeholder.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
     Licence: MIT. There is practically no dry friction; a spring (the flexure)
     and a ripple of the motor with a period of about 19 degrees remain.
 
-    References
-    ----------
-    .. [1] W. van Dijk, repository Inverse_dynamics_learning, 2019.
+    {references}
 
     Examples
     --------
@@ -129,19 +153,14 @@ def fetch_tflex_1dof(
     >>> tflex.torque_units  # doctest: +SKIP
     ('count',)
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("tflex_1dof", access)
 
 
+@_loader
 def fetch_bam_xl330(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     include_free_swing: bool = False,
     resample: bool = True,
-) -> Recording:
+):
     """Load logs of a Dynamixel XL330 servo that swings a pendulum.
 
     Four trajectories at three position gains, 6 s each, with a load of
@@ -150,23 +169,14 @@ def fetch_bam_xl330(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``bam_xl330``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
     include_free_swing : bool, default=False
         Whether to keep the last 4 s of the "lift_and_drop" runs, in which
         the motor is switched off. Only friction and gravity act then, without
         the braking by the motor's own current, so that the parameters of the
         powered motor do not hold. If kept, they are recordings of their own,
         "kp..._lift_and_drop_free".
-    resample : bool, default=True
-        If False, samples and stamps are as recorded.
+    {resample}
 
     Returns
     -------
@@ -181,11 +191,7 @@ def fetch_bam_xl330(
         [0 or 1], "kp" (firmware gain); (n_samples, 1): "q_ref" [rad]. The model
         is the load on a horizontal axis; the arm is not in it.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
@@ -193,10 +199,7 @@ def fetch_bam_xl330(
     R unknown. In volts, every parameter is therefore scaled by R / kt, and the
     back electromotive force adds kt to the viscous coefficient [V s/rad].
 
-    References
-    ----------
-    .. [1] M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended Friction
-       Models for the Physics Simulation of Servo Actuators", ICRA 2025.
+    {references}
 
     Examples
     --------
@@ -205,21 +208,14 @@ def fetch_bam_xl330(
     >>> len(servo.group_names), servo.torque_units  # doctest: +SKIP
     (12, ('V',))
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load(
-        "bam_xl330", access, include_free_swing=include_free_swing, resample=resample
-    )
 
 
+@_loader
 def fetch_dfki_double_pendulum(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     which: str = "short",
     resample: bool = True,
-) -> Recording:
+):
     """Load runs of a double pendulum with two quasi-direct drives.
 
     Stamps vary: positions are interpolated by a cubic spline and all else
@@ -227,22 +223,13 @@ def fetch_dfki_double_pendulum(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``dfki_double_pendulum``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
     which : {"short", "long"}, default="short"
         "short": nine runs of 10 s (one of 6 s) whose torque the drives
         measured from their current. "long": one run of 75 s whose torque is
         noise-free, so rather the command than a measurement. They are not
         mixed, as `tau` would change its meaning.
-    resample : bool, default=True
-        If False, samples and stamps are as recorded.
+    {resample}
 
     Returns
     -------
@@ -255,11 +242,7 @@ def fetch_dfki_double_pendulum(
         Signals of "short" (n_samples, 2): "tau_command" [N m]. The model is
         a chain of two links on parallel horizontal axes.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
     ValueError
         If `which` is unknown.
 
@@ -270,11 +253,7 @@ def fetch_dfki_double_pendulum(
     has a poor signal-to-noise ratio. The published URDF counts the second
     angle from the folded position (add pi); the model here does not.
 
-    References
-    ----------
-    .. [1] F. Wiebe, S. Kumar, L. Shala, S. Vyas, M. Javadi, F. Kirchner, "Open
-       Source Dual-Purpose Acrobot and Pendubot Platform", IEEE Robotics &
-       Automation Magazine 31(2), 2024.
+    {references}
 
     Examples
     --------
@@ -283,23 +262,14 @@ def fetch_dfki_double_pendulum(
     >>> pendulum.joint_names  # doctest: +SKIP
     ('shoulder', 'elbow')
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    runs = load("dfki_double_pendulum", access, which=which, resample=resample)
-    if which == "short":
-        return runs
-    said = runs.description.replace("measured by the drives", "as commanded")
-    return replace(runs, description=said)
 
 
+@_loader
 def fetch_ur5(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     gains: Sequence[float] = UR5_GAINS,
     resample: bool = True,
-) -> Recording:
+):
     """Load movements of a Universal Robots UR5 with its motor currents.
 
     Eight contact-free movements. Five are uniform at 125 Hz and left as they
@@ -309,20 +279,11 @@ def fetch_ur5(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``ur5``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
     gains : sequence of 6 floats, default=(12.63, 12.63, 12.63, 9.31, 9.31, 9.31)
         Joint torque per motor current [N m/A]. The default values are not
         published with the data nor verified; they only scale each joint.
-    resample : bool, default=True
-        If False, samples and stamps are as recorded.
+    {resample}
 
     Returns
     -------
@@ -334,11 +295,7 @@ def fetch_ur5(
         "m_target" [N m] (rigid model of the controller), "q_target" [rad],
         "qd_target" [rad/s], "qdd_target" [rad/s^2].
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
     ValueError
         If `gains` does not hold six finite numbers.
 
@@ -348,10 +305,7 @@ def fetch_ur5(
     stiction band, which is wide: leave out samples with little speed. The
     model is ur5_robot.urdf of example-robot-data.
 
-    References
-    ----------
-    .. [1] K. Kufieta, "Force Estimation in Robotic Manipulators: Modeling,
-       Simulation and Experiments", MSc thesis, NTNU, 2014.
+    {references}
 
     Examples
     --------
@@ -360,17 +314,10 @@ def fetch_ur5(
     >>> ur5.select("No6").tau.shape  # doctest: +SKIP
     (10264, 6)
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("ur5", access, gains=gains, resample=resample)
 
 
-def fetch_staubli_tx40(
-    *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
-) -> Recording:
+@_loader
+def fetch_staubli_tx40():
     """Load a trajectory of a Staubli TX40 with motor torques from the current.
 
     Motor angles and torques are brought to the joints with the gear ratios
@@ -379,15 +326,7 @@ def fetch_staubli_tx40(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``staubli_tx40``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
 
     Returns
     -------
@@ -397,11 +336,7 @@ def fetch_staubli_tx40(
         [N m] as published. `urdf` is None if the description is absent and
         `download_if_missing` is False.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
@@ -425,17 +360,10 @@ def fetch_staubli_tx40(
     >>> tx40.q.shape  # doctest: +SKIP
     (45000, 6)
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("staubli_tx40", access)
 
 
-def fetch_kuka_kr300(
-    *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
-) -> Recording:
+@_loader
+def fetch_kuka_kr300():
     """Load two trajectories of a KUKA KR300 R2500 ultra SE.
 
     Degrees are converted to radians and motor torques to joint torques with
@@ -443,15 +371,7 @@ def fetch_kuka_kr300(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``kuka_kr300``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
 
     Returns
     -------
@@ -465,11 +385,7 @@ def fetch_kuka_kr300(
         authors' model; "q_ref" [rad], "v_ref" [rad/s]. Signals (n_samples, 3):
         "q_link" [rad], "v_link" [rad/s] of the second encoders on axes 1 to 3.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
@@ -479,10 +395,7 @@ def fetch_kuka_kr300(
     still and the torque lies anywhere inside the stiction band: leave these
     samples out.
 
-    References
-    ----------
-    .. [1] J. Weigand, J. Ulmen, A. Janot, M. Ruskowski, robot identification
-       code and measurements, repository Robot_Identification, 2021.
+    {references}
 
     Examples
     --------
@@ -491,18 +404,13 @@ def fetch_kuka_kr300(
     >>> kr300.group_names  # doctest: +SKIP
     ('A', 'B')
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("kuka_kr300", access)
 
 
+@_loader
 def fetch_franka_panda(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     resample: bool = True,
-) -> Recording:
+):
     """Load an exciting trajectory of a Franka Emika Panda.
 
     The stamps are irregular (0.7 to 8.8 ms) and 6 % of the rows repeat the
@@ -511,17 +419,8 @@ def fetch_franka_panda(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``franka_panda``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
-    resample : bool, default=True
-        If False, samples and stamps are as recorded.
+    {access}
+    {resample}
 
     Returns
     -------
@@ -530,11 +429,7 @@ def fetch_franka_panda(
         and `v` [rad/s] (the robot's own estimate), `tau` [N m] of the joint
         torque sensors, gravity included. The model has its fingers fixed.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
 
     Notes
     -----
@@ -542,12 +437,7 @@ def fetch_franka_panda(
     gears, so most of the motor friction and the rotor inertia do not show. The
     model is panda.urdf of example-robot-data.
 
-    References
-    ----------
-    .. [1] C. Gaz, M. Cognetti, A. Oliva, P. Robuffo Giordano, A. De Luca,
-       "Dynamic Identification of the Franka Emika Panda Robot With Retrieval
-       of Feasible Parameters Using Penalty-Based Optimization", IEEE RA-L,
-       2019.
+    {references}
 
     Examples
     --------
@@ -556,18 +446,13 @@ def fetch_franka_panda(
     >>> panda.nv  # doctest: +SKIP
     7
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("franka_panda", access, resample=resample)
 
 
+@_loader
 def fetch_kuka_lbr_med7(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     which: str = "fast",
-) -> Recording:
+):
     """Load recordings of a KUKA LBR Med 7 with joint torque sensors.
 
     The published torque is the opposite of the usual joint torque; its sign is
@@ -576,15 +461,7 @@ def fetch_kuka_lbr_med7(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``kuka_lbr_med7``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
     which : {"fast", "slow", "all"}, default="fast"
         "fast": measurements.csv, up to 1.1 rad/s. "slow": up to 0.3 rad/s,
         so nearly gravity alone, a case of weak excitation. The slow one was
@@ -603,11 +480,7 @@ def fetch_kuka_lbr_med7(
         tool was mounted. `urdf` is None if the description is absent and
         `download_if_missing` is False.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
     ValueError
         If `which` is unknown.
 
@@ -616,9 +489,7 @@ def fetch_kuka_lbr_med7(
     Licence: MIT. From row 285 to 645 of "measurements" the robot holds still:
     the positions are exactly constant while the torques show sensor noise.
 
-    References
-    ----------
-    .. [1] lbr-stack, repository dynamic_parameter_identification.
+    {references}
 
     Examples
     --------
@@ -627,19 +498,14 @@ def fetch_kuka_lbr_med7(
     >>> lbr.q.shape  # doctest: +SKIP
     (1647, 7)
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("kuka_lbr_med7", access, which=which)
 
 
+@_loader
 def fetch_tiago(
     *,
-    data_home: str | PathLike | None = None,
-    download_if_missing: bool = True,
-    n_retries: int = 3,
-    delay: float = 1.0,
     rows: str = "exciting",
     resample: bool = True,
-) -> Recording:
+):
     """Load a recording of the torso and arm of a PAL Robotics TIAGo.
 
     Currents are brought to joint torques with the publishers' gear ratios and
@@ -648,20 +514,11 @@ def fetch_tiago(
 
     Parameters
     ----------
-    data_home : path-like or None, default=None
-        Folder that holds, or will hold, the folder ``tiago``; by default
-        ``sklearn_vbjfa`` in scikit-learn's data folder.
-    download_if_missing : bool, default=True
-        Whether to download what is absent instead of raising an error.
-    n_retries : int, default=3
-        Further tries after a failure of the network.
-    delay : float, default=1.0
-        Time between two tries [s].
+    {access}
     rows : {"exciting", "all"}, default="exciting"
         "exciting": rows 921 to 6790 (counted from 0), which the publishers
         use. "all": also what comes before and after.
-    resample : bool, default=True
-        If False, samples and stamps are as recorded.
+    {resample}
 
     Returns
     -------
@@ -671,11 +528,7 @@ def fetch_tiago(
         [N for the torso, else N m]. Signals (n_samples, 8): "effort", as
         published [A for the arm]. The model has all other joints fixed.
 
-    Raises
-    ------
-    OSError
-        If a file is absent and may not or cannot be downloaded, or does not
-        hold what was published.
+    {raises}
     ValueError
         If `rows` is unknown.
 
@@ -687,11 +540,7 @@ def fetch_tiago(
     add 9.81 m/s^2 times the mass carried). The model is tiago.urdf of
     example-robot-data.
 
-    References
-    ----------
-    .. [1] D. V. Nguyen, V. Bonnet, S. Maxime, M. Gautier, P. Fernbach, F.
-       Lamiraux, "FIGAROH: a Python toolbox for dynamic identification and
-       geometric calibration of robots and humans", Humanoids 2023.
+    {references}
 
     Examples
     --------
@@ -700,8 +549,6 @@ def fetch_tiago(
     >>> tiago.position_units[:2]  # doctest: +SKIP
     ('m', 'rad')
     """
-    access = Access(data_home, download_if_missing, n_retries, delay)
-    return load("tiago", access, rows=rows, resample=resample)
 
 
 def fetch_unitree_go2(
@@ -767,4 +614,6 @@ def fetch_unitree_go2(
     >>> go2.joint_names[:3]  # doctest: +SKIP
     ('FL_hip_joint', 'FL_thigh_joint', 'FL_calf_joint')
     """
-    return load("unitree_go2", Access(data_home, download_if_missing))
+    return CATALOGUE["unitree_go2"].load(
+        "unitree_go2", Access(data_home, download_if_missing)
+    )

@@ -11,6 +11,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.datasets._robots import (
+    SineMotion,
     demo_arm_urdf,
     joint_range,
     recording_fields,
@@ -19,7 +20,7 @@ from sklearn_vbjfa.datasets._robots import (
     true_inertias,
     with_inertias,
 )
-from sklearn_vbjfa.model._loading import import_pinocchio, load_model
+from sklearn_vbjfa.model import import_pinocchio, load_model
 from sklearn_vbjfa.recording._recording import Recording
 
 # Share of a joint's range and speed that the motion keeps to.
@@ -309,27 +310,20 @@ def load_demo_recording() -> SimulatedRecording:
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
     """Draw states (n, 3 * nv) of sines in all joints, inside the limits."""
-    nv = model.nv
-    t = np.arange(n) * dt
-    q, v, a = (np.zeros((n, nv)) for _ in range(3))
-    centre, reach = joint_range(model)
-    speed = speed_limit(model)
-    for j in range(nv):
+    f, size, phase = np.empty((3, model.nv, n_harmonics))
+    for j in range(model.nv):
         # from a tenth of the highest frequency up to it
-        f = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
-        f[0] = frequency * rng.uniform(0.85, 1.0)
-        w = 2 * np.pi * f
-        size = rng.uniform(0.3, 1.0, size=n_harmonics) / f
-        phase = rng.uniform(0, 2 * np.pi, size=n_harmonics)
-        s, c = np.sin(np.outer(t, w) + phase), np.cos(np.outer(t, w) + phase)
-        largest = np.abs(s @ size).max(), np.abs(c @ (size * w)).max()
-        size *= min(
-            _RANGE_SHARE * reach[j] / largest[0], _RANGE_SHARE * speed[j] / largest[1]
-        )
-        q[:, j] = centre[j] + s @ size
-        v[:, j] = c @ (size * w)
-        a[:, j] = -s @ (size * w**2)
-    return np.hstack([q, v, a])
+        f[j] = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
+        f[j, 0] = frequency * rng.uniform(0.85, 1.0)
+        size[j] = rng.uniform(0.3, 1.0, size=n_harmonics) / f[j]
+        phase[j] = rng.uniform(0, 2 * np.pi, size=n_harmonics)
+    centre, reach = joint_range(model)
+    drawn = SineMotion(centre=0.0, amplitude=size, frequency=f, phase=phase)
+    q, v, a = np.split(drawn.states(np.arange(n) * dt), 3, axis=1)
+    room = _RANGE_SHARE * np.minimum(
+        reach / np.abs(q).max(axis=0), speed_limit(model) / np.abs(v).max(axis=0)
+    )
+    return np.hstack([centre + room * q, room * v, room * a])
 
 
 def _draw_friction(friction, rigid, v, a, rng):
@@ -358,16 +352,8 @@ def _draw_friction(friction, rigid, v, a, rng):
 
 
 def _friction_torque(coefficients, q, v, a):
-    signal = {
-        "viscous": v,
-        "coulomb": np.sign(v),
-        "offset": np.ones_like(v),
-        "rotor_inertia": a,
-    }
-    total = np.zeros_like(q)
-    for name, value in coefficients.items():
-        total += value * signal[name]
-    return total
+    signal = {"viscous": v, "coulomb": np.sign(v), "offset": 1.0, "rotor_inertia": a}
+    return sum((x * signal[name] for name, x in coefficients.items()), np.zeros_like(q))
 
 
 # -- torques that the robot has and its declared model lacks ---------------------------
@@ -377,29 +363,8 @@ def _turn(v):
     return np.tanh(v / (_TURN * np.abs(v).max()))
 
 
-def _load_friction(size, q, v, load):
-    return size * np.abs(load) * _turn(v)
-
-
-def _stribeck(size, q, v, load):
-    slow = 0.1 * np.abs(v).max()
-    return size / np.cosh(v / slow) * _turn(v)
-
-
-def _spring(size, q, v, load):
-    return size * q
-
-
-def _ripple(size, q, v, load):
-    return size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD)
-
-
-def _offset(size, q, v, load):
-    return np.full(q.shape, float(size))
-
-
-def _presliding(size, q, v, load):
-    """Maxwell's slip model: springs that slide when stretched too far."""
+def _presliding(q):
+    """Maxwell's slip model of size one: springs that slide when stretched too far."""
     total = np.zeros_like(q)
     for slip in _SLIPS:
         stretch = np.zeros_like(q)
@@ -407,16 +372,19 @@ def _presliding(size, q, v, load):
             moved = stretch[i - 1] + q[i] - q[i - 1]
             stretch[i] = min(max(moved, -slip), slip)
         total += stretch / slip
-    return size * total / len(_SLIPS)
+    return total / len(_SLIPS)
 
 
+# Name -> torque of size, position, speed and load of the joint.
 _TORQUES = {
-    "load_friction": _load_friction,
-    "stribeck": _stribeck,
-    "spring": _spring,
-    "ripple": _ripple,
-    "offset": _offset,
-    "presliding": _presliding,
+    "load_friction": lambda size, q, v, load: size * np.abs(load) * _turn(v),
+    "stribeck": lambda size, q, v, load: (
+        size / np.cosh(v / (0.1 * np.abs(v).max())) * _turn(v)
+    ),
+    "spring": lambda size, q, v, load: size * q,
+    "ripple": lambda size, q, v, load: size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD),
+    "offset": lambda size, q, v, load: np.full(q.shape, float(size)),
+    "presliding": lambda size, q, v, load: size * _presliding(q),
 }
 
 

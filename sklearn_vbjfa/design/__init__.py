@@ -1,7 +1,40 @@
 """Motions to record next: they determine the model and part what may be missing."""
 
-from sklearn_vbjfa.design._design import design_motion
-from sklearn_vbjfa.design._limits import MotionLimits
-from sklearn_vbjfa.design._motion import DesignedMotion
+from sklearn_vbjfa import _lazily
 
+_MODULES = {
+    "_design": ("design_motion",),
+    "_limits": ("MotionLimits",),
+    "_motion": ("DesignedMotion",),
+}
 __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
+# For the command line, and what tests hold against mathematics.
+_MODULES["_limits"] += ("MotionRefused",)
+_MODULES["_motion"] += ("FourierCurve",)
+_MODULES["_design"] += ("best_drawn", "pose")
+_MODULES |= {
+    "_collisions": ("Approach", "Clearance", "capsule_around", "segment_distances"),
+    "_criterion": (
+        "ExpectedInterval",
+        "Invisible",
+        "Parted",
+        "Questions",
+        "Visible",
+        "worth",
+    ),
+    "_known_robot": ("KnownRobot",),
+    "_open_questions": ("read_report",),
+    "_optimise": ("Lagrangian", "optimise", "shrunk"),
+    "_page": (
+        "Background",
+        "decisions",
+        "effect_label",
+        "exceeded",
+        "invisible_sentences",
+        "page",
+        "summary",
+        "undecided",
+        "unseen",
+    ),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

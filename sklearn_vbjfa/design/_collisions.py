@@ -3,6 +3,9 @@
 The gradient of a distance follows from the points where two shapes are nearest and from
 the normal between them: shapes move rigidly, and to first order the points may be held
 on them. That fails only where the nearest points jump, as between parallel faces.
+Capsules around the shapes give lower bounds for many pairs at once: their distance is
+that of two line segments less two radii, and they follow links, which are long and
+thin, as spheres do not.
 """
 
 import os
@@ -11,10 +14,13 @@ from itertools import combinations
 
 import numpy as np
 
-from sklearn_vbjfa.design._capsules import capsule_around, segment_distances
-from sklearn_vbjfa.model._loading import import_pinocchio, load_model
-from sklearn_vbjfa.model._poses import JointPoses
-from sklearn_vbjfa.model._shapes import NoShapes, load_shapes
+from sklearn_vbjfa.model import (
+    JointPoses,
+    NoShapes,
+    import_pinocchio,
+    load_model,
+    load_shapes,
+)
 
 # Random positions that tell which pairs touch wherever the robot is.
 _SAMPLES = 200
@@ -27,8 +33,6 @@ _NO_LIMIT, _ALL_ROUND, _SLIDE = 1e6, np.pi, 1.0
 # normals of round shapes are wrong by its root. Of penetrating cylinders the default
 # stays: the search there breaks down where it is made finer.
 _GAP = 1e-10
-# Pairs and rows that are in memory at once.
-_AT_ONCE = 200_000
 # Distances that are found at once in the search for the smallest.
 _BATCH = 256
 
@@ -68,7 +72,9 @@ class Clearance:
     # stands around the robot is not known. pairs, ignored: links that are looked at
     # (once for each two shapes), and those that overlap; near: distance [m] up to which
     # distances are exact by default, the thickness of a typical link, which is how far
-    # ahead a motion has to turn aside.
+    # ahead a motion has to turn aside; at_once: pairs times rows in memory.
+
+    at_once = 200_000
 
     def __init__(self, model, shapes, margin=0.0):
         pin = import_pinocchio()
@@ -216,7 +222,7 @@ class Clearance:
     def _pieces(self, q):
         """Yield number of the first row and poses, of pieces of a motion."""
         q = self._positions(q)
-        step = max(1, _AT_ONCE // max(1, len(self.pairs)))
+        step = max(1, self.at_once // max(1, len(self.pairs)))
         for start in range(0, len(q), step):
             yield start, self._poses(q[start : start + step])
 
@@ -267,3 +273,67 @@ class _Nearest:
     distance: np.ndarray
     normal: np.ndarray
     point: np.ndarray
+
+
+@dataclass(frozen=True)
+class Capsule:
+    """All points within a radius of a line segment."""
+
+    ends: np.ndarray  # (2, 3) [m]
+    radius: float  # [m]
+
+    @property
+    def volume(self):
+        """Volume [m^3]."""
+        length = np.linalg.norm(self.ends[1] - self.ends[0])
+        return np.pi * self.radius**2 * (length + 4 / 3 * self.radius)
+
+
+def capsule_around(points, swept=0.0):
+    """Return a small capsule that holds balls of radius `swept` about points (n, 3)."""
+    # Of capsules along the coordinates and along the principal axes, that of least
+    # volume.
+    centred = points - points.mean(axis=0)
+    principal = np.linalg.eigh(centred.T @ centred)[1]
+    along = [_along(axis, points) for axis in (*np.eye(3), *principal.T)]
+    best = min(along, key=lambda capsule: capsule.volume)
+    return Capsule(best.ends, best.radius + swept)
+
+
+def _along(axis, points):
+    """Return the capsule around points whose segment has a given direction."""
+    place = points @ axis
+    aside = points - np.outer(place, axis)
+    centre = (aside.min(axis=0) + aside.max(axis=0)) / 2
+    # The box need not be square to the axis; the centre has to be.
+    centre -= (centre @ axis) * axis
+    away = np.linalg.norm(aside - centre, axis=1)
+    radius = away.max()
+    # The round ends reach beyond the segment by what the radius leaves.
+    beyond = np.sqrt(np.maximum(radius**2 - away**2, 0.0))
+    first, last = (place + beyond).min(), (place - beyond).max()
+    if first > last:
+        first = last = (first + last) / 2
+    return Capsule(centre + np.outer([first, last], axis), float(radius))
+
+
+def segment_distances(first, second):
+    """Return the distances (...) between line segments (..., 2, 3), or points."""
+    # Ericson, Real-Time Collision Detection, Morgan Kaufmann 2005, section 5.1.9.
+    tiny = np.finfo(float).tiny
+    u = first[..., 1, :] - first[..., 0, :]
+    v = second[..., 1, :] - second[..., 0, :]
+    apart = first[..., 0, :] - second[..., 0, :]
+    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
+    ua, va = _dot(u, apart), _dot(v, apart)
+    # The nearest points of the two lines, then each held on its segment in turn.
+    across = np.maximum(uu * vv - uv**2, tiny)
+    s = np.clip((uv * va - ua * vv) / across, 0.0, 1.0)
+    t = np.clip((uv * s + va) / np.maximum(vv, tiny), 0.0, 1.0)
+    s = np.clip((uv * t - ua) / np.maximum(uu, tiny), 0.0, 1.0)
+    gap = apart + s[..., None] * u - t[..., None] * v
+    return np.sqrt(_dot(gap, gap))
+
+
+def _dot(x, y):
+    return np.einsum("...i,...i->...", x, y)

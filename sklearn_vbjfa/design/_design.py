@@ -1,17 +1,24 @@
 """Design of the next motion: from what is known and asked to a motion to record."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.utils import check_random_state
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.design._collisions import Clearance
-from sklearn_vbjfa.design._criterion import Questions, information_of, worth
-from sklearn_vbjfa.design._curve import FourierCurve
+from sklearn_vbjfa.design._criterion import (
+    Questions,
+    condition_number,
+    expected_intervals,
+    information_of,
+    promise,
+    worth,
+)
 from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
 from sklearn_vbjfa.design._known_robot import KnownRobot
-from sklearn_vbjfa.design._limits import MotionLimits
-from sklearn_vbjfa.design._motion import DesignedMotion
+from sklearn_vbjfa.design._limits import MotionLimits, MotionRefused, rounded_up
+from sklearn_vbjfa.design._motion import DesignedMotion, FourierCurve
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
     common_effects,
@@ -20,8 +27,6 @@ from sklearn_vbjfa.design._open_questions import (
     read_report,
 )
 from sklearn_vbjfa.design._optimise import INSIDE, Problem, excess, optimise, shrunk
-from sklearn_vbjfa.design._promise import condition_number, expected_intervals, promise
-from sklearn_vbjfa.design._refusal import MotionRefused, rounded_up
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Harmonics: few keep the motion smooth, many give it slow and fast parts.
@@ -144,6 +149,38 @@ def design_motion(
     >>> motion.q.shape, motion.within_limits
     ((500, 6), True)
     """
+    rng = check_random_state(random_state)
+    task = pose(
+        model,
+        duration=duration,
+        dt=dt,
+        limits=limits,
+        effects=effects,
+        report=report,
+        start=start,
+        rng=rng,
+    )
+    problem = task.problem
+    fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
+    found, first = optimise(problem, best_drawn(problem, rng), fine, 1.0 - MARGIN)
+    z = shrunk(problem, found, fine, 1.0 - MARGIN)
+    return _made(task, z, first, fine)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Task:
+    """A motion that is asked for."""
+
+    problem: Problem
+    told: Problem  # with what it is told to show, if nobody asked for anything
+    robot: KnownRobot
+    noise: np.ndarray  # (nv,): deviation in the band of the fit
+    dt: float
+    no_clearance: str  # why nothing is known of the distance between bodies
+
+
+def pose(model, *, duration, dt, limits, effects, report, start, rng):
+    """Return the `Task` of arguments as those of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
     duration = _checked_duration(duration, dt)
@@ -155,8 +192,6 @@ def design_motion(
     limits.check_duration(duration, names)
     if start is not None:
         start = limits.check_start(start, names)
-    rng = check_random_state(random_state)
-
     n_harmonics = _harmonics(robot, limits, duration, dt)
     curve = FourierCurve(duration, n_harmonics, robot.n_joints, start)
     reference = _reference(robot, limits, curve.highest, rng)
@@ -193,10 +228,6 @@ def design_motion(
         room=ROOM,
     )
     _check_held(problem, names, rng)
-    drawn = _best_drawn(problem, rng)
-    fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
-    found, first = optimise(problem, drawn, fine, 1.0 - MARGIN)
-    z = shrunk(problem, found, fine, 1.0 - MARGIN)
     told = problem
     if not candidates:
         # Nobody asked, and it is told all the same what the motion shows.
@@ -204,7 +235,14 @@ def design_motion(
         model = beside(candidates)
         questions = _questions(model, candidates, reference, noise)
         told = replace(problem, model=model, questions=questions)
-    return _made(problem, robot, z, first, noise, dt, fine, no_clearance, told)
+    return Task(
+        problem=problem,
+        told=told,
+        robot=robot,
+        noise=noise,
+        dt=dt,
+        no_clearance=no_clearance,
+    )
 
 
 def _clearance(robot):
@@ -286,7 +324,7 @@ def _questions(equations, candidates, reference, noise):
     weight = np.broadcast_to(1.0 / (len(reference) * noise**2), rows.motion.q.shape)
     M = information_of(rows, equations.places, equations.n_columns, weight)
     power = np.diag(M)
-    scale = np.where(power > 0, 1.0 / np.sqrt(np.where(power > 0, power, 1.0)), 1.0)
+    scale = np.where(power > 0, 1.0 / np.sqrt(or_one(power)), 1.0)
     spans = tuple(equations.spans[equations.n_own :])
     m = len(spans)
     blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))
@@ -342,7 +380,7 @@ def _tell_collision(problem, poses, is_start):
     )
 
 
-def _best_drawn(problem, rng):
+def best_drawn(problem, rng):
     """Draw motions that touch a limit, and return the best by the criterion, a list."""
     t = problem.times()
     basis = problem.curve.basis(t)
@@ -471,8 +509,9 @@ def _check_held(problem, names, rng):
     )
 
 
-def _made(problem, robot, z, first, noise, dt, fine, no_clearance, told):
-    """Collect the motion and what it promises, of effects by the problem `told`."""
+def _made(task, z, first, fine):
+    """Collect the motion and what it promises."""
+    problem, robot, dt = task.problem, task.robot, task.dt
     curve, limits = problem.curve, problem.limits
     t = np.arange(round(curve.period / dt)) * dt
     states = curve.states(z, curve.basis(t))
@@ -498,11 +537,11 @@ def _made(problem, robot, z, first, noise, dt, fine, no_clearance, told):
         start_condition_number=condition_number(problem, start),
         within_limits=within,
         margins=margins,
-        no_clearance=no_clearance,
-        noise=noise,
+        no_clearance=task.no_clearance,
+        noise=task.noise,
         band=robot.band(curve.highest, dt),
         expected_intervals=expected_intervals(problem, robot, design, samples[1]),
-        **promise(told, robot, design, samples[1], noise),
+        **promise(task.told, robot, design, samples[1], task.noise),
         curve=curve,
         coordinates=z,
     )

@@ -10,9 +10,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import qr
 
+from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects._base import Motion
 from sklearn_vbjfa.effects._rest import Rest
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 
 # Step of positions [rad or m]; velocities and accelerations take steps of one, by which
 # the bodies' columns have exact differences: they are of second and of first degree.
@@ -69,7 +70,7 @@ def _moved(motion, name, joint, step):
 
 
 @dataclass(frozen=True, eq=False)
-class Equations:
+class MotionEquations:
     """Rows of all joints for the states of a motion."""
 
     states: np.ndarray  # (n, 3 nv)
@@ -124,7 +125,7 @@ class EquationModel:
         B = B[:, seen] / size[seen]
         if A.shape[1]:
             norms = np.linalg.norm(A, axis=0)
-            Q, _ = np.linalg.qr(A / np.where(norms > 0, norms, 1.0))
+            Q, _ = np.linalg.qr(A / or_one(norms))
             B = B - Q @ (Q.T @ B)
         R, pivots = qr(B, mode="r", pivoting=True)
         diagonal = np.abs(np.diag(R))
@@ -189,7 +190,7 @@ class EquationModel:
         return load
 
     def __call__(self, states, t=None):
-        """Return the `Equations` of states (n, 3 nv) at times (n,) [s]."""
+        """Return the `MotionEquations` of states (n, 3 nv) at times (n,) [s]."""
         entries = self.features.entries(states)
         motion = self._motion(states, entries, t)
         rows = [[entries[kept]] for kept in self._kept_of]
@@ -200,7 +201,7 @@ class EquationModel:
                     rows[j].append(columns[:, j].T)
             else:
                 rows[one.effect.joint].append(columns.T)
-        return Equations(states, tuple(map(np.concatenate, rows)), motion)
+        return MotionEquations(states, tuple(map(np.concatenate, rows)), motion)
 
     # -- derivatives ------------------------------------------------------------------
 

@@ -8,7 +8,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects import RotorInertia, resolve
-from sklearn_vbjfa.model._loading import joint_names, nominal_parameters
+from sklearn_vbjfa.model import joint_names, nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
 

@@ -1,11 +1,11 @@
-"""What a motion must keep: positions, velocities, accelerations and torques."""
+"""What a motion must keep, and the refusal of one that cannot be."""
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.design._refusal import MotionRefused, rounded_up
-from sklearn_vbjfa.model._loading import (
+from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,
@@ -272,3 +272,31 @@ def _holding(model, low, high):
     still = np.zeros_like(poses)
     inertial = np.ascontiguousarray(nominal_parameters(model))
     return np.abs(features.torques(poses, still, still, inertial)).max(axis=0)
+
+
+class MotionRefused(ValueError):
+    """Limits, a start or a duration that leave no motion.
+
+    Attributes
+    ----------
+    reason : str
+        The message, without a full stop.
+    options : dict of str to float or tuple of float
+        What would do, by the names of arguments: ``"duration"``, ``"start"``,
+        ``"velocity"``, ``"torque"``.
+    """
+
+    def __init__(self, message, options):
+        super().__init__(message)
+        self.reason = message.removesuffix(".")
+        self.options = options
+
+
+def rounded_up(limits):
+    """Return limits with three digits that are no smaller, for a message."""
+    found = []
+    for limit in map(float, limits):
+        size = 10.0 ** (math.floor(math.log10(limit)) - 2) if 0 < limit < 1e12 else 0.0
+        rounded = math.ceil(limit / size - 1e-9) * size if size else limit
+        found.append(float(f"{rounded:.6g}"))
+    return tuple(found)

@@ -111,7 +111,7 @@ def excess(problem, states, torques, inside=INSIDE):
     return found
 
 
-class _Lagrangian:
+class Lagrangian:
     """Augmented Lagrangian of a problem, with its gradient."""
 
     def __init__(self, problem):
@@ -219,7 +219,7 @@ def optimise(problem, starts, fine, inside):
     # coordinates and the motion that it was improved from.
     tried = []
     for z in starts:
-        lagrangian = _Lagrangian(problem)
+        lagrangian = Lagrangian(problem)
         x, value = _improved(lagrangian, np.array(z, dtype=float).ravel())
         tried.append((value, len(tried), x, lagrangian))
     _, best, x, lagrangian = min(tried, key=lambda one: one[:2])

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.design._criterion import SAME_COLUMNS
 from sklearn_vbjfa.design._design import MARGIN, ROOM
-from sklearn_vbjfa.design._promise import SAME_COLUMNS
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._charts import line_figure
 from sklearn_vbjfa.diagnosis.report._evidence import (
@@ -790,7 +790,7 @@ def _versions():
     """Versions of what the motion was computed with."""
     import scipy
 
-    from sklearn_vbjfa.model._loading import import_pinocchio
+    from sklearn_vbjfa.model import import_pinocchio
 
     return (
         f"numpy {np.__version__}, scipy {scipy.__version__}, pinocchio "

@@ -18,7 +18,7 @@ from sklearn_vbjfa.inspection._rivals import (
     gain,
     total,
 )
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names
+from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording._faults import ChannelFinding
 
 # Friction below this share of a torque is no evidence of a wrong sign ...

@@ -6,7 +6,7 @@ from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
 from sklearn_vbjfa.inspection._rivals import channel_signals
 from sklearn_vbjfa.inspection._timing import delays, sample_periods, too_fast
 from sklearn_vbjfa.inspection._units import counts, degrees, gear_factors, velocities
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_model
+from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 from sklearn_vbjfa.recording._faults import (
     ChannelFinding,
     in_order,

@@ -12,7 +12,7 @@ import numpy as np
 
 from sklearn_vbjfa.inspection._inspect import MIN_SAMPLES
 from sklearn_vbjfa.inspection._rivals import channel_signals
-from sklearn_vbjfa.model._loading import (
+from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.model._loading import nominal_parameters
+from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import STANDSTILL_SHARE
 from sklearn_vbjfa.robot._states import StateEstimator

@@ -9,7 +9,7 @@ from sklearn_vbjfa.inspection._rivals import (
     gain,
     total,
 )
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording._faults import ChannelFinding, listed
 
 # A joint without a speed limit does not move faster than this [rad/s, m/s] ...

@@ -10,7 +10,7 @@ from sklearn_vbjfa.inspection._rivals import (
     gain,
     total,
 )
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording._faults import ChannelFinding, listed
 
 # Share of the torque that the nominal model must explain to count as evidence.

@@ -1,1 +1,44 @@
 """Robot descriptions in and out, and regressor matrices: the only door to Pinocchio."""
+
+from sklearn_vbjfa import _lazily
+
+# For users there is `sklearn_vbjfa.load_model`; the rest is for other rooms.
+_MODULES = {
+    "_corrected": ("CorrectedModel", "TorqueDerivatives"),
+    "_loading": (
+        "build_model",
+        "description_text",
+        "find_description",
+        "is_urdf",
+        "kr300_description",
+        "load_folded",
+        "load_model",
+        "load_quietly",
+        "load_reduced",
+        "load_text",
+        "movable_joints",
+        "urdf_to_fill",
+        "write_reduced",
+    ),
+    "_mjcf": ("FollowingJoint", "JointDynamics", "Tendon", "write_mjcf"),
+    "_regressor": ("TreeRegressor", "rounding_entries"),
+    "_shapes": ("JointPoses", "NoShapes", "load_shapes"),
+    "_trees": (
+        "body_names",
+        "describe",
+        "import_pinocchio",
+        "in_order",
+        "is_prismatic",
+        "joint_names",
+        "joint_origin",
+        "nominal_parameters",
+        "solid_bodies",
+    ),
+    "_urdf": ("check_possible", "write_identified", "write_urdf"),
+}
+__all__ = ["load_model"]
+__getattr__, __dir__ = _lazily(__name__, _MODULES)
+
+
+class DoubtWarning(UserWarning):
+    """Part of what was given is left out of a result, or the result may be wrong."""

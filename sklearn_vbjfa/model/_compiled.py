@@ -1,23 +1,21 @@
 """The loop over samples of `sklearn_vbjfa.model._regressor`, compiled by Numba.
 
-Numba is optional. Some samples go through together, one in each lane of the processor's
-vectors.
+Numba is optional. Some samples go through together: a `Lanes` value holds one number of
+each of `WIDTH` samples next to each other and is added and multiplied in one
+instruction. The compiler makes such vectors from loops of its own accord only where it
+can prove that no two arrays overlap, which it cannot here. Vectors in space are tuples,
+of numbers or of lanes, of which it knows that they do not overlap.
 """
 
 import math
+import operator
 
+import numba
 import numpy as np
-
-from sklearn_vbjfa.model._compiled_vectors import (
-    axpy,
-    combine,
-    compiled,
-    cross,
-    dot,
-    turn,
-    vector,
-)
-from sklearn_vbjfa.model._lanes import WIDTH, load, spread, store
+from llvmlite import binding, ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic, models, overload, register_model
 
 # First rows of what is known of a body: its three axes, origin, the origin's
 # acceleration, angular velocity and acceleration, and its joint's screw: three rows by
@@ -30,6 +28,174 @@ _WHOLE = 1.5 * 2.0**52
 # a number of half turns are exact.
 _PI_1, _PI_2 = 3.141592502593994, 1.5099578831723193e-07
 _PI_3 = 1.0780605716316238e-14
+# As many as a register of the processor holds; where it holds fewer than four the
+# compiler takes several registers.
+WIDTH = 8 if binding.get_host_cpu_features().get("avx512f") else 4
+_VECTOR = ir.VectorType(ir.DoubleType(), WIDTH)
+_INDEX = ir.IntType(32)
+
+
+class Lanes(types.Type):
+    """Numba type of a vector of `WIDTH` doubles."""
+
+    def __init__(self):
+        super().__init__(name=f"Lanes({WIDTH})")
+
+
+_lanes = Lanes()
+
+
+@register_model(Lanes)
+class _LanesModel(models.PrimitiveModel):
+    def __init__(self, manager, kind):
+        super().__init__(manager, kind, _VECTOR)
+
+
+@intrinsic
+def spread(typingctx, number):
+    """Return a number in all lanes."""
+
+    def generate(context, builder, signature, args):
+        value = context.cast(builder, args[0], signature.args[0], types.float64)
+        first = builder.insert_element(
+            ir.Constant(_VECTOR, ir.Undefined), value, _INDEX(0)
+        )
+        mask = ir.Constant(ir.VectorType(_INDEX, WIDTH), WIDTH * [0])
+        return builder.shuffle_vector(first, first, mask)
+
+    return _lanes(number), generate
+
+
+def _element(context, builder, kind, array, indices):
+    """Return a pointer to an element of an array."""
+    array = context.make_array(kind)(context, builder, array)
+    indices = [context.cast(builder, i, types.int64, types.intp) for i in indices]
+    return cgutils.get_item_pointer(
+        context, builder, kind, array, indices, wraparound=False
+    )
+
+
+@intrinsic
+def load(typingctx, array, row, column):
+    """Return the lanes that begin at an element of an array with adjacent columns."""
+
+    def generate(context, builder, signature, args):
+        place = _element(context, builder, signature.args[0], args[0], args[1:])
+        place = builder.bitcast(place, _VECTOR.as_pointer())
+        return builder.load(place, align=8)
+
+    return _lanes(array, types.intp, types.intp), generate
+
+
+@intrinsic
+def store(typingctx, array, row, column, lanes):
+    """Write lanes to an array from an element on, along its columns."""
+
+    def generate(context, builder, signature, args):
+        kind, value = signature.args[0], args[3]
+        place = _element(context, builder, kind, args[0], args[1:3])
+        if kind.layout == "C":
+            builder.store(value, builder.bitcast(place, _VECTOR.as_pointer()), align=8)
+            return context.get_dummy_value()
+        array = context.make_array(kind)(context, builder, args[0])
+        stride = cgutils.unpack_tuple(builder, array.strides)[1]
+        for k in range(WIDTH):
+            number = builder.extract_element(value, _INDEX(k))
+            offset = builder.mul(stride, ir.Constant(stride.type, k))
+            at = cgutils.pointer_add(builder, place, offset, return_type=place.type)
+            builder.store(number, at, align=8)
+        return context.get_dummy_value()
+
+    return types.none(array, types.intp, types.intp, lanes), generate
+
+
+def _arithmetic(name):
+    """Return an intrinsic that does one LLVM instruction on two vectors."""
+
+    @intrinsic
+    def operation(typingctx, x, y):
+        def generate(context, builder, signature, args):
+            return getattr(builder, name)(*args)
+
+        return _lanes(_lanes, _lanes), generate
+
+    return operation
+
+
+def _register(symbol, operation):
+    @overload(symbol, inline="never")
+    def _of(x, y):
+        if isinstance(x, Lanes) and isinstance(y, Lanes):
+            return lambda x, y: operation(x, y)
+        if isinstance(x, Lanes) and isinstance(y, types.Float):
+            return lambda x, y: operation(x, spread(y))
+        if isinstance(x, types.Float) and isinstance(y, Lanes):
+            return lambda x, y: operation(spread(x), y)
+        return None
+
+
+_register(operator.add, _arithmetic("fadd"))
+_register(operator.sub, _arithmetic("fsub"))
+_register(operator.mul, _arithmetic("fmul"))
+
+
+# The machine code is kept on disk: only the first use after an installation takes the
+# seconds of the compilation. Fused multiplications and additions round once instead of
+# twice.
+compiled = numba.njit(
+    nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
+)
+
+
+@compiled
+def vector(x):
+    """Return three numbers as a tuple."""
+    return x[0], x[1], x[2]
+
+
+@compiled
+def cross(x, y):
+    """Cross product of two vectors."""
+    return (
+        x[1] * y[2] - x[2] * y[1],
+        x[2] * y[0] - x[0] * y[2],
+        x[0] * y[1] - x[1] * y[0],
+    )
+
+
+@compiled
+def dot(x, y):
+    """Scalar product of two vectors."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@compiled
+def axpy(a, x, y):
+    """Return a x + y."""
+    return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
+
+
+@compiled
+def combine(a, x, y, z):
+    """Return a_1 x + a_2 y + a_3 z."""
+    return (
+        a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
+        a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
+        a[0] * x[2] + a[1] * y[2] + a[2] * z[2],
+    )
+
+
+@compiled
+def turn(axis, cosine, sine):
+    """Return the axes of a frame turned about an axis, in that frame, by rows."""
+    u, v, w = axis
+    rest = 1.0 - cosine
+    x, y, z = rest * u, rest * v, rest * w
+    return (
+        (x * u + cosine, x * v + w * sine, x * w - v * sine),
+        (y * u - w * sine, y * v + cosine, y * w + u * sine),
+        (z * u + v * sine, z * v - u * sine, z * w + cosine),
+    )
 
 
 @compiled

@@ -1,9 +1,345 @@
-"""A robot model with corrections: its base, zeros, axes, and what its channels read."""
+"""Derivatives of inverse dynamics by where the joints are and where gravity points.
+
+Turn what a joint carries by a small angle about an axis u through the joint. In the
+frame that turns with it nothing of it has moved; what it is carried by moves otherwise:
+angular velocity, angular acceleration and acceleration of the joint change by
+
+    dw = w × u,  ddw = dot(w) × u,  dA = A × u,
+
+so that a point at x of velocity V(x) has another acceleration, by Coriolis' theorem
+
+    dA(x) = alpha + beta × x + 2 dw × V(x),  beta = ddw + w × dw,
+    alpha = dA - beta × p - 2 dw × V(p).
+
+The forces that this takes, summed over all that a joint carries, need five sums over
+its mass, of 1, x, V, x x' and V x', and are linear in alpha, beta and dw. Joints that
+carry the turned one feel its force turned as well. For a shift along u, alpha = dot(w)
+× u + w × (w × u) and beta = dw = 0. In spatial notation the derivative by a joint's own
+position is in Carpentier and Mansard (doi:10.15607/RSS.2018.XIV.038).
+"""
+
+import functools
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import import_pinocchio
-from sklearn_vbjfa.model._regressor import describe
+from sklearn_vbjfa.model._trees import describe, import_pinocchio
+
+# Samples that go through together: few enough to stay in the processor's cache.
+_ROWS = 1024
+
+
+def _cross(x, y):
+    """Cross product of vectors, arrays of shape (3, ...)."""
+    return np.stack(
+        [
+            x[1] * y[2] - x[2] * y[1],
+            x[2] * y[0] - x[0] * y[2],
+            x[0] * y[1] - x[1] * y[0],
+        ]
+    )
+
+
+def _dot(x, y):
+    """Scalar product of vectors (3, ...)."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+def _times(A, x):
+    """Products of matrices (3, 3, ...) and vectors (3, ...)."""
+    return np.stack([_dot(A[0], x), _dot(A[1], x), _dot(A[2], x)])
+
+
+def _outer(x, y):
+    """Matrices x y' (3, 3, ...) of vectors (3, ...)."""
+    return x[:, None] * y[None]
+
+
+def _matrices(A, B):
+    """Products of matrices (3, 3, ...)."""
+    return np.stack([_times(A, B[:, k]) for k in range(3)], axis=1)
+
+
+def _skew(x):
+    """Matrices (3, 3, ...) that take y to x cross y."""
+    zero = np.zeros_like(x[0])
+    return np.stack(
+        [
+            np.stack([zero, -x[2], x[1]]),
+            np.stack([x[2], zero, -x[0]]),
+            np.stack([-x[1], x[0], zero]),
+        ]
+    )
+
+
+def _trace(A):
+    """Traces of matrices (3, 3, ...)."""
+    return A[0, 0] + A[1, 1] + A[2, 2]
+
+
+class _Link:
+    """A joint and its body in some samples: vectors (3, n) in the world's axes."""
+
+    # `base`, `placed`: origin of the joint before it moves, and its axes there (3, 3,
+    # n) by columns; `origin`, `axes`: those of the body; `axis`: about or along which
+    # it moves; `spin`, `gain`: angular velocity and acceleration of the body, `speed`
+    # and `field`: velocity and acceleration of its origin, less gravity; with `_above`
+    # those of what carries it, at `base`.
+
+    def __init__(self, q, v, a, tree, j, above):
+        n = q.size
+        turns, slides = tree.turns[j], tree.slides[j]
+        if above is None:
+            axes = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
+            self.spin_above = np.zeros((3, n))
+            self.gain_above = np.repeat(tree.base_angular[:, None], n, axis=1)
+            self.base = np.zeros((3, n))
+            self.speed_above = np.zeros((3, n))
+            self.field_above = np.repeat(tree.base[j][:, None], n, axis=1)
+        else:
+            axes, w, dw = above.axes, above.spin, above.gain
+            arm = np.einsum("kin,i->kn", axes, tree.offsets[j])
+            self.spin_above, self.gain_above = w, dw
+            self.base = above.origin + arm
+            swing = _cross(w, arm)
+            self.speed_above = above.speed + swing
+            self.field_above = above.field + _cross(dw, arm) + _cross(w, swing)
+        # Rows of `frames` are the axes of the joint in those of its parent.
+        self.placed = np.einsum("kin,mi->kmn", axes, tree.frames[j])
+        direction = tree.axes[j]
+        self.axis = np.einsum("kmn,m->kn", self.placed, direction)
+        angle, cross = turns * q, _skew(direction)
+        turned = (
+            np.eye(3)[:, :, None]
+            + cross[:, :, None] * np.sin(angle)
+            + (cross @ cross)[:, :, None] * (1 - np.cos(angle))
+        )
+        self.axes = _matrices(self.placed, turned)
+        w, dw, shift = self.spin_above, self.gain_above, slides * q * self.axis
+        along, across = slides * v * self.axis, _cross(w, self.axis)
+        self.origin = self.base + shift
+        self.speed = self.speed_above + _cross(w, shift) + along
+        self.field = (
+            self.field_above
+            + _cross(dw, shift)
+            + _cross(w, _cross(w, shift))
+            + 2 * _cross(w, along)
+            + slides * a * self.axis
+        )
+        self.spin = w + turns * v * self.axis
+        self.gain = dw + turns * a * self.axis + turns * v * across
+        # The torque is `moment` times the moment about the origin plus `force` times
+        # the force.
+        self.moment = turns * self.axis
+        self.force = slides * self.axis + turns * _cross(self.origin, self.axis)
+
+    def turned(self):
+        """Change of motion (9, 3, n), see above, for turns about the placed axes."""
+        u = self.placed
+        w, dw, p = self.spin_above, self.gain_above, self.base
+        spin = _cross(w[:, None], u)
+        beta = _cross(dw[:, None], u) + _cross(w[:, None], spin)
+        alpha = _cross(self.field_above[:, None], u) - _cross(beta, p[:, None])
+        alpha -= 2 * _cross(spin, self.speed_above[:, None])
+        return np.concatenate([alpha, beta, spin])
+
+    def shifted(self):
+        """Change of motion (9, 3, n) for shifts along the placed axes."""
+        w, dw, u = self.spin_above[:, None], self.gain_above[:, None], self.placed
+        out = np.zeros((9, *u.shape[1:]))
+        out[:3] = _cross(dw, u) + _cross(w, _cross(w, u))
+        return out
+
+
+class _Mass:
+    """Sums over the mass that a joint carries, and the wrench that moves it."""
+
+    # `m`, `x`, `v`, `xx`, `vx`: sums of 1, x, V, x x' and V x'; `force`, `moment`:
+    # those that its motion takes, about the world's origin.
+
+    def __init__(self, link, inertial):
+        m, first = inertial[0], inertial[1:4]
+        xx, xy, yy, xz, yz, zz = inertial[4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+        p, R, w = link.origin, link.axes, link.spin
+        arm = np.einsum("kin,i->kn", R, first)
+        self.m = np.full(p.shape[1], m)
+        self.x = arm + m * p
+        self.xx = np.einsum("ain,ij,bjn->abn", R, second, R, optimize=True)
+        mixed = _outer(p, arm)
+        self.xx = self.xx + mixed + mixed.transpose(1, 0, 2) + m * _outer(p, p)
+        # V(x) = v0 + w x
+        v0 = link.speed - _cross(w, p)
+        self.v = m * v0 + _cross(w, self.x)
+        self.vx = _outer(v0, self.x) + _matrices(_skew(w), self.xx)
+        # A(x) = a0 + M x
+        M = _skew(link.gain) + _outer(w, w) - _dot(w, w) * np.eye(3)[:, :, None]
+        a0 = link.field - _times(M, p)
+        self.force = m * a0 + _times(M, self.x)
+        B = _matrices(M, self.xx)
+        axial = np.stack([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
+        self.moment = _cross(self.x, a0) + axial
+
+    def __iadd__(self, other):
+        """Add what another joint carries."""
+        for name in ("m", "x", "v", "xx", "vx", "force", "moment"):
+            setattr(self, name, getattr(self, name) + getattr(other, name))
+        return self
+
+    def torque_by_motion(self, link):
+        """Differentiate a joint's torque by (alpha, beta, delta omega), (9, n)."""
+        f, n = link.force, link.moment
+        return np.concatenate(
+            [
+                self.m * f + _cross(n, self.x),
+                _cross(self.x, f) + _trace(self.xx) * n - _times(self.xx, n),
+                2 * _cross(self.v, f)
+                + 2 * _trace(self.vx) * n
+                - 2 * _times(self.vx.transpose(1, 0, 2), n),
+            ]
+        )
+
+    def wrench(self, change):
+        """Force and moment (3, k, n) that changes of motion (9, k, n) take."""
+        alpha, beta, spin = change[:3], change[3:6], change[6:]
+        m, x, v = self.m[None, None], self.x[:, None], self.v[:, None]
+        force = m * alpha + _cross(beta, x) + 2 * _cross(spin, v)
+        xx, vx = self.xx[:, :, None], self.vx[:, :, None]
+        moment = _cross(x, alpha) + _trace(xx) * beta - _times(xx, beta)
+        moment += 2 * _trace(vx) * spin - 2 * _times(vx, spin)
+        return force, moment
+
+
+class TorqueDerivatives:
+    """Derivatives of a robot's torques by its joints' placements, and by gravity."""
+
+    # q, v, a (n, nv); inertial (nv, 10); nominal: the robot before it was corrected, if
+    # it was.
+
+    def __init__(self, model, q, v, a, inertial, nominal=None):
+        self._model, self._nominal = model, model if nominal is None else nominal
+        self._tree = describe(model)
+        self._parents = self._tree.parents
+        self._motion = q, v, a
+        self._inertial = inertial
+
+    @functools.cached_property
+    def _made(self):
+        """Derivatives by turns and shifts (n, nv, nv, 3), and gravity (n, nv, 3)."""
+        # The first joint is the one whose torque changes, the second the one moved.
+        # Shifts are left out where no joint slides.
+        n, nv = self._motion[0].shape
+        shape = (n, nv, nv, 3)
+        shifts = np.zeros(shape if self._tree.slides.any() else (n, 0))
+        made = np.zeros(shape), shifts, np.empty((n, nv, 3))
+        for begin in range(0, n, _ROWS):
+            rows = slice(begin, min(begin + _ROWS, n))
+            self._fill(rows, *(one[rows] for one in made))
+        return made
+
+    def _fill(self, rows, turns, shifts, gravity):
+        """Write the derivatives of some samples."""
+        q, v, a = (np.ascontiguousarray(x[rows].T) for x in self._motion)
+        tree, parents = self._tree, self._parents
+        links, masses = [], []
+        for j, parent in enumerate(parents):
+            above = links[parent] if parent >= 0 else None
+            links.append(_Link(q[j], v[j], a[j], tree, j, above))
+            masses.append(_Mass(links[j], self._inertial[j]))
+        for j in range(len(parents) - 1, -1, -1):
+            if parents[j] >= 0:
+                masses[parents[j]] += masses[j]
+        by_motion = [mass.torque_by_motion(link) for mass, link in zip(masses, links)]
+        for j, one in enumerate(by_motion):
+            gravity[:, j] = -one[:3].T
+        slides = bool(tree.slides.any())
+        for k, link in enumerate(links):
+            change = link.turned()
+            kinds = [change, link.shifted()] if slides else [change]
+            change = np.concatenate(kinds, axis=1)
+            for j in self._carried(k):
+                torque = np.einsum("in,ikn->nk", by_motion[j], change)
+                turns[:, j, k] = torque[:, :3]
+                if slides:
+                    shifts[:, j, k] = torque[:, 3:]
+            self._fill_above(k, links, masses[k], change, turns, shifts)
+
+    def _fill_above(self, k, links, mass, change, turns, shifts):
+        """Write the derivatives of the joints that carry joint k."""
+        j = self._parents[k]
+        if j < 0:
+            return
+        force, moment = mass.wrench(change)
+        p, F = links[k].base, mass.force
+        about = (mass.moment - _cross(p, F))[:, None]
+        u = links[k].placed
+        lean = _cross(u, F[:, None])
+        force[:, :3] += lean
+        moment[:, :3] += _cross(u, about) + _cross(p[:, None], lean)
+        if change.shape[1] > 3:
+            moment[:, 3:] += _cross(u, F[:, None])
+        while j >= 0:
+            link = links[j]
+            torque = _dot(link.moment[:, None], moment) + _dot(
+                link.force[:, None], force
+            )
+            turns[:, j, k] = torque[:3].T
+            if change.shape[1] > 3:
+                shifts[:, j, k] = torque[3:].T
+            j = self._parents[j]
+
+    def _carried(self, k):
+        """Joints that joint k carries, itself first."""
+        found = [k]
+        for j in range(k + 1, len(self._parents)):
+            if self._parents[j] in found:
+                found.append(j)
+        return found
+
+    def by_turn(self, joint):
+        """Differentiate by turns of a joint about its axes, (n, nv, 3) [N m/rad]."""
+        # The axes go through the origin that the robot had before it was corrected:
+        # with its axis turns the way by which the zero of a slide was moved.
+        turns = self._made[0][:, :, joint]
+        if not self._tree.slides[joint]:
+            return turns
+        here, before = (
+            one.jointPlacements[joint + 1].translation
+            for one in (self._model, self._nominal)
+        )
+        way = self.rotation(joint).T @ (here - before)
+        return turns + self._made[1][:, :, joint] @ np.cross(np.eye(3), way).T
+
+    def by_position(self, joint):
+        """Differentiate by the position of a joint, ndarray of shape (n, nv)."""
+        tree = self._tree
+        turns, shifts, _ = self._made
+        moved = tree.turns[joint] * (turns[:, :, joint] @ tree.axes[joint])
+        if tree.slides[joint]:
+            along = shifts[:, :, joint] @ tree.axes[joint]
+            moved = moved + tree.slides[joint] * along
+        return moved
+
+    def by_gravity(self):
+        """Differentiate by the vector of gravity, ndarray of shape (n, nv, 3)."""
+        return self._made[2]
+
+    def axis(self, joint):
+        """Direction of a joint in its own frame, ndarray of shape (3,)."""
+        return self._tree.axes[joint]
+
+    def rotation(self, joint):
+        """Axes of a joint's placement in what carries it, ndarray of shape (3, 3)."""
+        return self._model.jointPlacements[joint + 1].rotation
+
+    def nominal_rotation(self, joint):
+        """Return the same before the robot was corrected."""
+        return self._nominal.jointPlacements[joint + 1].rotation
+
+    @property
+    def nominal_gravity(self):
+        """Gravity before the robot was corrected, ndarray of shape (3,)."""
+        return self._nominal.gravity.linear
 
 
 class CorrectedModel:
@@ -15,8 +351,7 @@ class CorrectedModel:
         self._nominal = nominal
         self.model = nominal.copy()
         self.gains = np.ones(nominal.nv)
-        parents = np.array([int(k) - 1 for k in nominal.parents][1:])
-        self._tree = describe(nominal, parents)
+        self._tree = describe(nominal)
 
     @property
     def nominal_gravity(self):

@@ -1,37 +1,60 @@
-"""Robot models: a description made safe to parse, built by Pinocchio, and asked about.
+"""Robot models: read from a description or built, and written as text for keeping.
 
-A URDF is checked before Pinocchio sees it, since its parser neither limits the depth
-of the XML nor says which link is wrong; `sklearn_vbjfa.model._mjcf_reading` reads MJCF.
 What of a description does not enter the model is said in one warning.
 """
 
+import contextlib
+import importlib
+import importlib.metadata
+import importlib.util
 import os
+import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
-from dataclasses import replace
+from collections.abc import Sequence
+from importlib import resources
 from pathlib import Path
-from xml.parsers import expat
-from xml.parsers.expat import ExpatError
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.model import _base, _mjcf_reading, _urdf_tree
-from sklearn_vbjfa.model._followers import Folded, Link, fold, foldable
-from sklearn_vbjfa.model._pinocchio import import_pinocchio
-from sklearn_vbjfa.physical import body_scales, min_eigenvalue
+from sklearn_vbjfa.model._mjcf_reading import read_mjcf
+from sklearn_vbjfa.model._trees import (
+    Folded,
+    LoadedRobot,
+    check_joints,
+    check_known,
+    describe,
+    fold,
+    foldable,
+    hold_base,
+    import_pinocchio,
+    in_order,
+    joint_names,
+    led_by,
+    nominal_parameters,
+    solid_bodies,
+)
+from sklearn_vbjfa.model._urdf import UrdfRobot, is_text, text_of_tree
+from sklearn_vbjfa.model._xml import parse_description, parse_text
+
+if TYPE_CHECKING:
+    import pinocchio as pin
 
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
-# below which the body has next to no extension in some direction; and below which a
-# warning says so. (What was identified and projected lies between the two.)
-_SOLID, _POSSIBLE = 1e-6, 1e-12
+# below which a warning says so. (What was identified and projected lies between it and
+# what counts as solid.)
+_POSSIBLE = 1e-12
+# Distance of two models by rounding alone [m, and of the axes' components].
+_ROUNDING = 1e-9
+# File inside the example-robot-data collection, module of robot_descriptions.
+_PUBLIC_DESCRIPTIONS = {
+    "franka_panda": ("panda_description/urdf/panda.urdf", "panda_description"),
+    "tiago": ("tiago_description/robots/tiago.urdf", "tiago_description"),
+    "ur5": ("ur_description/urdf/ur5_robot.urdf", "ur5_description"),
+}
 # How the one warning of what does not enter the model begins.
 _LEFT_OUT = "The robot description"
-# Robots of a hundred joints stay far below.
-_DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
-_MOST_JOINTS = 200
-# Kinds of joints that have an axis, and elements that a fixed joint has no use for.
-_AXIAL = ("revolute", "continuous", "prismatic")
-_MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
 
 
 def load_model(model, base_orientation=None):
@@ -97,12 +120,12 @@ def load_folded(model, base_orientation=None):
     pin = import_pinocchio()
     if isinstance(model, (str, os.PathLike)):
         path = Path(model)
-        tree = parse_description(path)
-        return _from_description(pin, tree, path, base=base_orientation)
+        return _folded(parse_description(path), path, base=base_orientation)
     if isinstance(model, pin.Model):
-        held, said = _held_model(pin, model, base_orientation)
+        called = f"The model {model.name!r}"
+        held, said = hold_base(LoadedRobot(model.copy()), base_orientation, called)
         _warn(said, model.name, stacklevel=4)
-        return Folded.without(_check_joints(held))
+        return Folded.without(check_joints(held.model))
     raise TypeError(
         "model must be the path of a URDF or MJCF file or a pinocchio.Model, got "
         f"{type(model).__name__}."
@@ -113,9 +136,8 @@ def load_reduced(path, moving, base_orientation=None):
     """As `load_model`, of a description of which only some joints move."""
     # The others are held at zero, and what they carry is one body with its parent. A
     # joint that follows one that moves is as in `load_model`, unless it is named.
-    path, pin = Path(path), import_pinocchio()
-    tree = parse_description(path)
-    return _from_description(pin, tree, path, moving, base_orientation).still
+    path = Path(path)
+    return _folded(parse_description(path), path, moving, base_orientation).still
 
 
 def movable_joints(path):
@@ -123,21 +145,10 @@ def movable_joints(path):
     # Those that follow others are listed if they cannot be folded, see `load_model`; a
     # free joint that is held there is not.
     path = Path(path)
-    tree = parse_description(path)
-    if _is_mjcf(tree, path):
-        robot, _ = _mjcf_robot(tree, path)
-        names = [joint.name for joint in robot.joints]
-        carriers, links = _mjcf_reading.carriers(robot), robot.links
-    else:
-        _hold_base(tree, path)
-        _fix_followers(tree, path)
-        names = [
-            joint.get("name")
-            for joint in tree.getroot().findall("joint")
-            if joint.get("type") != "fixed"
-        ]
-        carriers, links = _urdf_tree.carriers(tree), _mimics(tree, path)
-    folded = foldable(carriers, links, path)
+    robot, _ = _described(parse_description(path), path)
+    robot = robot.settled()
+    names = robot.names
+    folded = foldable(robot.carriers, robot.links, path)
     return tuple(name for name in names if name not in folded)
 
 
@@ -146,19 +157,40 @@ def write_reduced(path, target, moving, base_orientation=None):
     # Of an MJCF file the copy has the bodies and joints alone. Returns the joints that
     # were fixed, without that of a free base.
     path = Path(path)
-    tree = parse_description(path)
-    if _is_mjcf(tree, path):
-        robot, _ = _mjcf_robot(tree, path, base_orientation)
-        names = [joint.name for joint in robot.joints]
-        reduced = _held_mjcf(robot, path, moving)
-        _mjcf_reading.check_tree(reduced, path)
-        _mjcf_reading.write_robot(reduced, target)
-        still = [joint.name for joint in reduced.joints]
-        return tuple(name for name in names if name not in still)
-    _hold_base(tree, path, base_orientation)
-    held = _hold_others(tree, path, moving)
-    tree.write(target, encoding="utf-8", xml_declaration=True)
-    return held
+    robot, _ = _described(parse_description(path), path, base=base_orientation)
+    names = robot.names
+    reduced = _holding(robot, path, moving)
+    reduced.write(target)
+    still = reduced.names
+    return tuple(name for name in names if name not in still)
+
+
+def is_urdf(source):
+    """Whether a robot comes from a URDF file, whose text can be written again."""
+    if not isinstance(source, (str, os.PathLike)):
+        return False
+    path = Path(source)
+    return not _is_mjcf(parse_description(path), path)
+
+
+def load_text(text, path):
+    """Return the model of a URDF that was read before, as `load_folded`, in silence."""
+    with _silence():
+        return _folded(parse_text(text.encode(), path), Path(path)).model
+
+
+def load_quietly(path):
+    """Return the robot of a file, as `load_folded`, of which everything was said."""
+    with _silence():
+        return load_folded(path)
+
+
+@contextlib.contextmanager
+def _silence():
+    """Say nothing of what of a description does not enter the model."""
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
+        yield
 
 
 def _is_mjcf(tree, path):
@@ -172,310 +204,38 @@ def _is_mjcf(tree, path):
     return tag == "mujoco"
 
 
-def _mjcf_robot(tree, path, base=None):
-    """Read what an MJCF file describes, `MjcfRobot`, and hold its base; what to say."""
-    # base: orientation of a free base, None for that of the file.
-    robot = _mjcf_reading.read_mjcf(tree.getroot(), path, parse_description)
-    free = [joint.name for joint in robot.joints if joint.kind == "free"]
-    name = _base.free_root(free, _mjcf_reading.carriers(robot))
-    _base.check_free(name, base, repr(str(path)))
-    if name is None:
-        return robot, []
-    turn = None if base is None else _base.rotation_of(base)
-    robot, turn = _mjcf_reading.hold_base(robot, name, turn)
-    return robot, [_base.said_of(name, turn)]
+def _described(tree, path, base=None):
+    """Return what a description says, with its base held, and what to say of it."""
+    # A `UrdfRobot` or `MjcfRobot`; base: orientation of a free base, None for that of
+    # the file.
+    if _is_mjcf(tree, path):
+        robot = read_mjcf(tree.getroot(), path, parse_description)
+    else:
+        robot = UrdfRobot(tree, path)
+    return hold_base(robot, base, repr(str(path)))
 
 
-def _hold_base(tree, path, base=None):
-    """Fix the free joint at the root of a URDF; what to say of it."""
-    kinds = {
-        joint.get("name"): joint.get("type")
-        for joint in tree.getroot().findall("joint")
-    }
-    free = [name for name, kind in kinds.items() if kind == "floating"]
-    name = _base.free_root(free, _urdf_tree.carriers(tree))
-    _base.check_free(name, base, repr(str(path)))
-    if name is None:
-        return []
-    turn = None if base is None else _base.rotation_of(base)
-    joint, turn = _urdf_tree.turn_base(tree, name, turn)
-    _fix(joint)
-    return [_base.said_of(name, turn)]
-
-
-def _held_model(pin, model, base=None):
-    """Return a copy of a model without a free joint at its root; what to say of it."""
-    names, joints = list(model.names), model.joints
-    carriers = {
-        name: names[above] if above else None
-        for name, above in zip(names[1:], model.parents.tolist()[1:])
-    }
-    free = [
-        name
-        for name, joint in zip(names, joints)
-        if joint.shortname() == "JointModelFreeFlyer"
-    ]
-    name = _base.free_root(free, carriers)
-    _base.check_free(name, base, f"The model {model.name!r}")
-    if name is None:
-        return model.copy(), []
-    at = names.index(name)
-    placed = model.jointPlacements[at].rotation
-    turn = placed if base is None else _base.rotation_of(base)
-    q = pin.neutral(model)
-    first = joints[at].idx_q + 3
-    q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
-    return pin.buildReducedModel(model, [at], q), [_base.said_of(name, turn)]
-
-
-def _held_mjcf(robot, path, moving):
-    """Hold the joints of an MJCF robot that neither move nor follow those that do."""
-    _check_known(moving, [joint.name for joint in robot.joints], path)
+def _holding(robot, path, moving):
+    """Hold the joints of a description that neither move nor follow those that do."""
+    check_known(moving, robot.names, path)
     # A follower that is named has columns and a torque of its own.
     links = {name: link for name, link in robot.links.items() if name not in moving}
-    follow = _folded_by(moving, _mjcf_reading.carriers(robot), links, path)
-    return replace(
-        _mjcf_reading.held(robot, {*moving, *follow}),
-        followers=tuple(one for one in robot.followers if one.name in follow),
-    )
+    return robot.held(moving, led_by(moving, robot.carriers, links, path))
 
 
-def _folded_by(moving, carriers, links, path):
-    """Names of the followers that joints which move lead, if they can be folded."""
-    # carriers, links: as for `foldable`, of all joints, whose mistakes it refuses.
-    foldable(carriers, links, path)
-    follow = set(links)
-    while True:
-        # What is held is one body with the joint that carries it, and leads nothing.
-        left = {*moving, *follow}
-        own = {name: links[name] for name in follow if links[name].leader in left}
-        if len(own) == len(follow):
-            above = {name: _next(carriers, name, left) for name in left}
-            own = foldable(above, own, path)
-        if len(own) == len(follow):
-            return follow
-        follow = set(own)
-
-
-def _next(carriers, name, joints):
-    """Return the nearest joint of some that carries a joint; None for the base."""
-    name = carriers[name]
-    while name is not None and name not in joints:
-        name = carriers[name]
-    return name
-
-
-def _mimics(tree, path):
-    """Joints of a URDF that follow others, name -> `Link`."""
-    found = {}
-    for joint in tree.getroot().findall("joint"):
-        mimic = joint.find("mimic")
-        if mimic is None or joint.get("type") not in _AXIAL:
-            continue
-        name, numbers = joint.get("name"), []
-        for key, otherwise in (("multiplier", "1"), ("offset", "0")):
-            try:
-                number = float(mimic.get(key, otherwise))
-            except ValueError:
-                number = np.nan
-            if not np.isfinite(number):
-                raise ValueError(
-                    f"{str(path)!r}: joint {name!r} follows another one with the {key} "
-                    f"{mimic.get(key)[:40]!r}, which is no number; correct the "
-                    "description."
-                )
-            numbers.append(number)
-        leader = mimic.get("joint", "")
-        found[name] = Link(leader=leader, multiplier=numbers[0], offset=numbers[1])
-    return found
-
-
-def is_urdf(source):
-    """Whether a robot comes from a URDF file, whose text can be written again."""
-    if not isinstance(source, (str, os.PathLike)):
-        return False
-    path = Path(source)
-    return not _is_mjcf(parse_description(path), path)
-
-
-def _check_joints(loaded):
-    """Refuse a model with joints of other than one degree of freedom, or none."""
-    if loaded.nv == 0:
-        raise ValueError(
-            "The robot model has no moving joint; expected a tree of revolute or "
-            "prismatic joints. Check the joint types in the description."
-        )
-    wrong = [
-        f"{loaded.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
-        for i, joint in enumerate(loaded.joints)
-        if i > 0 and (joint.nq, joint.nv) != (1, 1)
-    ]
-    if wrong:
-        raise ValueError(
-            "Every joint must have one degree of freedom (nq == nv); got "
-            + ", ".join(wrong)
-            + ". A free joint is held only if there is no other one and it carries all "
-            "other joints. Split spherical joints into three revolute ones, and lock "
-            "what does not move with pinocchio.buildReducedModel (command line: "
-            "--joints)."
-        )
-    return loaded
-
-
-def load_text(text, path):
-    """Return the model of a URDF that was read before, as `load_folded`, in silence."""
-    pin, path = import_pinocchio(), Path(path)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
-        return _from_description(pin, _parsed(text.encode(), path), path).model
-
-
-def load_quietly(path):
-    """Return the robot of a file, as `load_folded`, of which everything was said."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
-        return load_folded(path)
-
-
-def parse_description(path):
-    """Read the XML of a robot description, `ElementTree`; refuse what is none."""
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"No robot description at {str(path)!r}; expected the path of a URDF or "
-            "MJCF file."
-        )
-    return _parsed(path.read_bytes(), path)
-
-
-def _parsed(content, path):
-    """Parse the bytes of a description; path : what messages name."""
-    try:
-        _check_structure(content)
-        return ElementTree.ElementTree(ElementTree.fromstring(content))
-    except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
-        raise ValueError(
-            f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
-            "A xacro file must be expanded first."
-        ) from error
-
-
-def _check_structure(content):
-    """Refuse XML that is no robot's, before a parser makes a tree of it."""
-    # Parsers call themselves once a level: a file of some hundred kilobytes can overrun
-    # the stack of the process.
-    depth, elements = 0, 0
-
-    def start(name, attributes):
-        nonlocal depth, elements
-        depth, elements = depth + 1, elements + 1
-        if depth > _DEEPEST:
-            raise ValueError(f"elements are nested more than {_DEEPEST} deep")
-        if elements > _MOST_ELEMENTS:
-            raise ValueError(f"there are more than {_MOST_ELEMENTS} elements")
-        if len(attributes) > _MOST_ATTRIBUTES:
-            raise ValueError(f"<{name}> has more than {_MOST_ATTRIBUTES} attributes")
-
-    def end(name):
-        nonlocal depth
-        depth -= 1
-
-    def entity(name, *rest):
-        raise ValueError(
-            f"it declares the entity {name[:40]!r}, write what it stands for"
-        )
-
-    parser = expat.ParserCreate()
-    parser.StartElementHandler = start
-    parser.EndElementHandler = end
-    parser.EntityDeclHandler = entity
-    parser.Parse(content, True)
-
-
-def _hold_others(tree, path, moving):
-    """Fix all joints of a URDF but some and their followers; names of those fixed."""
-    joints = {
-        joint.get("name"): joint
-        for joint in tree.getroot().findall("joint")
-        if joint.get("type") != "fixed"
-    }
-    _check_known(moving, joints, path)
-    for name in moving:
-        # A follower that is named has columns and a torque of its own.
-        for mimic in joints[name].findall("mimic"):
-            joints[name].remove(mimic)
-    links = _mimics(tree, path)
-    follow = _folded_by(moving, _urdf_tree.carriers(tree), links, path)
-    held = tuple(name for name in joints if name not in {*moving, *follow})
-    for name in held:
-        _fix(joints[name])
-    return held
-
-
-def _still(tree):
-    """Names of the joints of a URDF that are fixed."""
-    return {
-        joint.get("name")
-        for joint in tree.getroot().findall("joint")
-        if joint.get("type") == "fixed"
-    }
-
-
-def _fix_followers(tree, path):
-    """Fix the joints of a URDF that follow a fixed one: they do not move either."""
-    while True:
-        still, links = _still(tree), _mimics(tree, path)
-        follow = [name for name, link in links.items() if link.leader in still]
-        if not follow:
-            return
-        for joint in tree.getroot().findall("joint"):
-            if joint.get("name") in follow:
-                _fix(joint)
-
-
-def _fix(joint):
-    """Fix a joint of a URDF at zero."""
-    joint.set("type", "fixed")
-    for child in list(joint):
-        if child.tag in _MOTION:
-            joint.remove(child)
-
-
-def _check_known(moving, names, path):
-    """Refuse names that are no joints of a description."""
-    unknown = [name for name in moving if name not in names]
-    if unknown:
-        raise ValueError(
-            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
-            f"{', '.join(map(str, names)) or 'none'}."
-        )
-
-
-def _from_description(pin, tree, path, moving=None, base=None):
+def _folded(tree, path, moving=None, base=None):
     """Build and check a robot, `Folded`; say what of it does not enter the model."""
     # moving: joints that are not held, None for all; base: orientation of a free base.
-    if _is_mjcf(tree, path):
-        robot, held = _mjcf_robot(tree, path, base)
-        if moving is not None:
-            robot = _held_mjcf(robot, path, moving)
-        _check_number(len(robot.joints), path)
-        _mjcf_reading.check_tree(robot, path)
-        links, said = robot.links, [*held, *robot.left_out()]
-        folded = foldable(_mjcf_reading.carriers(robot), links, path)
-        full, between = _mjcf_reading.to_pinocchio(robot), robot.massless
-    else:
-        said = _hold_base(tree, path, base)
-        if moving is not None:
-            _hold_others(tree, path, moving)
-        _check_masses(tree, path)
-        _check_axes(tree, path)
-        _urdf_tree.check_tree(tree, path)
-        _fix_followers(tree, path)
-        links, between = _mimics(tree, path), ()
-        folded = foldable(_urdf_tree.carriers(tree), links, path)
-        full = _build(pin, tree, path)
-    found = fold(_check_joints(full), folded)
+    robot, said = _described(tree, path, base)
+    if moving is not None:
+        robot = _holding(robot, path, moving)
+    robot.check()
+    robot = robot.settled()
+    links = robot.links
+    said, folded = [*said, *robot.left_out()], foldable(robot.carriers, links, path)
+    found = fold(check_joints(robot.build()), folded)
     apart = [name for name in links if name not in folded]
-    _warn([*said, *_left_out(apart, full, between)], path.name)
+    _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
     return found
 
 
@@ -484,53 +244,6 @@ def _warn(said, name, stacklevel=5):
     if said:
         text = f"{_LEFT_OUT} {name!r}: {'; '.join(said)}."
         warnings.warn(text, UserWarning, stacklevel=stacklevel)
-
-
-def _check_masses(tree, path):
-    for link in tree.getroot().findall("link"):
-        for mass in link.findall("inertial/mass"):
-            try:
-                value = float(mass.get("value", "nan"))
-            except ValueError:
-                # The parser says what is wrong.
-                continue
-            if value < 0:
-                raise ValueError(
-                    f"{str(path)!r}: link {link.get('name')!r} has the mass {value:g} "
-                    "kg; correct the description."
-                )
-
-
-def _check_axes(tree, path):
-    """Refuse joints without direction, and more joints than robots have."""
-    moving = [
-        joint
-        for joint in tree.getroot().findall("joint")
-        if joint.get("type") in _AXIAL
-    ]
-    _check_number(len(moving), path)
-    for joint in moving:
-        axis = joint.find("axis")
-        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-        try:
-            length = float(np.linalg.norm([float(x) for x in text.split()]))
-        except ValueError:
-            # The parser says what is wrong.
-            continue
-        if not 1e-6 < length < np.inf:
-            raise ValueError(
-                f"{str(path)!r}: joint {joint.get('name')!r} has the axis {text!r}, "
-                "which is no direction; correct the description."
-            )
-
-
-def _check_number(n_joints, path):
-    """Refuse more joints than robots have."""
-    if n_joints > _MOST_JOINTS:
-        raise ValueError(
-            f"{str(path)!r}: the robot has {n_joints} moving joints, at most "
-            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
-        )
 
 
 def _left_out(mimics, model, between=()):
@@ -563,83 +276,188 @@ def _left_out(mimics, model, between=()):
     return found
 
 
-def _build(pin, tree, path):
-    for link in tree.getroot().findall("link"):
-        # Shapes do not enter the model, and are not worth a complaint of the parser.
-        for shape in link.findall("visual") + link.findall("collision"):
-            link.remove(shape)
-    for joint in tree.getroot().findall("joint"):
-        if joint.get("type") == "continuous":
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            if limit is None:
-                limit = ElementTree.SubElement(joint, "limit")
-                limit.set("effort", "1e12")
-                limit.set("velocity", "1e12")
-            limit.set("lower", "-1e12")
-            limit.set("upper", "1e12")
-    text = ElementTree.tostring(tree.getroot(), encoding="unicode")
-    try:
-        return pin.buildModelFromXML(text)
-    except (ValueError, RuntimeError) as error:
+def description_text(source, model):
+    """Return the URDF of a robot as a text, XML without declaration."""
+    # A URDF is read again, with its references to meshes and without comments; of MJCF
+    # and a model the URDF is written. ValueError if the file describes another robot by
+    # now.
+    if not isinstance(source, (str, os.PathLike)):
+        return text_of_tree(model)
+    path = Path(source)
+    if is_urdf(path):
+        root = parse_description(path).getroot()
+        ElementTree.indent(root)
+        text = ElementTree.tostring(root, encoding="unicode")
+        now = load_text(text, path)
+    else:
+        robot = load_quietly(path)
+        text, now = text_of_tree(robot.full, robot.links), robot.model
+    if not alike(now, model):
         raise ValueError(
-            f"Pinocchio cannot build a robot from {str(path)!r}: {error}"
+            f"The robot description {str(path)!r} is another one than when the robot "
+            "was identified; put the old file back, or identify again."
+        )
+    return text
+
+
+def urdf_to_fill(source):
+    """Return what the URDF of an identified robot is a copy of."""
+    # The source itself; of MJCF the text of a URDF with the same joints.
+    if is_text(source) or not isinstance(source, (str, os.PathLike)):
+        return source
+    if is_urdf(source):
+        return source
+    robot = load_quietly(source)
+    return text_of_tree(robot.full, robot.links)
+
+
+def alike(one, other):
+    """Whether two models have the same joints in the same places, but for rounding."""
+    if sorted(joint_names(one)) != sorted(joint_names(other)):
+        return False
+    one = in_order(one, joint_names(other))
+    if list(one.parents) != list(other.parents):
+        return False
+    first, second = (describe(m) for m in (one, other))
+    placed = [
+        np.abs(a.translation - b.translation).max()
+        for a, b in zip(one.jointPlacements, other.jointPlacements)
+    ]
+    apart = [
+        np.abs(getattr(first, name) - getattr(second, name)).max()
+        for name in ("frames", "axes", "turns", "slides")
+    ]
+    return max(placed + apart) < _ROUNDING
+
+
+# -- nominal models of the measured sets -----------------------------------------------
+
+
+def find_description(dataset: str, folder: Path) -> str | None:
+    """Find the URDF of a set in its folder or in example-robot-data."""
+    path, _ = _PUBLIC_DESCRIPTIONS[dataset]
+    candidates = [folder / Path(path).name]
+    # The collection is found without importing it, as that loads Pinocchio.
+    try:
+        files = importlib.metadata.files("example-robot-data") or []
+    except importlib.metadata.PackageNotFoundError:
+        files = []
+    candidates += [Path(x.locate()) for x in files if str(x).endswith(path)]
+    candidates.append(Path(sys.prefix, "share/example-robot-data/robots", path))
+    for candidate in candidates:
+        if candidate.is_file():
+            return str(candidate.resolve())
+    return None
+
+
+def kr300_description() -> str:
+    """Path of the nominal KR300 model, which the package brings along."""
+    package = resources.files("sklearn_vbjfa.datasets")
+    return str(package.joinpath("robots", "kr300_nominal.urdf"))
+
+
+def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin.Model":
+    """Build the model of a recording; see `Recording.robot_model`."""
+    try:
+        import pinocchio as pin
+    except ImportError as error:
+        raise ImportError(
+            'robot_model needs Pinocchio: pip install "sklearn-vbjfa[robot]"'
         ) from error
 
-
-def joint_names(model):
-    """Names of the moving joints, in Pinocchio's order."""
-    return tuple(model.names)[1:]
-
-
-def body_names(model):
-    """Names of the bodies that the joints move, in Pinocchio's order."""
-    # Of several links that are fixed to each other, the one next to the joint; the
-    # joint's own name where the description names none.
-    body = import_pinocchio().FrameType.BODY
-    found = {}
-    for frame in model.frames:
-        if frame.type == body:
-            found.setdefault(frame.parentJoint, frame.name)
-    return tuple(found.get(j, name) for j, name in enumerate(model.names))[1:]
+    if urdf is None and name in _BUILDERS:
+        model = _BUILDERS[name](pin)
+    else:
+        model = load_reduced(urdf or _from_robot_descriptions(name), joint_names)
+    names = list(model.names)[1:]
+    if names != list(joint_names) or model.nq != model.nv:
+        raise ValueError(
+            f"The model of {name!r} must have the joints {tuple(joint_names)} with one "
+            f"degree of freedom each, got {tuple(names)} with nq = {model.nq} and "
+            f"nv = {model.nv}; use a description with the recorded joints."
+        )
+    return model
 
 
-def is_prismatic(model):
-    """Return which joints are prismatic, ndarray of shape (nv,) of bool."""
-    return np.array(
-        [joint.shortname().startswith("JointModelP") for joint in model.joints[1:]]
+def _from_robot_descriptions(name: str) -> str:
+    """Ask the robot_descriptions package, which may download, for a URDF."""
+    if name not in _PUBLIC_DESCRIPTIONS:
+        raise FileNotFoundError(
+            f"Recording {name!r} comes without a robot description; set its urdf "
+            "field with dataclasses.replace(recording, urdf=path), or fetch it with "
+            "download_if_missing=True."
+        )
+    path, module = _PUBLIC_DESCRIPTIONS[name]
+    if importlib.util.find_spec("robot_descriptions") is None:
+        raise FileNotFoundError(
+            f"No {Path(path).name} for {name!r}: pip install example-robot-data and "
+            f"fetch again, or put the file into the folder of the set in data_home."
+        )
+    return importlib.import_module(f"robot_descriptions.{module}").URDF_PATH
+
+
+def _chain(pin, names, joints, placements, inertias) -> "pin.Model":
+    """Build a serial chain; placements are in the parent joint."""
+    model = pin.Model()
+    parent = 0
+    for name, joint, placement, inertia in zip(names, joints, placements, inertias):
+        parent = model.addJoint(parent, joint, placement, name)
+        model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
+        model.addBodyFrame(f"{name}_link", parent, pin.SE3.Identity(), 0)
+    return model
+
+
+def _point_mass(pin, mass, lever) -> "pin.Inertia":
+    """Mass [kg] hanging `lever` [m] below the joint."""
+    return _rod(pin, mass, lever, 0.0)
+
+
+def _rod(pin, mass, lever, inertia) -> "pin.Inertia":
+    """Link with centre of mass `lever` below and inertia about it [kg m^2]."""
+    return pin.Inertia(mass, np.array([0.0, 0.0, -lever]), inertia * np.eye(3))
+
+
+def _emps(pin) -> "pin.Model":
+    """Horizontal slide; the moving mass is the one published with the data."""
+    joints, placements = [pin.JointModelPX()], [pin.SE3.Identity()]
+    return _chain(pin, ["slide"], joints, placements, [_point_mass(pin, 95.1, 0.0)])
+
+
+def _tflex(pin) -> "pin.Model":
+    """Hinge about the vertical; the inertia of 1 is a placeholder."""
+    joints, placements = [pin.JointModelRZ()], [pin.SE3.Identity()]
+    return _chain(pin, ["hinge"], joints, placements, [_rod(pin, 1.0, 0.0, 1.0)])
+
+
+def _xl330(pin) -> "pin.Model":
+    """Load of 0.49 kg at 0.10 m on a horizontal axis, hanging at zero."""
+    joints, placements = [pin.JointModelRY()], [pin.SE3.Identity()]
+    return _chain(pin, ["servo"], joints, placements, [_point_mass(pin, 0.49, 0.1)])
+
+
+def _double_pendulum(pin) -> "pin.Model":
+    """Two links on parallel horizontal axes, hanging straight at zero."""
+    # Parameters of the file model_parameters_A.0_model_2.0.yml of the publishers;
+    # their inertias are about the joint.
+    links = [
+        # mass [kg], lever of the centre of mass [m], inertia about the joint
+        (0.5593806151425046, 0.3, 0.053470810264216295),
+        (0.6043459469186889, 0.18377686083653508, 0.02392374528789766),
+    ]
+    inertias = [_rod(pin, m, r, inertia - m * r**2) for m, r, inertia in links]
+    elbow = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.3]))
+    return _chain(
+        pin,
+        ["shoulder", "elbow"],
+        [pin.JointModelRX(), pin.JointModelRX()],
+        [pin.SE3.Identity(), elbow],
+        inertias,
     )
 
 
-def joint_origin(model, joint):
-    """Axes (3, 3) of a joint's origin in its carrying link, as a URDF has them."""
-    # Links that are fixed to each other are one body of the model, in whose axes the
-    # placement is; that of the carrying link is among its frames. A model without
-    # frames has the body's axes.
-    pin = import_pinocchio()
-    placed = model.jointPlacements[joint + 1].rotation
-    name = model.names[joint + 1]
-    if not model.existFrame(name, pin.FrameType.JOINT):
-        return placed.copy()
-    own = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
-    link = model.frames[own.parentFrame]
-    if link.parentJoint != model.parents[joint + 1]:
-        return placed.copy()
-    return link.placement.rotation.T @ placed
-
-
-def nominal_parameters(model):
-    """Inertial parameters (nv, 10) in the model, about the joint frames."""
-    # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg
-    # m^2].
-    return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
-
-
-def solid_bodies(bodies, least=_SOLID):
-    """Return which bodies (nv, 10) have mass and extension, (nv,) of bool."""
-    # least: eigenvalue of the pseudo-inertia, in units of the body's mass and length.
-    solid = bodies[:, 0] > 0
-    mass, size = body_scales(bodies[solid])
-    smallest = min_eigenvalue(bodies[solid], mass_scale=mass, length_scale=size)
-    solid[solid] = smallest > least
-    return solid
+_BUILDERS = {
+    "bam_xl330": _xl330,
+    "dfki_double_pendulum": _double_pendulum,
+    "emps": _emps,
+    "tflex_1dof": _tflex,
+}

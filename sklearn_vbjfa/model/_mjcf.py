@@ -10,13 +10,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import (
+from sklearn_vbjfa.model._trees import (
     body_names,
+    describe,
     import_pinocchio,
     is_prismatic,
     joint_names,
 )
-from sklearn_vbjfa.model._regressor import describe
 from sklearn_vbjfa.model._urdf import body_about_com
 from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
 
@@ -170,8 +170,7 @@ class _Tree:
         self._followers = followers
         self._names = joint_names(model)
         self._slides = is_prismatic(model)
-        parents = np.array([int(k) - 1 for k in model.parents][1:])
-        self._shape = describe(model, parents)
+        self._shape = describe(model)
         both = (self._shape.turns != 0) & (self._shape.slides != 0)
         if both.any():
             wrong = [name for name, helical in zip(self._names, both) if helical]

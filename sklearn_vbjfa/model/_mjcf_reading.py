@@ -8,13 +8,12 @@ coordinates, and names what it cannot keep.
 import xml.etree.ElementTree as ElementTree
 from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.model._followers import Link
-from sklearn_vbjfa.model._mjcf_document import DEEPEST, Document
-from sklearn_vbjfa.model._mjcf_masses import masses_of
-from sklearn_vbjfa.model._pinocchio import import_pinocchio
+from sklearn_vbjfa.model._mjcf_document import DEEPEST, Document, masses_of
+from sklearn_vbjfa.model._trees import Link, check_number, import_pinocchio
 from sklearn_vbjfa.model._xml import number, numbers, write_tree
 
 _WORLD = -1
@@ -83,22 +82,14 @@ class Constraint:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Follower:
-    """A joint that another one moves."""
-
-    name: str
-    link: Link  # the one that moves it, and how
-
-
-@dataclass(frozen=True, kw_only=True)
 class Beside:
     """What a file has beside bodies, joints and constraints."""
 
-    tendons: tuple = ()  # names
-    n_actuators: int = 0
-    weightless: tuple = ()  # bodies whose weight is compensated
-    nameless: tuple = ()  # names given to joints that have none
-    unknown: tuple = ()  # bodies with a mass that is not known, that of a mesh
+    tendons: list  # names
+    n_actuators: int
+    weightless: list  # bodies whose weight is compensated
+    nameless: list  # names given to joints that have none
+    unknown: list  # bodies with a mass that is not known, that of a mesh
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -106,12 +97,13 @@ class MjcfRobot:
     """What an MJCF file says of a robot."""
 
     name: str
+    path: Path  # what messages name
     bodies: tuple  # parents before children, in MuJoCo's order
     gravity: np.ndarray  # (3,) [m/s^2]
     # what is to hold between bodies or joints, except followers
-    constraints: tuple = ()
-    followers: tuple = ()  # joints that move with others
-    beside: Beside = Beside()
+    constraints: tuple
+    links: dict  # joints that follow others, name -> `Link`
+    beside: Beside
 
     @property
     def joints(self):
@@ -122,11 +114,6 @@ class MjcfRobot:
     def massless(self):
         """Names of joints that move the next joint of the same body and no mass."""
         return [joint.name for body in self.bodies for joint in body.joints[:-1]]
-
-    @property
-    def links(self):
-        """Joints that follow others, name -> `Link`."""
-        return {one.name: one.link for one in self.followers}
 
     def left_out(self):
         """Sentences on what is in the file and does not enter the model."""
@@ -164,6 +151,179 @@ class MjcfRobot:
                 f"not read (give it an <inertial>, or {_SAVE})"
             )
         return found
+
+    @property
+    def names(self):
+        """Names of the joints, a list."""
+        return [joint.name for joint in self.joints]
+
+    @property
+    def free(self):
+        """Names of the joints that let a body float freely."""
+        return [joint.name for joint in self.joints if joint.kind == "free"]
+
+    @property
+    def carriers(self):
+        """Name of the joint that carries each joint, name -> name or None."""
+        joints, found = self.joints, {}
+        of_bodies = self._moved_by()
+        for body in self.bodies:
+            above = of_bodies[body.parent]
+            name = joints[above].name if above >= 0 else None
+            for joint in body.joints:
+                found[joint.name] = name
+                name = joint.name
+        return found
+
+    def _moved_by(self):
+        """Return the number of the joint that moves each body, by the body's number."""
+        found, count = {_WORLD: -1}, 0
+        for k, body in enumerate(self.bodies):
+            count += len(body.joints)
+            found[k] = count - 1 if body.joints else found[body.parent]
+        return found
+
+    def held(self, moving, follow):
+        """Return the robot, whose joints that neither move nor follow stay at zero."""
+        return replace(
+            self._fixed({*moving, *follow}),
+            links={name: self.links[name] for name in self.links if name in follow},
+        )
+
+    def settled(self):
+        """Return the robot, whose followers of what is held are held already."""
+        return self
+
+    def _fixed(self, moving):
+        """Return the robot with all joints at zero but those that are named."""
+        bodies = []
+        for body in self.bodies:
+            placement, kept = body.placement, []
+            for joint in body.joints:
+                if joint.name in moving:
+                    kept.append(joint)
+                    continue
+                # What is fixed behind a joint turns it into other axes of the body.
+                fixed = joint.moved(0.0)
+                placement = placement * fixed
+                kept = [
+                    replace(
+                        one,
+                        axis=fixed.rotation.T @ one.axis,
+                        anchor=fixed.actInv(one.anchor),
+                    )
+                    for one in kept
+                ]
+            bodies.append(replace(body, placement=placement, joints=tuple(kept)))
+        return replace(self, bodies=tuple(bodies))
+
+    def with_base(self, name, turn=None):
+        """Return the robot without its free joint, and the axes (3, 3) of its base."""
+        # turn: those in the world; None for those of the file.
+        bodies = list(self.bodies)
+        at = next(k for k, x in enumerate(bodies) if name in [j.name for j in x.joints])
+        base, above = bodies[at], np.eye(3)
+        parent = base.parent
+        while parent != _WORLD:
+            above = bodies[parent].placement.rotation @ above
+            parent = bodies[parent].parent
+        if turn is not None:
+            placement = base.placement.copy()
+            placement.rotation = above.T @ turn
+            base = bodies[at] = replace(base, placement=placement)
+        moving = {joint.name for joint in self.joints} - {name}
+        robot = replace(self, bodies=tuple(bodies))._fixed(moving)
+        return robot, above @ base.placement.rotation
+
+    def check(self):
+        """Refuse more joints than robots have, and what is no tree of joints."""
+        check_number(len(self.joints), self.path)
+        self._check_tree()
+
+    def _check_tree(self):
+        """Refuse joints of other than one degree of freedom, and what closes loops."""
+        moving = {joint.name for joint in self.joints}
+        carried_by = self._moved_by()
+        wrong = []
+        for joint in self.joints:
+            if joint.kind == "free":
+                wrong.append(
+                    f"joint {joint.name!r} lets its body float freely (a free joint "
+                    "is held only if there is no other one and it carries all other "
+                    "joints; take it out of the file if the body stands firm)"
+                )
+            elif joint.kind == "ball":
+                wrong.append(
+                    f"joint {joint.name!r} is a ball joint (write three hinges with "
+                    "axes at right angles in its place)"
+                )
+        for one in self.constraints:
+            if one.bodies and carried_by[one.bodies[0]] == carried_by[one.bodies[1]]:
+                # Held joints made one body of both.
+                continue
+            if not one.bodies and not moving.intersection(one.joints):
+                continue
+            why = _LOOP if one.bodies else _why_not(one, moving)
+            wrong.append(f"{one.name} {why}")
+        if wrong:
+            raise ValueError(
+                f"{str(self.path)!r} describes no tree of hinges and slides: "
+                f"{'; '.join(wrong)}. What is not recorded can be held at zero: name "
+                "the joints that are (--joints in the command line, joint_names in "
+                "Python)."
+            )
+
+    def build(self):
+        """Build the model of a robot whose joints are hinges and slides."""
+        pin = import_pinocchio()
+        model = pin.Model()
+        model.name = self.name
+        gravity = model.gravity.copy()
+        gravity.linear = self.gravity
+        model.gravity = gravity
+        # Of a body: the joint that moves it, that joint's frame, and its place there.
+        places = {_WORLD: (0, 0, pin.SE3.Identity())}
+        for k, body in enumerate(self.bodies):
+            number_, frame, place = places[body.parent]
+            place = place * body.placement
+            for joint in body.joints:
+                anchor = pin.SE3(np.eye(3), joint.anchor)
+                # With its axes parallel to the body's where the joint is at zero.
+                zero = place * joint.moved(0.0) * anchor
+                number_ = model.addJoint(
+                    number_,
+                    _pinocchio_joint(joint),
+                    zero,
+                    joint.name,
+                    *(np.array([x]) for x in (np.inf, np.inf, joint.low, joint.high)),
+                )
+                frame = model.addJointFrame(number_, frame)
+                place = anchor.inverse()
+            if _has_mass(body.inertia):
+                model.appendBodyToJoint(number_, body.inertia, place)
+            model.addBodyFrame(body.name, number_, place, frame)
+            places[k] = number_, frame, place
+        return model
+
+    def write(self, target):
+        """Write the robot as MJCF, its bodies and joints alone, to be read again."""
+        self._check_tree()
+        root = ElementTree.Element("mujoco", model=self.name)
+        ElementTree.SubElement(
+            root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"
+        )
+        ElementTree.SubElement(root, "option", gravity=numbers(self.gravity))
+        elements = {_WORLD: ElementTree.SubElement(root, "worldbody")}
+        for k, body in enumerate(self.bodies):
+            elements[k] = ElementTree.SubElement(
+                elements[body.parent], "body", name=body.name, **_placed(body.placement)
+            )
+            _write_mass(elements[k], body.inertia)
+            for joint in body.joints:
+                _write_joint(elements[k], joint)
+        if self.links:
+            _write_followers(ElementTree.SubElement(root, "equality"), self)
+        write_tree(ElementTree.ElementTree(root), target)
 
 
 def read_mjcf(root, path, parse):
@@ -204,7 +364,7 @@ class _Reader:
             self._content(world, _WORLD, world.get("childclass"), 0)
         bodies = tuple(self._bodies)
         self._check_names(bodies)
-        constraints, followers = self._equalities(bodies)
+        constraints, links = self._equalities(bodies)
         gravity = self._document.merged("option").numbers(
             "gravity", [0.0, 0.0, -9.81], 3
         )
@@ -215,10 +375,11 @@ class _Reader:
             bodies = _scaled(bodies, total)
         return MjcfRobot(
             name=self._document.name,
+            path=self._document.path,
             bodies=bodies,
             gravity=gravity,
             constraints=tuple(constraints),
-            followers=tuple(followers),
+            links=links,
             beside=self._beside(),
         )
 
@@ -363,11 +524,11 @@ class _Reader:
     # -- constraints --
 
     def _equalities(self, bodies):
-        """Return the constraints and the followers."""
+        """Return the constraints, and how joints follow others."""
         numbers_of = {body.name: k for k, body in enumerate(bodies)}
         numbers_of["world"] = _WORLD
         joints = {joint.name: joint for body in bodies for joint in body.joints}
-        constraints, followers = [], []
+        constraints, links = [], {}
         for section in self._document.sections("equality"):
             for element in section:
                 attributes = self._document.attributes(element)
@@ -375,20 +536,16 @@ class _Reader:
                     continue
                 if element.tag in ("connect", "weld"):
                     found = self._between(attributes, element.tag, numbers_of)
-                    constraints.append(found)
                 elif element.tag == "joint":
-                    found = self._coupled(attributes, joints)
-                    kept = isinstance(found, Follower)
-                    (followers if kept else constraints).append(found)
+                    found = self._coupled(attributes, joints, links)
                 else:
-                    constraints.append(
-                        Constraint(
-                            kind=element.tag,
-                            name=f"{attributes.what} of <equality>",
-                            joints=tuple(joints),
-                        )
+                    found = Constraint(
+                        kind=element.tag,
+                        name=f"{attributes.what} of <equality>",
+                        joints=tuple(joints),
                     )
-        return constraints, followers
+                constraints += [found] if found else []
+        return constraints, links
 
     def _between(self, attributes, kind, numbers_of):
         """Return a constraint between two bodies."""
@@ -411,8 +568,8 @@ class _Reader:
             bodies=tuple(ends),
         )
 
-    def _coupled(self, attributes, joints):
-        """Return what an equality of joints is, a `Follower` where it is linear."""
+    def _coupled(self, attributes, joints, links):
+        """Return the constraint of an equality of joints; a linear one is a link."""
         names = [attributes.text(f"joint{k}") for k in "12"]
         names = names[:1] if names[1] is None else names
         for name in names:
@@ -432,10 +589,10 @@ class _Reader:
             if {own.kind, leader.kind} <= {"hinge", "slide"}:
                 # Both count from where the file puts them.
                 offset = float(poly[0] + own.ref - poly[1] * leader.ref)
-                link = Link(
+                links[own.name] = Link(
                     leader=leader.name, multiplier=float(poly[1]), offset=offset
                 )
-                return Follower(name=own.name, link=link)
+                return None
         return Constraint(
             kind="joint",
             name=f"{attributes.what} of <equality>, which ties {' to '.join(names)},",
@@ -446,111 +603,15 @@ class _Reader:
         """Return what the file has beside bodies and joints."""
         document = self._document
         return Beside(
-            tendons=tuple(
+            tendons=[
                 element.get("name") or element.tag
                 for section in document.sections("tendon")
                 for element in section
-            ),
+            ],
             n_actuators=sum(map(len, document.sections("actuator"))),
-            weightless=tuple(self._weightless),
-            nameless=tuple(self._nameless),
-            unknown=tuple(self._unknown),
-        )
-
-
-def _scaled(bodies, total):
-    """Scale the masses of bodies to a total [kg]."""
-    own = sum(body.inertia.mass for body in bodies)
-    if not own > 0:
-        return bodies
-    return tuple(
-        replace(body, inertia=_times(body.inertia, total / own)) for body in bodies
-    )
-
-
-def _times(inertia, factor):
-    """Scale a mass and its moments of inertia."""
-    return import_pinocchio().Inertia(
-        factor * inertia.mass, inertia.lever, factor * inertia.inertia
-    )
-
-
-# -- holding joints --------------------------------------------------------------------
-
-
-def held(robot, moving):
-    """Return the robot with all joints but those named in `moving` fixed at zero."""
-    bodies = []
-    for body in robot.bodies:
-        placement, kept = body.placement, []
-        for joint in body.joints:
-            if joint.name in moving:
-                kept.append(joint)
-                continue
-            # What is fixed behind a joint turns it into other axes of the body.
-            fixed = joint.moved(0.0)
-            placement = placement * fixed
-            kept = [
-                replace(
-                    one,
-                    axis=fixed.rotation.T @ one.axis,
-                    anchor=fixed.actInv(one.anchor),
-                )
-                for one in kept
-            ]
-        bodies.append(replace(body, placement=placement, joints=tuple(kept)))
-    return replace(robot, bodies=tuple(bodies))
-
-
-def hold_base(robot, name, turn=None):
-    """Return the robot without its free joint, and the axes (3, 3) of its base."""
-    # turn: those in the world; None for those of the file.
-    bodies = list(robot.bodies)
-    at = next(k for k, x in enumerate(bodies) if name in [j.name for j in x.joints])
-    base, above = bodies[at], np.eye(3)
-    parent = base.parent
-    while parent != _WORLD:
-        above = bodies[parent].placement.rotation @ above
-        parent = bodies[parent].parent
-    if turn is not None:
-        placement = base.placement.copy()
-        placement.rotation = above.T @ turn
-        base = bodies[at] = replace(base, placement=placement)
-    moving = {joint.name for joint in robot.joints} - {name}
-    robot = held(replace(robot, bodies=tuple(bodies)), moving)
-    return robot, above @ base.placement.rotation
-
-
-def check_tree(robot, path):
-    """Refuse joints of other than one degree of freedom, and what closes loops."""
-    moving = {joint.name for joint in robot.joints}
-    carried_by = _carriers(robot)
-    wrong = []
-    for joint in robot.joints:
-        if joint.kind == "free":
-            wrong.append(
-                f"joint {joint.name!r} lets its body float freely (a free joint is "
-                "held only if there is no other one and it carries all other joints; "
-                "take it out of the file if the body stands firm)"
-            )
-        elif joint.kind == "ball":
-            wrong.append(
-                f"joint {joint.name!r} is a ball joint (write three hinges with axes "
-                "at right angles in its place)"
-            )
-    for one in robot.constraints:
-        if one.bodies and carried_by[one.bodies[0]] == carried_by[one.bodies[1]]:
-            # Held joints made one body of both.
-            continue
-        if not one.bodies and not moving.intersection(one.joints):
-            continue
-        why = _LOOP if one.bodies else _why_not(one, moving)
-        wrong.append(f"{one.name} {why}")
-    if wrong:
-        raise ValueError(
-            f"{str(path)!r} describes no tree of hinges and slides: {'; '.join(wrong)}."
-            " What is not recorded can be held at zero: name the joints that are "
-            "(--joints in the command line, joint_names in Python)."
+            weightless=self._weightless,
+            nameless=self._nameless,
+            unknown=self._unknown,
         )
 
 
@@ -564,64 +625,6 @@ def _why_not(constraint, moving):
         "is not linear in the other joint's position (only a polycoef of the form o k "
         "0 0 0 is)"
     )
-
-
-def carriers(robot):
-    """Name of the joint that carries each joint, by its name; None for the world."""
-    joints, found = robot.joints, {}
-    of_bodies = _carriers(robot)
-    for body in robot.bodies:
-        above = of_bodies[body.parent]
-        name = joints[above].name if above >= 0 else None
-        for joint in body.joints:
-            found[joint.name] = name
-            name = joint.name
-    return found
-
-
-def _carriers(robot):
-    """Return the number of the joint that moves each body, by the body's number."""
-    found, count = {_WORLD: -1}, 0
-    for k, body in enumerate(robot.bodies):
-        count += len(body.joints)
-        found[k] = count - 1 if body.joints else found[body.parent]
-    return found
-
-
-# -- for Pinocchio, and as a file ------------------------------------------------------
-
-
-def to_pinocchio(robot):
-    """Build the model of a robot whose joints are hinges and slides."""
-    pin = import_pinocchio()
-    model = pin.Model()
-    model.name = robot.name
-    gravity = model.gravity.copy()
-    gravity.linear = robot.gravity
-    model.gravity = gravity
-    # Of a body: the joint that moves it, that joint's frame, and its place there.
-    places = {_WORLD: (0, 0, pin.SE3.Identity())}
-    for k, body in enumerate(robot.bodies):
-        number_, frame, place = places[body.parent]
-        place = place * body.placement
-        for joint in body.joints:
-            anchor = pin.SE3(np.eye(3), joint.anchor)
-            # With its axes parallel to the body's where the joint is at zero.
-            zero = place * joint.moved(0.0) * anchor
-            number_ = model.addJoint(
-                number_,
-                _pinocchio_joint(joint),
-                zero,
-                joint.name,
-                *(np.array([x]) for x in (np.inf, np.inf, joint.low, joint.high)),
-            )
-            frame = model.addJointFrame(number_, frame)
-            place = anchor.inverse()
-        if _has_mass(body.inertia):
-            model.appendBodyToJoint(number_, body.inertia, place)
-        model.addBodyFrame(body.name, number_, place, frame)
-        places[k] = number_, frame, place
-    return model
 
 
 def _has_mass(inertia):
@@ -638,28 +641,6 @@ def _pinocchio_joint(joint):
             return getattr(pin, f"JointModel{kind}{letter}")()
     long = "Prismatic" if joint.kind == "slide" else "Revolute"
     return getattr(pin, f"JointModel{long}Unaligned")(joint.axis)
-
-
-def write_robot(robot, target):
-    """Write a robot as MJCF, its bodies and joints alone, to be read again."""
-    # It has hinges and slides without constraints.
-    root = ElementTree.Element("mujoco", model=robot.name)
-    ElementTree.SubElement(
-        root, "compiler", angle="radian", autolimits="true", inertiafromgeom="false"
-    )
-    ElementTree.SubElement(root, "option", gravity=numbers(robot.gravity))
-    elements = {_WORLD: ElementTree.SubElement(root, "worldbody")}
-    for k, body in enumerate(robot.bodies):
-        elements[k] = ElementTree.SubElement(
-            elements[body.parent], "body", name=body.name, **_placed(body.placement)
-        )
-        _write_mass(elements[k], body.inertia)
-        for joint in body.joints:
-            _write_joint(elements[k], joint)
-    if robot.followers:
-        equality = ElementTree.SubElement(root, "equality")
-        _write_followers(equality, robot)
-    write_tree(ElementTree.ElementTree(root), target)
 
 
 def _placed(placement):
@@ -700,13 +681,29 @@ def _write_joint(parent, joint):
 
 def _write_followers(parent, robot):
     refs = {joint.name: joint.ref for joint in robot.joints}
-    for one in robot.followers:
-        link = one.link
-        shift = link.offset - refs[one.name] + link.multiplier * refs[link.leader]
+    for name, link in robot.links.items():
+        shift = link.offset - refs[name] + link.multiplier * refs[link.leader]
         ElementTree.SubElement(
             parent,
             "joint",
-            joint1=one.name,
+            joint1=name,
             joint2=link.leader,
             polycoef=numbers([shift, link.multiplier, 0.0, 0.0, 0.0]),
         )
+
+
+def _scaled(bodies, total):
+    """Scale the masses of bodies to a total [kg]."""
+    own = sum(body.inertia.mass for body in bodies)
+    if not own > 0:
+        return bodies
+    return tuple(
+        replace(body, inertia=_times(body.inertia, total / own)) for body in bodies
+    )
+
+
+def _times(inertia, factor):
+    """Scale a mass and its moments of inertia."""
+    return import_pinocchio().Inertia(
+        factor * inertia.mass, inertia.lever, factor * inertia.inertia
+    )

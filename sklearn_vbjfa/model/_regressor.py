@@ -10,12 +10,11 @@ recursion.
 """
 
 import functools
-from typing import NamedTuple
 
 import numpy as np
 from scipy import sparse
 
-from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
 # zero, relative to the largest of its unit in the same torque.
@@ -25,57 +24,6 @@ _N_PROBES = 32
 # Bytes of regressor matrices that are in memory at once for inverse dynamics: few
 # enough to stay in the processor's cache.
 _CACHE = 1 << 19
-
-
-class Tree(NamedTuple):
-    """What the compiled loop needs to know of a robot."""
-
-    parents: np.ndarray  # (nv,): number of the parent, -1 for none
-    # (nv, 3): place of a joint at zero in its parent's frame [m]; zero without parent
-    offsets: np.ndarray
-    frames: np.ndarray  # (nv, 3, 3): its axes, by rows, in the frame of its parent
-    # (nv, 3): direction about or along which it moves, in its own frame
-    axes: np.ndarray
-    # (nv,): radians and metres by unit of its position; a helical joint has both
-    turns: np.ndarray
-    slides: np.ndarray
-    # (nv, 3): acceleration in place of gravity, of joints without parent [m/s^2]
-    base: np.ndarray
-    base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
-
-
-def describe(model, parents):
-    """Return the `Tree` of a model, from how Pinocchio moves its joints."""
-    pin, nv = import_pinocchio(), model.nv
-    tree = Tree(
-        parents=parents,
-        offsets=np.zeros((nv, 3)),
-        frames=np.empty((nv, 3, 3)),
-        axes=np.empty((nv, 3)),
-        turns=np.empty(nv),
-        slides=np.empty(nv),
-        base=np.zeros((nv, 3)),
-        base_angular=-model.gravity.angular,
-    )
-    data, zero = model.createData(), np.zeros(model.nq)
-    for i in range(nv):
-        # The motion of a joint in its own frame is the same everywhere.
-        pin.forwardKinematics(model, data, zero, np.eye(nv)[i])
-        placement, motion = data.liMi[i + 1], data.v[i + 1]
-        turns = motion.angular.any()
-        axis = motion.angular if turns else motion.linear
-        tree.axes[i] = axis / np.linalg.norm(axis)
-        tree.turns[i], tree.slides[i] = turns, motion.linear @ tree.axes[i]
-        tree.frames[i] = placement.rotation.T
-        if tree.parents[i] >= 0:
-            tree.offsets[i] = placement.translation
-        else:
-            # Moments about the first joint rather than the world's origin, where those
-            # of a robot far away would be rounded; a base that accelerates upwards
-            # takes the place of gravity.
-            lever = np.cross(tree.base_angular, placement.translation)
-            tree.base[i] = lever - model.gravity.linear
-    return tree
 
 
 def rounding_entries(power):
@@ -116,9 +64,9 @@ class TreeRegressor:
         self.nv = model.nv
         self.compiled = compiled
         self._model = model
-        parents = np.array([int(k) - 1 for k in model.parents][1:])
+        self._tree = describe(model)
         carried = np.eye(self.nv, dtype=bool)
-        for i, parent in enumerate(parents):
+        for i, parent in enumerate(self._tree.parents):
             if parent >= 0:
                 carried[:, i] |= carried[:, parent]
         # Pinocchio's recursion in body frames leaves exact zeros where the torque does
@@ -129,7 +77,6 @@ class TreeRegressor:
         probes = np.array([one(*np.split(row, 3)) for row in states])
         zeros = rounding_entries(np.mean(probes**2, axis=0))
         self.support = carried[:, :, None] & ~zeros
-        self._tree = describe(model, parents)
 
     def one_by_one(self):
         """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10)."""

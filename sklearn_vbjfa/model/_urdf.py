@@ -1,13 +1,361 @@
-"""Writing identified bodies, friction and axes into a robot description."""
+"""URDF: what a file says of a tree of joints, and identified robots written as one.
+
+A URDF is a tree by its own rules. Loops are told in extensions of simulators, which
+readers leave out in silence, or against the rules, which they refuse without a reason.
+"""
 
 import os
+import re
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
 
-from sklearn_vbjfa.model._loading import import_pinocchio, joint_names
+from sklearn_vbjfa.model._trees import (
+    Link,
+    body_names,
+    check_number,
+    describe,
+    import_pinocchio,
+    joint_names,
+)
 from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
 from sklearn_vbjfa.physical import inertia_matrix
+
+# Kinds of joints that have an axis, and elements that a fixed joint has no use for.
+_AXIAL = ("revolute", "continuous", "prismatic")
+_MOTION = ("axis", "limit", "mimic", "dynamics", "safety_controller", "calibration")
+# Elements of simulators that join two links of the tree once more.
+_CLOSURES = (
+    "loop_joint",
+    "ball_constraint",
+    "linear_bushing_rpy",
+    "weld_constraint",
+    "distance_constraint",
+)
+_TREE = "and only trees of joints can be identified"
+_REMEDY = (
+    "take out the joint that closes it, or hold what is not recorded at zero: name the "
+    "joints that are (--joints in the command line, joint_names in Python)"
+)
+# What URDF readers take for no limit.
+_UNLIMITED = 1e12
+# Distance of two models by rounding alone [m, and of the axes' components].
+_ROUNDING = 1e-9
+
+
+class UrdfRobot:
+    """What a URDF says of a robot, as `MjcfRobot`; its tree of XML is changed."""
+
+    # path: what messages name.
+    massless = ()
+
+    def __init__(self, tree, path):
+        self._tree, self._path = tree, path
+        self._root = tree.getroot()
+
+    def _joints(self, *kinds):
+        """Return the elements of joints, of some types alone if any are named."""
+        joints = self._root.findall("joint")
+        return [joint for joint in joints if not kinds or joint.get("type") in kinds]
+
+    def _moving(self):
+        """Elements of the joints that are not fixed."""
+        return [joint for joint in self._joints() if joint.get("type") != "fixed"]
+
+    @property
+    def names(self):
+        """Names of the joints that are not fixed, a list."""
+        return [joint.get("name") for joint in self._moving()]
+
+    @property
+    def free(self):
+        """Names of the joints that let a body float freely."""
+        return [joint.get("name") for joint in self._joints("floating")]
+
+    @property
+    def carriers(self):
+        """Name of the joint that carries each moving joint, name -> name or None."""
+        above = self._above()
+        return {
+            joint.get("name"): self._joint_above(_link(joint.find("parent")), above)
+            for joint in self._moving()
+        }
+
+    @property
+    def links(self):
+        """Joints that follow others, name -> `Link`."""
+        found = {}
+        for joint in self._joints(*_AXIAL):
+            mimic = joint.find("mimic")
+            if mimic is None:
+                continue
+            name, values = joint.get("name"), []
+            for key, otherwise in (("multiplier", "1"), ("offset", "0")):
+                value = _floats(mimic.get(key, otherwise), 1)
+                if value is None:
+                    raise ValueError(
+                        f"{str(self._path)!r}: joint {name!r} follows another one with "
+                        f"the {key} {mimic.get(key)[:40]!r}, which is no number; "
+                        "correct the description."
+                    )
+                values.append(value[0])
+            leader = mimic.get("joint", "")
+            found[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
+        return found
+
+    def left_out(self):
+        """Sentences on what is in the file and does not enter the model."""
+        return []
+
+    def with_base(self, name, turn=None):
+        """Hold the free joint at the root; return the robot, and its base's axes."""
+        # turn (3, 3): axes of the base in the world; None for those of the file.
+        above = self._above()
+        own = next(joint for joint in self._joints() if joint.get("name") == name)
+        carrying, link, seen = np.eye(3), _link(own.find("parent")), set()
+        joints = {_link(joint.find("child")): joint for joint in self._joints()}
+        while link in above and link not in seen:
+            seen.add(link)
+            carrying = _turned(joints[link]) @ carrying
+            link = above[link][0]
+        if turn is not None:
+            origin = own.find("origin")
+            if origin is None:
+                origin = ElementTree.SubElement(own, "origin")
+            origin.set("rpy", numbers(_rpy(carrying.T @ turn)))
+        _fix(own)
+        return self, carrying @ _turned(own)
+
+    def held(self, moving, follow):
+        """Return the robot, whose joints that neither move nor follow stay at zero."""
+        for joint in self._moving():
+            name = joint.get("name")
+            if name in moving:
+                # A follower that is named has columns and a torque of its own.
+                for mimic in joint.findall("mimic"):
+                    joint.remove(mimic)
+            elif name not in follow:
+                _fix(joint)
+        return self
+
+    def settled(self):
+        """Return the robot, whose joints that follow a fixed one are fixed."""
+        while True:
+            still = {joint.get("name") for joint in self._joints("fixed")}
+            links = self.links
+            follow = [name for name, link in links.items() if link.leader in still]
+            if not follow:
+                return self
+            for joint in self._joints():
+                if joint.get("name") in follow:
+                    _fix(joint)
+
+    def write(self, target):
+        """Write the URDF as it is now."""
+        self._tree.write(target, encoding="utf-8", xml_declaration=True)
+
+    def build(self):
+        """Build Pinocchio's model; shapes do not enter it."""
+        for link in self._root.findall("link"):
+            # They are not worth a complaint of the parser.
+            for shape in link.findall("visual") + link.findall("collision"):
+                link.remove(shape)
+        for joint in self._joints("continuous"):
+            joint.set("type", "revolute")
+            limit = joint.find("limit")
+            if limit is None:
+                limit = ElementTree.SubElement(joint, "limit")
+                limit.set("effort", "1e12")
+                limit.set("velocity", "1e12")
+            limit.set("lower", "-1e12")
+            limit.set("upper", "1e12")
+        text = ElementTree.tostring(self._root, encoding="unicode")
+        try:
+            return import_pinocchio().buildModelFromXML(text)
+        except (ValueError, RuntimeError) as error:
+            raise ValueError(
+                f"Pinocchio cannot build a robot from {str(self._path)!r}: {error}"
+            ) from error
+
+    # -- what is no tree of joints --
+
+    def check(self):
+        """Refuse what no robot has, and joints that close a loop, naming the links."""
+        self._check_masses()
+        self._check_axes()
+        self._check_tree()
+
+    def _check_masses(self):
+        for link in self._root.findall("link"):
+            for mass in link.findall("inertial/mass"):
+                try:
+                    value = float(mass.get("value", "nan"))
+                except ValueError:
+                    # The parser says what is wrong.
+                    continue
+                if value < 0:
+                    raise ValueError(
+                        f"{str(self._path)!r}: link {link.get('name')!r} has the mass "
+                        f"{value:g} kg; correct the description."
+                    )
+
+    def _check_axes(self):
+        """Refuse joints without direction, and more joints than robots have."""
+        moving = self._joints(*_AXIAL)
+        check_number(len(moving), self._path)
+        for joint in moving:
+            axis = joint.find("axis")
+            text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
+            try:
+                length = float(np.linalg.norm([float(x) for x in text.split()]))
+            except ValueError:
+                # The parser says what is wrong.
+                continue
+            if not 1e-6 < length < np.inf:
+                raise ValueError(
+                    f"{str(self._path)!r}: joint {joint.get('name')!r} has the axis "
+                    f"{text!r}, which is no direction; correct the description."
+                )
+
+    def _check_tree(self):
+        """Refuse a loop: links on two joints, in a ring, or joined by an extension."""
+        path, above = repr(str(self._path)), {}
+        for joint in self._joints():
+            parent, child = (_link(joint.find(tag)) for tag in ("parent", "child"))
+            if parent is None or child is None:
+                # The parser says what is missing.
+                return
+            if child in above:
+                raise ValueError(
+                    f"{path}: link {child!r} hangs on two joints, {above[child][1]!r} "
+                    f"and {joint.get('name')!r}: that is a loop, {_TREE}; take one of "
+                    "them out."
+                )
+            above[child] = parent, joint.get("name"), joint.get("type") == "fixed"
+        for link in above:
+            _check_ring(link, above, path)
+        carriers = {
+            link.get("name"): _rigid(link.get("name"), above)
+            for link in self._root.findall("link")
+        }
+        # Frames of Drake, which bushings name.
+        at = {x.get("name"): x.get("link") for x in self._root.findall("frame")}
+        for element in self._root.iter():
+            closure = _closure(element)
+            if closure is None:
+                continue
+            names = [at.get(name, name) for name in _words(closure)]
+            links = [name for name in dict.fromkeys(names) if name in carriers]
+            if len(links) < 2 or len({carriers[name] for name in links}) > 1:
+                joined = f" between {' and '.join(links)}" if links else ""
+                raise ValueError(
+                    f"{path}: {_called(closure)}{joined} closes a loop, {_TREE}; "
+                    f"{_REMEDY}."
+                )
+
+    def _above(self):
+        """Link -> link above it, joint between them, and whether that is fixed."""
+        return {
+            _link(joint.find("child")): (
+                _link(joint.find("parent")),
+                joint.get("name"),
+                joint.get("type") == "fixed",
+            )
+            for joint in self._joints()
+        }
+
+    def _joint_above(self, link, above):
+        """Name of the joint that moves a link, None for the base."""
+        link = _rigid(link, above)
+        return above[link][1] if link in above else None
+
+
+def _fix(joint):
+    """Fix a joint of a URDF at zero."""
+    joint.set("type", "fixed")
+    for child in list(joint):
+        if child.tag in _MOTION:
+            joint.remove(child)
+
+
+def _floats(text, size):
+    """Return so many finite numbers of a text, or None where it has others."""
+    try:
+        found = np.array([float(x) for x in text.split()])
+    except ValueError:
+        return None
+    return found if found.shape == (size,) and np.isfinite(found).all() else None
+
+
+def _turned(joint):
+    """Rotation (3, 3) of the origin of a joint, none where it cannot be read."""
+    origin = joint.find("origin")
+    # Of what is no number the parser says what is wrong.
+    angles = _floats("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3)
+    if angles is None:
+        return np.eye(3)
+    return import_pinocchio().rpy.rpyToMatrix(angles)
+
+
+def _link(element):
+    """Name of the link that a <parent> or <child> names."""
+    return None if element is None else element.get("link")
+
+
+def _rigid(link, above):
+    """Return the link of the same rigid body next to the joint that moves it."""
+    seen = set()
+    while link in above and above[link][2] and link not in seen:
+        seen.add(link)
+        link = above[link][0]
+    return link
+
+
+def _check_ring(link, above, path):
+    """Refuse links that hang on each other."""
+    seen = [link]
+    while link in above:
+        link = above[link][0]
+        if link in seen:
+            ring = " - ".join([*seen[seen.index(link) :], link])
+            raise ValueError(
+                f"{path}: the links {ring} hang on each other in a ring, {_TREE}"
+                "; correct the parent of one joint."
+            )
+        seen.append(link)
+
+
+def _plain(tag):
+    """Tag of an element without the namespace of its program."""
+    return re.sub(r"^(\{.*\}|.*:)", "", str(tag))
+
+
+def _closure(element):
+    """Return the element that joins links outside the tree, if this has or is one."""
+    tag = _plain(element.tag)
+    if tag in _CLOSURES:
+        return element
+    # A whole joint of the simulator, beside those of the robot.
+    return element.find("joint") if tag == "gazebo" else None
+
+
+def _words(element):
+    """Texts and attributes of all that is in an element."""
+    return [
+        word.strip()
+        for one in element.iter()
+        for word in (*one.attrib.values(), one.text or "")
+    ]
+
+
+def _called(element):
+    """How messages call an element."""
+    tag, name = _plain(element.tag), element.get("name")
+    where = " of <gazebo>" if tag == "joint" else ""
+    return f"<{tag}>{f' {name!r}' if name else ''}{where}"
+
+
+# -- identified robots -----------------------------------------------------------------
 
 
 def body_about_com(phi):
@@ -47,14 +395,13 @@ def _set_inertial(link, phi):
 
 def _turn_origin(joint, rotation):
     """Turn the origin of a joint, and with it what the joint carries."""
-    rpy = import_pinocchio().rpy
     origin = joint.find("origin")
     if origin is None:
         origin = ElementTree.SubElement(joint, "origin")
         origin.set("xyz", "0 0 0")
     given = np.array(origin.get("rpy", "0 0 0").split(), dtype=float)
-    turned = rpy.matrixToRpy(rpy.rpyToMatrix(given) @ rotation)
-    origin.set("rpy", numbers(turned))
+    turned = import_pinocchio().rpy.rpyToMatrix(given) @ rotation
+    origin.set("rpy", numbers(_rpy(turned)))
 
 
 def write_urdf(
@@ -154,3 +501,98 @@ def write_identified(
         )
     check_possible(model, min_eigenvalues, "a URDF")
     write_urdf(source, path, model, bodies, friction, note, turned, followers)
+
+
+# -- robots without a file -------------------------------------------------------------
+
+
+def text_of_tree(model, followers=None):
+    """Write the URDF of a tree of revolute and prismatic joints, with its followers."""
+    # One link a joint, of the name of its body, without shapes. Gravity has no place in
+    # it.
+    pin = import_pinocchio()
+    tree = describe(model)
+    data = model.createData()
+    pin.forwardKinematics(model, data, np.zeros(model.nq))
+    links = _link_names(model)
+    root = ElementTree.Element("robot", name=model.name or "robot")
+    ElementTree.SubElement(root, "link", name=links[0])
+    for j, name in enumerate(joint_names(model)):
+        _check_kind(model, j, tree)
+        slides = not tree.turns[j]
+        link = ElementTree.SubElement(root, "link", name=links[j + 1])
+        _add_inertial(link, model.inertias[j + 1])
+        low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
+        endless = not (low > -_UNLIMITED or high < _UNLIMITED)
+        kind = "prismatic" if slides else "continuous" if endless else "revolute"
+        joint = ElementTree.SubElement(root, "joint", name=name, type=kind)
+        placed = data.liMi[j + 1]
+        _add(joint, "origin", xyz=placed.translation, rpy=_rpy(placed.rotation))
+        ElementTree.SubElement(joint, "parent", link=links[model.parents[j + 1]])
+        ElementTree.SubElement(joint, "child", link=links[j + 1])
+        _add(joint, "axis", xyz=tree.axes[j])
+        limits = {"effort": model.effortLimit[j], "velocity": model.velocityLimit[j]}
+        if kind != "continuous":
+            limits = {"lower": low, "upper": high} | limits
+        _add(joint, "limit", **limits)
+        if followers and name in followers:
+            _add_mimic(joint, followers[name])
+    ElementTree.indent(root)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def _add_mimic(joint, link):
+    """Write that a joint follows another one."""
+    _add(joint, "mimic", multiplier=link.multiplier, offset=link.offset)
+    joint.find("mimic").set("joint", link.leader)
+
+
+def _link_names(model):
+    """Names of the base and of the bodies, all different."""
+    bodies = body_names(model)
+    if len(set(bodies)) < len(bodies):
+        bodies = tuple(f"{name}_link" for name in joint_names(model))
+    base = "base_link"
+    while base in bodies:
+        base = f"{base}_"
+    return (base, *bodies)
+
+
+def _check_kind(model, j, tree):
+    """Refuse a joint that is neither revolute, about its frame, nor prismatic."""
+    pin = import_pinocchio()
+    data, one = model.createData(), np.eye(model.nv)[j]
+    pin.forwardKinematics(model, data, np.zeros(model.nq), one)
+    motion = data.v[j + 1]
+    turns = tree.axes[j] if tree.turns[j] else np.zeros(3)
+    slides = np.zeros(3) if tree.turns[j] else tree.axes[j]
+    other = np.r_[motion.angular - turns, motion.linear - slides]
+    if np.abs(other).max() > _ROUNDING:
+        raise ValueError(
+            f"Joint {model.names[j + 1]} ({model.joints[j + 1].shortname()}) is "
+            "neither revolute nor prismatic, and URDF has no name for it."
+        )
+
+
+def _add_inertial(link, inertia):
+    """Write the inertia of a body; nothing without mass."""
+    if not inertia.mass > 0:
+        return
+    inertial = ElementTree.SubElement(link, "inertial")
+    _add(inertial, "origin", xyz=inertia.lever, rpy=np.zeros(3))
+    _add(inertial, "mass", value=inertia.mass)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.inertia
+    _add(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
+
+
+def _rpy(rotation):
+    """Roll, pitch and yaw of a rotation matrix, as close as rounding allows."""
+    return import_pinocchio().rpy.matrixToRpy(rotation)
+
+
+def _add(parent, tag, **numbers):
+    """Add an element whose attributes are numbers, written so that they come back."""
+    element = ElementTree.SubElement(parent, tag)
+    for name, values in numbers.items():
+        limited = np.clip(np.atleast_1d(values), -_UNLIMITED, _UNLIMITED)
+        element.set(name, " ".join(repr(float(x)) for x in limited))

@@ -1,9 +1,17 @@
-"""Writing robot descriptions: comments, and files that are never half written."""
+"""XML of robot descriptions: read safely, and written whole or not at all.
+
+A description is checked before a parser sees it, since these do not limit the depth.
+"""
 
 import os
 import uuid
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from xml.parsers import expat
+from xml.parsers.expat import ExpatError
+
+# Robots of a hundred joints stay far below.
+_DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
 
 
 def number(value):
@@ -40,3 +48,57 @@ def write_tree(tree, target, like=None):
     except BaseException:
         temporary.unlink(missing_ok=True)
         raise
+
+
+def parse_description(path):
+    """Read the XML of a robot description, `ElementTree`; refuse what is none."""
+    if not path.is_file():
+        raise FileNotFoundError(
+            f"No robot description at {str(path)!r}; expected the path of a URDF or "
+            "MJCF file."
+        )
+    return parse_text(path.read_bytes(), path)
+
+
+def parse_text(content, path):
+    """Parse the bytes of a description; path : what messages name."""
+    try:
+        _check_structure(content)
+        return ElementTree.ElementTree(ElementTree.fromstring(content))
+    except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
+        raise ValueError(
+            f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
+            "A xacro file must be expanded first."
+        ) from error
+
+
+def _check_structure(content):
+    """Refuse XML that is no robot's, before a parser makes a tree of it."""
+    # Parsers call themselves once a level: a file of some hundred kilobytes can overrun
+    # the stack of the process.
+    depth, elements = 0, 0
+
+    def start(name, attributes):
+        nonlocal depth, elements
+        depth, elements = depth + 1, elements + 1
+        if depth > _DEEPEST:
+            raise ValueError(f"elements are nested more than {_DEEPEST} deep")
+        if elements > _MOST_ELEMENTS:
+            raise ValueError(f"there are more than {_MOST_ELEMENTS} elements")
+        if len(attributes) > _MOST_ATTRIBUTES:
+            raise ValueError(f"<{name}> has more than {_MOST_ATTRIBUTES} attributes")
+
+    def end(name):
+        nonlocal depth
+        depth -= 1
+
+    def entity(name, *rest):
+        raise ValueError(
+            f"it declares the entity {name[:40]!r}, write what it stands for"
+        )
+
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = start
+    parser.EndElementHandler = end
+    parser.EntityDeclHandler = entity
+    parser.Parse(content, True)

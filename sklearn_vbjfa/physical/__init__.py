@@ -15,7 +15,9 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     spatial_inertia,
 )
 from sklearn_vbjfa.physical._solver import ProjectionError
+from sklearn_vbjfa.physical._solver import one_blas_thread as one_blas_thread
 
+# `one_blas_thread` is for other rooms, not for users.
 __all__ = [
     "ParameterLayout",
     "PhysicalProjector",

@@ -15,8 +15,12 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
     min_eigenvalue,
     parameter_units,
 )
-from sklearn_vbjfa.physical._solver import GAP_TARGET, ProjectionError, solve
-from sklearn_vbjfa.physical._threads import one_blas_thread
+from sklearn_vbjfa.physical._solver import (
+    GAP_TARGET,
+    ProjectionError,
+    one_blas_thread,
+    solve,
+)
 
 # How many times longer than the visible part of a vector its hidden part may be before
 # it is taken for rounding; a plausible robot's are of one order.
@@ -178,24 +182,39 @@ class ProjectionResult:
     length_scale: np.ndarray
 
 
-def _check_options(constraint, margin, anchor_weight, max_solver_iter):
-    """Raise ValueError when an option that needs no data is wrong."""
-    _check_constraint(constraint)
-    if not _is_real(margin) or not 0 < margin < 1:
-        raise ValueError(
-            "margin must be a number between 0 and 1, both excluded (a fraction of "
-            f"each body's own scale), got {margin!r}"
-        )
-    if not _is_real(anchor_weight) or not 0 < anchor_weight <= 1:
-        raise ValueError(
-            "anchor_weight must be a number above 0 and at most 1, got "
-            f"{anchor_weight!r}"
-        )
-    whole = isinstance(max_solver_iter, Integral)
-    if not whole or isinstance(max_solver_iter, bool) or max_solver_iter < 1:
-        raise ValueError(
-            f"max_solver_iter must be an integer >= 1, got {max_solver_iter!r}"
-        )
+@dataclass(frozen=True, kw_only=True)
+class Options:
+    """What :func:`project` and :class:`PhysicalProjector` are told, in their words."""
+
+    constraint: str
+    metric: object
+    parameters_per_joint: object
+    body_starts: object
+    nonnegative: object
+    margin: float
+    mass_scale: object
+    length_scale: object
+    anchor: object
+    anchor_weight: float
+    max_solver_iter: int
+    parameter_names: object
+
+    def __post_init__(self):
+        """Raise ValueError when an option that needs no data is wrong."""
+        _check_constraint(self.constraint)
+        if not _is_real(self.margin) or not 0 < self.margin < 1:
+            raise ValueError(
+                "margin must be a number between 0 and 1, both excluded (a fraction of "
+                f"each body's own scale), got {self.margin!r}"
+            )
+        if not _is_real(self.anchor_weight) or not 0 < self.anchor_weight <= 1:
+            raise ValueError(
+                "anchor_weight must be a number above 0 and at most 1, got "
+                f"{self.anchor_weight!r}"
+            )
+        steps = self.max_solver_iter
+        if not isinstance(steps, Integral) or isinstance(steps, bool) or steps < 1:
+            raise ValueError(f"max_solver_iter must be an integer >= 1, got {steps!r}")
 
 
 def _is_real(value):
@@ -249,46 +268,27 @@ def _default_metric(rows, layout, mass_scale, length_scale):
 class Projection:
     """Where vectors are projected and in which distance; validated, in SI units."""
 
+    given: Options  # its metric, scales and anchor as they were given
     layout: ParameterLayout
     metric: Metric
-    constraint: str
-    margin: float  # least eigenvalue of each body's matrix in its own units
-    # (n_bodies,): those units [kg] and [m]
+    # (n_bodies,): units of each body's matrix [kg] and [m]
     mass_scale: np.ndarray
     length_scale: np.ndarray
     # (n_features,): where unseen directions are pulled; None for the vector
     anchor: np.ndarray | None
-    anchor_weight: float
-    max_solver_iter: int
 
     @classmethod
-    def of(
-        cls,
-        rows,
-        *,
-        constraint,
-        metric,
-        parameters_per_joint,
-        body_starts,
-        nonnegative,
-        margin,
-        mass_scale,
-        length_scale,
-        anchor,
-        anchor_weight,
-        max_solver_iter,
-        parameter_names,
-    ):
-        """Validate the options of :func:`project` for rows (n_samples, n_features)."""
-        _check_options(constraint, margin, anchor_weight, max_solver_iter)
+    def of(cls, rows, given):
+        """Validate `Options` for rows (n_samples, n_features)."""
         n_features = rows.shape[1]
         layout = resolve_layout(
             n_features,
-            parameters_per_joint=parameters_per_joint,
-            body_starts=body_starts,
-            nonnegative=nonnegative,
-            parameter_names=parameter_names,
+            parameters_per_joint=given.parameters_per_joint,
+            body_starts=given.body_starts,
+            nonnegative=given.nonnegative,
+            parameter_names=given.parameter_names,
         )
+        anchor, metric = given.anchor, given.metric
         if anchor is not None:
             anchor = _check_vector(anchor, "anchor", n_features)
         if metric is not None:
@@ -297,20 +297,19 @@ class Projection:
         # The anchor is usually a plausible robot.
         source = rows if anchor is None else anchor[None]
         mass_scale, length_scale = _resolve_scales(
-            body_scales(source[:, layout.body_columns]), mass_scale, length_scale
+            body_scales(source[:, layout.body_columns]),
+            given.mass_scale,
+            given.length_scale,
         )
         if metric is None:
             metric = _default_metric(rows, layout, mass_scale, length_scale)
         return cls(
+            given=given,
             layout=layout,
             metric=metric,
-            constraint=constraint,
-            margin=margin,
             mass_scale=mass_scale,
             length_scale=length_scale,
             anchor=anchor,
-            anchor_weight=anchor_weight,
-            max_solver_iter=max_solver_iter,
         )
 
     @one_blas_thread()
@@ -320,7 +319,8 @@ class Projection:
         # is nan without `price_anchor`.
         theta = self.metric.without_rounding(theta)
         bodies, kept = self.layout.body_columns, self.layout.nonnegative
-        if np.all(self._eigenvalues(theta) >= self.margin) and np.all(theta[kept] >= 0):
+        enough = self._eigenvalues(theta) >= self.given.margin
+        if np.all(enough) and np.all(theta[kept] >= 0):
             return self._outcome(
                 theta,
                 theta.copy(),
@@ -340,24 +340,24 @@ class Projection:
         def programme(weight):
             return Programme.pulled(
                 theta / units,
-                constraint=self.constraint,
+                constraint=self.given.constraint,
                 body_columns=bodies,
                 nonnegative=kept,
-                margin=self.margin / common,
+                margin=self.given.margin / common,
                 metric_root=scaled_root,
                 anchor=(theta if self.anchor is None else self.anchor) / units,
                 anchor_weight=weight,
             )
 
-        nearest = programme(self.anchor_weight)
-        solution = solve(nearest, max_steps=self.max_solver_iter)
+        nearest = programme(self.given.anchor_weight)
+        solution = solve(nearest, max_steps=self.given.max_solver_iter)
         if solution.gap > GAP_TARGET:
             _tell_gap(solution)
         cost, told = (0.0 if nearest.n_hidden == 0 else np.nan), solution.status
         if nearest.n_hidden and price_anchor:
-            freer = programme(_HARDLY * self.anchor_weight)
+            freer = programme(_HARDLY * self.given.anchor_weight)
             cost, failed = _anchor_cost(
-                solution.vector, freer, scaled_root, self.max_solver_iter
+                solution.vector, freer, scaled_root, self.given.max_solver_iter
             )
             told += failed
         return self._outcome(
@@ -375,7 +375,7 @@ class Projection:
         """Smallest eigenvalue of each body's matrix, shape (n_bodies,)."""
         return min_eigenvalue(
             vector[self.layout.body_columns],
-            self.constraint,
+            self.given.constraint,
             mass_scale=self.mass_scale,
             length_scale=self.length_scale,
         )
@@ -415,7 +415,7 @@ class Projection:
         vector[kept] = np.maximum(vector[kept], 0.0)
         excess = np.finfo(float).eps
         for _ in range(60):
-            lacking = self._eigenvalues(vector) < self.margin
+            lacking = self._eigenvalues(vector) < self.given.margin
             if not lacking.any():
                 return vector
             lifted = programme.lift(vector / units, programme.margin + excess)
@@ -424,7 +424,7 @@ class Projection:
             excess *= 2
         raise ProjectionError(
             "The projection failed: rounding keeps a body's smallest eigenvalue below "
-            f"the margin of {self.margin:.1e}. Raise margin."
+            f"the margin of {self.given.margin:.1e}. Raise margin."
         )
 
 
@@ -539,8 +539,7 @@ def project(
     array([13., 13., 26.])
     """
     theta = _check_vector(theta, "theta")
-    projection = Projection.of(
-        theta[None],
+    given = Options(
         constraint=constraint,
         metric=metric,
         parameters_per_joint=parameters_per_joint,
@@ -554,4 +553,4 @@ def project(
         max_solver_iter=max_solver_iter,
         parameter_names=parameter_names,
     )
-    return projection(theta)
+    return Projection.of(theta[None], given)(theta)

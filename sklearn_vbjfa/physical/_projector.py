@@ -4,7 +4,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, OneToOneFeatureMixin, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.physical._projection import Projection
+from sklearn_vbjfa.physical._projection import Options, Projection
 
 
 class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
@@ -225,7 +225,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         options = self.get_params(deep=False)
         if self.parameter_names is None:
             options["parameter_names"] = getattr(self, "feature_names_in_", None)
-        self._projection = Projection.of(X, **options)
+        self._projection = Projection.of(X, Options(**options))
         self.metric_ = self._projection.metric.matrix
         self.mass_scale_ = self._projection.mass_scale
         self.length_scale_ = self._projection.length_scale

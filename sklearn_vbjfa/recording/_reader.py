@@ -8,7 +8,7 @@ from os import PathLike, fspath
 
 import numpy as np
 
-from sklearn_vbjfa.model._doubts import DoubtWarning
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._concatenate import (
     RecordedFile,
@@ -326,19 +326,19 @@ def _robot(urdf, names):
     # Of the description's joints only those with `names` count, if there are any.
     if urdf is None:
         return (), ()
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import is_prismatic, joint_names, load_model, load_reduced
 
-    model = _loading.load_reduced(urdf, names) if names else _loading.load_model(urdf)
-    return _loading.joint_names(model), _loading.is_prismatic(model)
+    model = load_reduced(urdf, names) if names else load_model(urdf)
+    return joint_names(model), is_prismatic(model)
 
 
 def _movable(urdf):
     """Return the joints of a description that can move, empty without one."""
     if urdf is None:
         return ()
-    from sklearn_vbjfa.model import _loading
+    from sklearn_vbjfa.model import movable_joints
 
-    return _loading.movable_joints(urdf)
+    return movable_joints(urdf)
 
 
 def _laid_out(table: Table, asked, names) -> Layout:

@@ -334,7 +334,7 @@ class Recording:
         ValueError
             If the description lacks a recorded joint or has another joint order.
         """
-        from sklearn_vbjfa.model._descriptions import build_model
+        from sklearn_vbjfa.model import build_model
 
         return build_model(self.name, self.urdf, self.joint_names)
 

@@ -2,10 +2,17 @@
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils._param_validation import Interval, StrOptions
+from sklearn.utils.validation import (
+    _check_sample_weight,
+    check_is_fitted,
+    validate_data,
+)
 
 from sklearn_vbjfa._core._linear_systems import unit_columns
-from sklearn_vbjfa.regression._sklearn_compat import check_sample_weight
+
+# Private parts of scikit-learn come from here alone.
+__all__ = ["Interval", "StrOptions", "check_sample_weight"]
 
 
 class BaseRegressor(RegressorMixin, BaseEstimator):
@@ -65,3 +72,17 @@ class LinearRegressor(BaseRegressor):
         d = coef.size
         self.coef_ = coef
         self.intercept_ = float(mean[d] - mean[:d] @ coef)
+
+
+def check_sample_weight(sample_weight, X):
+    """Return float64 weights (n,) of the rows of X (n, d), none negative, not all 0."""
+    weight = _check_sample_weight(sample_weight, X, dtype=np.float64)
+    if weight.min() < 0:
+        raise ValueError(
+            "sample_weight must not be negative, got a smallest weight of "
+            f"{weight.min():.6g}; give 0 to leave a sample out."
+        )
+    # Recent versions of scikit-learn raise this themselves, in these words.
+    if not weight.any():
+        raise ValueError("Sample weights must contain at least one non-zero number.")
+    return weight

@@ -5,8 +5,8 @@ from numbers import Integral, Real
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.regression._base import BaseRegressor
-from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
+from sklearn_vbjfa._core._linear_systems import or_one
+from sklearn_vbjfa.regression._base import BaseRegressor, Interval, StrOptions
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 
 # Samples further than this many bandwidths from a centre weigh less than 0.4 % there
@@ -113,7 +113,7 @@ class LocallyWeightedRegressor(BaseRegressor):
         used = weight > 0
         mean = np.average(X, axis=0, weights=weight)
         spread = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weight))
-        self.scale_ = np.where(spread > 0, spread, 1.0)
+        self.scale_ = or_one(spread)
         Z = X / self.scale_
         first = _spread_points(Z[used], self.n_models)
         n_models = first.shape[0]

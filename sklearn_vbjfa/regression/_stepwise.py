@@ -9,8 +9,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.special import fdtrc
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa.regression._base import LinearRegressor
-from sklearn_vbjfa.regression._sklearn_compat import Interval
+from sklearn_vbjfa.regression._base import Interval, LinearRegressor
 
 # Smallest fraction of a selected feature's variance that the other selected
 # features may leave unexplained ("tolerance"; its inverse is the variance

@@ -17,14 +17,14 @@ from sklearn_vbjfa._core._correlated import (
     posterior_covariance,
     solve_correlated,
 )
-from sklearn_vbjfa._core._dependencies import find_dependencies
+from sklearn_vbjfa._core._linear_systems import find_dependencies
 from sklearn_vbjfa._core._updates import LinearModel, Prior
+from sklearn_vbjfa.regression._base import Interval, StrOptions
 from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     noise_shares,
     resolve_input_noise,
 )
-from sklearn_vbjfa.regression._sklearn_compat import Interval, StrOptions
 
 # An input is relevant when its coefficient is more than this many posterior standard
 # deviations away from zero.

@@ -7,8 +7,8 @@ from scipy import linalg
 from scipy.special import softmax
 
 from sklearn_vbjfa._core._groups import Groups
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
-from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
 # How far a description is expected to be off: a body's distance from it in each of ten

@@ -9,7 +9,7 @@ from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import GridSearchCV, KFold
 
 from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
-from sklearn_vbjfa.regression._jfa import JFARegressor
+from sklearn_vbjfa.regression._joint_factor import JFARegressor
 from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
 from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
 from sklearn_vbjfa.regression._vbjfa import VBJFARegressor

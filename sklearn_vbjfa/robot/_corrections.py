@@ -11,8 +11,8 @@ import numpy as np
 
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._in_model import cross_axes
-from sklearn_vbjfa.model._corrected import CorrectedModel
-from sklearn_vbjfa.model._loading import (
+from sklearn_vbjfa.model import (
+    CorrectedModel,
     import_pinocchio,
     is_prismatic,
     joint_origin,

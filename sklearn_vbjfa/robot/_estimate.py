@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._scaled_eigen import ROUNDING, ScaledEigen, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
 from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.model._loading import nominal_parameters, solid_bodies
+from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
 from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,

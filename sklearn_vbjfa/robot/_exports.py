@@ -38,8 +38,8 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.model._corrected import CorrectedModel
-from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
+from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 

@@ -13,9 +13,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy import linalg, stats
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
-from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, LOST, noise_weights
 
 # Gains are plausible within this factor of those of the other channels, and known if

@@ -17,8 +17,8 @@ from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.effects._base import SPEED, Effect
 from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.effects._library import available
-from sklearn_vbjfa.model._description_text import in_order
-from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
+from sklearn_vbjfa.model._loading import joint_names, load_text
+from sklearn_vbjfa.model._trees import in_order, is_prismatic
 from sklearn_vbjfa.recording._quoting import quoted
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa.model._doubts import DoubtWarning
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot._estimate import PlainEstimate, plain_estimate
 
 # A value stays where a correction is smaller than this share of its standard error.

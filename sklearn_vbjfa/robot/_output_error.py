@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.robot._estimate import project
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.robot._sensitivities import held_parameters, propagate, slopes

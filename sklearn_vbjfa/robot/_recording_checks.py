@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.model._doubts import DoubtWarning
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._faults import (
     at_rest,
     nothing_moves,

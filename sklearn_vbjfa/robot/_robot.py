@@ -9,8 +9,13 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects._ranges import outside, own_motions
 from sklearn_vbjfa.effects._rest import Rest
-from sklearn_vbjfa.model._description_text import description_text, urdf_to_fill
-from sklearn_vbjfa.model._loading import is_prismatic, is_urdf, joint_names
+from sklearn_vbjfa.model._loading import (
+    description_text,
+    is_urdf,
+    joint_names,
+    urdf_to_fill,
+)
+from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,

@@ -22,7 +22,7 @@ import numpy as np
 
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.effects._ranges import own_motions
-from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
 from sklearn_vbjfa.simulation._dynamics import with_bodies
 from sklearn_vbjfa.simulation._terms import CHANNELS, LEFT_OUT

@@ -7,8 +7,9 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.effects import TorqueGain
 from sklearn_vbjfa.effects._base import TORQUE
-from sklearn_vbjfa.model._loading import body_names, nominal_parameters
+from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.model._regressor import rounding_entries
+from sklearn_vbjfa.model._trees import body_names
 
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3

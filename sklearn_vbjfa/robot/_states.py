@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _smoothing, _splines
+from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
 
 # Shortest recording that the spline can be fitted to.
@@ -244,7 +244,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 "Leave it out, or check groups."
             )
         return [
-            _splines.fit(column, self.dt, cutoff)
+            _smoothing.fit(column, self.dt, cutoff)
             for column, cutoff in zip(np.ascontiguousarray(x.T), self.cutoff_)
         ]
 
@@ -261,7 +261,7 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         )
         return tuple(
             [
-                _splines.fit(column, 2 * self.dt, cutoff, every=2, shift=k)
+                _smoothing.fit(column, 2 * self.dt, cutoff, every=2, shift=k)
                 for column, cutoff in zip(np.ascontiguousarray(x[k::2].T), lower)
             ]
             for k in range(2)

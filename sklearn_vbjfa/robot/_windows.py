@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import special
 
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording._columns import torques_in_order
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.simulation._simulate import SimulationError

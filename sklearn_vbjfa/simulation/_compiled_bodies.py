@@ -9,7 +9,7 @@ import math
 
 import numpy as np
 
-from sklearn_vbjfa.model._compiled_vectors import (
+from sklearn_vbjfa.model._compiled import (
     axpy,
     combine,
     compiled,

@@ -5,8 +5,7 @@ import functools
 import numpy as np
 from scipy.linalg import lapack
 
-from sklearn_vbjfa.model._loading import import_pinocchio
-from sklearn_vbjfa.model._regressor import describe
+from sklearn_vbjfa.model import describe, import_pinocchio
 from sklearn_vbjfa.simulation import _steps
 from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
 
@@ -92,7 +91,7 @@ class ForwardDynamics:
             self._inertia = functools.partial(_inertia_by_columns, pin)
         self._load_model = None
         self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
-        self._tree = describe(self.model, np.array(self.model.parents.tolist()[1:]) - 1)
+        self._tree = describe(self.model)
         self._set_robot(robot.bodies)
         if terms.of_load or terms.others is not None:
             self._load_model = with_bodies(robot.model, self._load_bodies)

@@ -4,8 +4,7 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.model._doubts import DoubtWarning
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import DoubtWarning, is_prismatic
 from sklearn_vbjfa.simulation._channels import true_torques
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from sklearn_vbjfa.simulation._integrate import (

@@ -6,8 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.effects import Drift, LoadFriction, Motion, Payload, Signal, Stribeck
-from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
-from sklearn_vbjfa.model._regressor import TreeRegressor
+from sklearn_vbjfa.model import TreeRegressor, import_pinocchio, is_prismatic
 from sklearn_vbjfa.simulation._laws import Row, held_columns, law_of, sign_of
 
 # Parameters of a body that are off by more than this, beside its largest, when they

@@ -38,7 +38,7 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.effects._ranges import HELD, own_motions
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 
 # Kinds of terms in the table.
 _STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = 0, 1, 2, 3, 4

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sklearn_vbjfa.effects._rest import Rest
-from sklearn_vbjfa.model._loading import joint_names
+from sklearn_vbjfa.model import joint_names
 
 if TYPE_CHECKING:
     import pinocchio as pin

@@ -19,7 +19,7 @@ def torque_model(model, *, bodies=None, friction=None, effects=None, dt=None):
     dt : float, default=None
         Sample period [s].
     """
-    from sklearn_vbjfa.model._loading import nominal_parameters
+    from sklearn_vbjfa.model import nominal_parameters
     from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
     friction, effects = friction or {}, effects or {}
@@ -63,7 +63,7 @@ def torques(robot, q, v, a, t=None):
         Time [s]; multiples of the robot's period by default.
     """
     from sklearn_vbjfa.effects._base import Motion
-    from sklearn_vbjfa.model._regressor import TreeRegressor
+    from sklearn_vbjfa.model import TreeRegressor
 
     rigid = TreeRegressor(robot.model).torques(q, v, a, robot.bodies)
     columns = {

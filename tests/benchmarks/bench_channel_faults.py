@@ -21,7 +21,7 @@ from _report import add_root_to_path, fixed, parser, publish, rst_table, rst_tit
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import Recording, make_robot_recording
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.model._loading import is_prismatic, load_model
+from sklearn_vbjfa.model import is_prismatic, load_model
 
 add_root_to_path()
 from tests.inspection._channel_faults import FAULTS, visible  # noqa: E402

@@ -120,7 +120,7 @@ def robot_motion(model, n, seed):
 
 def robot_regressors(model, n, seed, chunk=5000):
     """Yield blocks (n_block, nv, 11 nv): rigid bodies and viscous friction."""
-    from sklearn_vbjfa.model._regressor import TreeRegressor
+    from sklearn_vbjfa.model import TreeRegressor
 
     regressor = TreeRegressor(model)
     for rows in np.array_split(np.arange(n), max(n // chunk, 1)):

@@ -33,7 +33,7 @@ from _report import add_root_to_path, parser, publish, rst_table
 add_root_to_path()
 
 from sklearn_vbjfa.effects import Coupling, Spring  # noqa: E402
-from sklearn_vbjfa.model._loading import (  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
     import_pinocchio,
     is_prismatic,
     load_reduced,

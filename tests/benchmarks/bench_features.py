@@ -16,7 +16,7 @@ from _report import parser, publish, rst_table
 from threadpoolctl import threadpool_limits
 
 from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
-from sklearn_vbjfa.model._regressor import TreeRegressor
+from sklearn_vbjfa.model import TreeRegressor
 
 _SEED = 0
 _JOINTS = (1, 6, 7, 10, 20, 50)

@@ -16,8 +16,7 @@ from _report import fixed, parser, publish, rst_table, rst_title
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets._catalogue import protocols
-from sklearn_vbjfa.datasets._robots import rigid_torques
+from sklearn_vbjfa.datasets import protocols, rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 
 ROBOTS = ("ur5", "staubli_tx40", "kuka_kr300")

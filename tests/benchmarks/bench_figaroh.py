@@ -27,7 +27,7 @@ import numpy as np
 from _report import fixed, parser, publish, rst_table, rst_title
 from scipy import signal
 
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 
 SCRIPTS = Path(__file__).resolve().parent / "side_by_side"
 SETS = ("ur5", "staubli_tx40")

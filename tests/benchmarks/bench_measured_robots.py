@@ -16,7 +16,7 @@ from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
 
 _SEED = 0

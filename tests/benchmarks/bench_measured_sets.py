@@ -38,7 +38,7 @@ from _report import fixed, parser, publish, rst_table
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.diagnosis.explain._split import split_in_time
 from sklearn_vbjfa.recording._recording import take_arrays
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods

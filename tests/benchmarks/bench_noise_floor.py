@@ -19,7 +19,7 @@ from _report import fixed, parser, publish, rst_table
 from bench_measured_robots import load
 from scipy import signal
 
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 
 HEADERS = [
     "set",

@@ -42,9 +42,12 @@ from sklearn_vbjfa import (
     load_identified,
 )
 from sklearn_vbjfa._core._lowpass import BlockFilter, Lowpass
-from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
-from sklearn_vbjfa.datasets._plant import draw_motion
-from sklearn_vbjfa.datasets._robots import rigid_torques
+from sklearn_vbjfa.datasets import (
+    draw_motion,
+    make_closed_loop_recording,
+    rigid_torques,
+    simulate_tracking,
+)
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.robot import _identifier
 from sklearn_vbjfa.robot._joint_moments import JointMoments

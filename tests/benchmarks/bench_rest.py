@@ -43,7 +43,7 @@ def _model(robot):
     """Model of a robot by name."""
     from importlib import resources
 
-    from sklearn_vbjfa.model._loading import load_model
+    from sklearn_vbjfa.model import load_model
 
     files = {"demo_arm": "demo_arm.urdf", "head": "head.urdf"}
     name = files.get(robot, "kr300_nominal.urdf")
@@ -52,7 +52,7 @@ def _model(robot):
 
 def _moves(kind, model, rng):
     """Positions, velocities, accelerations of moves from pose to pose with rests."""
-    from sklearn_vbjfa.datasets._robots import joint_range
+    from sklearn_vbjfa.datasets import joint_range
 
     middle, reach = joint_range(model)
     pieces, here, nv = [], middle.copy(), model.nv
@@ -101,8 +101,11 @@ def simulate(robot, encoder, friction, seed):
 
     `friction` (nv,) is the size of the dry friction; `moves` (n, nv) says when.
     """
-    from sklearn_vbjfa.datasets import make_robot_recording
-    from sklearn_vbjfa.datasets._robots import rigid_torques, with_inertias
+    from sklearn_vbjfa.datasets import (
+        make_robot_recording,
+        rigid_torques,
+        with_inertias,
+    )
 
     model, rng = _model(robot), np.random.default_rng(seed)
     settings = {"dt": DT, "encoder_noise": 0.0, "torque_noise": 0.0}

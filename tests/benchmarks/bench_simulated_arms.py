@@ -19,8 +19,7 @@ from _report import parser, publish
 from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf
+from sklearn_vbjfa.datasets import demo_arm_urdf, make_robot_recording
 
 FRICTION = ("viscous", "coulomb")
 CUTOFFS_PER_MOTION = (1.5, 2.0, 3.0, 4.0, 6.0, 10.0)  # times the motion's frequency

@@ -214,7 +214,7 @@ def fitted_friction(declared, recording, rows, model):
     squares behind the low-pass and mask of the declared model; none but the offset may
     be negative.
     """
-    from sklearn_vbjfa.datasets._robots import rigid_torques
+    from sklearn_vbjfa.datasets import rigid_torques
 
     q, groups = recording.q[rows], recording.groups[rows]
     states = declared.state_estimator_.transform(q, groups=groups)

@@ -180,7 +180,7 @@ def robots_study(data_home, names=None):
     """Text: the features of the measured robots with plain VBJFARegressor()."""
     from bench_measured_robots import load
 
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets import protocols
 
     names = names or [name for name in protocols() if name != "demo"]
     rows = []

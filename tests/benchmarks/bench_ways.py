@@ -75,7 +75,7 @@ def ways():
     np.savetxt(path, table, delimiter=",", header=",".join(names), comments="")
 
     def command_line():
-        from sklearn_vbjfa.__main__ import main
+        from sklearn_vbjfa._cli import main
 
         files = ["--urdf", str(recording.urdf), "--out", str(folder / "report")]
         with contextlib.redirect_stdout(io.StringIO()):

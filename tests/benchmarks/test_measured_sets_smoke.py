@@ -15,7 +15,7 @@ QUICK = {"effects": ["coulomb"], "max_effects": 1}
 
 
 def test_sets_are_ten_and_apart():
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets import protocols
 
     development, confirmation = map(set, bench.SETS.values())
     assert not development & confirmation

@@ -14,7 +14,7 @@ import pytest
 import sklearn_vbjfa
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._cli import main
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 
 pinocchio = pytest.importorskip("pinocchio")
 

@@ -19,7 +19,7 @@ import pytest
 from sklearn_vbjfa import EffectDiscovery, load_identified
 from sklearn_vbjfa._cli import _close_loop, _stopping, main
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.model._loading import load_model
+from sklearn_vbjfa.model import load_model
 from sklearn_vbjfa.robot._exports import LeftOut
 
 pinocchio = pytest.importorskip("pinocchio")

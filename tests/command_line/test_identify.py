@@ -6,8 +6,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa._cli import main
-from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.datasets._catalogue import Protocol
+from sklearn_vbjfa.datasets import Protocol, read_recording
 from sklearn_vbjfa.robot._comparison import compare_methods
 from tests.hostile._case import URDF, clean_text
 

@@ -10,11 +10,7 @@ pinocchio = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa._cli import main  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording  # noqa: E402
-from sklearn_vbjfa.model._loading import (  # noqa: E402
-    joint_names,
-    load_folded,
-    load_model,
-)
+from sklearn_vbjfa.model import joint_names, load_folded, load_model  # noqa: E402
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.

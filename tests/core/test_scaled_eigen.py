@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 
 UNITS = 10.0 ** np.array([-6.0, 0.0, 3.0, 6.0, -3.0])
 

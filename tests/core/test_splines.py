@@ -6,7 +6,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa._core import _smoothing, _splines
+from sklearn_vbjfa._core import _smoothing
 
 CASES = [(0.002, 15.0), (0.01, 4.0), (0.01, np.inf), (0.002, 100.0), (0.004, 6.1)]
 
@@ -25,7 +25,7 @@ def tolerance(cutoff):
 @pytest.mark.parametrize("n", [100, 101, 617])
 def test_equal_to_scipy_on_the_samples(n, dt, cutoff):
     x = wave(n)
-    spline = _splines.fit(x, dt, cutoff)
+    spline = _smoothing.fit(x, dt, cutoff)
     for order, expected in enumerate(_smoothing.smooth(x, dt, cutoff)):
         size = np.abs(expected).max()
         atol = tolerance(cutoff) * size
@@ -38,7 +38,7 @@ def test_equal_to_scipy_on_the_samples(n, dt, cutoff):
 def test_halves_at_all_samples_are_scipys(n, dt, cutoff, shift):
     # Half of the rows lie between the samples, up to one beyond either end.
     samples = wave(n)[shift::2]
-    spline = _splines.fit(samples, 2 * dt, cutoff, every=2, shift=shift)
+    spline = _smoothing.fit(samples, 2 * dt, cutoff, every=2, shift=shift)
     at = (np.arange(n) - shift) * dt
     expected = _smoothing.smooth(samples, 2 * dt, cutoff, at=at)
     for order in range(3):
@@ -57,7 +57,7 @@ def test_halves_at_all_samples_are_scipys(n, dt, cutoff, shift):
 def test_any_stretch_is_that_of_the_whole(n, cut, case, half):
     every, shift = half
     dt, cutoff = case
-    spline = _splines.fit(
+    spline = _smoothing.fit(
         wave(n)[shift::every], every * dt, cutoff, every=every, shift=shift
     )
     start, stop = sorted(int(c * n) for c in cut)
@@ -79,7 +79,7 @@ def test_motions_that_no_penalty_touches_keep_all_digits(dt, cutoff):
     n = 2000
     u = np.linspace(-1.0, 1.0, n)
     powers = np.array([0.3, -0.8, 0.5, 1.0, -0.7])
-    spline = _splines.fit(np.polyval(powers, u), dt, cutoff)
+    spline = _smoothing.fit(np.polyval(powers, u), dt, cutoff)
     unit = 2.0 / ((n - 1) * dt)
     size = np.abs(spline.coef).max()
     for order in range(3):
@@ -101,7 +101,7 @@ def test_signs_of_velocities_are_not_those_of_rounding(cutoff, seed):
     other = q * (
         1 + np.finfo(float).eps * np.random.default_rng(seed).normal(size=5000)
     )
-    signs = [np.sign(_splines.fit(x, 0.008, cutoff)(0, 5000, 1)) for x in (q, other)]
+    signs = [np.sign(_smoothing.fit(x, 0.008, cutoff)(0, 5000, 1)) for x in (q, other)]
     assert (signs[0] == 0).sum() > 1000
     assert (signs[0] != 0).sum() > 1000
     assert np.array_equal(*signs)

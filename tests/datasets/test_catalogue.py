@@ -6,15 +6,16 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.datasets._catalogue import (
+from sklearn_vbjfa.datasets import (
     CATALOGUE,
+    Access,
+    DataFiles,
     DataSet,
     Protocol,
     load,
+    make_robot_recording,
     protocols,
 )
-from sklearn_vbjfa.datasets._download import Access, DataFiles
 from sklearn_vbjfa.recording._resample import Log
 
 SWING = 0.5 * np.sin(np.arange(30))

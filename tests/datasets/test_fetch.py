@@ -11,10 +11,8 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import _readers
-from sklearn_vbjfa.datasets._catalogue import CATALOGUE
-from sklearn_vbjfa.datasets._download import find_file, remote_files
-from sklearn_vbjfa.model import _descriptions
+from sklearn_vbjfa.datasets import CATALOGUE, _readers, find_file, remote_files
+from sklearn_vbjfa.model import build_model, find_description
 
 # name -> (samples of each recording, joints, period [s])
 CONTENT = {
@@ -469,7 +467,7 @@ def test_description_comes_from_example_robot_data(monkeypatch, tmp_path):
             return str(self)
 
     monkeypatch.setattr(importlib.metadata, "files", lambda name: [Entry(urdf)])
-    assert _descriptions.find_description("ur5", tmp_path / "empty") == str(urdf)
+    assert find_description("ur5", tmp_path / "empty") == str(urdf)
 
 
 def test_description_without_any_source(monkeypatch, tmp_path):
@@ -480,10 +478,10 @@ def test_description_without_any_source(monkeypatch, tmp_path):
 
     monkeypatch.setattr(importlib.metadata, "files", not_installed)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    assert _descriptions.find_description("tiago", tmp_path) is None
+    assert find_description("tiago", tmp_path) is None
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match="pip install example-robot-data"):
-        _descriptions.build_model("tiago", None, ("torso_lift_joint",))
+        build_model("tiago", None, ("torso_lift_joint",))
 
 
 def test_description_comes_from_robot_descriptions(monkeypatch, fetch):
@@ -492,7 +490,7 @@ def test_description_comes_from_robot_descriptions(monkeypatch, fetch):
     package = SimpleNamespace(URDF_PATH=ur5.urdf)
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: True)
     monkeypatch.setattr(importlib, "import_module", lambda name: package)
-    assert _descriptions.build_model("ur5", None, ur5.joint_names).nv == 6
+    assert build_model("ur5", None, ur5.joint_names).nv == 6
 
 
 def _filtered(recording, cutoff):

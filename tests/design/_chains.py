@@ -1,10 +1,8 @@
 """Robots that are in no collection: chains with drawn bodies, written as URDF."""
 
-from unittest import mock
-
 import numpy as np
 
-from sklearn_vbjfa.design import _design, design_motion
+from sklearn_vbjfa.design import best_drawn, pose
 
 _AXES = ("0 0 1", "0 1 0", "0.6 0 0.8", "0 1 0", "1 0 0", "0 1 0", "0 0 1")
 
@@ -45,13 +43,8 @@ def chain(folder, kinds, *, seed=0, effort=40.0, velocity=2.0, reach=1.5, name="
 
 def problem_of(model, **kwargs):
     """Return the problem of a design, and the best motion that it sets out from."""
-    kept = {}
-
-    def keep(problem, starts, *_):
-        kept["problem"], kept["first"] = problem, starts[0]
-        return starts[0], starts[0]
-
-    kwargs = {"duration": 4.0, "dt": 0.02, "random_state": 0} | kwargs
-    with mock.patch.object(_design, "optimise", keep):
-        design_motion(model, **kwargs)
-    return kept["problem"], kept["first"]
+    asked = {"duration": 4.0, "dt": 0.02, "limits": None, "effects": ()}
+    asked |= {"report": None, "start": None, "random_state": 0} | kwargs
+    rng = np.random.RandomState(asked.pop("random_state"))
+    problem = pose(model, rng=rng, **asked).problem
+    return problem, best_drawn(problem, rng)[0]

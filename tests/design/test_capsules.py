@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.optimize import lsq_linear
 
-from sklearn_vbjfa.design._capsules import capsule_around, segment_distances
+from sklearn_vbjfa.design import capsule_around, segment_distances
 
 
 def distance_to_segment(points, ends):

@@ -6,8 +6,8 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
-from sklearn_vbjfa.design._collisions import Approach, Clearance  # noqa: E402
-from sklearn_vbjfa.model._loading import load_model, load_reduced  # noqa: E402
+from sklearn_vbjfa.design import Approach, Clearance  # noqa: E402
+from sklearn_vbjfa.model import load_model, load_reduced  # noqa: E402
 from tests.model._shaped import (  # noqa: E402
     BALL,
     BLOCK,
@@ -270,11 +270,11 @@ def test_the_smallest_distance_is_that_of_all_rows_and_pairs(tmp_path):
     assert found == distance[distance.min(axis=1) > 0.02].min() > 0.02
 
 
-def test_long_motions_are_taken_in_pieces(tmp_path, monkeypatch):
+def test_long_motions_are_taken_in_pieces(tmp_path):
     clearance = clearance_of(arm(tmp_path))
     q = positions(100, 6)
     nearest, collisions = clearance.nearest(q), clearance.self_collisions(q)
-    monkeypatch.setattr("sklearn_vbjfa.design._collisions._AT_ONCE", 100)
+    clearance.at_once = 100
     assert clearance.nearest(q) == nearest
     assert clearance.self_collisions(q) == collisions
 

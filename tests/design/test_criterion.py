@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.design import _criterion
-from sklearn_vbjfa.design._criterion import Questions, worth
+from sklearn_vbjfa.design import Questions, worth
 
 N_MODEL, SPANS = 4, (slice(4, 5), slice(5, 7), slice(7, 8))
 N = 8
@@ -69,14 +68,14 @@ def test_evidence_is_twice_the_likelihood_that_the_wrong_cause_loses(rows):
     assert np.mean(gains) == pytest.approx(36.0, rel=0.05)
 
 
-def test_without_effects_it_is_the_logarithm_of_the_determinant(rows, monkeypatch):
-    monkeypatch.setattr(_criterion, "BALANCE", 0.0)
+def test_of_equal_conditions_it_is_the_logarithm_of_the_determinant(rows):
+    # Turned by orthogonal matrices, and larger: the condition number stays.
+    asked = questions(effects=False, scale=np.ones(N))
     X = rows[:, :N_MODEL]
-    asked = questions(effects=False)
-    value = worth(X.T @ X, asked).value
-    scaled = X * asked.scale
-    expected = 0.5 * np.linalg.slogdet(scaled.T @ scaled)[1]
-    assert value == pytest.approx(expected, abs=1e-6)
+    M = X.T @ X
+    Q = np.linalg.qr(np.random.default_rng(1).normal(size=M.shape))[0]
+    before, after = (worth(A, asked).value for A in (M, 7.0 * Q @ M @ Q.T))
+    assert after - before == pytest.approx(0.5 * N_MODEL * np.log(7.0), abs=1e-6)
 
 
 def test_longer_or_quieter_recordings_are_worth_more(rows):

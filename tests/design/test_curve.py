@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.design._curve import FourierCurve
+from sklearn_vbjfa.design import FourierCurve
 
 PERIOD = 7.0
 

@@ -9,8 +9,11 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.design import MotionLimits, design_motion  # noqa: E402
-from sklearn_vbjfa.design._criterion import worth  # noqa: E402
+from sklearn_vbjfa.design import (  # noqa: E402
+    MotionLimits,
+    design_motion,
+    worth,
+)
 from sklearn_vbjfa.recording._repetition import find_repetition  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
@@ -294,7 +297,7 @@ def test_a_motion_for_rivals_parts_them_better(parted):
 
 
 def test_louder_encoders_count_against_accelerations(tmp_path):
-    from sklearn_vbjfa.design._known_robot import KnownRobot
+    from sklearn_vbjfa.design import KnownRobot
 
     path = chain(tmp_path, ("revolute", "prismatic"), effort=40.0)
     quiet = KnownRobot.of(path)
@@ -335,7 +338,7 @@ def test_encoders_of_unknown_noise_are_told(tmp_path):
 
 def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):
     # A pendulum of a drive that holds it hanging but not level.
-    from sklearn_vbjfa.design._optimise import shrunk
+    from sklearn_vbjfa.design import shrunk
 
     path = chain(tmp_path, ("revolute", "revolute"), effort=60.0, seed=3)
     limits = MotionLimits([[-1.5, 1.5]] * 2, [2.0, 2.0], torque=[60.0, 1.15])
@@ -361,7 +364,7 @@ def value_of(problem, z):
 
 def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
     # Dry friction jumps where the load is largest, between two samples.
-    from sklearn_vbjfa.design._optimise import optimise, shrunk
+    from sklearn_vbjfa.design import optimise, shrunk
 
     path = chain(tmp_path, ("revolute", "revolute"), effort=2.4, seed=3)
     problem, z = problem_of(path)

@@ -8,9 +8,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.design import MotionLimits  # noqa: E402
-from sklearn_vbjfa.design._criterion import worth  # noqa: E402
-from sklearn_vbjfa.design._optimise import _Lagrangian  # noqa: E402
+from sklearn_vbjfa.design import Lagrangian, MotionLimits, worth  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
 KINDS = ("revolute", "prismatic", "continuous")
@@ -101,7 +99,7 @@ def test_samples_in_between_add_nothing(designed):
 
 def gradient_error(problem, z, joints=None):
     """Largest difference to central differences, over the size of the gradient."""
-    lagrangian = _Lagrangian(problem)
+    lagrangian = Lagrangian(problem)
     # Limits are exceeded, so that penalties count, and there are multipliers.
     x = 1.15 * z.ravel()
     lagrangian(x)
@@ -152,7 +150,7 @@ def test_torque_limits_alone_have_their_gradient(tmp_path):
 def test_noise_of_all_joints_alike_changes_no_gradient(designed):
     problem, z = designed
     louder = replace(problem, precision=problem.precision / 9.0)
-    one, other = _Lagrangian(problem)(z.ravel()), _Lagrangian(louder)(z.ravel())
+    one, other = Lagrangian(problem)(z.ravel()), Lagrangian(louder)(z.ravel())
     np.testing.assert_allclose(other[1], one[1], rtol=1e-6, atol=1e-6)
     # Each of the columns has three times the standard deviation.
     assert other[0] - one[0] == pytest.approx(problem.model.n_model * np.log(3.0))

@@ -7,7 +7,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.design import MotionLimits, design_motion
-from sklearn_vbjfa.model._loading import load_model
+from sklearn_vbjfa.model import load_model
 from tests.design._chains import chain, problem_of
 
 RANGE = np.array([[-1.5, 1.5]] * 2)

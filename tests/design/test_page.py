@@ -8,17 +8,21 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.design import MotionLimits, design_motion
-from sklearn_vbjfa.design._page import (
+from sklearn_vbjfa.design import (
     Background,
+    ExpectedInterval,
+    Invisible,
+    MotionLimits,
+    Parted,
+    Visible,
     decisions,
+    design_motion,
     effect_label,
     exceeded,
     invisible_sentences,
     page,
     summary,
 )
-from sklearn_vbjfa.design._promise import ExpectedInterval, Invisible, Parted, Visible
 from sklearn_vbjfa.diagnosis.report._charts import line_figure
 from sklearn_vbjfa.effects import available
 from tests.diagnosis.report.test_page import figures, numbers

@@ -17,7 +17,7 @@ import distributed
 
 from sklearn_vbjfa import JFARegressor, RobotIdentifier, VBJFARegressor
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.distributed import _recordings as passes
+from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import (
     fit_array,
     fit_recordings,

@@ -24,8 +24,10 @@ from sklearn_vbjfa.effects._in_model import (  # noqa: E402
     rotation,
     turned_by,
 )
-from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
-from sklearn_vbjfa.model._derivatives import TorqueDerivatives  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
+    CorrectedModel,
+    TorqueDerivatives,
+)
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import measured  # noqa: E402
 from tests.model._trees import build, by_sample  # noqa: E402

@@ -12,7 +12,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 from tests._quick import checkered, one_in
 from tests.inspection._channel_faults import FAULTS, visible
 from tests.model._robots import random_tree

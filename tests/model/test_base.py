@@ -14,7 +14,7 @@ from sklearn_vbjfa import (  # noqa: E402
     load_model,
 )
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.model._loading import (  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_reduced,
     movable_joints,

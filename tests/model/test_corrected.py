@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model._corrected import CorrectedModel  # noqa: E402
+from sklearn_vbjfa.model import CorrectedModel  # noqa: E402
 from tests.model._trees import build  # noqa: E402
 
 KINDS = ("RZ", "RevoluteUnaligned", "PX", "HY", "PrismaticUnaligned")

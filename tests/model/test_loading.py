@@ -12,8 +12,8 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.model._loading import (  # noqa: E402
+from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
     is_prismatic,
     joint_names,
     load_model,

@@ -8,10 +8,10 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model._loading import load_model  # noqa: E402
-from sklearn_vbjfa.model._mjcf import (  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
     JointDynamics,
     Tendon,
+    load_model,
     write_mjcf,
 )
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402

@@ -7,9 +7,11 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model._description_text import description_text  # noqa: E402
-from sklearn_vbjfa.model._loading import (  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402  # noqa: E402
+    JointDynamics,
+    Tendon,
     body_names,
+    description_text,
     joint_names,
     load_folded,
     load_model,
@@ -17,12 +19,8 @@ from sklearn_vbjfa.model._loading import (  # noqa: E402
     load_text,
     movable_joints,
     nominal_parameters,
-    write_reduced,
-)
-from sklearn_vbjfa.model._mjcf import (  # noqa: E402
-    JointDynamics,
-    Tendon,
     write_mjcf,
+    write_reduced,
 )
 from tests.model._mujoco import moving_states  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402

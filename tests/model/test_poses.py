@@ -5,7 +5,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model._poses import JointPoses  # noqa: E402
+from sklearn_vbjfa.model import JointPoses  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 

@@ -6,8 +6,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 pytest.importorskip("coal")
 
-from sklearn_vbjfa.model._loading import load_model, load_reduced  # noqa: E402
-from sklearn_vbjfa.model._shapes import NoShapes, load_shapes  # noqa: E402
+from sklearn_vbjfa.model import NoShapes, load_model, load_reduced, load_shapes  # noqa: E402  # noqa: E402
 from tests.model._shaped import (  # noqa: E402
     BALL,
     BLOCK,

@@ -8,8 +8,11 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.model._urdf import write_urdf  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
+    load_model,
+    nominal_parameters,
+    write_urdf,
+)
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 from tests.model._robots import random_body  # noqa: E402
 

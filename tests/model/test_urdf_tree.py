@@ -4,11 +4,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model._loading import (
-    joint_names,
-    load_model,
-    load_reduced,
-)
+from sklearn_vbjfa.model import joint_names, load_model, load_reduced
 
 MASS = (
     '<inertial><mass value="1"/><inertia ixx=".1" iyy=".1" izz=".1" ixy="0" ixz="0" '

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.model._doubts import DoubtWarning
+from sklearn_vbjfa.model import DoubtWarning
 from tests.recording.test_reader import DT, N, table, write
 
 

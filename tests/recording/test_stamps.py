@@ -5,8 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols, read_recording
 from sklearn_vbjfa.recording._stamps import inspect_time_stamps, prediction_errors
 
 DT = 0.004

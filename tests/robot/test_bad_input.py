@@ -9,8 +9,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf
+from sklearn_vbjfa.datasets import demo_arm_urdf, make_robot_recording
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Offset,
     TorqueGain,
 )
-from sklearn_vbjfa.model._loading import joint_origin  # noqa: E402
+from sklearn_vbjfa.model import joint_origin  # noqa: E402
 from sklearn_vbjfa.robot._corrections import (  # noqa: E402
     corrections_of,
     note_of_corrections,

@@ -12,8 +12,8 @@ from sklearn.base import clone
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets._robots import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.model._loading import load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
+from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")

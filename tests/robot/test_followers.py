@@ -11,7 +11,7 @@ from sklearn_vbjfa import (  # noqa: E402
     load_identified,
 )
 from sklearn_vbjfa.effects import Coulomb  # noqa: E402
-from sklearn_vbjfa.model._loading import joint_names, load_folded  # noqa: E402
+from sklearn_vbjfa.model import joint_names, load_folded  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
 
 LINKS = {"upper": 4.0, "lower": 3.0, "left": 1.0, "right": 1.2}

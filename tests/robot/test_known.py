@@ -4,7 +4,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._spreads import (
     body_masses,
     known_parameters,

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen  # noqa: E402
+from sklearn_vbjfa._core._linear_systems import scaled_eigen  # noqa: E402
 from sklearn_vbjfa.effects import LoadFriction, Payload  # noqa: E402
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, PlainEstimate  # noqa: E402
 from sklearn_vbjfa.robot._gains import common_gain  # noqa: E402

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets._catalogue import protocols
+from sklearn_vbjfa.datasets import protocols
 
 # More than ten seconds on a busy core: 32000 samples of six joints, 15000 of seven.
 LONG = ("staubli_tx40", "franka_panda")

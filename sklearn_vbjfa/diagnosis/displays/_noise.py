@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.displays._base import (
     share_limits,
     split_rows,
 )
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 
 SHARE = "share of the variance"
 # From this ratio of the largest to the smallest value on, a linear axis would hide

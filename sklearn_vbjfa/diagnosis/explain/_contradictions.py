@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.diagnosis.search._moments import Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
     Base,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
-from sklearn_vbjfa.model._loading import is_prismatic
+from sklearn_vbjfa.model import is_prismatic
 
 # Share of a column's power outside the span of others below which it cannot be seen.
 _UNSEEN = 1e-3

@@ -32,7 +32,7 @@ from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
-from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
+from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._spreads import body_masses
 

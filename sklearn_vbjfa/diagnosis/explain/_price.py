@@ -14,7 +14,7 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN
 from sklearn_vbjfa.diagnosis.explain._intervals import error_intervals, quantile
 from sklearn_vbjfa.diagnosis.search._branches import root_joints
-from sklearn_vbjfa.model._loading import body_names
+from sklearn_vbjfa.model import body_names
 from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
 
 # What is freed is to blame if most of the distance goes with it.

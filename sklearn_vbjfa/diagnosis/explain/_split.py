@@ -192,7 +192,7 @@ def _amount(identifier, X, groups, parts):
 
 
 def _joints(identifier):
-    from sklearn_vbjfa.model._loading import load_model
+    from sklearn_vbjfa.model import load_model
 
     return load_model(identifier.model).nv
 

@@ -11,7 +11,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._found import Found, FoundModel
-from sklearn_vbjfa.model._loading import import_pinocchio
+from sklearn_vbjfa.model import import_pinocchio
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.

@@ -1,23 +1,30 @@
-"""Identification of a robot from recordings in many files.
+"""Fits to Dask arrays and to recordings in many files: sums that workers make.
 
-The passes are those of `RobotIdentifier.fit`, each a sum over recordings: their
-lengths; the spectra, for the cut-offs; the speeds, for the standstill mask; the second
-moments of the filtered equations; the noise of the torques. Every pass reads the files
-again, so that no worker holds more than the recordings that it is working on.
+The passes over files are those of `RobotIdentifier.fit`, each a sum over recordings:
+their lengths; the spectra, for the cut-offs; the speeds, for the standstill mask; the
+second moments of the filtered equations; the noise of the torques. Every pass reads the
+files again, so that no worker holds more than the recordings that it is working on.
 """
 
+import functools
 import operator
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 
 import numpy as np
+from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
+from sklearn_vbjfa._core._moments import from_data
 from sklearn_vbjfa.recording._faults import levels
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.regression._base import check_sample_weight
+from sklearn_vbjfa.regression._joint_factor import (
+    BaseJointFactorRegressor,
+    fit_moments,
+)
 from sklearn_vbjfa.robot._equations import accumulate, segments
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._plan import (
@@ -38,6 +45,8 @@ from sklearn_vbjfa.robot._states import choose_states
 _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 # Sample periods that differ by more than this share are not the same.
 _DT_TOLERANCE = 0.002
+# Results that are merged in one task: few enough to be in memory together.
+_FAN_IN = 8
 
 
 def fit_recordings(identifier, source):
@@ -95,7 +104,7 @@ def fit_recordings(identifier, source):
     >>> bool((robot.min_eigenvalues_ > 0).all())
     True
     """
-    dask = import_dask()
+    dask = _import_dask()
     files = _files(source)
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
@@ -110,7 +119,7 @@ def fit_recordings(identifier, source):
         task = dask.delayed(function, pure=False)
         shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
         (total,) = dask.compute(
-            merge_tree(merge, [task(load, file, *shared) for file in files])
+            _merged(merge, [task(load, file, *shared) for file in files])
         )
         return total
 
@@ -264,3 +273,149 @@ def _add(first, second):
     if first is None or second is None:
         return second if first is None else first
     return operator.add(first, second)
+
+
+def fit_array(estimator, X, y, sample_weight=None):
+    """Fit a joint factor analysis regressor to Dask arrays.
+
+    Each worker reduces its blocks of rows to count, means and scatter. The result is
+    that of `fit` on the same rows in memory, up to rounding.
+
+    Parameters
+    ----------
+    estimator : VBJFARegressor or JFARegressor
+        Estimator; it is fitted in place.
+    X : dask.array.Array of shape (n_samples, n_features)
+        Inputs.
+    y : dask.array.Array of shape (n_samples,)
+        Output.
+    sample_weight : dask.array.Array of shape (n_samples,), default=None
+        Weights.
+
+    Returns
+    -------
+    estimator
+        The fitted estimator.
+
+    Raises
+    ------
+    ImportError
+        If Dask is not installed.
+    TypeError
+        If the estimator needs more than second moments, or an argument is not a Dask
+        array.
+    ValueError
+        If shapes disagree, a value is not finite, or there are fewer than two rows.
+
+    Notes
+    -----
+    Fewer samples than features are fitted from the scatter matrix here, whereas `fit`
+    keeps the rows. The computation runs where Dask is configured to: on the cluster of
+    the current `distributed.Client`, otherwise in threads.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import dask.array as da
+    >>> from sklearn_vbjfa import JFARegressor
+    >>> from sklearn_vbjfa.distributed import fit_array
+    >>> rng = np.random.default_rng(0)
+    >>> X = rng.normal(size=(1000, 2))
+    >>> y = X @ [1.0, -2.0]
+    >>> model = JFARegressor(input_noise=0.0)
+    >>> blocks = da.from_array(X, chunks=(100, 2)), da.from_array(y, chunks=100)
+    >>> fit_array(model, *blocks).coef_.round(6)
+    array([ 1., -2.])
+    """
+    dask = _import_dask()
+    if not isinstance(estimator, BaseJointFactorRegressor):
+        raise TypeError(
+            "estimator must be a VBJFARegressor or JFARegressor, for which second "
+            f"moments suffice; got {type(estimator).__name__}."
+        )
+    arrays = {"X": X, "y": y}
+    if sample_weight is not None:
+        arrays["sample_weight"] = sample_weight
+    for name, array in arrays.items():
+        if not dask.is_dask_collection(array) or not hasattr(array, "to_delayed"):
+            raise TypeError(
+                f"{name} must be a Dask array, got {type(array).__name__}; use "
+                "dask.array.from_array, or fit for data in memory."
+            )
+    _check_shapes(arrays)
+    estimator._validate_params()
+    X = X.rechunk({1: -1}) if X.numblocks[1] > 1 else X
+    blocks = [list(X.to_delayed().ravel())]
+    for name in list(arrays)[1:]:
+        array = arrays[name]
+        if array.chunks[0] != X.chunks[0] and not np.isnan(array.chunks[0]).any():
+            array = array.rechunk((X.chunks[0],))
+        blocks.append(list(array.to_delayed().ravel()))
+    if len({len(parts) for parts in blocks}) > 1:
+        raise ValueError(
+            "Arrays of unknown length must have the same number of blocks; got "
+            f"{[len(parts) for parts in blocks]} for {', '.join(arrays)}. Call "
+            "compute_chunk_sizes on them."
+        )
+    block_statistics = dask.delayed(_block_statistics, pure=False)
+    total = _merged(_add, [block_statistics(*parts) for parts in zip(*blocks)])
+    (total,) = dask.compute(total)
+    if total is None or total.n_rows < 2:
+        raise ValueError(
+            "X must have at least 2 rows that count, got "
+            f"{0 if total is None else total.n_rows}."
+        )
+    return fit_moments(estimator, total)
+
+
+def _check_shapes(arrays):
+    X = arrays["X"]
+    if X.ndim != 2:
+        raise ValueError(f"X must have two axes, got shape {X.shape}.")
+    for name, array in list(arrays.items())[1:]:
+        known = not np.isnan([array.shape[0], X.shape[0]]).any()
+        if array.ndim != 1 or (known and array.shape[0] != X.shape[0]):
+            raise ValueError(
+                f"{name} must have the shape {X.shape[:1]}, one value a row of X; got "
+                f"{array.shape}."
+            )
+
+
+def _block_statistics(X, y, weight=None):
+    """Statistics of one block of rows, None of an empty one."""
+    if X.shape[0] == 0:
+        return None
+    X = check_array(X, dtype=np.float64)
+    y = check_array(y, dtype=np.float64, ensure_2d=False)
+    if weight is not None:
+        # A block may have no weight, but not all of them together.
+        if not np.any(weight):
+            return None
+        weight = check_sample_weight(weight, X)
+    return from_data(X, y, weight)
+
+
+def _import_dask():
+    """Import Dask, or say what to install."""
+    try:
+        import dask
+    except ImportError as error:
+        raise ImportError(
+            "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
+        ) from error
+    return dask
+
+
+def _merged(merge, values):
+    """Merge delayed values pairwise, in an order that depends only on their number."""
+    dask = _import_dask()
+    reduce = dask.delayed(functools.partial(_reduce, merge), pure=False)
+    while len(values) > 1:
+        values = [
+            reduce(values[i : i + _FAN_IN]) for i in range(0, len(values), _FAN_IN)
+        ]
+    return values[0]
+
+
+def _reduce(merge, values):
+    return functools.reduce(merge, values)

@@ -1,0 +1,485 @@
+"""Trees of joints as Pinocchio has them: what they hold, and which joints count.
+
+A base that is free is held in one orientation: a recording of joints says nothing of
+where it is, and of its orientation what gravity shows. A joint that follows another is
+folded if it carries nothing but followers: the robot that is left is a tree of joints
+with encoders and motors, which feel the followers' bodies.
+"""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from sklearn_vbjfa.physical import body_scales, min_eigenvalue
+
+# A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
+# below which the body has next to no extension in some direction.
+_SOLID = 1e-6
+# Sine of the angle from the vertical below which a base is called level.
+_LEVEL = 1e-6
+_MOST_JOINTS = 200
+
+
+def import_pinocchio():
+    """Import pinocchio, or say in one line how to get it."""
+    try:
+        import pinocchio
+    except ImportError as error:
+        raise ImportError(
+            "Robot models need Pinocchio, which is not installed: "
+            'pip install "sklearn-vbjfa[robot]"'
+        ) from error
+    return pinocchio
+
+
+# -- what a tree holds -----------------------------------------------------------------
+
+
+def joint_names(model):
+    """Names of the moving joints, in Pinocchio's order."""
+    return tuple(model.names)[1:]
+
+
+def body_names(model):
+    """Names of the bodies that the joints move, in Pinocchio's order."""
+    # Of several links that are fixed to each other, the one next to the joint; the
+    # joint's own name where the description names none.
+    body = import_pinocchio().FrameType.BODY
+    found = {}
+    for frame in model.frames:
+        if frame.type == body:
+            found.setdefault(frame.parentJoint, frame.name)
+    return tuple(found.get(j, name) for j, name in enumerate(model.names))[1:]
+
+
+def is_prismatic(model):
+    """Return which joints are prismatic, ndarray of shape (nv,) of bool."""
+    return np.array(
+        [joint.shortname().startswith("JointModelP") for joint in model.joints[1:]]
+    )
+
+
+def joint_origin(model, joint):
+    """Axes (3, 3) of a joint's origin in its carrying link, as a URDF has them."""
+    # Links that are fixed to each other are one body of the model, in whose axes the
+    # placement is; that of the carrying link is among its frames. A model without
+    # frames has the body's axes.
+    pin = import_pinocchio()
+    placed = model.jointPlacements[joint + 1].rotation
+    name = model.names[joint + 1]
+    if not model.existFrame(name, pin.FrameType.JOINT):
+        return placed.copy()
+    own = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
+    link = model.frames[own.parentFrame]
+    if link.parentJoint != model.parents[joint + 1]:
+        return placed.copy()
+    return link.placement.rotation.T @ placed
+
+
+def nominal_parameters(model):
+    """Inertial parameters (nv, 10) in the model, about the joint frames."""
+    # Pinocchio's order: m, mc_x, mc_y, mc_z, Ixx, Ixy, Iyy, Ixz, Iyz, Izz [kg, kg m, kg
+    # m^2].
+    return np.array([body.toDynamicParameters() for body in model.inertias[1:]])
+
+
+def solid_bodies(bodies, least=_SOLID):
+    """Return which bodies (nv, 10) have mass and extension, (nv,) of bool."""
+    # least: eigenvalue of the pseudo-inertia, in units of the body's mass and length.
+    solid = bodies[:, 0] > 0
+    mass, size = body_scales(bodies[solid])
+    smallest = min_eigenvalue(bodies[solid], mass_scale=mass, length_scale=size)
+    solid[solid] = smallest > least
+    return solid
+
+
+class Tree(NamedTuple):
+    """What the compiled loop needs to know of a robot."""
+
+    parents: np.ndarray  # (nv,): number of the parent, -1 for none
+    # (nv, 3): place of a joint at zero in its parent's frame [m]; zero without parent
+    offsets: np.ndarray
+    frames: np.ndarray  # (nv, 3, 3): its axes, by rows, in the frame of its parent
+    # (nv, 3): direction about or along which it moves, in its own frame
+    axes: np.ndarray
+    # (nv,): radians and metres by unit of its position; a helical joint has both
+    turns: np.ndarray
+    slides: np.ndarray
+    # (nv, 3): acceleration in place of gravity, of joints without parent [m/s^2]
+    base: np.ndarray
+    base_angular: np.ndarray  # (3,): its angular part [rad/s^2]
+
+
+def describe(model):
+    """Return the `Tree` of a model, from how Pinocchio moves its joints."""
+    pin, nv = import_pinocchio(), model.nv
+    tree = Tree(
+        parents=np.array(model.parents.tolist()[1:]) - 1,
+        offsets=np.zeros((nv, 3)),
+        frames=np.empty((nv, 3, 3)),
+        axes=np.empty((nv, 3)),
+        turns=np.empty(nv),
+        slides=np.empty(nv),
+        base=np.zeros((nv, 3)),
+        base_angular=-model.gravity.angular,
+    )
+    data, zero = model.createData(), np.zeros(model.nq)
+    for i in range(nv):
+        # The motion of a joint in its own frame is the same everywhere.
+        pin.forwardKinematics(model, data, zero, np.eye(nv)[i])
+        placement, motion = data.liMi[i + 1], data.v[i + 1]
+        turns = motion.angular.any()
+        axis = motion.angular if turns else motion.linear
+        tree.axes[i] = axis / np.linalg.norm(axis)
+        tree.turns[i], tree.slides[i] = turns, motion.linear @ tree.axes[i]
+        tree.frames[i] = placement.rotation.T
+        if tree.parents[i] >= 0:
+            tree.offsets[i] = placement.translation
+        else:
+            # Moments about the first joint rather than the world's origin, where those
+            # of a robot far away would be rounded; a base that accelerates upwards
+            # takes the place of gravity.
+            lever = np.cross(tree.base_angular, placement.translation)
+            tree.base[i] = lever - model.gravity.linear
+    return tree
+
+
+def in_order(model, names):
+    """Return a model with its joints in another order, parents before children."""
+    # Readers of URDF put branches of a tree in an order of their own.
+    own = joint_names(model)
+    if tuple(names) == own:
+        return model
+    if sorted(names) != sorted(own):
+        raise ValueError(
+            f"the joints {', '.join(names)} are not those of the robot description, "
+            f"{', '.join(own)}"
+        )
+    made = import_pinocchio().Model()
+    made.name, made.gravity = model.name, model.gravity
+    numbers = {0: 0}
+    for name in names:
+        old = model.getJointId(name)
+        if model.parents[old] not in numbers:
+            raise ValueError(f"joint {name} comes before the one that carries it")
+        at = model.joints[old].idx_q
+        numbers[old] = made.addJoint(
+            numbers[model.parents[old]],
+            model.joints[old],
+            model.jointPlacements[old],
+            name,
+            model.effortLimit[[at]],
+            model.velocityLimit[[at]],
+            model.lowerPositionLimit[[at]],
+            model.upperPositionLimit[[at]],
+        )
+        made.inertias[numbers[old]] = model.inertias[old]
+        made.armature[numbers[old] - 1] = model.armature[old - 1]
+    frames = {0: 0}
+    for old, frame in enumerate(list(model.frames)[1:], 1):
+        moved = frame.copy()
+        moved.parentJoint = numbers[frame.parentJoint]
+        moved.parentFrame = frames[frame.parentFrame]
+        # The inertias of the joints have those of the frames already.
+        frames[old] = made.addFrame(moved, False)
+    return made
+
+
+def check_joints(loaded):
+    """Refuse a model with joints of other than one degree of freedom, or none."""
+    if loaded.nv == 0:
+        raise ValueError(
+            "The robot model has no moving joint; expected a tree of revolute or "
+            "prismatic joints. Check the joint types in the description."
+        )
+    wrong = [
+        f"{loaded.names[i]} ({joint.shortname()}, nq={joint.nq}, nv={joint.nv})"
+        for i, joint in enumerate(loaded.joints)
+        if i > 0 and (joint.nq, joint.nv) != (1, 1)
+    ]
+    if wrong:
+        raise ValueError(
+            "Every joint must have one degree of freedom (nq == nv); got "
+            + ", ".join(wrong)
+            + ". A free joint is held only if there is no other one and it carries all "
+            "other joints. Split spherical joints into three revolute ones, and lock "
+            "what does not move with pinocchio.buildReducedModel (command line: "
+            "--joints)."
+        )
+    return loaded
+
+
+def check_number(n_joints, path):
+    """Refuse more joints than robots have."""
+    if n_joints > _MOST_JOINTS:
+        raise ValueError(
+            f"{str(path)!r}: the robot has {n_joints} moving joints, at most "
+            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
+        )
+
+
+def check_known(moving, names, path):
+    """Refuse names that are no joints of a description."""
+    unknown = [name for name in moving if name not in names]
+    if unknown:
+        raise ValueError(
+            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
+            f"{', '.join(map(str, names)) or 'none'}."
+        )
+
+
+# -- a base that is free ---------------------------------------------------------------
+
+
+def hold_base(robot, orientation, called):
+    """Hold a base that alone carries all joints; return the robot, and what to say."""
+    # robot: with the names of its `free` joints, the `carriers` of all, and
+    # `with_base`; orientation: a quaternion, None for that of the description; called:
+    # how messages call the robot.
+    free, carriers = robot.free, robot.carriers
+    on_world = [name for name, above in carriers.items() if above is None]
+    # A body that carries nothing is no base.
+    if len(free) != 1 or not on_world == free != [*carriers]:
+        if orientation is not None:
+            raise ValueError(
+                f"{called} has no free joint that alone carries all other joints, so "
+                "that its base stands as described; leave base_orientation out."
+            )
+        return robot, []
+    turn = None if orientation is None else _rotation_of(orientation)
+    robot, axes = robot.with_base(free[0], turn)
+    return robot, [_said_of(free[0], axes)]
+
+
+class LoadedRobot:
+    """A Pinocchio model as `UrdfRobot` and `MjcfRobot` are, for `hold_base`."""
+
+    def __init__(self, model):
+        self.model = model
+        self._names = names = list(model.names)
+        self.carriers = {
+            name: names[above] if above else None
+            for name, above in zip(names[1:], model.parents.tolist()[1:])
+        }
+        kinds = (joint.shortname() for joint in model.joints)
+        self.free = [
+            n for n, kind in zip(names, kinds) if kind == "JointModelFreeFlyer"
+        ]
+
+    def with_base(self, name, turn=None):
+        """Hold the free joint at the root; return the robot, and its base's axes."""
+        pin, at = import_pinocchio(), self._names.index(name)
+        placed = self.model.jointPlacements[at].rotation
+        turn = placed if turn is None else turn
+        q = pin.neutral(self.model)
+        first = self.model.joints[at].idx_q + 3
+        q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
+        return LoadedRobot(pin.buildReducedModel(self.model, [at], q)), turn
+
+
+def _rotation_of(orientation):
+    """Rotation (3, 3) of a quaternion w, x, y, z, of any length."""
+    try:
+        given = np.asarray(orientation, dtype=float)
+    except (TypeError, ValueError):
+        given = np.empty(0)
+    length = np.linalg.norm(given) if given.shape == (4,) else 0.0
+    if not 0 < length < np.inf:
+        raise ValueError(
+            "base_orientation must be a quaternion of four finite numbers w, x, y, z, "
+            f"not all zero; got {orientation!r}."
+        )
+    w, x, y, z = given / length
+    return import_pinocchio().Quaternion(w, x, y, z).toRotationMatrix()
+
+
+def _said_of(name, rotation):
+    """Say how the base is held; rotation : of the base in the world (3, 3)."""
+    if np.linalg.norm(rotation[2, :2]) < _LEVEL and rotation[2, 2] > 0:
+        how = "level"
+    else:
+        angles = np.rad2deg(import_pinocchio().rpy.matrixToRpy(rotation))
+        # No minus in front of zero.
+        listed = " ".join(f"{x:.4g}" for x in np.round(angles, 4) + 0.0)
+        how = f"turned by rpy {listed} degrees"
+    return (
+        f"the base, which {name} leaves free, is held {how} (base_orientation or "
+        "--base-orientation turns it, the effect base_tilt finds a few degrees more)"
+    )
+
+
+# -- joints that follow others ---------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class Link:
+    """How a joint follows another: position = multiplier * leader + offset."""
+
+    leader: str  # name of the joint that moves it, which may follow another one
+    multiplier: float
+    offset: float  # [rad or m]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ChainLink:
+    """One joint between the base and the body of a follower."""
+
+    joint: int  # joint of the folded robot that moves it, from zero
+    # its position is rate times that of `joint` plus offset
+    rate: float
+    offset: float
+    slides: bool  # whether it is prismatic
+    placement: object  # where it is in the frame of the joint before it
+    axis: np.ndarray  # (3,): its direction in its own frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FollowingBody:
+    """The body that a follower moves."""
+
+    name: str
+    leader: int  # joint of the folded robot that moves it, from zero
+    chain: tuple  # joints from the base to the body
+    gravity: np.ndarray  # (3,) [m/s^2]
+    parameters: np.ndarray  # (10,): of the description, in Pinocchio's order
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Folded:
+    """A robot without its followers."""
+
+    model: object  # joints that are left, with their bodies
+    followers: tuple  # bodies that these move besides
+    # the same with the followers' bodies held where they are while the leaders are at
+    # zero, so that no mass is missing
+    still: object
+    full: object  # robot in which followers are joints of their own
+    links: dict
+
+    @classmethod
+    def without(cls, model):
+        """Return a robot that has no followers."""
+        return cls(model=model, followers=(), still=model, full=model, links={})
+
+
+def foldable(carriers, links, path):
+    """Return the followers that carry nothing but followers, by name."""
+    # Their leaders do not follow themselves. carriers: for each joint the one that
+    # carries it, or None; path: what messages name.
+    for name, link in links.items():
+        if link.leader not in carriers:
+            raise ValueError(
+                f"{str(path)!r}: joint {name!r} is to follow {link.leader!r}, which is "
+                "no moving joint of the robot; correct the description."
+            )
+        seen = [name]
+        while seen[-1] in links:
+            seen.append(links[seen[-1]].leader)
+            if seen[-1] in seen[:-1]:
+                raise ValueError(
+                    f"{str(path)!r}: the joints {', '.join(seen[:-1])} follow each "
+                    "other in a ring; correct the description."
+                )
+    kept = dict(links)
+    while True:
+        carrying = {
+            carrier
+            for joint, carrier in carriers.items()
+            if joint not in kept and carrier in kept
+        }
+        if not carrying:
+            return {name: _resolved(name, kept) for name in kept}
+        kept = {name: link for name, link in kept.items() if name not in carrying}
+
+
+def _resolved(name, links):
+    """Return how a follower moves with a joint that does not follow."""
+    leader, rate, offset = name, 1.0, 0.0
+    while leader in links:
+        link = links[leader]
+        offset, rate = offset + rate * link.offset, rate * link.multiplier
+        leader = link.leader
+    return Link(leader=leader, multiplier=rate, offset=offset)
+
+
+def led_by(moving, carriers, links, path):
+    """Names of the followers that joints which move lead, if they can be folded."""
+    # carriers, links: as for `foldable`, of all joints, whose mistakes it refuses.
+    foldable(carriers, links, path)
+    follow = set(links)
+    while True:
+        # What is held is one body with the joint that carries it, and leads nothing.
+        left = {*moving, *follow}
+        own = {name: links[name] for name in follow if links[name].leader in left}
+        if len(own) == len(follow):
+            above = {name: _next(carriers, name, left) for name in left}
+            own = foldable(above, own, path)
+        if len(own) == len(follow):
+            return follow
+        follow = set(own)
+
+
+def _next(carriers, name, joints):
+    """Return the nearest joint of some that carries a joint; None for the base."""
+    name = carriers[name]
+    while name is not None and name not in joints:
+        name = carriers[name]
+    return name
+
+
+def fold(full, links):
+    """Take followers that are `foldable` out of a robot."""
+    if not links:
+        return Folded.without(full)
+    pin = import_pinocchio()
+    names = list(full.names)
+    left = [name for name in names[1:] if name not in links]
+    empty = full.copy()
+    for name in links:
+        empty.inertias[names.index(name)] = pin.Inertia.Zero()
+    at_zero = np.zeros(full.nq)
+    for name, link in links.items():
+        at_zero[full.joints[names.index(name)].idx_q] = link.offset
+    locked = [names.index(name) for name in links]
+    model, still = (
+        pin.buildReducedModel(one, locked, at_zero) for one in (empty, full)
+    )
+    model.name = still.name = full.name
+    steps = {}
+    data = full.createData()
+    for at, name in enumerate(names[1:], 1):
+        pin.forwardKinematics(full, data, np.zeros(full.nq), np.eye(full.nv)[at - 1])
+        motion = data.v[at]
+        slides = not motion.angular.any()
+        axis = motion.linear if slides else motion.angular
+        link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
+        steps[at] = ChainLink(
+            joint=left.index(link.leader),
+            rate=link.multiplier,
+            offset=link.offset,
+            slides=slides,
+            placement=full.jointPlacements[at].copy(),
+            axis=axis / np.linalg.norm(axis),
+        )
+    followers = []
+    for name in names[1:]:
+        if name not in links:
+            continue
+        at, chain = names.index(name), []
+        parameters = full.inertias[at].toDynamicParameters()
+        while at > 0:
+            chain.insert(0, steps[at])
+            at = int(full.parents[at])
+        followers.append(
+            FollowingBody(
+                name=name,
+                leader=left.index(links[name].leader),
+                chain=tuple(chain),
+                gravity=full.gravity.linear.copy(),
+                parameters=parameters,
+            )
+        )
+    return Folded(
+        model=model, followers=tuple(followers), still=still, full=full, links=links
+    )

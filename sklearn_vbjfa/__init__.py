@@ -1,6 +1,7 @@
 """Linear models with noisy inputs and outputs, made for robot identification."""
 
 import importlib
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -44,26 +45,25 @@ __all__ = [
 # Where each name is. It is imported when it is first asked for: a program is at work at
 # once, and can be stopped while the rest is loaded.
 _MODULES = {
-    "EffectDiscovery": "diagnosis._discovery",
-    "IdentifiedRobot": "robot._identified",
-    "InstrumentalVariables": "regression._instrumental_variables",
-    "JFARegressor": "regression._jfa",
-    "JointTorqueRegressor": "robot._joint_torque",
-    "LocallyWeightedRegressor": "regression._locally_weighted",
-    "NoiseCovariance": "regression._replicates",
-    "PhysicalProjector": "physical",
-    "RigidBodyFeatures": "robot._features",
-    "RobotIdentifier": "robot._identifier",
-    "StateEstimator": "robot._states",
-    "StepwiseRegressor": "regression._stepwise",
-    "TotalLeastSquares": "regression._total_least_squares",
-    "VBJFARegressor": "regression._vbjfa",
-    "load_identified": "robot._identified",
-    "load_model": "model._loading",
-    "replicate_noise": "regression._replicates",
+    "diagnosis._discovery": ("EffectDiscovery",),
+    "model._loading": ("load_model",),
+    "physical": ("PhysicalProjector",),
+    "regression._instrumental_variables": ("InstrumentalVariables",),
+    "regression._jfa": ("JFARegressor",),
+    "regression._locally_weighted": ("LocallyWeightedRegressor",),
+    "regression._replicates": ("NoiseCovariance", "replicate_noise"),
+    "regression._stepwise": ("StepwiseRegressor",),
+    "regression._total_least_squares": ("TotalLeastSquares",),
+    "regression._vbjfa": ("VBJFARegressor",),
+    "robot._features": ("RigidBodyFeatures",),
+    "robot._identified": ("IdentifiedRobot", "load_identified"),
+    "robot._identifier": ("RobotIdentifier",),
+    "robot._joint_torque": ("JointTorqueRegressor",),
+    "robot._states": ("StateEstimator",),
 }
 _ROOMS = (
     "datasets",
+    "design",
     "diagnosis",
     "distributed",
     "effects",
@@ -77,17 +77,23 @@ _ROOMS = (
 )
 
 
-def __getattr__(name):
-    """Import what is asked for."""
-    if name in _MODULES:
-        module = importlib.import_module(f"{__name__}.{_MODULES[name]}")
-        found = globals()[name] = getattr(module, name)
-        return found
-    if name in _ROOMS:
-        return importlib.import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def _lazily(package, modules, rooms=()):
+    """Return `__getattr__` and `__dir__` that import names when they are asked for."""
+    # modules: names that a module below the package has, by the module; rooms: modules
+    # that are names themselves. The faces of rooms are made of it as well.
+    where = {name: module for module, names in modules.items() for name in names}
+    own = vars(sys.modules[package])
+
+    def get(name):
+        if name in where:
+            module = importlib.import_module(f"{package}.{where[name]}")
+            found = own[name] = getattr(module, name)
+            return found
+        if name in rooms:
+            return importlib.import_module(f"{package}.{name}")
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    return get, lambda: sorted({*own, *where, *rooms})
 
 
-def __dir__():
-    """Names of the package, imported or not."""
-    return sorted({*globals(), *_MODULES, *_ROOMS})
+__getattr__, __dir__ = _lazily(__name__, _MODULES, _ROOMS)

@@ -27,8 +27,7 @@ from sklearn_vbjfa.datasets._robot_recording import (
 from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
 from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
 from sklearn_vbjfa.inspection import inspect_recording
-from sklearn_vbjfa.recording._reader import read_recording
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording import Recording, read_recording
 
 __all__ = [
     "ClosedLoopRecording",

@@ -10,7 +10,7 @@ from os import PathLike
 from sklearn_vbjfa.datasets._catalogue import load
 from sklearn_vbjfa.datasets._download import Access
 from sklearn_vbjfa.datasets._readers import UR5_GAINS
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording import Recording
 
 
 def fetch_emps(

@@ -22,14 +22,18 @@ from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model._loading import joint_names, load_model
 from sklearn_vbjfa.physical._threads import one_blas_thread
-from sklearn_vbjfa.recording._columns import (
+from sklearn_vbjfa.recording import (
+    OfferedSignals,
+    check_clock,
+    check_dt,
     columns_beside,
+    commands_among,
+    find_repetition,
     positions_in_order,
+    survey,
+    take_arrays,
     torques_in_order,
 )
-from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.recording._repetition import commands_among, find_repetition
-from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,

@@ -13,8 +13,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import declared_alone
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.recording._recording import check_clock, take_arrays
-from sklearn_vbjfa.recording._signals import check_given, check_useful
+from sklearn_vbjfa.recording import check_clock, check_given, check_useful, take_arrays
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight
 

@@ -15,9 +15,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.distributed._merging import import_dask, merge_tree
-from sklearn_vbjfa.recording._faults import levels
-from sklearn_vbjfa.recording._reader import read_recording
-from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.recording import check_dt, levels, read_recording
 from sklearn_vbjfa.robot._equations import accumulate, segments
 from sklearn_vbjfa.robot._identifier import conclude, declare, noise_of, tell_noise
 from sklearn_vbjfa.robot._joint_moments import Numbering

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.recording._quoting import quoted
+from sklearn_vbjfa.recording import quoted
 
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}

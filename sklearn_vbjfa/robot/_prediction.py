@@ -13,13 +13,15 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa.effects._ranges import outside, own_motions
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._regressor import rounding_entries
-from sklearn_vbjfa.recording._columns import (
+from sklearn_vbjfa.recording import (
+    check_clock,
+    check_dt,
     columns_beside,
     positions_in_order,
+    signals_for,
+    take_arrays,
     torques_in_order,
 )
-from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.recording._signals import signals_for
 from sklearn_vbjfa.robot._column_powers import ColumnPowers
 from sklearn_vbjfa.robot._equations import (
     is_plain,

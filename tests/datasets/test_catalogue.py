@@ -15,7 +15,7 @@ from sklearn_vbjfa.datasets._catalogue import (
     protocols,
 )
 from sklearn_vbjfa.datasets._download import Access, DataFiles
-from sklearn_vbjfa.recording._resample import Log
+from sklearn_vbjfa.recording import Log
 
 SWING = 0.5 * np.sin(np.arange(30))
 

@@ -11,7 +11,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import MotionLimits, design_motion  # noqa: E402
 from sklearn_vbjfa.design._criterion import worth  # noqa: E402
-from sklearn_vbjfa.recording._repetition import find_repetition  # noqa: E402
+from sklearn_vbjfa.recording import find_repetition  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
 KINDS = ("revolute", "prismatic", "continuous")

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _arrays, _files, _sheets
+from sklearn_vbjfa.recording import _table
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
 PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
@@ -93,7 +93,7 @@ def test_packed_without_an_inner_ending(tmp_path):
 
 
 def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
-    monkeypatch.setattr(_files, "LARGEST", 1 << 20)
+    monkeypatch.setattr(_table, "LARGEST", 1 << 20)
     path = tmp_path / "arm.csv.gz"
     path.write_bytes(gzip.compress(bytes(3 << 20)))
     assert "too large to be read at once; give a shorter recording" in refused(path)
@@ -144,7 +144,7 @@ def test_a_named_pipe(tmp_path):
 
 
 def test_an_endless_pipe_is_refused(monkeypatch):
-    monkeypatch.setattr(_files, "LARGEST", 3 << 20)
+    monkeypatch.setattr(_table, "LARGEST", 3 << 20)
     if not os.path.exists("/dev/zero"):
         pytest.skip("there is no endless file")
     assert "too large" in refused("/dev/zero")
@@ -226,7 +226,7 @@ def test_damaged_sheets(sheet):
 
 
 def test_a_large_sheet_is_refused_early(sheet, monkeypatch):
-    monkeypatch.setattr(_sheets, "LARGEST", 1000)
+    monkeypatch.setattr(_table, "LARGEST", 1000)
     assert "too large to be read at once" in refused(sheet(rows_of(table())))
 
 
@@ -277,7 +277,7 @@ def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
     content = path.read_bytes()
     check_damage(path)
     path.write_bytes(content)
-    monkeypatch.setattr(_arrays, "LARGEST", 1000)
+    monkeypatch.setattr(_table, "LARGEST", 1000)
     assert "too large to be read at once" in refused(path)
 
 

@@ -13,7 +13,7 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier, StateEstimator
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.model._loading import nominal_parameters
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
 from sklearn_vbjfa.robot._states import RecordingStates
 from tests.model._robots import swing

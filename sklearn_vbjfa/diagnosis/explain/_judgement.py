@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.explain._price import (
 )
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
-from sklearn_vbjfa.recording._signals import OfferedSignals
+from sklearn_vbjfa.recording import OfferedSignals
 from sklearn_vbjfa.robot._identifier import RobotIdentifier, outside_of
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
 

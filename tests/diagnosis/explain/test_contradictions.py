@@ -9,7 +9,7 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import Parts, contradiction
 from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record
 
 SPREAD = np.ones(2)

@@ -11,7 +11,7 @@ from sklearn_vbjfa.diagnosis.explain import _drawn
 from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Drift, Effect, Signal, Spring, resolve
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 
 NAMED = {
     "joint": 0,

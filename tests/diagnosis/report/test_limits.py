@@ -24,7 +24,7 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
-from sklearn_vbjfa.recording._repetition import RepeatedMotion
+from sklearn_vbjfa.recording import RepeatedMotion
 from sklearn_vbjfa.robot._bodies import Departure
 from sklearn_vbjfa.robot._known import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome

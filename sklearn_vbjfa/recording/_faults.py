@@ -395,8 +395,8 @@ def held_channels(names, q, tau, dt, lost, parts, skip):
                 f"The {what} of {listed_joints(names, joints)} has a new value only "
                 f"every {k} rows ({1e3 * k * dt:.3g} ms) while the {other} change in "
                 f"every one: it is late by {0.5e3 * (k - 1) * dt:.3g} ms and goes in "
-                f"steps; keep one row for each new {what} (and dt={k * dt:.6g}), or record "
-                "it at the full rate.",
+                f"steps; keep one row for each new {what} (and dt={k * dt:.6g}), or "
+                "record it at the full rate.",
             )
         )
         held[i, list(joints)] = True

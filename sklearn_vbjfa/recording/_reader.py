@@ -12,7 +12,7 @@ from statistics import median_low
 import numpy as np
 
 from sklearn_vbjfa.model._doubts import DoubtWarning
-from sklearn_vbjfa.recording import _layout
+from sklearn_vbjfa.recording import _layout, formats
 from sklearn_vbjfa.recording._channels import (
     Asked,
     Joints,
@@ -67,16 +67,17 @@ def read_recording(
     Parameters
     ----------
     path : str, os.PathLike or sequence of these
-        One row per sample, as CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy with
-        named fields or MATLAB (to version 7.2); a bag of ROS 1 or 2 or an MCAP file
-        with JointState, with or without its folder; the folder of a LeRobot data set;
-        "-" for standard input. Columns: positions q1 ... qn [rad or m] and torques
-        tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s], a1 ... an
-        [rad/s^2 or m/s^2], t [s or dates] and segment, the label of separate
-        recordings (contiguous rows). Names may also be q_1 or q[1], count from 0, or
-        use the joint's name, such as q_shoulder; a unit may follow (q1 [deg], t_ms),
-        or stand in a row below the names. Names that the presets know are recognised.
-        An npz file may hold matrices q, tau, ... and a number dt. Text is separated by
+        One row per sample, as
+        TABLES;
+        a bag of ROS 1 or 2 or an MCAP file with JointState, with or without its folder;
+        the folder of a LeRobot data set; "-" for standard input. Columns: positions q1
+        ... qn [rad or m] and torques tau1 ... taun [N m or N]; optionally v1 ... vn
+        [rad/s or m/s], a1 ... an [rad/s^2 or m/s^2], t [s or dates] and segment, the
+        label of separate recordings (contiguous rows). Names may also be q_1 or q[1],
+        count from 0, or use the joint's name, such as q_shoulder; a unit may follow (q1
+        [deg], t_ms), or stand in a row below the names. Names that the presets know are
+        recognised. An npz or JSON file may hold matrices q, tau, ... and a number dt;
+        JSON may also be a list of records, or one record a line. Text is separated by
         comma, semicolon, tab or blanks; # begins a comment. Of several files of one
         robot the recordings stand one after the other, called after their files, with
         their own names behind where a file has several.
@@ -121,8 +122,8 @@ def read_recording(
     FileNotFoundError
         If the file does not exist.
     ImportError
-        If a package is missing that the format needs (pyarrow, rosbags,
-        python-calamine), or `urdf` without Pinocchio.
+        If a package is missing that the format needs (PACKAGES),
+        or `urdf` without Pinocchio.
     ValueError
         If the file is damaged or not what its ending says, the number of columns is
         wrong, two columns could be meant, a value is not finite or beyond 1e12, time
@@ -205,6 +206,12 @@ def read_recording(
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
+
+
+if read_recording.__doc__:  # not if Python leaves docstrings out
+    read_recording.__doc__ = read_recording.__doc__.replace(
+        "TABLES", formats.TABLES
+    ).replace("PACKAGES", formats.PACKAGES)
 
 
 def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):

@@ -142,6 +142,22 @@ def check_memory(size):
         raise MemoryError(f"{size / (1 << 30):.1f} GiB unpacked")
 
 
+def flattened(values, keep=lambda value: True):
+    """Return nested structures as one, names with points; of a common one without."""
+
+    def entries(inside, prefix, depth=0):
+        for name, value in inside.items():
+            if isinstance(value, dict) and depth < 8:
+                yield from entries(value, f"{prefix}{name}.", depth + 1)
+            elif keep(value):
+                yield f"{prefix}{name}", value
+
+    found = dict(entries(values, ""))
+    if len({name.rpartition(".")[0] for name in found}) == 1:
+        return {name.rpartition(".")[2]: x for name, x in found.items()}
+    return found
+
+
 def table_of_arrays(path: Source, arrays) -> Table:
     """Make columns of arrays; a matrix such as q becomes the columns q1, q2, ..."""
     lengths = {

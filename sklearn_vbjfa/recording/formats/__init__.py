@@ -17,6 +17,7 @@ from pathlib import Path
 from sklearn_vbjfa.recording import _table
 from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed
 from sklearn_vbjfa.recording.formats._bags import BAG
+from sklearn_vbjfa.recording.formats._json import JSON
 from sklearn_vbjfa.recording.formats._matlab import MATLAB
 from sklearn_vbjfa.recording.formats._numpy import NPY, NPZ
 from sklearn_vbjfa.recording.formats._parquet import PARQUET
@@ -24,22 +25,22 @@ from sklearn_vbjfa.recording.formats._sheets import SHEET
 from sklearn_vbjfa.recording.formats._text import TEXT
 
 # In the order in which lists name them, bags last.
-FORMATS = (TEXT, SHEET, NPZ, NPY, MATLAB, PARQUET, BAG)
+FORMATS = (TEXT, SHEET, NPZ, NPY, MATLAB, PARQUET, JSON, BAG)
 
 
-def alternatives(words, conjunction="or"):
+def _alternatives(words):
     """List words as a choice: "a, b or c"."""
-    *first, last = words
-    return f"{', '.join(first)} {conjunction} {last}" if first else last
+    return f"{', '.join(words[:-1])} or {words[-1]}"
 
 
 _BY_ENDING = {ending: x for x in FORMATS for ending in x.endings}
 _KNOWN = (
-    f"{alternatives([x for y in FORMATS for x in y.shown or y.endings[:1]])} (text "
+    f"{_alternatives([x for y in FORMATS for x in y.shown or y.endings[:1]])} (text "
     "also with .gz, .bz2, .xz or .zst behind)"
 )
-# What a file may be, for docstrings and the help of commands.
-TABLES_IN_WORDS = alternatives([x.name for x in FORMATS if not x.has_topics])
+# What a file may be, and what reads it, for docstrings and the help of commands.
+TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
+PACKAGES = _alternatives([x.needs[0] for x in FORMATS if x.needs])
 
 
 def _zstandard(source):
@@ -79,7 +80,7 @@ _ADVICE = {
         "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
     ),
     **dict.fromkeys(
-        (".json", ".jsonl", ".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
+        (".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
         "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
         "tau=tau)",
     ),

@@ -11,6 +11,7 @@ from sklearn_vbjfa.recording._table import (
     Source,
     Table,
     check_memory,
+    flattened,
     reading_arrays,
     table_of_arrays,
 )
@@ -55,27 +56,13 @@ def read_mat(path: Source, wanted) -> Table:
         ]
         check_memory(max(8 * sum(sizes), path.file.stat().st_size))
         found = loadmat(path.file, simplify_cells=True)
-    arrays = dict(_numeric({k: x for k, x in found.items() if k[:2] != "__"}, ""))
-    return table_of_arrays(path, _upright(_without_common_part(arrays)))
+    found = {name: x for name, x in found.items() if name[:2] != "__"}
+    arrays = {name: np.asarray(x) for name, x in flattened(found, _is_numeric).items()}
+    return table_of_arrays(path, _upright(arrays))
 
 
-def _numeric(values, prefix, depth=0):
-    """Yield the arrays of numbers in nested structures, their names with points."""
-    for name, value in values.items():
-        if isinstance(value, dict) and depth < 8:
-            yield from _numeric(value, f"{prefix}{name}.", depth + 1)
-            continue
-        array = np.asarray(value)
-        if array.dtype.kind in "biufU":
-            yield f"{prefix}{name}", array
-
-
-def _without_common_part(arrays):
-    """Take the name of the only structure off the names of its fields."""
-    parts = {name.rpartition(".")[0] for name in arrays}
-    if len(parts) != 1 or parts == {""}:
-        return arrays
-    return {name.rpartition(".")[2]: x for name, x in arrays.items()}
+def _is_numeric(value):
+    return np.asarray(value).dtype.kind in "biufU"
 
 
 def _upright(arrays):
@@ -93,7 +80,7 @@ def _upright(arrays):
 
 
 MATLAB = Format(
-    name="MATLAB",
+    name="MATLAB (to version 7.2)",
     endings=(".mat",),
     read=read_mat,
     begins=((b"MATLAB 5.0", ".mat"),),

@@ -78,5 +78,8 @@ def read_npy(path: Source, wanted) -> Table:
 # Zip archives without an ending are told from spreadsheets where they are opened.
 NPZ = Format(name="npz", endings=(".npz",), read=read_npz)
 NPY = Format(
-    name="npy", endings=(".npy",), read=read_npy, begins=((b"\x93NUMPY", ".npy"),)
+    name="npy with named fields",
+    endings=(".npy",),
+    read=read_npy,
+    begins=((b"\x93NUMPY", ".npy"),),
 )

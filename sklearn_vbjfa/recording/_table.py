@@ -142,6 +142,21 @@ def check_memory(size):
         raise MemoryError(f"{size / (1 << 30):.1f} GiB unpacked")
 
 
+def text_of(path: Source) -> str:
+    """Return a text in UTF-8, which has more than blanks."""
+    check_size(path, path.file.stat().st_size, what="of text")
+    try:
+        text = path.file.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(
+            f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
+            "in UTF-8."
+        ) from error
+    if not text.strip():
+        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
+    return text
+
+
 def flattened(values, keep=lambda value: True):
     """Return nested structures as one, names with points; of a common one without."""
 
@@ -158,8 +173,16 @@ def flattened(values, keep=lambda value: True):
     return found
 
 
+def table_of_records(path: Source, records) -> Table:
+    """Make columns of rows, each a dict; what a row lacks is nan."""
+    names = dict.fromkeys(name for record in records for name in record)
+    columns = {name: [record.get(name) for record in records] for name in names}
+    return table_of_arrays(path, columns)
+
+
 def table_of_arrays(path: Source, arrays) -> Table:
-    """Make columns of arrays; a matrix such as q becomes the columns q1, q2, ..."""
+    """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
+    arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     lengths = {
         name: len(values)
         for name, values in arrays.items()
@@ -201,6 +224,23 @@ def table_of_arrays(path: Source, arrays) -> Table:
             )
         columns.update(own)
     return Table(path=path.shown, columns=columns, scalars=scalars)
+
+
+def _array(path, name, values):
+    """Make an array of a list; nothing is nan, and a column of text stays text."""
+    if isinstance(values, np.ndarray):
+        return values
+    first = values
+    if isinstance(values, list):
+        first = next((x for x in values if x is not None), None)
+    try:
+        return np.array(values, dtype=str if isinstance(first, str) else float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(
+            f"{path}: {quoted(name)} holds {quoted(first)} and others that are no "
+            "numbers, or lists of other lengths; write one number, or equally long "
+            "lists of them, for each sample."
+        ) from error
 
 
 def _is_channel(name: str) -> bool:

@@ -476,7 +476,7 @@ def test_what_is_beside_the_channels_in_json(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "no rows of data; expected one record"),
+        ("", "no rows of data; expected one row"),
         ("[]", "holds nothing"),
         ("{}", "holds nothing"),
         ("5", "holds 5 as record 1; expected objects such as"),

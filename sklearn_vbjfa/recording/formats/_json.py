@@ -2,31 +2,23 @@
 
 import json
 
-import numpy as np
-
 from sklearn_vbjfa.recording._table import (
     Format,
     Source,
     Table,
-    check_size,
     flattened,
     quoted,
     table_of_arrays,
+    table_of_records,
+    text_of,
 )
 
 
 def read_json(path: Source, wanted) -> Table:
     """Read a list of records, records one a line, or arrays by their names."""
-    check_size(path, path.file.stat().st_size, what="of JSON")
-    try:
-        text = path.file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path}: is no UTF-8 text ({error.reason}).") from error
-    if not text.strip():
-        raise ValueError(f"{path}: no rows of data; expected one record per sample.")
-    found = _parsed(path, text)
+    found = _parsed(path, text_of(path))
     if isinstance(found, dict):
-        return table_of_arrays(path, _arrays(path, flattened(found)))
+        return table_of_arrays(path, flattened(found))
     for k, record in enumerate(found if isinstance(found, list) else [found]):
         if not isinstance(record, dict) or not record:
             raise ValueError(
@@ -34,10 +26,7 @@ def read_json(path: Source, wanted) -> Table:
                 'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, or arrays '
                 "by their names."
             )
-    records = [flattened(record) for record in found]
-    names = dict.fromkeys(name for record in records for name in record)
-    columns = {name: [record.get(name) for record in records] for name in names}
-    return table_of_arrays(path, _arrays(path, columns))
+    return table_of_records(path, [flattened(record) for record in found])
 
 
 def _parsed(path, text):
@@ -64,24 +53,6 @@ def _broken(path, error, line=0):
         f"{path}: is no whole JSON file ({getattr(error, 'msg', error)}{where}); write "
         "it anew."
     )
-
-
-def _arrays(path, columns):
-    """Make arrays of values; nothing is nan, and a column of text stays text."""
-    arrays = {}
-    for name, values in columns.items():
-        several = isinstance(values, list)
-        first = next((x for x in values if x is not None), None) if several else values
-        try:
-            kind = str if isinstance(first, str) else float
-            arrays[name] = np.array(values, dtype=kind)
-        except (TypeError, ValueError, OverflowError) as error:
-            raise ValueError(
-                f"{path}: {quoted(name)} holds {quoted(first)} and others that are no "
-                "numbers, or lists of other lengths; write one number, or equally long "
-                "lists of them, for each sample."
-            ) from error
-    return arrays
 
 
 JSON = Format(

@@ -1,8 +1,4 @@
-"""Input of the command line: arguments and files.
-
-Each function returns a checked value, or refuses it in one line that names the option
-or the file.
-"""
+"""Input of the command line, checked or refused: arguments and files."""
 
 import contextlib
 import itertools

@@ -1,11 +1,10 @@
 """Exactly dependent inputs: which of them generate the others.
 
 Independent noise cannot be subtracted from inputs that are sums of each other. Second
-moments do not say which generate the rest (any basis of the span is as likely), but two
-unit-free rules do. If all dependent inputs are sums with non-negative weights of as few
-of them as the span has dimensions, those (the extreme rays of the cone of all) generate
-the rest. Otherwise it is the subset of largest volume in standardised columns, of which
-all others are combinations with weights of at most one.
+moments do not say which generate the rest, but two unit-free rules do. If all dependent
+inputs are sums with non-negative weights of as few of them as the span has dimensions,
+it is these, the extreme rays of the cone of all. Otherwise it is the subset of largest
+volume in standardised columns: all others have weights of at most one.
 """
 
 from dataclasses import dataclass

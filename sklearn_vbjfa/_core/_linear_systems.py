@@ -70,7 +70,7 @@ class ScaledSolution:
     """Least squares in scaled columns."""
 
     coef: np.ndarray  # (n_features,): solution
-    # (n_features, n_features): of the scaled columns' Gram matrix, scaled back
+    # (n_features, n_features): pseudo-inverse of their Gram matrix, scaled back
     inverse: np.ndarray
     # (n_features,): coefficients that are the same in all solutions
     identified: np.ndarray

@@ -1,11 +1,10 @@
 """Second moments of inputs X and an output y: accumulated, merged, standardised.
 
 Rows are reduced to `Moments` block by block, never to raw moments, whose differences
-cancel; those of disjoint rows add up in any order. A scatter matrix holds half the
-digits of its rows: a direction of the standardised inputs with share lambda of the
-variance is known to rounding / lambda, and to the root of that from a QR decomposition
-of the rows. If its rounding exceeds the estimates' sampling error, a second pass
-decomposes the rows.
+cancel; those of disjoint rows add up in any order. A direction of the standardised
+inputs with share lambda of the variance is known to rounding / lambda from the scatter,
+and to the root of that from a QR decomposition of the rows: a second pass, where the
+rounding exceeds the estimates' sampling error.
 """
 
 from dataclasses import dataclass, replace

@@ -33,7 +33,7 @@ class State:
     alpha_shape: float  # shape of the Gamma posterior of each precision. [eq. 12]
     alpha_rate: np.ndarray  # (n_features,): its rate. [eq. 13]
     psi_y: float  # output-noise variance. [eq. 14]
-    # (n_features,): of the hidden z given t, and of the input noise. [eqs. 15, 16]
+    # (n_features,): variances of z given t, and of the input noise. [eqs. 15, 16]
     psi_z: np.ndarray
     psi_x: np.ndarray
 

@@ -1,7 +1,4 @@
-"""Public loaders of the measured sets: what each of them holds, for those who use it.
-
-How a set is read and evaluated is in its entry of the catalogue.
-"""
+"""Public loaders of the measured sets: what each of them holds, for users."""
 
 from collections.abc import Sequence
 from dataclasses import replace

@@ -1,7 +1,4 @@
-"""A designed motion in words: a page beside its file, and a summary for a terminal.
-
-Nothing is designed here. Sections are those of a report, which draws them.
-"""
+"""A designed motion in words: a page beside its file, and a summary for a terminal."""
 
 import math
 import textwrap
@@ -41,7 +38,7 @@ class Present:
     """What is known of a parameter before the motion."""
 
     value: float
-    # of its 90 % interval; nan where the recordings do not determine it by itself
+    # that of its 90 % interval; nan where the recordings do not determine it alone
     half_width: float
 
 

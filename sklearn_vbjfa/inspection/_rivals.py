@@ -199,8 +199,8 @@ def _cutoff(v, dt, parts):
 class ChannelErrors:
     """Errors of one torque channel, for several versions of the torque."""
 
-    # (n_blocks, n_versions): of the mean squared error of each block, predicted from
-    # the others; nan for blocks without rows
+    # (n_blocks, n_versions): logarithm of the mean squared error of each block,
+    # predicted from the others; nan for blocks without rows
     log_error: np.ndarray
     log_variance: float  # of the torque
 

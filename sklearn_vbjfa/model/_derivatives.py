@@ -4,17 +4,17 @@ Turn what a joint carries by a small angle about an axis u through the joint. In
 frame that turns with it nothing of it has moved; what it is carried by moves otherwise:
 angular velocity, angular acceleration and acceleration of the joint change by
 
-    dw = w x u,  ddw = dot(w) x u,  dA = A x u,
+    dw = w × u,  ddw = dot(w) × u,  dA = A × u,
 
 so that a point at x of velocity V(x) has another acceleration, by Coriolis' theorem
 
-    dA(x) = alpha + beta x x + 2 dw x V(x),  beta = ddw + w x dw,
-    alpha = dA - beta x p - 2 dw x V(p).
+    dA(x) = alpha + beta × x + 2 dw × V(x),  beta = ddw + w × dw,
+    alpha = dA - beta × p - 2 dw × V(p).
 
 The forces that this takes, summed over all that a joint carries, need five sums over
 its mass, of 1, x, V, x x' and V x', and are linear in alpha, beta and dw. Joints that
 carry the turned one feel its force turned as well. For a shift along u, alpha = dot(w)
-x u + w x (w x u) and beta = dw = 0. In spatial notation the derivative by a joint's own
+× u + w × (w × u) and beta = dw = 0. In spatial notation the derivative by a joint's own
 position is in Carpentier and Mansard (doi:10.15607/RSS.2018.XIV.038).
 """
 

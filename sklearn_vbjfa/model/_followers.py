@@ -16,9 +16,8 @@ class Link:
     """How a joint follows another: position = multiplier * leader + offset."""
 
     leader: str  # name of the joint that moves it, which may follow another one
-    # of the leader's position; the offset in rad or m
     multiplier: float
-    offset: float
+    offset: float  # [rad or m]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

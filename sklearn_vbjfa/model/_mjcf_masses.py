@@ -1,7 +1,4 @@
-"""Mass and inertia of MJCF bodies: as they are given, or those of their shapes.
-
-The volumes and moments of inertia of solid primitives are textbook formulas.
-"""
+"""Mass and inertia of MJCF bodies: as they are given, or those of their shapes."""
 
 from dataclasses import dataclass
 

@@ -41,7 +41,7 @@ class Joint:
     # the kind is "hinge", "slide", "ball" or "free"
     name: str
     kind: str
-    # (3,): in the axes of the body; the anchor is a point of hinges
+    # (3,) in the axes of the body; the anchor is a point of hinges
     axis: np.ndarray
     anchor: np.ndarray
     ref: float = 0.0  # its position where the body is as described [rad or m]

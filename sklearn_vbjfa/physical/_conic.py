@@ -19,6 +19,7 @@ from sklearn_vbjfa.physical._programme import PrimalDual
 def solve_conic(programme, *, max_steps):
     """Solve with clarabel; return where it ended, its iterations and its own words."""
     # The answer is not finite where the solver broke down.
+
     # The tolerances are absolute too. The distance of a consistent vector is the unit,
     # unless it is below the resolution, where it cannot be measured.
     upper = programme.distance(programme.clip(2 * programme.margin))

@@ -71,6 +71,7 @@ class Programme:
         # metric_root: in scaled variables, largest column norm one (or zero). What the
         # metric does not see is pulled to `anchor` with `anchor_weight`. The
         # constraints are the other fields.
+
         # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
         # square the condition number as R'R would.
         pull = np.sqrt(anchor_weight) * _null_space(metric_root).T

@@ -48,6 +48,7 @@ class Solution:
 def solve(programme, *, max_steps):
     """Solve a programme with clarabel, refine the answer and certify it."""
     # ProjectionError if no answer has a certified gap below the limit.
+
     # The least lift is an answer by itself where hardly anything has to move; no vector
     # is nearer than nothing, so its own squared distance bounds its excess.
     vector = programme.lift(programme.point, programme.margin)

@@ -39,7 +39,7 @@ class Repetition:
     seconds: np.ndarray  # (r,): their lengths [s]
     motion: np.ndarray  # (r,): motion of each recording, from zero
     delay: np.ndarray  # (r,): how far in its motion each recording begins [s]
-    # (m,): of the motions [s], infinite for one that does not repeat by itself
+    # (m,): periods of the motions [s], infinite for one that does not repeat by itself
     period: np.ndarray
 
     def motions(self):

@@ -481,6 +481,7 @@ def interpolate(
     """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt."""
     # Positions "q" follow the cubic that `cubic` builds from stamps and rows; all else,
     # being noisier, follows straight lines.
+
     # Rounding of t must not cost the last point.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
     query = np.minimum(grid, t[-1])

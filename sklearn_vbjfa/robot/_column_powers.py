@@ -14,8 +14,8 @@ class ColumnPowers:
     # The square of the root mean square of an effect's torque is coef' (products) coef.
 
     friction: np.ndarray  # (nv, n_friction): mean squares of the declared columns
-    # (nv, k, k): of each effect's columns in the equations of every joint; nan where
-    # they are not known
+    # (nv, k, k): products of each effect's columns in the equations of every joint; nan
+    # where they are not known
     effects: tuple = ()
 
     @classmethod

@@ -84,7 +84,7 @@ class Corrections:
     tilt: TiltCorrection | None = None  # of the base
     zeros: tuple = ()  # of encoders
     axes: tuple = ()  # of joints; a URDF that is written has them
-    # of torque channels, unless all are unknown: then `ChannelGains` has them
+    # those of torque channels, unless all are unknown: then `ChannelGains` has them
     gains: tuple = ()
 
 

@@ -422,7 +422,7 @@ def _one_sided(effect, rest):
 class Coupled:
     """Couplings as tendons."""
 
-    # (nv,): of the joints, without what the tendons do to a joint by itself
+    # (nv,): what the joints keep, without what the tendons do to a joint by itself
     damping: np.ndarray
     armature: np.ndarray
     tendons: tuple

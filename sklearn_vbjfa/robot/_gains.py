@@ -1,13 +1,11 @@
 """Unknown gains of several torque channels, relative to one of them.
 
-The channel of joint j reads y_j = g_j Phi_j theta. Joints share the parameters theta of
-the bodies that they move, so that the ratios of the gains are in the couplings between
-them; their common factor is in theta and in no recording. Equations that are linear in
-the inverse gains have noise in their inputs: these come out too small, by much more
-than the share of the noise, as only what the bodies of other joints do not explain
-tells them apart. The gains are therefore taken on the side of the model, and the
-likelihood is maximised over their logarithms by Gauss and Newton, from the joints'
-second moments.
+The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
+move: the ratios of the gains are in their couplings, the common factor is in theta and
+in no recording. Least squares for the inverse gains, which is linear, takes noise of
+the torques for signal, and they come out much too small. The likelihood is therefore
+maximised over the logarithms of the gains by Gauss and Newton, from the second moments
+of the joints' equations.
 """
 
 from dataclasses import dataclass, field, replace

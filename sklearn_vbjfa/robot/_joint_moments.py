@@ -149,8 +149,8 @@ class JointMoments:
     noise: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
-    # of positions, speeds and directions in the joint's rows with weight, where the
-    # states are known
+    # ranges of positions, speeds and directions in the joint's rows with weight, where
+    # the states are known
     ranges: SignalRanges | None = None
 
     def __add__(self, other):

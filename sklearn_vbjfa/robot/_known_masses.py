@@ -1,11 +1,9 @@
 """What a known mass says of the common gain of all torque channels.
 
-With a common gain a the recording determines a theta and not theta. A known mass is one
-linear equation in theta, which fixes a exactly if it, or a sum of several known ones,
-is among what the recording determines. Torques show a link's own mass only where it is
-moved along its joint; most are seen together with first moments of the bodies before
-them. The change of mass when something is picked up is shown by every motion against
-gravity.
+With a common gain a the recording determines a theta and not theta. A known mass, or a
+sum of several, is one linear equation in theta, which fixes a exactly if the recording
+determines it. Torques show a link's own mass only where it is moved along its joint,
+but every motion against gravity shows the mass of something that is picked up.
 """
 
 from dataclasses import dataclass, replace

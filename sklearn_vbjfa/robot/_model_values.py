@@ -37,7 +37,7 @@ class ModelValues:
     # corrections of the values; zero where the recording does not show them
     step: np.ndarray
     std: np.ndarray  # of the values; nan where the recording does not show them
-    # of everything, with corrections in the places of the values
+    # estimate of everything, with corrections in the places of the values
     estimate: PlainEstimate | None = None
 
     @classmethod

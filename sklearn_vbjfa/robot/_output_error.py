@@ -101,7 +101,8 @@ class Windows:
 
     recording: object  # their rows, one segment each, with clock, torques and signals
     measured: np.ndarray  # (W, L, nv): positions [rad or m]
-    # (W, L, nv): of positions, with the sum 1 in each window of a joint that has any
+    # (W, L, nv): weights of positions, with the sum 1 in each window of a joint that
+    # has any
     weight: np.ndarray
     start: np.ndarray  # (W, 2 * nv): measured state of each first row
     noise: np.ndarray  # (2 * nv,): standard deviations of its noise

@@ -47,7 +47,7 @@ class Plan:
     corrects_noise: bool = False
     # whether rows are periods continued at both ends, which need no edge mask
     repeats: bool = False
-    # (nv,): of a sine as fast as the motion [s], if nothing is filtered
+    # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
     fastest_period: np.ndarray | None = None
     # first and last time of the rows [s], if effects need the clock
     time: tuple | None = None
@@ -183,7 +183,7 @@ class MotionFacts:
     """Range of positions and fastest speeds."""
 
     n: int
-    # (nv,): of the positions [rad or m]
+    # (nv,): range of the positions [rad or m]
     lowest: np.ndarray
     highest: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
@@ -232,6 +232,7 @@ def fastest_period(states):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
     # That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
     # without.
+
     # Contiguous per joint, which dominates the cost of a partition.
     _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
     fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))

@@ -51,7 +51,7 @@ class TorqueSpread:
     covariance: np.ndarray
     # (nv,): variance of the noise of the positions in the residual [(N m or N)^2]
     through: np.ndarray
-    # (nv,): that of all else in it: noise of torques, what the model lacks
+    # (nv,): variance of all else in it: noise of torques, what the model lacks
     rest: np.ndarray
 
     @classmethod

@@ -368,7 +368,7 @@ class RecordingStates:
     """States of a recording's segments, and those of half of its samples each."""
 
     own: list  # (n, 3 * nv): one a segment
-    # from the even and from the odd samples, whose noise is independent
+    # those from the even and from the odd samples, whose noise is independent
     halves: tuple | None = None
 
     @classmethod

@@ -1,12 +1,11 @@
 """Noise of torque channels inside the band of the fit, from what surrounds the motion.
 
-The noise inside the band cannot be told from what a model lacks by its size, but by its
-spectrum. Above the band no motion is: there the spectrum of the residual is measured by
-differences of high order at several strides, without reversals, where dry friction
-jumps. Noise is a smooth continuation of it into the band: known from above where it
-bends towards a flat one; where it still rises, the residual between the band of the
-motion and the cut-off says how far, less friction that the model may lack. A residual
-there that no such continuation reaches is what the model lacks: then the noise is what
+Noise and what a model lacks are told apart by their spectra. Above the band no motion
+is: there that of the residual is measured by differences of high order, without
+reversals, where dry friction jumps. Noise continues it smoothly into the band: known
+from above where it bends towards a flat one; where it still rises, the residual between
+the band of the motion and the cut-off says how far, less friction that the model may
+lack. What no such continuation reaches is what the model lacks: then the noise is what
 it is from above, or unknown.
 """
 

@@ -1,12 +1,10 @@
 """Friction and effects as scalar laws, split by how they enter forward dynamics.
 
-A torque that the drive must produce beside the rigid bodies' is smooth, a function of
-positions, velocities, time and memory; dry, a size that is multiplied by the sign of
-the joint's velocity, and anything between minus and plus its size at rest; in
-proportion to the load, smooth or dry; or in proportion to accelerations, which goes to
-the inertia matrix. The library's effects are a table of numbers for one scalar
-function, `add_terms`, compiled where Numba is installed; others are evaluated by their
-own columns.
+A torque that the drive must produce beside the rigid bodies' is smooth (of positions,
+velocities, time and memory), dry (a size times the sign of the joint's velocity, and
+anything between at rest), either of them over the load, or in proportion to
+accelerations. The library's effects are a table of numbers for one scalar function,
+`add_terms`, compiled where Numba is installed; others are evaluated by their columns.
 """
 
 import math

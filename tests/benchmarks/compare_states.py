@@ -8,10 +8,10 @@ For a change of the code's shape that should not change a number::
 
 Only public names are used, so that the script of one state runs on another: the
 checkout at FOLDER, by default this one. Each way into the package runs in a process of
-its own, on one thread with one kernel of the linear algebra; its time and peak memory
-are stored beside. Measured sets are looked for in the folder that --data-home or the
-environment variable SKLEARN_VBJFA_DATA names, and left out where they are not found;
-nothing is downloaded.
+its own, on one thread with one kernel of the linear algebra; its processor time and
+peak memory are stored beside. Measured sets are looked for in the folder that
+--data-home or the environment variable SKLEARN_VBJFA_DATA names, and left out where
+they are not found; nothing is downloaded.
 
 Predicted torques are compared over their own size; parameters in the norm of the second
 moments that they were fitted to, since single entries near zero mean nothing; names,
@@ -36,7 +36,6 @@ import resource
 import subprocess
 import sys
 import tempfile
-import time
 import warnings
 from pathlib import Path
 
@@ -384,10 +383,12 @@ def run_part(name, path, checkout, data_home):
     package = Path(sklearn_vbjfa.__file__).parents[1]
     if not package.samefile(checkout):
         raise SystemExit(f"the package is that of {package}, not of {checkout}")
-    started = time.perf_counter()
     path = os.path.abspath(path)
     with tempfile.TemporaryDirectory() as folder:
-        os.chdir(folder)
+        # Several files are one recording, which has the name of their folder.
+        own = Path(folder) / "recordings"
+        own.mkdir()
+        os.chdir(own)
         with warnings.catch_warnings():
             # convergence and doubts are compared, not wanted
             warnings.simplefilter("ignore")
@@ -401,7 +402,7 @@ def run_part(name, path, checkout, data_home):
     figures = {k: v if isinstance(v, str) else v.tolist() for k, v in figures.items()}
     usage = [resource.getrusage(who) for who in (0, resource.RUSAGE_CHILDREN)]
     own = {
-        "seconds": round(time.perf_counter() - started, 1),
+        "seconds": round(sum(u.ru_utime + u.ru_stime for u in usage), 1),
         "megabytes": round(max(u.ru_maxrss for u in usage) / 1024),
         "figures": figures,
     }
@@ -444,7 +445,11 @@ def difference(one, other, metric):
         squares = [float(x @ metric @ x) for x in (change, size)]
         return float(np.sqrt(max(squares[0], 0.0) / squares[1]))
     norm = np.linalg.norm(size)
-    return float(np.linalg.norm(change) / norm) if norm else float(np.abs(change).max())
+    return (
+        float(np.linalg.norm(change) / norm)
+        if norm
+        else float(np.abs(change).max(initial=0.0))
+    )
 
 
 def same_line(one, other):
@@ -463,8 +468,9 @@ def differing_lines(one, other):
     """Return the lines, in pairs, at which two texts differ."""
     lines = one.splitlines(), other.splitlines()
     if len(lines[0]) != len(lines[1]):
+        counts = [(f"{len(lines[0])} lines", f"{len(lines[1])} lines")]
         only = [[x for x in a if x not in set(b)] for a, b in (lines, lines[::-1])]
-        return [(x, None) for x in only[0]] + [(None, x) for x in only[1]]
+        return counts + [(x, None) for x in only[0]] + [(None, x) for x in only[1]]
     return [(a, b) for a, b in zip(*lines) if not same_line(a, b)]
 
 
@@ -485,7 +491,7 @@ def differences(one, two):
                 metric = np.asarray(one[key.split("theta|")[0] + "metric"])
             apart = difference(one[key], two[key], metric)
             if not apart <= TOLERANCE:
-                found[key] = f"{apart:.2e}"
+                found[key] = f"{apart:.2e}" if np.isfinite(apart) else "differs"
     return found
 
 

@@ -9,52 +9,33 @@ from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, resolve_cutoff
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Band:
-    """The band of a fit, and what lies in it.
+    """The band of a fit, and what lies in it."""
 
-    Attributes
-    ----------
-    cutoff : float
-        Cut-off of regressor and torques [Hz]; infinity if nothing is filtered.
-    decided_by : {"motion", "length", "given", "none", "states", "sample rate"}
-        The bandwidth of the motion; the length of the recording, of which the filter
-        may be a small part only; the user, with a frequency or with None; states that
-        were given, which are not filtered; or the motion is too fast for the sample
-        rate to be filtered.
-    automatic : float
-        What the motion asks for [Hz]; infinity for no low-pass, nan if the states were
-        given.
-    bandwidth : float
-        Frequency below which 99 % of the power of the fastest joint's velocity lies
-        [Hz]; nan if the states were given.
-    fastest : int
-        That joint, from zero.
-    smoothed_at : float
-        Cut-off of its states [Hz], where its motion meets the encoder noise unless it
-        was given; infinity where nothing is smoothed.
-    speed_share, torque_share : ndarray of shape (nv,)
-        Share of the power (about the mean) of each joint's velocity and torque that the
-        low-pass lets through, while the joint moves; nan for a joint that does not.
-    sample_rate : float
-        Samples per second [Hz]; nan if unknown.
-    """
-
-    cutoff: float
+    cutoff: float  # of regressor and torques [Hz]; infinity if nothing is filtered
+    # bandwidth of the motion; length of the recording, of which the filter may be a
+    # small part only; the user, with a frequency or with None; states that were given,
+    # which are not filtered; or a motion too fast for the sample rate to be filtered
     decided_by: str
+    # what the motion asks for [Hz]; infinity for none, nan if the states were given
     automatic: float
+    # frequency below which 99 % of the power of the fastest joint's velocity lies [Hz];
+    # nan if the states were given
     bandwidth: float
-    fastest: int
+    fastest: int  # that joint, from zero
+    # cut-off of its states [Hz], where its motion meets the encoder noise unless it was
+    # given; infinity where nothing is smoothed
     smoothed_at: float
+    # (nv,): share of the power (about the mean) of velocity and torque that the
+    # low-pass lets through, while the joint moves; nan for a joint that does not
     speed_share: np.ndarray
     torque_share: np.ndarray
-    sample_rate: float
+    sample_rate: float  # [Hz]; nan if unknown
 
 
 def measure_band(view, tau, longest):
-    """Describe the band of a fitted declared model, as a `Band`.
-
-    view : `RecordingView` of the part that was searched; tau (n, nv) : its torques as
-    recorded [N m or N]; longest : rows of its longest piece.
-    """
+    """Describe the band of a fitted declared model, as a `Band`."""
+    # view: `RecordingView` of the part that was searched; tau (n, nv): its torques as
+    # recorded [N m or N]; longest: rows of its longest piece.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv
     bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan
@@ -92,11 +73,9 @@ def _decided_by(robot, bandwidth):
 
 
 def power_share(raw, filtered, weight):
-    """Share of the power of signals (m, nv) that is left of them behind a filter.
-
-    Their power is about their mean; weight (m, nv) tells which rows count. nan for a
-    constant signal.
-    """
+    """Share of the power of signals (m, nv) that is left of them behind a filter."""
+    # Their power is about their mean; weight (m, nv) tells which rows count. nan for a
+    # constant signal.
     with np.errstate(divide="ignore", invalid="ignore"):
         total = weight.sum(axis=0)
         mean = (weight * raw).sum(axis=0) / total

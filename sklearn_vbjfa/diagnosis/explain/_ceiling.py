@@ -1,9 +1,9 @@
 """The ceiling: how much of what remains a function could explain at all.
 
 What a model leaves of the torque may have a cause that no effect of the library
-describes, or none that repeats. A function that is free to take any form tells the one
-from the other: what even that cannot predict, on other blocks of time and on other
-recordings, no effect with these signals can.
+describes, or none that repeats. What even a function that is free to take any form
+cannot predict, on other blocks of time and other recordings, no effect with these
+signals can.
 """
 
 from dataclasses import dataclass
@@ -33,46 +33,22 @@ _COLUMNS, _ROWS, _EDGES = 16, 10, (0.005, 0.995)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Map:
-    """A residual over speed and load, beside the function that is fitted to it.
+    """A residual over speed and load, beside the function that is fitted to it."""
 
-    Attributes
-    ----------
-    speed, load : tuple of float
-        Edges of the map [rad/s or m/s, N m or N].
-    measured, function : ndarray of shape (n_loads, n_speeds)
-        Weighted means in equal cells, nan where there is nothing [N m or N]; of the
-        function, as it predicts data that it was not fitted to.
-    """
-
+    # edges of the map [rad/s or m/s, N m or N]
     speed: tuple
     load: tuple
+    # (n_loads, n_speeds): weighted means in equal cells, nan where there is nothing [N
+    # m or N]; of the function, as it predicts data that it was not fitted to
     measured: np.ndarray
     function: np.ndarray
 
 
 def ceilings(model, joints, names, alpha, random_state=None):
-    """Return what flexible functions explain of the residuals of some joints.
-
-    Parameters
-    ----------
-    model : FoundModel
-        What was found.
-    joints : sequence of int
-        Joints, from zero.
-    names : sequence of str
-        Names of all joints.
-    alpha : float
-        Level of significance, over all joints and functions together.
-    random_state : int, RandomState instance or None
-        Shuffles the blocks of time; None counts as 0.
-
-    Returns
-    -------
-    tuple of Ceiling
-        One for each of the joints with enough data to say.
-    dict of int to Map
-        For those of which speed and load explain something.
-    """
+    """Return what flexible functions explain of the residuals of some joints."""
+    # A `Ceiling` of each with enough data to say, and a `Map` by joint where speed and
+    # load explain something. names: of all joints; alpha: level over all joints and
+    # functions together; random_state: shuffles the blocks of time, None counts as 0.
     view, found, maps = model.view, [], {}
     if not len(joints):
         return (), maps
@@ -108,17 +84,13 @@ def ceilings(model, joints, names, alpha, random_state=None):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Signals:
-    """Signals of all joints behind the low-pass, as functions may take them.
+    """Signals of all joints behind the low-pass, as functions may take them."""
 
-    Attributes
-    ----------
-    own : ndarray of shape (nv, m, 5)
-        Speed, load, sign of the speed, and the sizes of the first times the last.
-    state : ndarray of shape (nv, m, k)
-        Position, acceleration, way and time since the last reversal, earlier speeds.
-    """
-
+    # (nv, m, 5): speed, load, sign of the speed, and the sizes of the first times the
+    # last
     own: np.ndarray
+    # (nv, m, k): position, acceleration, way and time since the last reversal, earlier
+    # speeds
     state: np.ndarray
 
     @classmethod
@@ -195,10 +167,8 @@ class _Trial:
         return *(_rising(x) for x in (within, across)), first
 
     def explained(self, predicted):
-        """Share of the squared residual that a function explains, beyond chance.
-
-        In rows where it says something; nan where that is less than half of them.
-        """
+        """Share of the squared residual that a function explains, beyond chance."""
+        # In rows where it says something; nan where that is less than half of them.
         view, total = self.view, self.weight.sum()
         weight = np.where(np.isnan(predicted), 0.0, self.weight)
         if weight.sum() < _TRIED * total:
@@ -255,11 +225,9 @@ def _rising(shares):
 
 
 def since_reversal(q, v, still, parts):
-    """Way and samples since a joint last turned round; nan before it first does.
-
-    It has turned once it is faster than `still` the other way; until then it may
-    only tremble.
-    """
+    """Way and samples since a joint last turned round; nan before it first does."""
+    # It has turned once it is faster than `still` the other way; until then it may only
+    # tremble.
     way, since = (np.full(q.size, np.nan) for _ in range(2))
     for part in parts:
         sign = np.where(np.abs(v[part]) > still, np.sign(v[part]), 0.0)

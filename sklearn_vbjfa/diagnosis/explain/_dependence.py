@@ -13,31 +13,20 @@ _BINS = 12
 
 @dataclass(frozen=True, kw_only=True)
 class Dependence:
-    """How much of a joint's residual a signal explains out of sample.
+    """How much of a joint's residual a signal explains out of sample."""
 
-    Attributes
-    ----------
-    signal : str
-        Name, such as "v of joint 2" or "time".
-    share : float
-        Share of the residual's mean square that a step function of the signal,
-        fitted to other blocks of time, explains.
-    p_value : float
-        From the blocks of time, in rows without what the residual remembers of its
-        past once the step function is taken off, see `Whitening`.
-    """
-
-    signal: str
+    signal: str  # such as "v of joint 2" or "time"
+    # share of the mean square that a step function of it explains in other blocks
     share: float
+    # p-value from the blocks of time, in rows without what the residual remembers of
+    # its past once the step function is taken off, see `Whitening`
     p_value: float
 
 
 def dependences(residual, weight, signals, view, level=0.01):
-    """Signals (m,) by name that a residual (m,) depends on, the strongest first.
-
-    They are filtered as the residual is; the level is shared out among them
-    (Bonferroni).
-    """
+    """Signals (m,) by name that a residual (m,) depends on, the strongest first."""
+    # They are filtered as the residual is; the level is shared out among them
+    # (Bonferroni).
     used = weight > 0
     if not used.any():
         return ()

@@ -1,9 +1,4 @@
-"""What pictures of a finished search need of the recording, thinned to what they show.
-
-Of each effect the torque that the rest of the model leaves to it, over the signal that
-its class names (`Effect.seen_over`); of each joint measured and predicted torques over
-time.
-"""
+"""What pictures of a finished search need of the recording, thinned."""
 
 import itertools
 from dataclasses import dataclass
@@ -36,67 +31,36 @@ _UNITS = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectCurves:
-    """Torques of a joint without and with an effect, over the effect's own signal.
+    """Torques of a joint without and with an effect, over the effect's own signal."""
 
-    The other parameters are those of the completed model.
+    # The other parameters are those of the completed model.
 
-    Attributes
-    ----------
-    joint : int
-        Joint whose torque is shown, from zero.
-    kind : str
-        What is on the horizontal axis, as in `Effect.seen_over`.
-    signal : str
-        Name of the recorded signal; empty for others.
-    unit : str
-        Unit of the horizontal axis; empty where it is not known.
-    with_motion : bool
-        Whether torques count in the direction of the motion.
-    x, without, after : ndarray of shape (k,)
-        Points of the cloud, x rising: what the model leaves without and with the
-        effect [N m or N].
-    law : ndarray of shape (k,)
-        Torque of the effect there.
-    center : ndarray of shape (n_bins,)
-        Middle of the bins in which there is something.
-    mean, deviation : ndarray of shape (2, n_bins)
-        Weighted mean and standard deviation in them, without and with the effect.
-    law_mean : ndarray of shape (n_bins,)
-        Mean of the effect's torque.
-    """
-
-    joint: int
-    kind: str
-    signal: str
-    unit: str
-    with_motion: bool
+    joint: int  # whose torque is shown, from zero
+    kind: str  # what is on the horizontal axis, as in `Effect.seen_over`
+    signal: str  # name of the recorded one; empty for others
+    unit: str  # of the horizontal axis; empty where it is not known
+    with_motion: bool  # whether torques count in the direction of the motion
+    # (k,): points of the cloud, x rising: what the model leaves without and with the
+    # effect [N m or N]
     x: np.ndarray
     without: np.ndarray
     after: np.ndarray
-    law: np.ndarray
-    center: np.ndarray
+    law: np.ndarray  # (k,): torque of the effect there
+    center: np.ndarray  # (n_bins,): middle of the bins in which there is something
+    # (2, n_bins): weighted mean and deviation there, without and with the effect
     mean: np.ndarray
     deviation: np.ndarray
-    law_mean: np.ndarray
+    law_mean: np.ndarray  # (n_bins,): mean of the effect's torque
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueCurves:
-    """Measured and predicted torque of a joint over the whole recording.
+    """Measured and predicted torque of a joint over the whole recording."""
 
-    Attributes
-    ----------
-    joint : int
-        Joint, from zero.
-    seconds : ndarray of shape (k,)
-        Time [s], or the number of the row where it is not known.
-    measured, before, after : ndarray of shape (k,)
-        Behind the low-pass; predicted by the declared and by the completed model, both
-        fitted to the search part [N m or N]. They are nan where rows are missing.
-    """
-
-    joint: int
-    seconds: np.ndarray
+    joint: int  # from zero
+    seconds: np.ndarray  # (k,): or the number of the row where time is not known
+    # (k,): behind the low-pass; predicted by the declared and by the completed model,
+    # both fitted to the search part [N m or N]. They are nan where rows are missing
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
@@ -104,24 +68,12 @@ class TorqueCurves:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TimeLine:
-    """The recording from its beginning to its end.
+    """The recording from its beginning to its end."""
 
-    Attributes
-    ----------
-    torques : tuple of TorqueCurves
-        Of each joint.
-    borders : tuple of float
-        Where recordings after the first begin [s].
-    untouched : tuple of (float, float)
-        Stretches that the search did not look at [s].
-    in_seconds : bool
-        Whether times are known; else they count rows.
-    """
-
-    torques: tuple
-    borders: tuple
-    untouched: tuple
-    in_seconds: bool
+    torques: tuple  # of each joint
+    borders: tuple  # where recordings after the first begin [s]
+    untouched: tuple  # stretches that the search did not look at [s]
+    in_seconds: bool  # whether times are known; else they count rows
 
 
 def cloud_size(count):
@@ -135,10 +87,8 @@ def curve_size(count):
 
 
 def effect_curves(final):
-    """Curves of each effect that a final fit has, a tuple of EffectCurves or None.
-
-    None where there are too few rows to draw.
-    """
+    """Curves of each effect that a final fit has, a tuple of EffectCurves or None."""
+    # None where there are too few rows to draw.
     torques = final.effect_torques()
     if not torques:
         return ()
@@ -192,11 +142,9 @@ def _most_of(own, residual, weight):
 
 
 def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
-    """Curves of an effect from rows (m,); None of too few.
-
-    x : signal. after, law : what the model leaves with the effect, and its torque.
-    most : points of the cloud. named : the other attributes of `EffectCurves`.
-    """
+    """Curves of an effect from rows (m,); None of too few."""
+    # x: signal. after, law: what the model leaves with the effect, and its torque.
+    # most: points of the cloud. named: the other attributes of `EffectCurves`.
     if x.size < _BINS[0] or not np.ptp(x) > 0:
         return None
     low, high = np.quantile(x, _ENDS)
@@ -248,17 +196,8 @@ def _bins(x, law, weight, low, high):
 
 
 def time_line(judgement, clock, begins):
-    """Torques over time of the models that were judged.
-
-    Parameters
-    ----------
-    judgement : Judgement
-        With what both models predict of both parts.
-    clock : ndarray of shape (n,) or None
-        Time of each row of the recording [s].
-    begins : sequence of int
-        First rows of the recordings.
-    """
+    """Torques over time of the models that were judged, `TimeLine`."""
+    # clock (n,): time of each row [s] or None; begins: first rows of the recordings.
     parts = (judgement.searched, (judgement.before, judgement.after))
     index = np.concatenate([pair[0].index for pair in parts])
     order = np.argsort(index, kind="stable")
@@ -305,10 +244,8 @@ def time_line(judgement, clock, begins):
 
 
 def extremes(values, most):
-    """Rows of the lowest and highest value of each interval of a curve (n,).
-
-    Rows that are nan, which interrupt it, are among them; `most` are there otherwise.
-    """
+    """Rows of the lowest and highest value of each interval of a curve (n,)."""
+    # Rows that are nan, which interrupt it, are among them; `most` are there otherwise.
     n = values.size
     if n <= most:
         return np.arange(n)

@@ -11,30 +11,16 @@ SMALLEST_GAIN = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Comparison:
-    """Paired comparison of two models by blocks of time.
+    """Paired comparison of two models by blocks of time."""
 
-    Attributes
-    ----------
-    gain : float
-        Share of the squared out-of-sample error that the second model saves.
-    gain_std : float
-        Its standard error, from the scatter between blocks.
-    p_value : float
-        How likely the blocks would favour the second model so much if it were no
-        better, see `p_value`; 1 for a model that is worse in the sum of the blocks, or
-        that saves too little to be worth a name. The blocks are of rows from which
-        the residual's own memory is taken out, so that they are independent.
-    n_blocks : int
-        Blocks in which the models differ.
-    helped : float
-        Share of those in which the second is better.
-    """
-
-    gain: float
-    gain_std: float
+    gain: float  # share of the squared out-of-sample error that the second model saves
+    gain_std: float  # from the scatter between blocks
+    # how likely the blocks would favour the second model so much if it were no better,
+    # see `p_value`; 1 for a model that is worse in the sum of the blocks, or that saves
+    # too little to be worth a name
     p_value: float
-    n_blocks: int
-    helped: float
+    n_blocks: int  # in which the models differ
+    helped: float  # share of those in which the second is better
 
     def significant(self, level, smallest=SMALLEST_GAIN):
         """Whether the second model is better, beyond chance and worth its name."""
@@ -42,13 +28,11 @@ class Comparison:
 
 
 def p_value(before, after):
-    """One-sided test over blocks that the second errors are the smaller ones.
-
-    Wilcoxon's signed ranks keep a few difficult blocks from deciding, but with a
-    dozen blocks they cannot reach the level that a hundred candidates ask for, however
-    clear the case; Student's t of the log ratios can. The smaller p-value counts,
-    twice, as two tests were made.
-    """
+    """One-sided test over blocks that the second errors are the smaller ones."""
+    # Wilcoxon's signed ranks keep a few difficult blocks from deciding, but with a
+    # dozen blocks they cannot reach the level that a hundred candidates ask for,
+    # however clear the case; Student's t of the log ratios can. The smaller p-value
+    # counts, twice, as two tests were made.
     if before.size < 3:
         return 1.0
     ranks = stats.wilcoxon(before - after, alternative="greater").pvalue
@@ -62,11 +46,9 @@ def p_value(before, after):
 
 
 def compare(before, after, white=None):
-    """Compare squared errors (n_blocks,) of two models.
-
-    `white` is the same pair in rows from which the residual's memory is taken out, see
-    `Whitening`; blocks of these are independent, and the p-value is theirs.
-    """
+    """Compare squared errors (n_blocks,) of two models."""
+    # `white` is the same pair in rows from which the residual's memory is taken out,
+    # see `Whitening`; blocks of these are independent, and the p-value is theirs.
     difference = before - after
     changed = difference != 0
     count = int(changed.sum())

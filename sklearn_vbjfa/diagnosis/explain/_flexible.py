@@ -1,7 +1,7 @@
 """A flexible function of signals, fitted to some stretches of time, judged on others.
 
-Boosted trees can follow any function, and any noise. How many of them are taken and
-how far their sum is believed is therefore decided on blocks of time that they were not
+Boosted trees can follow any function, and any noise. How many of them are taken and how
+far their sum is believed is therefore decided on blocks of time that they were not
 fitted to, and what they are worth is measured on others again. Rows next to those that
 a function is tried on are left out of its fit, since the residual remembers its past.
 """
@@ -31,38 +31,21 @@ FEWEST_VALUES = _LEAVES * _LEAF
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fold:
-    """Rows that a function is judged on, and what it is fitted to.
+    """Rows that a function is judged on, and what it is fitted to."""
 
-    Attributes
-    ----------
-    test : ndarray of shape (m,), bool
-        Rows that it is judged on.
-    train : ndarray of shape (m,), bool
-        Rows that it is fitted to.
-    trials : tuple of (ndarray, ndarray)
-        Rows of that for a first fit, and others of it that decide how many trees are
-        taken.
-    """
-
-    test: np.ndarray
-    train: np.ndarray
+    test: np.ndarray  # (m,): rows that it is judged on
+    train: np.ndarray  # (m,): rows that it is fitted to
+    # rows of that for a first fit, and others of it that decide how many trees are
+    # taken
     trials: tuple
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Stretches:
-    """Rows in interleaved blocks of time, with gaps between what is fitted and judged.
+    """Rows in interleaved blocks of time, with gaps between fitted and judged ones."""
 
-    Attributes
-    ----------
-    label : ndarray of shape (m,)
-        Fold of each row.
-    gap : int
-        Rows next to those of a fold that are not fitted either.
-    """
-
-    label: np.ndarray
-    gap: int
+    label: np.ndarray  # (m,): fold of each row
+    gap: int  # rows next to those of a fold that are not fitted either
 
     @classmethod
     def of(cls, view, seconds, random_state):
@@ -113,11 +96,9 @@ class Stretches:
         ]
 
     def other_recordings(self, origin):
-        """Judge each recording by functions fitted to the others, list of Fold.
-
-        None if there is only one. Of many, several are left out together. What is
-        fitted to one alone is first tried on blocks of it.
-        """
+        """Judge each recording by functions fitted to the others, list of Fold."""
+        # None if there is only one. Of many, several are left out together. What is
+        # fitted to one alone is first tried on blocks of it.
         _, number = np.unique(origin, return_inverse=True)
         count = int(number.max()) + 1
         if count == 1:
@@ -142,34 +123,18 @@ class Stretches:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlexibleFunction:
-    """Boosted trees of some signals.
+    """Boosted trees of some signals."""
 
-    Attributes
-    ----------
-    signals : ndarray of shape (m, k)
-        What it is a function of; nan where unknown.
-    span : ndarray of shape (m, r)
-        Signals outside whose range a function says nothing.
-    target : ndarray of shape (m,)
-        What it should be.
-    weight : ndarray of shape (m,)
-        Weights; rows of weight zero do not count.
-    random_state : int
-        Seed of the trees.
-    """
-
-    signals: np.ndarray
-    span: np.ndarray
-    target: np.ndarray
-    weight: np.ndarray
+    signals: np.ndarray  # (m, k): what it is a function of; nan where unknown
+    span: np.ndarray  # (m, r): signals outside whose range a function says nothing
+    target: np.ndarray  # (m,): what it should be
+    weight: np.ndarray  # (m,): rows of weight zero do not count
     random_state: int
     _stages: dict = field(default_factory=dict, repr=False)
 
     def out_of_sample(self, folds):
-        """Predict the rows of all folds by functions fitted to others, (m,).
-
-        nan where a function would have to leave its range, or there is none.
-        """
+        """Predict the rows of all folds by functions fitted to others, (m,)."""
+        # nan where a function would have to leave its range, or there is none.
         out = np.full(self.target.size, np.nan)
         for fold in folds:
             if not fold.train[self._rows].any():

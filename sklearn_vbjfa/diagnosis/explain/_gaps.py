@@ -32,11 +32,9 @@ _OCCAM = 5.0
 
 
 def unexplained(model, names, spread, floors, errors):
-    """Joints above their floor, with the signals that the rest varies with.
-
-    Of a `FoundModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
-    and the errors on the untouched part over the spread, nan where there is none.
-    """
+    """Joints above their floor, with the signals that the rest varies with."""
+    # Of a `FoundModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
+    # and the errors on the untouched part over the spread, nan where there is none.
     view = model.view
     residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
     signals = motion_signals(model.motion, names)
@@ -86,10 +84,8 @@ def too_short(model, seconds):
 
 
 def hidden(found, names):
-    """Effects of the library that this robot or this recording cannot show.
-
-    A robot that was searched branch by branch is asked branch by branch.
-    """
+    """Effects of the library that this robot or this recording cannot show."""
+    # A robot that was searched branch by branch is asked branch by branch.
     if not found.branches:
         return _hidden(found, names)
     told = []
@@ -147,11 +143,9 @@ def _hidden(found, names):
 
 
 def _inseparable(found, effects):
-    """Pairs of effects in the model of which only one can be told from all else.
-
-    Nothing is left of the columns of the first beside those of the second, which comes
-    before it in precedence or in the list.
-    """
+    """Pairs of effects in the model of which only one can be told from all else."""
+    # Nothing is left of the columns of the first beside those of the second, which
+    # comes before it in precedence or in the list.
     model = found.model
     order = sorted(effects, key=lambda one: one.precedence)
     families = [_family(model, one) for one in order]
@@ -171,21 +165,11 @@ def _family(model, effect):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Unseen:
-    """What may hide effects on a joint: the model, and plainer effects beside it.
+    """What may hide effects on a joint: the model, and plainer effects beside it."""
 
-    Attributes
-    ----------
-    found : Found
-        What was found.
-    present : set of str
-        Effects that the joint has, with what they contain.
-    missing : tuple of Effect
-        Those of the library that it lacks.
-    """
-
-    found: Found
-    present: set
-    missing: tuple
+    found: Found  # what was found
+    present: set  # effects that the joint has, with what they contain
+    missing: tuple  # those of the library that it lacks
 
     @classmethod
     def on(cls, joint, found):

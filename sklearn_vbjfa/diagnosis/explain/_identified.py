@@ -16,57 +16,29 @@ HALF_WIDTH = 1.645
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterValue:
-    """A parameter of the model that is handed over.
+    """A parameter of the model that is handed over."""
 
-    Attributes
-    ----------
-    name : str
-        As in `RobotIdentifier.parameter_names_`.
-    value : float
-        Identified value.
-    interval : tuple of (float, float)
-        90 % interval; (nan, nan) where the recording says nothing.
-    unit : str
-        Unit.
-    nominal : float
-        Value of the robot description; nan for what it does not have, and where the
-        gain of the torque channels is unknown, which is in every value.
-    known : {"yes", "no", "in combination", "from the description"}
-        Whether the recording determines it, see `known_parameters`.
-    before : float
-        Standard deviation of the description before the recording, nan where it says
-        nothing of the parameter.
-    learned : float
-        Share of that variance which the recording took away; nan where there is none.
-    """
-
-    name: str
+    name: str  # as in `RobotIdentifier.parameter_names_`
     value: float
-    interval: tuple
+    interval: tuple  # 90 %; (nan, nan) where the recording says nothing
     unit: str
+    # value of the robot description; nan for what it does not have, and where the gain
+    # of the torque channels is unknown, which is in every value
     nominal: float
-    known: str
+    known: str  # whether the recording determines it, see `known_parameters`
+    # deviation of the description before the recording, nan where it says nothing
     before: float = float("nan")
+    # share of that variance which the recording took away; nan where there is none
     learned: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True)
 class RecordedMotion:
-    """What was recorded.
+    """What was recorded."""
 
-    Attributes
-    ----------
-    samples : int
-        Number of rows.
-    seconds : float
-        Their time [s]; nan if the sample period is not known.
-    rate : float
-        Samples per second [Hz]; nan if it is not known.
-    """
-
-    samples: int
-    seconds: float
-    rate: float
+    samples: int  # rows
+    seconds: float  # nan if the sample period is not known
+    rate: float  # [Hz]; nan if it is not known
 
 
 def parameter_values(robot):

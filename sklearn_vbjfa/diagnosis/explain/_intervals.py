@@ -37,24 +37,12 @@ def quantile(freedom):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectEstimate:
-    """Coefficients of an effect, and how well they and its shape are known.
+    """Coefficients of an effect, and how well they and its shape are known."""
 
-    Attributes
-    ----------
-    coef : ndarray of shape (k,)
-        Coefficients.
-    shape : tuple of str
-        Shape parameters that were tuned.
-    covariance : ndarray of shape (k + n_shape, k + n_shape)
-        Covariance of both.
-    freedom : float
-        Degrees of freedom of the covariance.
-    """
-
-    coef: np.ndarray
-    shape: tuple
-    covariance: np.ndarray
-    freedom: float
+    coef: np.ndarray  # (k,)
+    shape: tuple  # shape parameters that were tuned
+    covariance: np.ndarray  # (k + n_shape, k + n_shape)
+    freedom: float  # of the covariance
 
 
 def added_effects(identifier, count):
@@ -63,23 +51,11 @@ def added_effects(identifier, count):
 
 
 class FinalFit:
-    """The completed model on the rows that it was fitted to.
+    """The completed model on the rows that it was fitted to."""
 
-    Parameters
-    ----------
-    declared, identifier : RobotIdentifier
-        The declared and the completed model.
-    view : RecordingView
-        Recording of the search, of the declared model.
-    effects : list of Effect
-        What was added, in the order of the model's last parameters, as the completed
-        model has it.
-
-    Attributes
-    ----------
-    view : RecordingView
-        The same of the robot as effects correct it.
-    """
+    # declared, identifier: the declared and the completed model; view: of the search,
+    # and then of the robot as effects correct it; effects: what was added, in the order
+    # of the model's last parameters.
 
     def __init__(self, declared, identifier, view, effects):
         self.declared, self.identifier = declared, identifier
@@ -129,10 +105,8 @@ class FinalFit:
         return np.split(theta[at:], np.cumsum(widths)[:-1]) if widths else []
 
     def effect_torques(self):
-        """Torque that each effect adds, a list of ndarray (m, nv) [N m or N].
-
-        Of an effect in the robot model to first order, by its derivatives.
-        """
+        """Torque that each effect adds, a list of ndarray (m, nv) [N m or N]."""
+        # Of an effect in the robot model to first order, by its derivatives.
         found = []
         for effect, own, coef in zip(
             self.effects, self._columns, self._split(self.identifier.theta_)
@@ -162,12 +136,10 @@ class FinalFit:
 
     @functools.cached_property
     def effect_estimates(self):
-        """Estimate of each effect, list of EffectEstimate.
-
-        The coefficients are those of the completed model. Their covariance is that of
-        the same equations before the projection, with the shape parameters beside the
-        coefficients by their derivatives, from the scatter between blocks of time.
-        """
+        """Estimate of each effect, list of EffectEstimate."""
+        # The coefficients are those of the completed model. Their covariance is that of
+        # the same equations before the projection, with the shape parameters beside the
+        # coefficients by their derivatives, from the scatter between blocks of time.
         if not self.effects:
             return []
         view = self.view
@@ -235,31 +207,15 @@ class FinalFit:
 
 
 def error_intervals(untouched, searched, spread, step):
-    """Intervals that hold the errors over the next seconds of the same motion.
-
-    An error is a mean over time, of the next stretch as of the untouched one, and both
-    scatter. How much is read off the slow variation of what the error is a mean of, the
-    squared residual, in both parts of the recording. The spread of the torque that it
-    is divided by is that of the whole recording and counts as given.
-
-    Parameters
-    ----------
-    untouched, searched : tuple of TorqueResiduals
-        Residuals before and after, on the same rows: of the part whose errors are
-        reported, and of the part that was fitted; their indices count the rows of the
-        whole recording.
-    spread : ndarray of shape (nv,)
-        Spread of the torque [N m or N].
-    step : float
-        Time between rows [s].
-
-    Returns
-    -------
-    dict of str to ndarray
-        ``"before"``, ``"after"``, ``"difference"``: ends of the 90 % intervals of each
-        joint's error and of after minus before over the next `NEXT_SECONDS`, arrays
-        (2, nv).
-    """
+    """Intervals that hold the errors over the next seconds of the same motion."""
+    # An error is a mean over time, of the next stretch as of the untouched one, and
+    # both scatter. How much is read off the slow variation of what the error is a mean
+    # of, the squared residual, in both parts of the recording. The spread (nv,) of the
+    # torque that it is divided by is that of the whole recording and counts as given.
+    # untouched, searched: residuals before and after, on the same rows, whose indices
+    # count the rows of the whole recording. Returns the ends (2, nv) of 90 % intervals
+    # of the errors "before" and "after" and of their "difference" over the next
+    # `NEXT_SECONDS`.
     order = np.argsort(
         np.concatenate([searched[0].index, untouched[0].index]), kind="stable"
     )

@@ -30,14 +30,9 @@ _HIGHEST = 0.4
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Models:
-    """The models of a loop, fitted to the search part.
+    """The models of a loop, fitted to the search part."""
 
-    Attributes
-    ----------
-    declared, plain, judged : RobotIdentifier
-        As declared, with the four plain terms, and with the effects as well.
-    """
-
+    # as declared, with the four plain terms, and with the effects as well
     declared: RobotIdentifier
     plain: RobotIdentifier
     judged: RobotIdentifier
@@ -45,58 +40,33 @@ class Models:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement:
-    """Errors of the models of a loop on the untouched part.
+    """Errors of the models of a loop on the untouched part."""
 
-    Attributes
-    ----------
-    before, plain, after : TorqueResiduals
-        Of the declared model, with the plain terms, completed, in the band of the fit.
-    searched : tuple of TorqueResiduals
-        Before and after on the search part, to which the models were fitted.
-    wide : tuple of ndarray of shape (nv,) or None
-        Root mean squares before and after in a wider band [N m or N].
-    wide_cutoff : float
-        Where that band ends [Hz]; nan where there is none.
-    spread : ndarray of shape (nv,)
-        Spread of the torque in the moving time of the whole recording [N m or N].
-    intervals : dict
-        Of the errors before and after and their difference, see `error_intervals`;
-        "plain" and "added" are the error with the plain terms and what the effects
-        add to it.
-    seconds : ndarray of shape (nv,)
-        Untouched time in which each joint moves [s].
-    enough : ndarray of shape (nv,), bool
-        Whether that is enough for an error.
-    n_stretches : int
-        Number of untouched stretches.
-    n_undecided : int
-        Stretches left out since something jumps in them, the search cannot say when.
-    guard : float
-        Time left out next to the search part [s].
-    band : Band
-        The band of the fit.
-    price : ProjectionPrice or None
-        What physically consistent parameters cost; None if the parameters were not
-        made consistent.
-    outside : tuple of OutsideRange
-        Where the untouched part leaves what the completed model was fitted on.
-    """
-
+    # residuals of the declared model, with the plain terms, and of the completed one
     before: TorqueResiduals
     plain: TorqueResiduals
     after: TorqueResiduals
+    # before and after on the search part, to which the models were fitted
     searched: tuple
+    # (nv,): root mean squares before and after in a wider band [N m or N]
     wide: tuple | None
-    wide_cutoff: float
+    wide_cutoff: float  # where that band ends [Hz]; nan where there is none
+    # (nv,): spread of the torque in the moving time of the recording [N m or N]
     spread: np.ndarray
+    # those of the errors before and after and their difference, see `error_intervals`;
+    # "plain" and "added" are the error with the plain terms and what the effects add to
+    # it
     intervals: dict
-    seconds: np.ndarray
-    enough: np.ndarray
-    n_stretches: int
+    seconds: np.ndarray  # (nv,): untouched time in which each joint moves [s]
+    enough: np.ndarray  # (nv,): whether that is enough for an error
+    n_stretches: int  # untouched ones
+    # those left out since something jumps in them, the search cannot say when
     n_undecided: int
-    guard: float
-    band: Band
+    guard: float  # time left out next to the search part [s]
+    band: Band  # of the fit
+    # what consistent parameters cost; None if they were not made consistent
     price: ProjectionPrice | None
+    # where the untouched part leaves what the completed model was fitted on
     outside: tuple = ()
 
     @property
@@ -107,10 +77,8 @@ class Judgement:
 
 
 def judge(models, found, split, whole):
-    """Judge the `Models` of a loop on the part of a recording that is untouched.
-
-    They were fitted to the rows of the search, and `found` is what it found there.
-    """
+    """Judge the `Models` of a loop on the part of a recording that is untouched."""
+    # They were fitted to the rows of the search, and `found` is what it found there.
     completed = models.judged
     model, dt = found.model, completed.dt
     memory = max(memory_seconds(model), default=0.0)

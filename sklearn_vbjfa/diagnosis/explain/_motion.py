@@ -25,33 +25,21 @@ _POSES = 400
 
 @dataclass(frozen=True, kw_only=True)
 class MotionLimit:
-    """What a joint does not do in any recording.
+    """What a joint does not do in any recording."""
 
-    Attributes
-    ----------
-    kind : {"one way", "one speed", "one pose"}
-        It never reverses; it always has the same speed; its link always hangs the same
-        way.
-    joint : int
-        Joint, from zero.
-    recordings : tuple of int
-        Recordings in which it moves, from zero.
-    low, high : float
-        Range of its velocity, speed or position that it keeps to [rad or m, s].
-    """
-
+    # it never reverses; it always has the same speed; its link always hangs the same
+    # way
     kind: str
-    joint: int
-    recordings: tuple
+    joint: int  # from zero
+    recordings: tuple  # recordings in which it moves, from zero
+    # range of its velocity, speed or position that it keeps to [rad or m, s]
     low: float
     high: float
 
 
 def motion_limits(view):
-    """Return the `MotionLimit` of each joint of a recording, a tuple.
-
-    view : `RecordingView` of all recordings.
-    """
+    """Return the `MotionLimit` of each joint of a recording, a tuple."""
+    # view: `RecordingView` of all recordings.
     found = []
     for joint in range(view.nv):
         rows = np.flatnonzero(view.equations.weight[:, joint] > 0)

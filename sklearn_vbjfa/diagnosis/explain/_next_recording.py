@@ -20,50 +20,29 @@ _LEVEL = 0.9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NextRecording:
-    """Error of the completed model on a recording that was not fitted.
+    """Error of the completed model on a recording that was not fitted."""
 
-    Attributes
-    ----------
-    error : ndarray of shape (nv,)
-        Median, over the spread of the torque; nan for a joint that was not judged.
-    interval : ndarray of shape (2, nv)
-        Its ends in nine of ten recordings.
-    mean, mean_interval : float and ndarray of shape (2,)
-        The same of the mean of the joints.
-    recordings : int
-        Recordings that were left out in turns; zero with a single one.
-    source : {"assumed", "mixed", "measured"}
-        Where the differences between recordings are from: other robots, both, these.
-    """
-
+    # (nv,): median, over the spread of the torque; nan for a joint that was not judged
     error: np.ndarray
-    interval: np.ndarray
+    interval: np.ndarray  # (2, nv): its ends in nine of ten recordings
+    # (2,): the same of the mean of the joints
     mean: float
     mean_interval: np.ndarray
-    recordings: int
+    recordings: int  # recordings that were left out in turns; zero with a single one
+    # where the differences between recordings are from: other robots, both, these
     source: str
 
 
 def next_recording(left_out, untouched, floor):
-    """Tell what to expect of the next recording, as `NextRecording`.
-
-    Parameters
-    ----------
-    left_out : ndarray of shape (r, nv)
-        Errors on each recording of a model fitted to the others, over the spread; nan
-        where there is none. r may be zero.
-    untouched : ndarray of shape (nv,)
-        Error on untouched data of the recordings that were fitted.
-    floor : ndarray of shape (nv,)
-        Error that noise alone would leave; nan where that is not known.
-
-    Notes
-    -----
-    What differs between recordings is the part of the error above the noise. Logarithms
-    of the errors are normal between recordings, conjugate to what is assumed: its mean,
-    that of the untouched error and a share more, counts for two recordings, its
-    variance for four.
-    """
+    """Tell what to expect of the next recording, as `NextRecording`."""
+    # left_out (r, nv): errors on each recording of a model fitted to the others, over
+    # the spread, nan where there is none; r may be zero. untouched (nv,): error on
+    # untouched data of the recordings that were fitted; floor (nv,): error that noise
+    # alone would leave, nan if unknown.
+    # What differs between recordings is the part of the error above the noise.
+    # Logarithms of the errors are normal between recordings, conjugate to what is
+    # assumed: its mean, that of the untouched error and a share more, counts for two
+    # recordings, its variance for four.
     source = "assumed" if len(left_out) < 2 else "mixed"
     if len(left_out) >= _MEASURED:
         source = "measured"

@@ -41,12 +41,10 @@ _POINTS = 4000
 
 
 def make_outcome(search, models, final, judgement, channels, asked, recordings=()):
-    """Collect what `Report` shows.
-
-    `models` were fitted to the search part, `final` to all data; `asked` are the
-    parameters of the loop, of which the report repeats some; `recordings` is what each
-    recording is called.
-    """
+    """Collect what `Report` shows."""
+    # `models` were fitted to the search part, `final` to all data; `asked` are the
+    # parameters of the loop, of which the report repeats some; `recordings` is what
+    # each recording is called.
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
     prismatic = is_prismatic(features.model_)
@@ -121,10 +119,8 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
 
 
 def _noise_floor(final, judged):
-    """Noise floor of the completed model, (nv,) [N m or N].
-
-    More data show more of the noise; the declared model's would hold what it lacks.
-    """
+    """Noise floor of the completed model, (nv,) [N m or N]."""
+    # More data show more of the noise; the declared model's would hold what it lacks.
     own = final.identifier.noise_floor_
     return np.where(np.isfinite(own), own, judged.noise_floor_)
 

@@ -1,8 +1,8 @@
 """What physically consistent parameters cost, and which body or channel makes them.
 
 A model without the constraints fits its recording better, if only its noise. Where it
-also predicts untouched data better, by more than chance, the constraints contradict
-the torques: something that is not in the model was taken up by impossible bodies.
+also predicts untouched data better, by more than chance, the constraints contradict the
+torques: something that is not in the model was taken up by impossible bodies.
 """
 
 import copy
@@ -26,72 +26,45 @@ _AS_GOOD, _NAMED = 0.9, 2
 
 @dataclass(frozen=True, kw_only=True)
 class Pushed:
-    """A body, or a joint's friction, that the constraints hold back.
+    """A body, or a joint's friction, that the constraints hold back."""
 
-    Attributes
-    ----------
-    joint : int
-        Its joint, from zero.
-    name : str
-        Name of the body that the joint moves.
-    kind : {"body", "friction"}
-        Whose constraint it is.
-    share : float
-        Share of the distance between the estimate and the consistent parameters, in
-        the metric of the fit, that goes if this constraint alone is lifted.
-    parameter : str
-        What the constraints move most of it, in standard deviations, among what the
-        data determine by itself; empty if they leave all of that in its interval.
-    unit : str
-        Its unit.
-    free, held : float
-        Its values without and with the constraints; nan without a parameter.
-    deviations : float
-        By how many standard deviations it moves; nan without a parameter.
-    """
-
-    joint: int
-    name: str
-    kind: str
+    joint: int  # from zero
+    name: str  # of the body that the joint moves
+    kind: str  # whose constraint it is
+    # share of the distance between the estimate and the consistent parameters, in the
+    # metric of the fit, that goes if this constraint alone is lifted
     share: float
+    # what the constraints move most of it, in standard deviations, among what the data
+    # determine by itself; empty if they leave all of that in its interval
     parameter: str = ""
     unit: str = ""
+    # its values without and with the constraints; nan without a parameter
     free: float = np.nan
     held: float = np.nan
+    # by how many standard deviations it moves; nan without a parameter
     deviations: float = np.nan
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectionPrice:
-    """Errors on untouched data with and without physically consistent parameters.
+    """Errors on untouched data with and without physically consistent parameters."""
 
-    Attributes
-    ----------
-    free, held : ndarray of shape (nv,)
-        Error of the completed model with `theta_unconstrained_` and with `theta_`,
-        over the spread of the torque.
-    interval : ndarray of shape (2, nv)
-        90 % interval of their difference, held minus free, over the next 50 s of the
-        same motion.
-    price : ndarray of shape (nv,)
-        The difference where it is above 0 by more than its interval, and as large as
-        what an effect has to save to be named; 0 elsewhere, nan where unknown.
-    pushed : tuple of Pushed
-        What is held back, the most costly first; empty where the constraints cost
-        nothing or no single one of them does.
-    channel : int or None
-        Joint, from zero, without whose torques the others need most of the constraints
-        no more; None if there is no such joint.
-    channel_share : float
-        Share of the distance that goes without them; nan without a channel.
-    """
-
+    # (nv,): error of the completed model with `theta_unconstrained_` and with `theta_`,
+    # over the spread of the torque
     free: np.ndarray
     held: np.ndarray
+    # (2, nv): 90 % interval of held minus free, over the next 50 s of the same motion
     interval: np.ndarray
+    # (nv,): difference where it is above 0 by more than its interval, and as large as
+    # what an effect has to save to be named; 0 elsewhere, nan where unknown
     price: np.ndarray
+    # the most costly first; empty where the constraints cost nothing or no single one
+    # of them does
     pushed: tuple = ()
+    # joint, from zero, without whose torques the others need most of the constraints no
+    # more
     channel: int | None = None
+    # share of the distance that goes without them; nan without a channel
     channel_share: float = np.nan
 
     @property
@@ -108,12 +81,10 @@ def without_constraints(robot):
 
 
 def price_of(robot, untouched, searched, spread, step):
-    """Price of the constraints of a fitted identifier, a `ProjectionPrice`.
-
-    untouched, searched : pairs of `TorqueResiduals`, with its unconstrained and with
-    its own parameters; spread (nv,) : of the torque [N m or N]; step : time between
-    rows [s].
-    """
+    """Price of the constraints of a fitted identifier, a `ProjectionPrice`."""
+    # untouched, searched: pairs of `TorqueResiduals`, with its unconstrained and with
+    # its own parameters; spread (nv,): of the torque [N m or N]; step: time between
+    # rows [s].
     free, held = (part.relative_error(spread) for part in untouched)
     interval = error_intervals(untouched, searched, spread, step)["difference"]
     with np.errstate(invalid="ignore"):
@@ -228,11 +199,10 @@ def _moved(robot, joint, kind, share):
 
 
 def _channel(robot):
-    """Joint without whose torques most of the constraints are not needed, and how much.
+    """Joint without whose torques most constraints are not needed, and how much."""
+    # (None, nan) if no joint stands out: its share has to be most of the price, and
+    # what is left without it less than half of what is left without any other.
 
-    (None, nan) if no joint stands out: its share has to be most of the price, and
-    what is left without it less than half of what is left without any other.
-    """
     # The fit is repeated without the torques of each joint in turn.
     moments = robot.estimator_.statistics_
     weights = robot.estimator_.joint_weights_

@@ -40,31 +40,17 @@ _GROWTH = 1.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Rows of the search and untouched stretches beside them.
+    """Rows of the search and untouched stretches beside them."""
 
-    Attributes
-    ----------
-    search : ndarray of int
-        Rows of the search.
-    pieces : ndarray of int
-        Label of each of them: nothing is filtered or differentiated from one piece to
-        the next.
-    origin : ndarray of int
-        Number of the recording that each of them is from.
-    stretches : tuple of slice
-        Untouched rows.
-    borders : tuple of (bool, bool)
-        Whether rows of the search lie right before and right after each stretch.
-    amount : Amount
-        How much of a motion a stretch holds.
-    """
-
-    search: np.ndarray
+    search: np.ndarray  # rows
+    # label of each of them: nothing is filtered or differentiated from one piece to the
+    # next
     pieces: np.ndarray
-    origin: np.ndarray
-    stretches: tuple
+    origin: np.ndarray  # number of the recording that each of them is from
+    stretches: tuple  # untouched rows
+    # whether rows of the search lie right before and right after each stretch
     borders: tuple
-    amount: object
+    amount: object  # how much of a motion a stretch holds
 
     def searched(self, recording):
         """Return the rows of a recording that are searched, as a recording."""
@@ -86,12 +72,10 @@ class Split:
         return np.repeat(np.arange(len(lengths)), lengths)
 
     def decided(self, clock, instants):
-        """Return the split without stretches in which something jumps.
-
-        All that the search knows of such an instant [s] is that it lies between two of
-        its rows on the clock (n,). A stretch at the end of a recording stays: what
-        changes there changes between the recordings.
-        """
+        """Return the split without stretches in which something jumps."""
+        # All that the search knows of such an instant [s] is that it lies between two
+        # of its rows on the clock (n,). A stretch at the end of a recording stays: what
+        # changes there changes between the recordings.
         kept = [
             k
             for k, (stretch, border) in enumerate(zip(self.stretches, self.borders))
@@ -109,11 +93,9 @@ class Split:
         )
 
     def guarded(self, rows):
-        """Return the split without the untouched rows next to rows of the search.
-
-        What is left of a residual after `rows` rows is new. At least half of what is
-        there is kept, and as much as a verdict needs.
-        """
+        """Return the split without the untouched rows next to rows of the search."""
+        # What is left of a residual after `rows` rows is new. At least half of what is
+        # there is kept, and as much as a verdict needs.
         there = self.amount.of(self.stretches)
         least = np.minimum(np.maximum(self.amount.need, 0.5 * there), there)
         for share in _GUARDS:
@@ -136,21 +118,11 @@ class Split:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Amount:
-    """How much of each joint's motion rows hold.
+    """How much of each joint's motion rows hold."""
 
-    Attributes
-    ----------
-    moving : ndarray of shape (n, nv), bool
-        Which joints move.
-    half : int
-        Rows that the low-pass takes at either end.
-    need : float
-        Moving rows behind it that a verdict needs.
-    """
-
-    moving: np.ndarray
-    half: int
-    need: float
+    moving: np.ndarray  # (n, nv): which joints move
+    half: int  # rows that the low-pass takes at either end
+    need: float  # moving rows behind it that a verdict needs
 
     @property
     def length(self):
@@ -186,12 +158,10 @@ def check_share(test_size):
 
 
 def split_in_time(identifier, X, groups, test_size):
-    """Choose the untouched stretches from the motion; torques are not looked at.
-
-    At both ends of each of several recordings, or at several places of a single one; of
-    recordings that are too short to be cut, some as a whole. The identifier is the
-    declared model, not fitted; X are positions or states, groups labels or None.
-    """
+    """Choose the untouched stretches from the motion; torques are not looked at."""
+    # At both ends of each of several recordings, or at several places of a single one;
+    # of recordings that are too short to be cut, some as a whole. The identifier is the
+    # declared model, not fitted; X are positions or states, groups labels or None.
     share = check_share(test_size)
     parts = contiguous_groups(groups, X.shape[0])
     return _divide(_amount(identifier, X, groups, parts), parts, share)

@@ -8,26 +8,11 @@ from sklearn_vbjfa.diagnosis.search._blocks import Bridge, fit_memory
 
 
 class Whitening:
-    """Rows of all joints without what the residuals' past predicts.
+    """Rows of all joints without what the residuals' past predicts."""
 
-    Parameters
-    ----------
-    residual : ndarray of shape (nv, m)
-        Residuals, scaled by the root of the weights.
-    root : ndarray of shape (m, nv)
-        Roots of the weights; zero leaves a row out.
-    starts : ndarray of int
-        First rows of the recordings.
-    step : float
-        Time between rows [s].
-    cutoff : float
-        Cut-off of the low-pass that the rows have passed [Hz].
-
-    Attributes
-    ----------
-    memory : list of Memory
-        Of each joint.
-    """
+    # residual (nv, m): scaled by the root (m, nv) of the weights, which is zero for a
+    # row that is left out; starts: first rows of the recordings; step [s]; cutoff: of
+    # the low-pass that the rows have passed [Hz]; memory: of each joint.
 
     @classmethod
     def of(cls, view, residual, root=None):
@@ -51,12 +36,10 @@ class Whitening:
             )
 
     def __call__(self, rows, joints):
-        """Whiten rows (nj, m, ...) of some joints, scaled by the root of the weights.
-
-        Missing rows are bridged by straight lines, in torques and columns alike, so
-        that what explains the one explains the other; before its first row a recording
-        counts as constant.
-        """
+        """Whiten rows (nj, m, ...) of joints, scaled by the root of the weights."""
+        # Missing rows are bridged by straight lines, in torques and columns alike, so
+        # that what explains the one explains the other; before its first row a
+        # recording counts as constant.
         out = np.empty_like(rows)
         for i, j in enumerate(joints):
             shape = (-1,) + (1,) * (rows.ndim - 2)

@@ -64,7 +64,7 @@ def residual_picture(curves, joint, floor):
 class MapPicture:
     """Two maps, each a frame of WIDTH by HEIGHT; load rises upwards."""
 
-    # of each shade: sign (``"up"`` or ``"down"``), opacity and path data
+    # for each shade: sign (``"up"`` or ``"down"``), opacity and path data
     measured: tuple
     function: tuple
     limit: float  # torque that has the full colour [N m or N]

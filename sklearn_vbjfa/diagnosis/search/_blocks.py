@@ -1,11 +1,10 @@
 """Blocks of time, and what a residual remembers from one to the next.
 
 The search asks how much its evidence scatters between blocks (`Fit.excess`). Where
-blocks themselves are compared (signals that a residual varies with, what a flexible
-function explains of it), each counts as one independent piece of evidence. A residual
-that stays correlated for seconds amounts to a few independent values, however many rows
-it has, and blocks long enough to be independent would be too few in a short recording.
-Rows are therefore whitened before: what the residual's own past predicts is subtracted.
+blocks themselves are compared, each counts as one independent piece of evidence. A
+residual that stays correlated for seconds amounts to a few independent values, and
+blocks long enough to be independent would be too few in a short recording. Rows are
+therefore whitened before: what the residual's own past predicts is subtracted.
 """
 
 import itertools
@@ -21,38 +20,24 @@ _ROWS_PER_LAG = 10
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Memory:
-    """Prediction of a joint's residual from its own past.
+    """Prediction of a joint's residual from its own past."""
 
-    Attributes
-    ----------
-    phi : ndarray of shape (p,)
-        Coefficients of the last p rows at the stride, the latest first.
-    time : float
-        Integrated correlation time [s]; infinite for a random walk.
-    """
-
+    # (p,): coefficients of the last p rows at the stride, the latest first
     phi: np.ndarray
-    time: float
+    time: float  # integrated correlation time [s]; infinite for a random walk
 
 
 def fit_memory(residual, used, starts, step, stride=1):
-    """Fit an autoregression to residuals (m,) in rows that count, a `Memory`.
-
-    Rows are a stride apart: those in between are alike because of the low-pass, which
-    is no memory of the residual, and to predict them would be to undo the low-pass. The
-    order is that of Akaike's criterion. Least squares in the form r_t = rho r_(t-1) +
-    sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the coefficients, says
-    how slowly the residual forgets. Its estimate is too small in short recordings, by
-    (1 + 3 rho) / n for a mean that was fitted [1]_, times what the psi leave of a slow
-    change; that much is added, up to a random walk.
-
-    References
-    ----------
-    .. [1] M. G. Kendall, "Note on bias in the estimation of autocorrelation",
-       Biometrika 41, 1954; D. W. K. Andrews, H.-Y. Chen, "Approximately
-       median-unbiased estimation of autoregressive models", J. Bus. Econ. Stat.
-       12(2), 1994, for several lags. :doi:`10.1093/biomet/41.3-4.403`
-    """
+    """Fit an autoregression to residuals (m,) in rows that count, a `Memory`."""
+    # Rows are a stride apart: those in between are alike because of the low-pass, which
+    # is no memory of the residual, and to predict them would be to undo the low-pass.
+    # The order is that of Akaike's criterion. Least squares in the form r_t = rho
+    # r_(t-1) + sum psi_k (r_(t-k) - r_(t-k-1)) + e, where rho, the sum of the
+    # coefficients, says how slowly the residual forgets. Its estimate is too small in
+    # short recordings, by (1 + 3 rho) / n for a mean that was fitted (Kendall,
+    # Biometrika 41, 1954, doi:10.1093/biomet/41.3-4.403; for several lags Andrews and
+    # Chen, J. Bus. Econ. Stat. 12(2), 1994), times what the psi leave of a slow change;
+    # that much is added, up to a random walk.
     n = used.sum() / stride
     most = int(min(_LAGS * (n / 100.0) ** 0.25, n / _ROWS_PER_LAG))
     none = Memory(phi=np.zeros(0), time=stride * step)
@@ -112,26 +97,17 @@ def _integrated(phi):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Bridge:
-    """Straight lines over rows that are missing.
+    """Straight lines over rows that are missing."""
 
-    Attributes
-    ----------
-    low, high : ndarray of shape (m,), int
-        Rows before and after each.
-    share : ndarray of shape (m,)
-        Its place between them.
-    """
-
+    # (m,): rows before and after each
     low: np.ndarray
     high: np.ndarray
-    share: np.ndarray
+    share: np.ndarray  # (m,): its place between them
 
     @classmethod
     def of(cls, used, starts):
-        """Bridge rows (m,) that are not used, in each part; None if none is missing.
-
-        A part without any stays as it is at its first row.
-        """
+        """Bridge rows (m,) that are not used, in each part; None if none is missing."""
+        # A part without any stays as it is at its first row.
         if used.all() or not used.any():
             return None
         m = used.size
@@ -174,23 +150,12 @@ _FOLDS = 8
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Blocks:
-    """Blocks and folds of rows.
+    """Blocks and folds of rows."""
 
-    Attributes
-    ----------
-    label : ndarray of shape (m,)
-        Block of each row.
-    fold : ndarray of shape (m,)
-        Fold of each row: blocks that are left out together.
-    length : float
-        Typical length of a block [s].
-    order : slice or ndarray of shape (m,)
-        Rows block by block.
-    """
-
-    label: np.ndarray
-    fold: np.ndarray
-    length: float
+    label: np.ndarray  # (m,): block of each row
+    fold: np.ndarray  # (m,): fold of each row: blocks that are left out together
+    length: float  # typical one of a block [s]
+    # (m,): rows block by block
     order: slice | np.ndarray = field(default_factory=lambda: slice(None))
 
     @property
@@ -214,12 +179,10 @@ class Blocks:
 
 
 def correlation_time(residual, weight, step, starts):
-    """Longest integrated autocorrelation time of residuals (m, nv) [s].
-
-    That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
-    slow residuals too short, as their own mean is taken out of them; infinite for a
-    random walk.
-    """
+    """Longest integrated autocorrelation time of residuals (m, nv) [s]."""
+    # That of an autoregression, see `fit_memory`: sums of sample autocorrelations read
+    # slow residuals too short, as their own mean is taken out of them; infinite for a
+    # random walk.
     times = []
     for r, used in zip(residual.T, weight.T > 0):
         r = np.where(used, r, 0.0)
@@ -229,11 +192,9 @@ def correlation_time(residual, weight, step, starts):
 
 
 def phase_blocks(motion, phase, correlation, filter_length):
-    """Divide rows into blocks of the phase (m,) [s] of the motion (m,) that repeats.
-
-    What is not modelled repeats with the motion: rows of one phase are in one block,
-    whenever they come.
-    """
+    """Divide rows into blocks of the phase (m,) [s] of the motion (m,) that repeats."""
+    # What is not modelled repeats with the motion: rows of one phase are in one block,
+    # whenever they come.
     names, motion = np.unique(motion, return_inverse=True)
     low = np.array([phase[motion == k].min() for k in range(names.size)])
     length = np.array([np.ptp(phase[motion == k]) for k in range(names.size)])
@@ -255,11 +216,9 @@ def phase_blocks(motion, phase, correlation, filter_length):
 
 
 def make_blocks(time, starts, correlation, filter_length, order=None):
-    """Divide rows at times (m,) [s] into blocks as long as independence asks for.
-
-    The residual's correlation time and the filter's length are in seconds. Blocks go
-    to the folds in turns, recording after recording in the given order of these.
-    """
+    """Divide rows at times (m,) [s] into blocks as long as independence asks for."""
+    # The residual's correlation time and the filter's length are in seconds. Blocks go
+    # to the folds in turns, recording after recording in the given order of these.
     edges = np.r_[starts, time.size]
     lengths = [float(np.ptp(time[a:b])) for a, b in itertools.pairwise(edges)]
     total = sum(lengths)

@@ -2,8 +2,7 @@
 
 The branches that leave a fixed base share no body: neither the torques of one nor their
 parameters depend on the others, so that a search on all of them together finds what
-searches on each find, at a cost that rises with the cube of all joints rather than with
-their number.
+searches on each find, at a cost that rises with the cube of all joints.
 """
 
 from dataclasses import dataclass, replace
@@ -25,17 +24,9 @@ _COLUMNS = ("q", "tau", "v", "weight", "torque_noise")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Branch:
-    """A branch of a robot as a robot of its own.
+    """A branch of a robot as a robot of its own."""
 
-    Attributes
-    ----------
-    joints : list of int
-        Its joints among those of the robot, rising.
-    model : pinocchio.Model
-        The branch alone.
-    """
-
-    joints: list
+    joints: list  # its joints among those of the robot, rising
     model: object
 
     def identifier(self, declared):
@@ -91,12 +82,10 @@ def root_joints(model):
 
 
 def branches_of(robot, library, max_effects):
-    """Return the branches to search one by one, list of Branch; one is the whole.
-
-    Of a fitted declared model. A limit on the number of effects, an effect on a joint
-    that is declared already, and one's own effects, of which nobody knows which joints
-    they look at, ask for the whole robot.
-    """
+    """Return the branches to search one by one, list of Branch; one is the whole."""
+    # Of a fitted declared model. A limit on the number of effects, an effect on a joint
+    # that is declared already, and one's own effects, of which nobody knows which
+    # joints they look at, ask for the whole robot.
     model = robot.features_.model_
     root = root_joints(model)
     roots = np.unique(root)
@@ -140,24 +129,10 @@ def _alone(model, joints):
 
 
 def put_together(view, motion, branches, found):
-    """Put what was `Found` on the branches of a robot together.
-
-    Parameters
-    ----------
-    view : RecordingView
-        The recording of the whole robot, with the four plain terms.
-    motion : Motion
-        Its signals, with the load of that model.
-    branches : list of Branch
-        Branches that were searched.
-    found : list of Found
-        What was found on each.
-
-    Returns
-    -------
-    Found
-        Steps in the order of the branches, effects numbered by the robot's joints.
-    """
+    """Put what was `Found` on the branches of a robot together."""
+    # view: of the whole robot, with the four plain terms; motion: its signals, with the
+    # load of that model. Steps come in the order of the branches, effects are numbered
+    # by the robot's joints.
     findings, steps = [], []
     residual = np.zeros_like(view.target)
     for branch, own in zip(branches, found):

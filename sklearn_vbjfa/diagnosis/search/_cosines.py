@@ -15,30 +15,17 @@ _ROUNDING = 1e-12
 
 
 class Cosines:
-    """Discrete cosines of a recording's rows, each part (a recording) for itself.
+    """Discrete cosines of a recording's rows, each part (a recording) for itself."""
 
-    Stationary residuals are nearly independent there, with the spectrum as their
-    variance (P. Whittle, "Estimation and information in stationary time series", Arkiv
-    for Matematik 2, 1953, doi 10.1007/BF02590998). Rows that do not count are bridged
-    by straight lines. Cosines above the cut-off of the low-pass, which hold what the
-    ends of the recording leak and no information of their own, are left out.
-
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-
-    Attributes
-    ----------
-    band : ndarray of shape (n,)
-        Band of frequency of each cosine, by which they are sorted, from the slowest.
-    edges : ndarray of shape (n_bands + 1,)
-        Where each band begins, and the last one ends.
-    octave : ndarray of shape (n_bands,)
-        Middle of each band, logarithm of base 2 of the frequency.
-    fill : ndarray of shape (nv,)
-        Share of the rows that count, of each joint.
-    """
+    # Stationary residuals are nearly independent there, with the spectrum as their
+    # variance (P. Whittle, Arkiv for Matematik 2, 1953, doi 10.1007/BF02590998). Rows
+    # that do not count are bridged by straight lines. Cosines above the cut-off of the
+    # low-pass, which hold what the ends of the recording leak and no information of
+    # their own, are left out.
+    # band (n,): that of each cosine, by which they are sorted, from the slowest; edges
+    # (n_bands + 1,): where each band begins, and the last one ends; octave (n_bands,):
+    # middle of each, logarithm of base 2 of the frequency; fill (nv,): share of the
+    # rows that count.
 
     def __init__(self, view):
         m = view.index.size
@@ -101,40 +88,18 @@ def _bands(frequency, lowest):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Spectrum:
-    """Variance of a residual's cosines by joint and band.
+    """Variance of a residual's cosines by joint and band."""
 
-    Attributes
-    ----------
-    variance : ndarray of shape (nv, n_bands)
-        Variance; infinite for a joint that does not count.
-    log_prior : float
-        Logarithm of its prior density, but for a constant.
-    """
-
-    variance: np.ndarray
-    log_prior: float
+    variance: np.ndarray  # (nv, n_bands): infinite for a joint that does not count
+    log_prior: float  # logarithm of its prior density, but for a constant
 
     @classmethod
     def of(cls, power, freedom, octave, smoothness):
-        """Estimate it from powers of a residual by bands.
-
-        Parameters
-        ----------
-        power : ndarray of shape (nv, n_bands)
-            Sums of squares.
-        freedom : ndarray of shape (nv, n_bands)
-            Degrees of freedom: cosines that count, less what the fit took of them.
-        octave : ndarray of shape (n_bands,)
-            Middle of each band.
-        smoothness : float
-            Prior deviation of the bend of the logarithm between bands.
-
-        Notes
-        -----
-        The logarithm of each band's mean square, unbiased, with the variance of that of
-        a chi-squared variable, under a prior for its second differences: a band of few
-        cosines is what its neighbours make of it.
-        """
+        """Estimate it from sums of squares of a residual by bands, (nv, n_bands)."""
+        # The logarithm of each band's mean square, unbiased, with the variance of that
+        # of a chi-squared variable of `freedom` (cosines that count, less what the fit
+        # took of them), under a prior for its second differences, with the deviation
+        # `smoothness`: a band of few cosines is what its neighbours make of it.
         variance, log_prior = np.full(power.shape, np.inf), 0.0
         bend = _bends(octave) / smoothness
         for j in np.flatnonzero(power.any(axis=1)):

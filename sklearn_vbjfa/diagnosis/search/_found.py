@@ -14,15 +14,9 @@ from sklearn_vbjfa.effects import Effect, Motion
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence(Worth):
-    """What speaks for an effect beside the others of its model.
+    """What speaks for an effect beside the others of its model."""
 
-    Attributes
-    ----------
-    log_odds : float
-        Logarithm of the posterior odds that the model lacks it.
-    """
-
-    log_odds: float
+    log_odds: float  # logarithm of the posterior odds that the model lacks it
 
     @property
     def probability(self):
@@ -32,121 +26,60 @@ class Evidence(Worth):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rival:
-    """What would take the place of an effect.
+    """What would take the place of an effect."""
 
-    Attributes
-    ----------
-    effect : Effect
-        With its best shape.
-    log_odds : float
-        Of it in that place.
-    """
-
-    effect: Effect
-    log_odds: float
+    effect: Effect  # with its best shape
+    log_odds: float  # in that place
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Finding:
-    """An effect of the most probable model.
+    """An effect of the most probable model."""
 
-    Attributes
-    ----------
-    effect : Effect
-        With its shape.
-    evidence : Evidence
-        What speaks for it.
-    rivals : tuple of Rival
-        What would take its place within the rivals' nats, the best first.
-    doubt : str
-        Why it has no name, "" for a name.
-    """
-
-    effect: Effect
-    evidence: Evidence
+    effect: Effect  # with its shape
+    evidence: Evidence  # what speaks for it
+    # what would take its place within the rivals' nats, the best first
     rivals: tuple = ()
-    doubt: str = ""
+    doubt: str = ""  # why it has no name, "" for a name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Step:
-    """One step of the path to the most probable model.
-
-    Attributes
-    ----------
-    action : {"add", "drop", "replace"}
-        What was done.
-    effect, replaced : Effect and Effect or None
-        What came or went, and what it replaced.
-    log_odds : float
-        Of the effect beside the others then.
-    rivals : tuple of Rival
-        What would have come in its place.
-    """
+    """One step of the path to the most probable model."""
 
     action: str
+    # what came or went, and what it replaced
     effect: Effect
-    log_odds: float
+    log_odds: float  # of the effect beside the others then
     replaced: Effect | None = None
-    rivals: tuple = ()
+    rivals: tuple = ()  # what would have come in its place
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FoundModel:
-    """The most probable model on the rows of the search.
+    """The most probable model on the rows of the search."""
 
-    Attributes
-    ----------
-    view : RecordingView
-        Recording, with the robot as its effects correct it.
-    effects : tuple of Effect
-        Effects beside the four plain terms.
-    motion : Motion
-        Signals, with the load of the model.
-    residual : ndarray of shape (nv, m)
-        Residuals of rows that were not fitted, scaled by the root of the weights.
-    fit : Fit or None
-        The regression; None for a robot that was searched branch by branch.
-    """
-
-    view: RecordingView
-    effects: tuple
-    motion: Motion
+    view: RecordingView  # recording, with the robot as its effects correct it
+    effects: tuple  # those beside the four plain terms
+    motion: Motion  # signals, with the load of the model
+    # (nv, m): residuals of rows that were not fitted, scaled by the root of the weights
     residual: np.ndarray
-    fit: Fit | None = None
+    fit: Fit | None = None  # None for a robot that was searched branch by branch
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """What a search found.
+    """What a search found."""
 
-    Attributes
-    ----------
-    model : FoundModel
-        The most probable model.
-    findings : tuple of Finding
-        Its effects, those that have a name first.
-    steps : tuple of Step
-        The path to it.
-    n_candidates : int
-        Candidates (a joint and an effect) among which prior odds are shared out.
-    needed : float
-        Log odds from which on an effect has a name.
-    settings : SearchSettings
-        Numbers that decided.
-    library : tuple of Effect
-        Effects that were tried on every joint.
-    branches : tuple of (Branch, Found)
-        What was found on each branch of a robot that was searched branch by branch.
-    """
-
-    model: FoundModel
-    findings: tuple
-    steps: tuple
+    model: FoundModel  # the most probable
+    findings: tuple  # its effects, those that have a name first
+    steps: tuple  # the path to it
+    # candidates (a joint and an effect) among which prior odds are shared out
     n_candidates: int
-    needed: float
+    needed: float  # log odds from which on an effect has a name
     settings: SearchSettings
-    library: tuple
+    library: tuple  # effects that were tried on every joint
+    # what was found on each, of a robot that was searched branch by branch
     branches: tuple = field(default=())
 
     @property

@@ -21,29 +21,17 @@ _TINY = 1e-6
 
 @dataclass(frozen=True, kw_only=True)
 class Worth:
-    """What an effect saves on stretches of time that were not fitted.
+    """What an effect saves on stretches of time that were not fitted."""
 
-    Attributes
-    ----------
-    gain : float
-        Share of the squared error that it saves: of its joint, or of the robot in
-        units of noise for what acts on all.
-    gain_std : float
-        Its standard error, from the scatter between blocks of time.
-    errors : float
-        Mean logarithm of the ratio of the errors without and with it, over its standard
-        error: a few blocks do not decide alone.
-    helped : float
-        Share of the blocks in which it helps.
-    n_blocks : int
-        Number of blocks in which it changes anything.
-    """
-
+    # share of the squared error that it saves: of its joint, or of the robot in units
+    # of noise for what acts on all
     gain: float
-    gain_std: float
+    gain_std: float  # from the scatter between blocks of time
+    # mean logarithm of the ratio of the errors without and with it, over its standard
+    # error: a few blocks do not decide alone
     errors: float
-    helped: float
-    n_blocks: int
+    helped: float  # share of the blocks in which it helps
+    n_blocks: int  # blocks in which it changes anything
 
     @classmethod
     def of(cls, before, after):
@@ -72,19 +60,11 @@ class Worth:
 
 
 class HeldOut:
-    """Regressions of all joints that leave out one fold of time after the other.
+    """Regressions of all joints that leave out one fold of time after the other."""
 
-    From second moments of blocks of time. Folds are whole recordings where there are
-    three or more, else stretches of each recording: what is worth its name predicts
-    motion that was not fitted.
-
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-    fold : ndarray of shape (m,) or None
-        Other folds, whole blocks of time.
-    """
+    # From second moments of blocks of time. Folds are whole recordings where there are
+    # three or more, else stretches of each recording, unless others, `fold` (m,), are
+    # given: what is worth its name predicts motion that was not fitted.
 
     def __init__(self, view, fold=None):
         self.view = view

@@ -18,15 +18,10 @@ def products(edges, one, other):
 
 
 class Declared:
-    """Declared columns and torques of all joints, in bands or blocks.
+    """Declared columns and torques of all joints, in bands or blocks."""
 
-    Parameters
-    ----------
-    Z, y : ndarray of shape (nv, n, r) and (nv, n)
-        Columns and torques, sorted by band.
-    edges : ndarray of shape (n_bands + 1,)
-        Where each band begins, and the last one ends.
-    """
+    # Z (nv, n, r) and y (nv, n) are sorted by band; edges (n_bands + 1,): where each
+    # begins, and the last one ends.
 
     _root = None
 
@@ -65,17 +60,9 @@ class Declared:
 
 
 class Moments:
-    """Products of c groups of k columns with others, made when they are asked for.
+    """Products of c groups of k columns with others, made when they are asked for."""
 
-    Parameters
-    ----------
-    joints : tuple of int
-        Joints that the columns act on.
-    columns : ndarray of shape (nj, n, c, k)
-        The columns, sorted by band.
-    edges : ndarray of shape (n_bands + 1,)
-        See `Declared`.
-    """
+    # columns (nj, n, c, k), sorted by band, act on `joints`; edges: see `Declared`.
 
     def __init__(self, joints, columns, edges):
         self.joints, self.columns, self.edges = joints, columns, edges

@@ -40,30 +40,16 @@ _EQUAL = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Offer:
-    """A candidate beside a model.
+    """A candidate beside a model."""
 
-    Attributes
-    ----------
-    family : Family
-        All of its shapes.
-    best : int
-        The best of them.
-    log_odds : float
-        Posterior log odds that the model lacks it, shapes averaged.
-    coef : ndarray of shape (k,)
-        Coefficients of the best shape.
-    tempered : bool
-        Whether its evidence has been tempered by its scatter in time, see
-        `Fit.excess`; it is an upper bound before.
-    order : float
-        The log odds by which it compares with others, see `Excess.as_usual`.
-    """
-
-    family: Family
-    best: int
-    log_odds: float
-    coef: np.ndarray
+    family: Family  # all of its shapes
+    best: int  # the best of them
+    log_odds: float  # posterior log odds that the model lacks it, shapes averaged
+    coef: np.ndarray  # (k,): of the best shape
+    # whether its evidence has been tempered by its scatter in time, see `Fit.excess`;
+    # it is an upper bound before
     tempered: bool = False
+    # log odds by which it compares with others, see `Excess.as_usual`
     order: float = 0.0
 
     @property
@@ -73,21 +59,10 @@ class Offer:
 
 
 class Path:
-    """Search for the most probable set of effects.
+    """Search for the most probable set of effects, at most `max_effects`."""
 
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-    library : tuple of Effect
-        What to try on every joint.
-    settings : SearchSettings
-        Numbers that decide.
-    max_effects : int or None
-        Most effects.
-    on_progress : callable or None
-        Called with (number, text).
-    """
+    # library: what to try on every joint; on_progress: called with (number, text), or
+    # None.
 
     def __init__(self, view, library, settings, max_effects=None, on_progress=None):
         self.view, self.library, self.settings = view, library, settings
@@ -171,11 +146,9 @@ class Path:
         return replace(strict, tempered=True, order=usual.order)
 
     def _surest(self, fit, offers, margin=0.0):
-        """Return tempered offers within a margin of the best, the best first.
-
-        Tempering takes evidence only, so that what is below the best of those that
-        are tempered need not be.
-        """
+        """Return tempered offers within a margin of the best, the best first."""
+        # Tempering takes evidence only, so that what is below the best of those that
+        # are tempered need not be.
         found, open_ = [], sorted(offers, key=lambda o: o.order)
         best = -np.inf
         while open_ and open_[-1].order > best - margin:
@@ -221,10 +194,8 @@ class Path:
     # -- moves ------------------------------------------------------------------------
 
     def _best(self, fit):
-        """Best offer on any joint; joints whose model has not changed are not asked.
-
-        What contains an effect of the model comes when nothing else does.
-        """
+        """Best offer on any joint; joints whose model has not changed are not asked."""
+        # What contains an effect of the model comes when nothing else does.
         for joint in self.candidates:
             if joint not in self._kept:
                 self._kept[joint] = self._offers(fit, joint)
@@ -259,12 +230,10 @@ class Path:
                 return self._first(best, probable) if plain is best else plain
 
     def _plainer(self, fit, best, offers):
-        """Plainer effect that an offer contains, if that is probable by itself.
-
-        What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
-        variable selection with related predictors", Canadian J. of Statistics 24(1),
-        1996, doi 10.2307/3315687).
-        """
+        """Plainer effect that an offer contains, if that is probable by itself."""
+        # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
+        # variable selection with related predictors", Canadian J. of Statistics 24(1),
+        # 1996, doi 10.2307/3315687).
         names = closure(best.effect, self.library)
         within = [
             o for o in offers if o.effect.name in names and o.log_odds > self.least
@@ -317,11 +286,9 @@ class Path:
         return self._refined(fit, starts(family.effects, evidence, effect))
 
     def _instants(self, fit, effect, family):
-        """Return an effect that jumps with the most probable instants of all rows.
-
-        What its columns have in common with the residual is a sum over the rows after
-        the jump; their Gram matrix hardly changes between two instants of the grid.
-        """
+        """Return an effect that jumps with the most probable instants of all rows."""
+        # What its columns have in common with the residual is a sum over the rows after
+        # the jump; their Gram matrix hardly changes between two instants of the grid.
         (name,) = effect.jumping
         grid = np.array([getattr(e, name) for e in family.effects])
         order, beside = np.argsort(grid), fit.groups(family)
@@ -397,10 +364,8 @@ class Path:
         return fit.without(i).excess(family, 0, coef, noise)
 
     def log_odds(self, fit, usual=False):
-        """Posterior log odds of each member beside the others.
-
-        As `usual` those by which they compare, see `Excess.as_usual`.
-        """
+        """Posterior log odds of each member beside the others."""
+        # As `usual` those by which they compare, see `Excess.as_usual`.
         found = []
         for i, groups in enumerate(fit.own_groups()):
             excess = self._excess(fit, i, self._noise)
@@ -410,10 +375,8 @@ class Path:
         return np.array(found) + self.log_prior
 
     def own_odds(self, fit):
-        """Posterior log odds of each member, with the spectrum that each model has.
-
-        What is slow may be noise: without an effect the spectrum takes its place.
-        """
+        """Posterior log odds of each member, with the spectrum that each model has."""
+        # What is slow may be noise: without an effect the spectrum takes its place.
         fit = spectrum_of(fit, self.settings)
         whole, found = fit.log_evidence(), []
         for i, (member, groups) in enumerate(zip(fit.members, fit.own_groups())):
@@ -529,10 +492,8 @@ class Path:
         return self._pruned(self._absorbed(new))
 
     def _absorbed(self, fit):
-        """Leave out what the last member contains if that does as well alone.
-
-        Its shape was found beside them, where it stood for what they had left over.
-        """
+        """Leave out what the last member contains if that does as well alone."""
+        # Its shape was found beside them, where it stood for what they had left over.
         last = fit.members[-1]
         names, joint = closure(last.effect, self.library), last.effect.joint
         rest = [
@@ -567,11 +528,9 @@ class Path:
         return fit
 
     def _settles(self, fit):
-        """Whether the last member of a fit is probable once the robot is corrected.
-
-        What its first derivative promises need not hold: a gain that is hidden looks
-        like whatever the joint lacks.
-        """
+        """Whether the last member of a fit is probable once the robot is corrected."""
+        # What its first derivative promises need not hold: a gain that is hidden looks
+        # like whatever the joint lacks.
         before = self.view, self.problem, self.motion
         for _ in range(_TURNS):
             fit = self._anew(fit)
@@ -648,10 +607,8 @@ class Path:
         return None
 
     def _together(self, fit, been):
-        """Begin with everything on a joint and drop what is not needed, or None.
-
-        What hides another, or shows beside it alone, does not come one by one.
-        """
+        """Begin with everything on a joint and drop what is not needed, or None."""
+        # What hides another, or shows beside it alone, does not come one by one.
         for joint in self.candidates:
             new = self._needed(fit, joint)
             # One that comes alone, or in place of another, was asked before.

@@ -23,28 +23,9 @@ UNSURE = "its value is not known well enough to correct anything"
 
 
 def search(view, library, settings, alpha, max_effects=None, on_progress=None):
-    """Find the most probable effects of a recording, and say what has a name.
-
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-    library : tuple of Effect
-        Effects to try on every joint.
-    settings : SearchSettings
-        Numbers that decide.
-    alpha : float
-        Share of recordings with nothing missing that get any name.
-    max_effects : int or None
-        Most effects.
-    on_progress : callable or None
-        Called with (number, text).
-
-    Returns
-    -------
-    Found
-        What was found.
-    """
+    """Find the most probable effects of a recording, and say what has a name."""
+    # alpha: share of recordings with nothing missing that get any name; the rest as
+    # `Path`.
     path = Path(view, library, settings, max_effects, on_progress)
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())
@@ -85,11 +66,9 @@ def search(view, library, settings, alpha, max_effects=None, on_progress=None):
 
 
 def _settled(path, fit):
-    """Drop what speaks against the whole; the rest with its log odds and `Worth`.
-
-    What the spectrum of the whole model makes improbable goes, what predicts other
-    motion worse, and what has a sign or size that it cannot have.
-    """
+    """Drop what speaks against the whole; the rest with its log odds and `Worth`."""
+    # What the spectrum of the whole model makes improbable goes, what predicts other
+    # motion worse, and what has a sign or size that it cannot have.
     while True:
         odds, left_out = path.own_odds(fit), path.held_out(fit)
         worths = [left_out.worth(i) for i in range(odds.size)]

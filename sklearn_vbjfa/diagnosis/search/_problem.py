@@ -23,17 +23,10 @@ _RIDGE = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Columns:
-    """Columns of an effect in frequency.
+    """Columns of an effect in frequency."""
 
-    Attributes
-    ----------
-    moments : Moments
-        Of them, (nj, n, c, k), not weighted.
-    unit : ndarray
-        See `Groups`, of one shape (k,) or of each (c, k); zero for columns that are.
-    """
-
-    moments: Moments
+    moments: Moments  # (nj, n, c, k): of them, not weighted
+    # see `Groups`, of one shape (k,) or of each (c, k); zero for columns of zeros
     unit: np.ndarray
 
     @property
@@ -49,18 +42,10 @@ class Columns:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Member(Columns):
-    """An effect in the model, with one shape.
+    """An effect in the model, with one shape."""
 
-    Attributes
-    ----------
-    effect : Effect
-        With its shape.
-    scale : float
-        Prior deviation of its coefficients, in units.
-    """
-
-    effect: Effect
-    scale: float = 1.0
+    effect: Effect  # with its shape
+    scale: float = 1.0  # prior deviation of its coefficients, in units
 
     @property
     def width(self):
@@ -76,24 +61,11 @@ class Member(Columns):
 
 
 class Problem(Declared):
-    """Weighted equations of all joints in frequency.
+    """Weighted equations of all joints in frequency."""
 
-    Parameters
-    ----------
-    view : RecordingView
-        Recording.
-    cosines : Cosines or None
-        Of the same rows, where they are there already.
-
-    Attributes
-    ----------
-    view, cosines : RecordingView and Cosines
-        As given.
-    Z, y : ndarray of shape (nv, n, r) and (nv, n)
-        Cosines of the declared columns and of the torques.
-    torque : ndarray of shape (nv,)
-        Root mean square of the varying torque of each joint, in weighted rows.
-    """
+    # cosines: of the rows of `view`, where they are there already; Z, y, (nv, n, r) and
+    # (nv, n): those of the declared columns and of the torques; torque (nv,): root mean
+    # square of the varying torque in weighted rows.
 
     def __init__(self, view, cosines=None):
         self.view = view
@@ -117,15 +89,9 @@ class Problem(Declared):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family(Columns):
-    """An effect with the shapes of its grid, in frequency.
+    """An effect with the shapes of its grid, in frequency."""
 
-    Attributes
-    ----------
-    effects : tuple of Effect
-        One for each shape.
-    """
-
-    effects: tuple
+    effects: tuple  # one for each shape
 
     @classmethod
     def of(cls, problem, effects, columns):
@@ -181,24 +147,11 @@ def _lower(L, right, turned=False):
 
 
 class Base:
-    """The declared columns alone under given weights, and what families are beside it.
+    """The declared columns under given weights, and what families are beside it."""
 
-    Parameters
-    ----------
-    problem : Problem
-        Equations.
-    density : ndarray of shape (nv, n_bands)
-        Weights of the cosines of each band.
-    log_prior : float
-        Logarithm of the prior density of the spectrum that they are from.
-
-    Attributes
-    ----------
-    L : ndarray of shape (r, r)
-        Lower Cholesky factor of their Gram matrix.
-    t : ndarray of shape (r,)
-        L^-1 times their products with the torques.
-    """
+    # density (nv, n_bands): weights of the cosines of each band; log_prior: logarithm
+    # of the prior density of the spectrum that they are from; L (r, r): lower Cholesky
+    # factor of the Gram matrix; t (r,): L^-1 times the products with the torques.
 
     def __init__(self, problem, density, log_prior=0.0):
         self.problem, self.density = problem, density
@@ -269,22 +222,13 @@ class Base:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beside:
-    """Moments of c groups of k columns beside the declared ones.
+    """Moments of c groups of k columns beside the declared ones."""
 
-    Attributes
-    ----------
-    T : ndarray of shape (r, c * k)
-        L^-1 times their products with these.
-    gram, H : ndarray of shape (c, k, k)
-        Their Gram matrices, and what is left of them.
-    q : ndarray of shape (c, k)
-        Their products with what is left of the torques.
-    """
-
-    T: np.ndarray
+    T: np.ndarray  # (r, c * k): L^-1 times their products with these
+    # (c, k, k): their Gram matrices, and what is left of them
     gram: np.ndarray
     H: np.ndarray
-    q: np.ndarray
+    q: np.ndarray  # (c, k): their products with what is left of the torques
 
 
 def _blocks(T, c, k):
@@ -294,24 +238,11 @@ def _blocks(T, c, k):
 
 
 class Fit:
-    """A model of all joints' torques with some members, under given weights.
+    """A model of all joints' torques with some members, under given weights."""
 
-    Parameters
-    ----------
-    base : Base
-        Declared columns under these weights.
-    members : sequence of Member
-        Effects beside them.
-
-    Attributes
-    ----------
-    theta : ndarray of shape (r,)
-        Posterior mean of the declared columns, in reduced coordinates.
-    places : list of slice
-        Coefficients of each member.
-    prior : ndarray of shape (p,)
-        Prior precision of these.
-    """
+    # base: declared columns under these weights; theta (r,): posterior mean of those,
+    # in reduced coordinates; places: coefficients of each member; prior (p,): precision
+    # of these.
 
     def __init__(self, base, members=()):
         self.base, self.members = base, tuple(members)
@@ -438,17 +369,14 @@ class Fit:
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
     def excess(self, family, c, coef, noise):
-        """How much more than by its noise the evidence for a group scatters in time.
-
-        That is, the variance of its score between blocks of time over that which its
-        second moments promise (the sandwich over the Hessian), at least one, with the
-        degrees of freedom that it is known with. The variance of slow changes of the
-        score counts where it is larger: that of independent blocks is as large at all
-        frequencies.
-
-        family, c, coef : group, its shape, direction (k,) of its coefficients that
-        counts; noise : residuals in whitened rows (nv, m), see `scores`.
-        """
+        """How much more than by its noise the evidence for a group scatters in time."""
+        # That is, the variance of its score between blocks of time over that which its
+        # second moments promise (the sandwich over the Hessian), at least one, with the
+        # degrees of freedom that it is known with. The variance of slow changes of the
+        # score counts where it is larger: that of independent blocks is as large at all
+        # frequencies.
+        # family, c, coef: group, its shape, direction (k,) of its coefficients that
+        # counts; noise: residuals in whitened rows (nv, m), see `scores`.
         problem, base = self.problem, self.base
         direction = family.columns[:, :, c] @ coef
         cross = np.zeros(base.L.shape[0])
@@ -508,10 +436,8 @@ class Fit:
         return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
 
     def own_groups(self):
-        """Second moments of each member beside the others, list of `Groups`.
-
-        By the block inverse, without another fit.
-        """
+        """Second moments of each member beside the others, list of `Groups`."""
+        # By the block inverse, without another fit.
         found = []
         for place, member in zip(self.places, self.members):
             inverse = np.linalg.inv(self._covariance[place, place])
@@ -530,10 +456,8 @@ class Fit:
         return found
 
     def log_evidence(self):
-        """Logarithm of the evidence, but for a constant of the recording.
-
-        Of members with their scales, and of the spectrum that the weights are from.
-        """
+        """Logarithm of the evidence, but for a constant of the recording."""
+        # Of members with their scales, and of the spectrum that the weights are from.
         problem, density = self.problem, self.base.density
         heard, cosines = problem.heard, problem.cosines
         count = cosines.fill[heard, None] * np.diff(cosines.edges)
@@ -563,10 +487,9 @@ class Fit:
 
 
 def together(fit, members, prior, scale):
-    """Put members of one joint beside a fit and drop the least probable, one by one.
-
-    `prior` are their log odds before the data (n,), `scale` that of `Groups.evidence`.
-    """
+    """Put members of one joint beside a fit and drop the least probable, one by one."""
+    # `prior` are their log odds before the data (n,), `scale` that of
+    # `Groups.evidence`.
     if not members:
         return []
     columns = np.concatenate([m.columns for m in members], axis=3)

@@ -28,28 +28,17 @@ _NEUTRAL = 2.0
 
 @dataclass(frozen=True)
 class Bracket:
-    """A shape parameter between the grid's next points on both sides.
+    """A shape parameter between the grid's next points on both sides."""
 
-    Attributes
-    ----------
-    low, high : float
-        Bounds; of the logarithm where that is searched.
-    lowest, highest : float
-        Ends of the whole grid; infinite for an angle.
-    logarithmic : bool
-        Whether the logarithm is searched.
-    turn : float
-        Period of an angle; zero for what is none.
-    instants : tuple of ndarray of shape (n,), optional
-        Of a jump: times of rows, and the instant shared since the row before.
-    """
-
+    # bounds; of the logarithm where that is searched
     low: float
     high: float
+    # ends of the whole grid; infinite for an angle
     lowest: float = -np.inf
     highest: float = np.inf
-    logarithmic: bool = False
-    turn: float = 0.0
+    logarithmic: bool = False  # whether the logarithm is searched
+    turn: float = 0.0  # period of an angle; zero for what is none
+    # (n,) of a jump: times of rows, and the instant shared since the row before
     instants: tuple | None = None
 
     @classmethod
@@ -101,10 +90,8 @@ def _instants(motion):
 
 
 def _between(motion):
-    """List (row, instant before it, how many that is) where rows are not neighbours.
-
-    The instant at which a recording begins, or the middle of what is left out.
-    """
+    """List (row, instant before it, how many that is) where rows are not neighbours."""
+    # The instant at which a recording begins, or the middle of what is left out.
     times = np.asarray(motion.t, dtype=float)
     step = np.diff(times)
     usual = np.median(step) if step.size else 1.0
@@ -119,11 +106,9 @@ def _between(motion):
 
 
 def refined(candidates, evidence, motion):
-    """Search shape parameters on between the points of the grid.
-
-    candidates : effects to start from; evidence : effect -> what its shape is worth
-    [nats]. Returns the best effect of all that were tried.
-    """
+    """Search shape parameters on between the points of the grid."""
+    # candidates: effects to start from; evidence: effect -> what its shape is worth
+    # [nats]. Returns the best effect of all that were tried.
     found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
     for values, least in _plainer(found, motion):
         plain = clone(found).set_params(**values)

@@ -34,84 +34,34 @@ _KEPT = 6
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Family:
-    """An effect with several shape parameters.
+    """An effect with several shape parameters."""
 
-    Attributes
-    ----------
-    effects : tuple of Effect
-        One for each shape; none where the motion leaves nothing to try.
-    columns : ndarray of shape (nj, m, c, k) or None
-        Their columns in the equations of the nj joints that they act on, rows scaled
-        by the root of the weights, with zeros behind those of a shape that has fewer;
-        None without effects.
-    """
-
+    # one for each shape; none where the motion leaves nothing to try
     effects: tuple[Effect, ...]
+    # (nj, m, c, k): in the equations of the nj joints that they act on, rows scaled by
+    # the root of the weights, with zeros behind those of a shape that has fewer; None
+    # without effects
     columns: np.ndarray | None
 
 
 class RecordingView:
-    """Filtered equations of a recording, and effects' columns behind the same filter.
+    """Filtered equations of a recording, and effects' columns behind that filter."""
 
-    Nothing of it changes once it is made.
-
-    Parameters
-    ----------
-    robot : RobotIdentifier
-        Fitted to the recording with the declared model.
-    recording : Recording
-        What is measured, with its weights and its time.
-    leave_out : sequence of int
-        Joints whose torque channel carries no information.
-    origin : ndarray of shape (n,) or None
-        Number of the recording that each row is from, where these are pieces of
-        recordings; None where they are whole.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are not among these.
-
-    Attributes
-    ----------
-    robot : RobotIdentifier
-        As given.
-    declared : tuple of str
-        Effects that the declared model has on every joint.
-    floor : ndarray of shape (nv,)
-        Mean square of the residual to expect from noise alone; nan if unknown.
-    states : ndarray of shape (n, 3 * nv)
-        States at the full rate.
-    clock : ndarray of shape (n,) or None
-        Their time [s].
-    signals : mapping of str to ndarray of shape (n,)
-        What was recorded beside them.
-    parts : list of slice
-        Recordings or pieces of them: nothing is remembered across their borders.
-    index : ndarray of shape (m,)
-        Full-rate row at the middle of each filtered one.
-    equations : Equations
-        Filtered equations of the declared model.
-    root, target : ndarray of shape (m, nv) and (nv, m)
-        Roots of the weights; torques scaled by them.
-    nv : int
-        Number of joints.
-    step : float
-        Time between filtered rows [s].
-    starts : ndarray of int
-        First filtered row of each part.
-    origin : ndarray of shape (m,)
-        Number of the recording that each filtered row is from.
-    blocks : Blocks
-        Blocks by which folds are left out and evidence is tempered.
-    spans : Blocks
-        Blocks of time; `blocks` are these, or phases of a motion that repeats.
-    repetition : Repetition or None
-        Motion that repeats.
-    span_order : ndarray of int
-        All blocks, parts in an order that does not depend on how they came.
-    precision : ndarray of shape (nv,)
-        Weights of the joints in the fit of the declared model.
-    Z, back : ndarray of shape (nv, m, r) and (p, r)
-        Regressor in reduced coordinates, see `reduced`.
-    """
+    # Nothing of it changes once it is made. robot: fitted to the recording with the
+    # declared model; leave_out: joints whose channel carries no information; begins:
+    # when recordings begin [s], if their first rows are not among these.
+    # At the full rate: states (n, 3 nv), their clock (n,) [s] or None, signals (n,) by
+    # name, and parts, recordings or pieces of them, across whose borders nothing is
+    # remembered.
+    # Filtered: index (m,), full-rate row at the middle of each row; equations of the
+    # declared model; root (m, nv) of the weights and target (nv, m), torques scaled by
+    # it; step [s]; starts, first row of each part; origin (m,), number of its
+    # recording; Z (nv, m, r) and back (p, r), see `reduced`.
+    # blocks: by which folds are left out and evidence is tempered, spans of time or, of
+    # a motion that repeats, phases; span_order: all of them, parts in an order that
+    # does not depend on how they came; floor (nv,): mean square of the residual from
+    # noise alone, nan if unknown; precision (nv,): weights of the joints in the
+    # declared model's fit.
 
     def __init__(
         self,
@@ -144,11 +94,9 @@ class RecordingView:
         self._set_coordinates()
 
     def corrected(self, effects):
-        """Return the view whose robot is corrected by effects that are in the model.
-
-        Itself if they correct what its own robot is corrected by. Rows, blocks and
-        weights are the same; equations and coordinates are another robot's.
-        """
+        """Return the view whose robot is corrected by effects that are in the model."""
+        # Itself if they correct what its own robot is corrected by. Rows, blocks and
+        # weights are the same; equations and coordinates are another robot's.
         own = {effect.key() for effect in self._root.robot.effects_}
         wanted = [e for e in effects if e.in_model and (e.corrects or e.key() in own)]
         key = frozenset((e.key(), tuple(e.values.tolist())) for e in wanted)
@@ -256,10 +204,8 @@ class RecordingView:
         return (self.root.T**2).sum(axis=1)
 
     def spread(self):
-        """Return the standard deviation of the torques that count, (nv,) [N m or N].
-
-        nan for a joint without rows.
-        """
+        """Return the standard deviation of the torques that count, (nv,) [N m or N]."""
+        # nan for a joint without rows.
         tau, weight = self.equations.tau, self.equations.weight
         with np.errstate(divide="ignore", invalid="ignore"):
             total = weight.sum(axis=0)
@@ -267,10 +213,8 @@ class RecordingView:
             return np.sqrt((weight * (tau - mean) ** 2).sum(axis=0) / total)
 
     def motion(self, theta, effects=(), coefs=()):
-        """Signals at the full rate; the load from reduced coordinates or None.
-
-        Effects, with the coefficients of all of them, are part of the torque.
-        """
+        """Signals at the full rate; the load from reduced coordinates or None."""
+        # Effects, with the coefficients of all of them, are part of the torque.
         rigid, parameters = self.robot.features_.n_parameters_, None
         if theta is not None:
             plain = plain_coefficients(effects, coefs)
@@ -376,11 +320,9 @@ def variants(effect, motion):
 
 
 def reduced(equations, precision):
-    """Express a regressor in the directions that the data determine.
-
-    Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
-    weight, and the matrix (p, r) that leads back to the parameters.
-    """
+    """Express a regressor in the directions that the data determine."""
+    # Returns it in reduced coordinates (nv, m, r), rows scaled by the root of their
+    # weight, and the matrix (p, r) that leads back to the parameters.
     weight = equations.weight
     root = np.sqrt(weight).T[:, :, None]
     rows = equations.Phi.transpose(1, 0, 2) * root

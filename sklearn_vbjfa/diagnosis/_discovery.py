@@ -7,10 +7,14 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
-from sklearn_vbjfa.diagnosis.explain._judgement import Models, judge
-from sklearn_vbjfa.diagnosis.explain._outcome import make_outcome
-from sklearn_vbjfa.diagnosis.explain._split import split_in_time
+from sklearn_vbjfa.diagnosis.explain import (
+    FinalFit,
+    Models,
+    added_effects,
+    judge,
+    make_outcome,
+    split_in_time,
+)
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._path import tuned_on

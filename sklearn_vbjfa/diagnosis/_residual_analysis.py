@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.explain import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time

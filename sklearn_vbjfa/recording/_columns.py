@@ -115,26 +115,38 @@ def check_given(signals, n_samples):
     return found
 
 
-def signals_for(effects, given, offered, n_samples):
-    """Return the signals that effects use by name, a dict of arrays (n_samples,)."""
-    # given: by name, or `OfferedSignals`; offered: `OfferedSignals` of the same rows.
+def _asked_for(effects, given, offered, n_samples):
+    """Signals given, or asked for by effects, by name; these names; what is offered."""
     if isinstance(given, OfferedSignals):
         given, offered = None, given
     found = check_given(given, n_samples)
-    _refuse_twice(found, offered)
-    if not any("signals" in effect.needs for effect in effects):
-        return {}
-    wanted = {name for effect in effects for name in effect.recorded}
+    twice = [name for name in found if name in offered.names]
+    if twice:
+        raise ValueError(
+            f"signals has {twice[0]!r}, which is a column of X as well; give it once."
+        )
+    users = [effect for effect in effects if "signals" in effect.needs]
+    wanted = {name for effect in users for name in effect.recorded}
     for name in wanted & set(offered.names):
         found[name] = offered.column(name, n_samples)
-    _refuse_missing(wanted, found)
-    if not wanted:
-        # An effect of one's own, of which nobody knows what it uses.
-        for name, values in offered.columns.items():
-            values, reason = as_numbers(values, n_samples)
-            if not reason:
-                found[name] = values
-    return found
+    missing = sorted(wanted - set(found))
+    if missing:
+        raise ValueError(
+            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
+            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
+            "per row, or a column of that name in a data frame X."
+        )
+    return found, wanted, offered
+
+
+def signals_for(effects, given, offered, n_samples):
+    """Return the signals that effects use by name, a dict of arrays (n_samples,)."""
+    # given: by name, or `OfferedSignals`; offered: `OfferedSignals` of the same rows.
+    found, wanted, offered = _asked_for(effects, given, offered, n_samples)
+    if not any("signals" in effect.needs for effect in effects):
+        return {}
+    # An effect of one's own, of which nobody knows what it uses, takes all.
+    return found if wanted else found | offered.numbers(n_samples)
 
 
 def check_useful(given, recording):
@@ -152,16 +164,8 @@ def survey(given, offered, recording, effects):
     # Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
     # `offered` that are left out. Of those asked for by name, by the caller or by an
     # effect, none is: they are refused.
-    if isinstance(given, OfferedSignals):
-        given, offered = None, given
     n_samples = recording.n_samples
-    found = check_given(given, n_samples)
-    _refuse_twice(found, offered)
-    users = [effect for effect in effects if "signals" in effect.needs]
-    wanted = {name for effect in users for name in effect.recorded}
-    for name in wanted & set(offered.names):
-        found[name] = offered.column(name, n_samples)
-    _refuse_missing(wanted, found)
+    found, wanted, offered = _asked_for(effects, given, offered, n_samples)
     check_useful(found, recording)
     reasons = {k: v for k, v in offered.left_out.items() if k not in wanted}
     for name, values in offered.columns.items():
@@ -174,6 +178,7 @@ def survey(given, offered, recording, effects):
             reasons[name] = reason
         else:
             found[name] = values
+    users = [effect for effect in effects if "signals" in effect.needs]
     if users and all(effect.recorded for effect in users):
         # Each names the one that it is meant for.
         found = {name: found[name] for name in found if name in wanted}
@@ -279,24 +284,6 @@ def _is_clock(values, recording):
     )
 
 
-def _refuse_missing(wanted, found):
-    missing = sorted(wanted - set(found))
-    if missing:
-        raise ValueError(
-            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
-            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
-            "per row, or a column of that name in a data frame X."
-        )
-
-
-def _refuse_twice(given, offered):
-    twice = [name for name in given if name in offered.names]
-    if twice:
-        raise ValueError(
-            f"signals has {twice[0]!r}, which is a column of X as well; give it once."
-        )
-
-
 def _finding(name, reason):
     return ChannelFinding(
         kind="unusable_signal",
@@ -359,12 +346,9 @@ def torques_in_order(y, names):
 def _divided(X, names):
     """Columns of positions or states in order, and columns beside them, two lists."""
     # Both are empty where there is nothing beside them, or positions are not complete.
-    columns = getattr(X, "columns", None)
-    if columns is None or not all(isinstance(column, str) for column in columns):
-        return [], []
-    columns = list(columns)
+    columns = _columns_of(X)
     found = _channels(columns, names)
-    channels = [column for quantity in found for column in quantity]
+    channels = list(itertools.chain(*found))
     for prefixes in (*_STATES[1:], _TORQUE):
         channels += _by_joint(columns, names, prefixes)
         channels += _by_number(columns, len(names), prefixes)
@@ -374,33 +358,28 @@ def _divided(X, names):
     return list(itertools.chain(*found)), rest
 
 
+def _columns_of(frame):
+    """Names of the columns of a data frame; as in scikit-learn only text is one."""
+    columns = list(getattr(frame, "columns", ()))
+    return columns if all(isinstance(column, str) for column in columns) else []
+
+
 def _channels(columns, names):
     """Columns of positions or of states, a list for each quantity; empty for none."""
-    found = [
-        _by_joint(columns, names, prefixes) or _by_number(columns, len(names), prefixes)
-        for prefixes in _STATES
-    ]
+    found = [_named(columns, names, prefixes) for prefixes in _STATES]
     return found if all(found) else found[:1]
 
 
 def _in_order(frame, names, what, kinds):
     """Order columns; `kinds` are the prefixes of each quantity in turn."""
-    columns = getattr(frame, "columns", None)
-    if columns is None:
-        return frame
-    columns = list(columns)
+    columns = _columns_of(frame)
     count, rest = divmod(len(columns), len(names))
-    # A wrong number of columns is refused elsewhere, as for arrays; as in scikit-learn
-    # only text is a name.
+    # A wrong number of columns is refused elsewhere, as for arrays.
     if rest or count not in {1, len(kinds)}:
-        return frame
-    if not all(isinstance(column, str) for column in columns):
         return frame
     wanted = []
     for prefixes in kinds[:count]:
-        found = _by_joint(columns, names, prefixes) or _by_number(
-            columns, len(names), prefixes
-        )
+        found = _named(columns, names, prefixes)
         if not found:
             expected = [f"{kind[0]}_{name}" for kind in kinds[:count] for name in names]
             strange = [c for c in columns if not _known(c, names, kinds)]
@@ -413,6 +392,12 @@ def _in_order(frame, names, what, kinds):
             )
         wanted += found
     return frame if wanted == columns else frame[wanted]
+
+
+def _named(columns, names, prefixes):
+    """Columns of one quantity by joints or by their numbers, empty without all."""
+    by_number = _by_number(columns, len(names), prefixes)
+    return _by_joint(columns, names, prefixes) or by_number
 
 
 def _by_joint(columns, names, prefixes):

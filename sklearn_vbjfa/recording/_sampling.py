@@ -438,6 +438,12 @@ class _Piece:
     channels: Mapping[str, np.ndarray]
 
 
+def _channels_of(one):
+    """Return what a log or a recording has for every row, by name."""
+    own = {"q": one.q, "tau": one.tau, **one.signals}
+    return own if one.v is None else own | {"v": one.v}
+
+
 def _fields(pieces: Sequence[_Piece], dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
     columns = {
@@ -550,9 +556,7 @@ def join(
     # several recordings, "name [1]", "name [2]", ...
     pieces = []
     for log in logs:
-        channels = {"q": log.q, "tau": log.tau, **log.signals}
-        if log.v is not None:
-            channels["v"] = log.v
+        channels = _channels_of(log)
         parts = [(log.t, channels)]
         if resample:
             parts = resample_uniform(
@@ -682,9 +686,7 @@ def on_one_grid(recordings, names, dt):
     # a `Recording`, and the positions of the files that were interpolated.
     pieces, names, moved, noise = [], iter(names), [], []
     for k, one in enumerate(recordings):
-        channels = {"q": one.q, "tau": one.tau, **one.signals}
-        if one.v is not None:
-            channels["v"] = one.v
+        channels = _channels_of(one)
         tally = _Tally()
         for rows in one.segments:
             values = _rows_of(channels, rows)

@@ -20,7 +20,6 @@ _MODULES = {
         "contradictions",
     ),
     "_drawn": (
-        "EffectCurves",
         "TimeLine",
         "TorqueCurves",
         "cloud_size",
@@ -55,7 +54,6 @@ _MODULES = {
         "measure_band",
         "parameter_values",
         "power_share",
-        "recorded_motion",
     ),
     "_intervals": (
         "EffectEstimate",
@@ -65,11 +63,9 @@ _MODULES = {
         "added_effects",
         "error_intervals",
         "next_recording",
-        "quantile",
     ),
     "_judgement": ("Models", "ProjectionPrice", "Pushed", "concerned", "judge"),
     "_outcome": (
-        "Afterwards",
         "DiscoveredEffect",
         "Outcome",
         "Provenance",
@@ -78,7 +74,7 @@ _MODULES = {
         "make_outcome",
         "named_values",
     ),
-    "_split": ("Split", "split_in_time"),
+    "_split": ("split_in_time",),
 }
 __all__ = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -67,7 +67,7 @@ def run(arguments):
     """Close the loop on a user's recording and write the files."""
     from sklearn_vbjfa import effects
     from sklearn_vbjfa.diagnosis import Report
-    from sklearn_vbjfa.diagnosis.explain._findings import Provenance
+    from sklearn_vbjfa.diagnosis.explain import Provenance
     from sklearn_vbjfa.effects import _declared
     from sklearn_vbjfa.physical import ProjectionError
 
@@ -209,7 +209,7 @@ def close(
 def _write(loop, report, out):
     """Write all files or none; each appears complete."""
     # Returns their paths, and what the descriptions do not have, by their names.
-    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+    from sklearn_vbjfa.diagnosis.explain import parameter_values
 
     texts = {
         _PAGE: report.to_html(),

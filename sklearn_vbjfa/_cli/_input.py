@@ -134,7 +134,7 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     """Read a recording that is long enough."""
     # identified: whether gains that are unknown can be identified.
     from sklearn_vbjfa.datasets import read_recording
-    from sklearn_vbjfa.recording._refusal import RecordingRefused
+    from sklearn_vbjfa.recording import RecordingRefused
 
     files = sources(arguments.recording)
     source = named(files)
@@ -231,7 +231,7 @@ def check_channels(recording, urdf, gains, source):
 
 def signals(text, recording, source):
     """Return the signals that were asked for, by name; None takes what there is."""
-    from sklearn_vbjfa.recording._signals import OfferedSignals
+    from sklearn_vbjfa.recording import OfferedSignals
 
     offered = OfferedSignals.of_file(recording)
     if text is None:
@@ -253,7 +253,7 @@ def signals(text, recording, source):
 
 def path(text):
     """Return a path in which ~ is the home folder, as shells have it."""
-    from sklearn_vbjfa.recording._files import expanded
+    from sklearn_vbjfa.recording import expanded
 
     return expanded(text)
 
@@ -470,7 +470,7 @@ def seed(number):
 def default_folder(paths):
     """Folder for the files of a run if none is named."""
     # It is called after the recording, or after the folder that holds several.
-    from sklearn_vbjfa.recording._concatenate import common_folder
+    from sklearn_vbjfa.recording import common_folder
 
     folder = common_folder(paths) if len(paths) > 1 else ""
     if folder:

@@ -5,20 +5,26 @@ OF_READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
 
 # What is declared of every joint where no option says so.
 FRICTION = "viscous,coulomb,offset,rotor_inertia"
-# What a recording may be, for the help.
+# What a recording may be beside a table of one of the formats, for the help.
 _RECORDING = (
-    "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
-    "q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
-    "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
-    "of a LeRobot data set; - for standard input"
+    " file with columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, "
+    "t [s], segment, and signals such as a temperature; a bag of ROS 1 or 2, MCAP; "
+    "the folder of a bag or of a LeRobot data set; - for standard input"
 )
 _SEVERAL = "; or several such files of one robot, recorded alike"
+
+
+def _recording():
+    """Say what a recording may be."""
+    from sklearn_vbjfa.recording import formats
+
+    return formats.TABLES + _RECORDING
 
 
 def add_files(parser):
     """Add recordings and the robot, all of which there must be."""
     parser.add_argument(
-        "recording", nargs="+", metavar="RECORDING", help=_RECORDING + _SEVERAL
+        "recording", nargs="+", metavar="RECORDING", help=_recording() + _SEVERAL
     )
     parser.add_argument(
         "--urdf",
@@ -35,7 +41,7 @@ def add_optional_files(parser, *, several=True):
         nargs="*" if several else "?",
         default=None,
         metavar="RECORDING",
-        help=_RECORDING + (_SEVERAL if several else ""),
+        help=_recording() + (_SEVERAL if several else ""),
     )
     parser.add_argument(
         "--urdf",

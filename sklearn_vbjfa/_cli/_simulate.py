@@ -351,14 +351,14 @@ def _parts(recording):
 
 def _rows_of(recording, rows):
     """Make a recording of some rows of another."""
-    from sklearn_vbjfa.recording._recording import take_rows
+    from sklearn_vbjfa.recording import take_rows
 
     return take_rows(recording, rows, recording.groups[rows])
 
 
 def _at(signals, rows):
     """Signals at some rows."""
-    from sklearn_vbjfa.recording._signals import OfferedSignals
+    from sklearn_vbjfa.recording import OfferedSignals
 
     if signals is None:
         return None

@@ -13,8 +13,7 @@ import numpy as np
 from sklearn_vbjfa.datasets import _readers
 from sklearn_vbjfa.datasets._download import Access, DataFiles, source_address
 from sklearn_vbjfa.model import find_description, kr300_description
-from sklearn_vbjfa.recording._recording import Recording
-from sklearn_vbjfa.recording._resample import Log, join, median_period
+from sklearn_vbjfa.recording import Log, Recording, join, median_period
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -25,7 +25,7 @@ from sklearn_vbjfa.datasets._robots import (
     resolve_model,
     rigid_torques,
 )
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording import Recording
 
 # Error at which feedback alone gives the joint's typical torque [rad or m]. Low gains:
 # an industrial controller's is a hundredth of it.

@@ -9,7 +9,7 @@ from os import PathLike
 from sklearn_vbjfa.datasets._catalogue import CATALOGUE, load
 from sklearn_vbjfa.datasets._download import Access
 from sklearn_vbjfa.datasets._readers import UR5_GAINS
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording import Recording
 
 # What the documentation of all loaders shares, by where it stands.
 _SHARED = {

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from sklearn_vbjfa.datasets._download import DataFiles
-from sklearn_vbjfa.recording._resample import Log
+from sklearn_vbjfa.recording import Log
 
 # -- EMPS ------------------------------------------------------------------------------
 

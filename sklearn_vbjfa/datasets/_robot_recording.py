@@ -21,7 +21,7 @@ from sklearn_vbjfa.datasets._robots import (
     with_inertias,
 )
 from sklearn_vbjfa.model import import_pinocchio, load_model
-from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording import Recording
 
 # Share of a joint's range and speed that the motion keeps to.
 _RANGE_SHARE = 0.8

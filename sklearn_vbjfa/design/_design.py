@@ -27,7 +27,7 @@ from sklearn_vbjfa.design._open_questions import (
     read_report,
 )
 from sklearn_vbjfa.design._optimise import INSIDE, Problem, excess, optimise, shrunk
-from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.recording import check_dt
 
 # Harmonics: few keep the motion smooth, many give it slow and fast parts.
 _FEWEST, _MOST = 5, 25

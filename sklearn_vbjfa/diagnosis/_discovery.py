@@ -7,10 +7,14 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
-from sklearn_vbjfa.diagnosis.explain._judgement import Models, judge
-from sklearn_vbjfa.diagnosis.explain._outcome import make_outcome
-from sklearn_vbjfa.diagnosis.explain._split import split_in_time
+from sklearn_vbjfa.diagnosis.explain import (
+    FinalFit,
+    Models,
+    added_effects,
+    judge,
+    make_outcome,
+    split_in_time,
+)
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
@@ -22,14 +26,18 @@ from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical._solver import one_blas_thread
-from sklearn_vbjfa.recording._columns import (
+from sklearn_vbjfa.recording import (
+    OfferedSignals,
+    check_clock,
+    check_dt,
     columns_beside,
+    commands_among,
+    find_repetition,
     positions_in_order,
+    survey,
+    take_arrays,
     torques_in_order,
 )
-from sklearn_vbjfa.recording._recording import check_clock, check_dt, take_arrays
-from sklearn_vbjfa.recording._repetition import commands_among, find_repetition
-from sklearn_vbjfa.recording._signals import OfferedSignals, survey
 from sklearn_vbjfa.robot._identifier import (
     RecordingRegressorMixin,
     RobotIdentifier,

@@ -6,15 +6,14 @@ import numpy as np
 from sklearn.base import clone
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.explain import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import declared_alone
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.recording._recording import check_clock, take_arrays
-from sklearn_vbjfa.recording._signals import check_given, check_useful
+from sklearn_vbjfa.recording import check_clock, check_given, check_useful, take_arrays
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._recording_checks import check_weight
 

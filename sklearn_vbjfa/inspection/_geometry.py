@@ -19,7 +19,7 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording._faults import ChannelFinding
+from sklearn_vbjfa.recording import ChannelFinding
 
 # Friction below this share of a torque is no evidence of a wrong sign ...
 _FRICTION_SHARE = 0.1

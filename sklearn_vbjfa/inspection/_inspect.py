@@ -7,13 +7,14 @@ from sklearn_vbjfa.inspection._rivals import channel_signals
 from sklearn_vbjfa.inspection._timing import delays, sample_periods, too_fast
 from sklearn_vbjfa.inspection._units import counts, degrees, gear_factors, velocities
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
-from sklearn_vbjfa.recording._faults import (
+from sklearn_vbjfa.recording import (
     ChannelFinding,
+    check_dt,
+    contiguous_groups,
     in_order,
     inspect_samples,
     shuffled_rows,
 )
-from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups
 
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 

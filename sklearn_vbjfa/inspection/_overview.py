@@ -18,7 +18,7 @@ from sklearn_vbjfa.model import (
     load_model,
     nominal_parameters,
 )
-from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.recording import contiguous_groups
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 
 # A joint has one speed if this share of its moving time, about the middle, lies in a

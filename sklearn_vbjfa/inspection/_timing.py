@@ -10,7 +10,7 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording._faults import ChannelFinding, listed
+from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
 # A joint without a speed limit does not move faster than this [rad/s, m/s] ...
 _FASTEST_TURN = 60.0
@@ -180,7 +180,7 @@ def delays(model, names, dt, signals):
         return []
     samples = common * step
     reduction = np.exp(np.median([clear[j][1] for j in agree]))
-    who = listed(names, agree)
+    who = listed_joints(names, agree)
     way = "late" if samples > 0 else "early"
     return [
         ChannelFinding(

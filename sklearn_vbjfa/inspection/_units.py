@@ -11,7 +11,7 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording._faults import ChannelFinding, listed
+from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
 # Share of the torque that the nominal model must explain to count as evidence.
 _NOMINAL_SHARE = 0.5
@@ -65,12 +65,12 @@ def counts(model, names, q, ratio):
             "position_counts",
             joints,
             "error",  # Sines and inertias of such angles are nonsense.
-            f"The positions of {listed(names, joints)} are neither {other}: "
+            f"The positions of {listed_joints(names, joints)} are neither {other}: "
             f"{names[j]} has {evidence}, more than it can move; they look like encoder "
             f"counts: convert them to {unit} (times 2 pi over the counts of a turn, "
             "from the joint's zero)."
             if revolute[j]
-            else f"The positions of {listed(names, joints)} are not in metres: "
+            else f"The positions of {listed_joints(names, joints)} are not in metres: "
             f"{names[j]} has {evidence}, more than it can move; convert encoder "
             f"counts or millimetres to {unit}.",
         )

@@ -1,1 +1,58 @@
 """Recordings: what they hold, how they are read, and faults of their samples."""
+
+from sklearn_vbjfa import _lazily
+
+# Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
+# for other rooms.
+_MODULES = {
+    "_columns": (
+        "OfferedSignals",
+        "check_given",
+        "check_useful",
+        "columns_beside",
+        "fault",
+        "positions_in_order",
+        "signals_for",
+        "survey",
+        "torques_in_order",
+    ),
+    "_faults": (
+        "ChannelFinding",
+        "at_rest",
+        "in_order",
+        "inspect_samples",
+        "levels",
+        "listed_joints",
+        "nothing_moves",
+        "position_jumps",
+        "shuffled_rows",
+        "two_values",
+    ),
+    "_presets": ("PRESETS",),
+    "_reader": ("common_folder", "read_recording"),
+    "_recording": (
+        "Recording",
+        "check_clock",
+        "check_cutoff",
+        "check_dt",
+        "contiguous_groups",
+        "take_arrays",
+        "take_rows",
+    ),
+    "_repetition": ("RepeatedMotion", "commands_among", "find_repetition"),
+    "_sampling": (
+        "Log",
+        "check_time_stamps",
+        "inspect_time_stamps",
+        "interpolate",
+        "join",
+        "median_period",
+        "merge_doubled",
+        "prediction_errors",
+        "resample_uniform",
+    ),
+    "_table": ("RecordingRefused", "listed", "quoted"),
+    "formats": ("expanded",),
+}
+__all__ = ["Recording", "read_recording"]
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

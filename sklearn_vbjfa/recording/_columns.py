@@ -1,9 +1,299 @@
-"""Columns of data frames, by the names of joints instead of by their places."""
+"""Columns that a caller gives: those of the joints, and signals beside them.
+
+A temperature, a voltage, the state of a tool are conditions of the robot that its
+friction may vary with. What is merely the motion or the torque under another name (a
+motor current, a reference) explains the torque by itself, and is none; nor is a clock.
+"""
 
 import itertools
 import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
-from sklearn_vbjfa.recording._signals import OfferedSignals
+import numpy as np
+
+from sklearn_vbjfa.recording._faults import ChannelFinding
+from sklearn_vbjfa.recording._table import quoted
+
+# A column is another channel under a new name if this share of its variance is that
+# channel's, but for a factor and an offset: the rest is noise and quantisation.
+_COPY = 0.95
+# One that nobody asked for is left out at this share already: references and currents
+# follow the motion, with a lag and an error of their own. (A slow signal has half of a
+# slow position by chance, in a short recording.)
+_FOLLOWS = 0.8
+# Units of a clock: seconds, their thousandths to billionths, minutes, hours.
+_CLOCKS = (1.0, 1e3, 1e6, 1e9, 1 / 60, 1 / 3600)
+# What quartz deviates at most from another one.
+_CLOCK_TOLERANCE = 1e-4
+# Differences of equal values by rounding, as a share of the value.
+_ROUNDING = 1e-12
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OfferedSignals:
+    """Columns that came with the motion and that nobody asked for by name."""
+
+    columns: Mapping = field(default_factory=dict)  # as they were read, numbers or not
+    # those that are known not to be usable: what is wrong with them
+    left_out: Mapping = field(default_factory=dict)
+
+    @classmethod
+    def of_file(cls, recording):
+        """Take the other columns of a file, one by one; accelerations are none."""
+        columns = {}
+        for name, values in recording.signals.items():
+            if values.ndim == 1:
+                columns[name] = values
+            elif name != "a":
+                columns |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+        return cls(columns=columns, left_out=recording.left_out)
+
+    def column(self, name, n_samples):
+        """Return a column that somebody asked for, or say why that cannot be."""
+        if name in self.left_out:
+            raise ValueError(f"The column {name!r} {self.left_out[name]}.")
+        values, reason = as_numbers(self.columns[name], n_samples)
+        if reason:
+            raise ValueError(f"The column {name!r} {reason}.")
+        return values
+
+    def numbers(self, n_samples):
+        """Return the columns that are numbers, a dict of arrays (n_samples,)."""
+        read = {name: as_numbers(x, n_samples) for name, x in self.columns.items()}
+        return {name: values for name, (values, reason) in read.items() if not reason}
+
+    @property
+    def names(self):
+        """Names of all columns, tuple of str."""
+        return (*self.columns, *self.left_out)
+
+
+def as_numbers(values, n_samples):
+    """Return a column as floats (n_samples,), and what is wrong with it."""
+    # The first is None where the second is not empty.
+    values = np.asarray(values)
+    if values.shape != (n_samples,):
+        return None, (
+            f"has the shape {values.shape}; expected one value per row, ({n_samples},)"
+        )
+    numbers = values
+    if values.dtype.kind == "O":
+        try:
+            numbers = values.astype(float)
+        except (TypeError, ValueError):
+            pass
+    if numbers.dtype.kind not in "biuf":
+        return None, f"holds {quoted(str(values.ravel()[0]))} and not numbers"
+    numbers = numbers.astype(float)
+    gaps = np.flatnonzero(~np.isfinite(numbers))
+    if gaps.size:
+        return None, (
+            f"has gaps: {gaps.size} of {n_samples} values are not finite, the first in "
+            f"row {gaps[0]}; interpolate them"
+        )
+    return numbers, ""
+
+
+def check_given(signals, n_samples):
+    """Return signals that were given by name as floats (n_samples,), a dict."""
+    if signals is None:
+        return {}
+    # A data frame is no mapping but has items.
+    if not (isinstance(signals, Mapping) or hasattr(signals, "items")):
+        raise ValueError(
+            "signals must be a mapping of names to columns of one value per row, or a "
+            f"data frame; got {type(signals).__name__}."
+        )
+    found = {}
+    for name, values in signals.items():
+        if not isinstance(name, str) or not name:
+            raise ValueError(f"signals must have names that are text; got {name!r}.")
+        found[name], reason = as_numbers(values, n_samples)
+        if reason:
+            raise ValueError(f"signals: {name!r} {reason}.")
+    return found
+
+
+def _asked_for(effects, given, offered, n_samples):
+    """Signals given, or asked for by effects, by name; these names; what is offered."""
+    if isinstance(given, OfferedSignals):
+        given, offered = None, given
+    found = check_given(given, n_samples)
+    twice = [name for name in found if name in offered.names]
+    if twice:
+        raise ValueError(
+            f"signals has {twice[0]!r}, which is a column of X as well; give it once."
+        )
+    users = [effect for effect in effects if "signals" in effect.needs]
+    wanted = {name for effect in users for name in effect.recorded}
+    for name in wanted & set(offered.names):
+        found[name] = offered.column(name, n_samples)
+    missing = sorted(wanted - set(found))
+    if missing:
+        raise ValueError(
+            f"The effects hold one that varies with the recorded signal {missing[0]!r}"
+            f", which is missing; give signals={{{missing[0]!r}: ...}} with one value "
+            "per row, or a column of that name in a data frame X."
+        )
+    return found, wanted, offered
+
+
+def signals_for(effects, given, offered, n_samples):
+    """Return the signals that effects use by name, a dict of arrays (n_samples,)."""
+    # given: by name, or `OfferedSignals`; offered: `OfferedSignals` of the same rows.
+    found, wanted, offered = _asked_for(effects, given, offered, n_samples)
+    if not any("signals" in effect.needs for effect in effects):
+        return {}
+    # An effect of one's own, of which nobody knows what it uses, takes all.
+    return found if wanted else found | offered.numbers(n_samples)
+
+
+def check_useful(given, recording):
+    """Refuse signals, given by name, that are no condition of the robot."""
+    if isinstance(given, OfferedSignals):
+        return
+    for name, values in check_given(given, recording.n_samples).items():
+        reason = fault(values, recording, _COPY)
+        if reason:
+            raise ValueError(f"signals: {name!r} {reason}.")
+
+
+def survey(given, offered, recording, effects):
+    """Choose the signals of a recording that a search for effects may use."""
+    # Returns a dict of arrays (n_samples,), and a `ChannelFinding` for each of those
+    # `offered` that are left out. Of those asked for by name, by the caller or by an
+    # effect, none is: they are refused.
+    n_samples = recording.n_samples
+    found, wanted, offered = _asked_for(effects, given, offered, n_samples)
+    check_useful(found, recording)
+    reasons = {k: v for k, v in offered.left_out.items() if k not in wanted}
+    for name, values in offered.columns.items():
+        if name in wanted:
+            continue
+        values, reason = as_numbers(values, n_samples)
+        if not reason:
+            reason = fault(values, recording, _FOLLOWS)
+        if reason:
+            reasons[name] = reason
+        else:
+            found[name] = values
+    users = [effect for effect in effects if "signals" in effect.needs]
+    if users and all(effect.recorded for effect in users):
+        # Each names the one that it is meant for.
+        found = {name: found[name] for name in found if name in wanted}
+    return found, tuple(_finding(*one) for one in reasons.items())
+
+
+def fault(values, recording, share=_COPY):
+    """Say why a column (n_samples,) is no condition of the robot, if it is none."""
+    # recording: what it was recorded beside; share: of its variance that makes it
+    # another channel.
+    if np.ptp(values) <= _ROUNDING * np.abs(values).max():
+        return f"is constant ({values[0]:.6g} in all rows), so that nothing varies"
+    if _is_clock(values, recording):
+        return "is a clock: use t, and the effects of time"
+    explained, channel = max(_likeness(values, recording), default=(0.0, ""))
+    if explained < share:
+        return ""
+    amount = f"{100 * explained:.3g} % of its variance"
+    if explained >= _COPY:
+        return (
+            f"is the {channel} under another name: {amount} but for a factor and an "
+            "offset"
+        )
+    return (
+        f"follows the {channel}, which has {amount}, as a reference or a current does; "
+        "ask for it by name if it is neither"
+    )
+
+
+def _likeness(values, recording):
+    """Yield the share of a column's variance that each channel has, and its name."""
+    q, parts = recording.q, recording.segments
+    channels = [("position", q, 0), ("torque", recording.tau, 0)]
+    if recording.states is None:
+        # Integrals are smooth where derivatives of positions are not.
+        channels += [("velocity", q, 1), ("acceleration", q, 2)]
+    else:
+        v, a = np.split(recording.states, 3, axis=1)[1:]
+        channels += [("velocity", v, 0), ("acceleration", a, 0)]
+    for what, channel, order in channels:
+        column = _integral(values, parts, order)
+        for j, name in enumerate(recording.joint_names):
+            other = channel[:, j]
+            if order:
+                other = np.concatenate([_without_trend(other[p], order) for p in parts])
+            yield _shared(column, other), f"{what} of {name}"
+
+
+def _integral(values, parts, order):
+    """Integrate a column so often, recording by recording, without constants."""
+    if order == 0:
+        return values
+    found = []
+    for part in parts:
+        x = values[part]
+        size = np.abs(x).max()
+        for _ in range(order):
+            x = np.cumsum(x - x.mean())
+        left = _without_trend(x, order)
+        # What is constant in a recording leaves nothing but rounding.
+        tiny = _ROUNDING * size * float(x.size) ** order
+        found.append(np.where(np.abs(left) > tiny, left, 0.0))
+    return np.concatenate(found)
+
+
+def _without_trend(x, degree):
+    """Take a polynomial of time, as constants of integration add, off a column."""
+    time = np.linspace(-1.0, 1.0, x.size)
+    degree = min(degree, x.size - 1)
+    return x - np.polynomial.legendre.legval(
+        time, np.polynomial.legendre.legfit(time, x, degree)
+    )
+
+
+def _shared(x, y):
+    """Squared correlation of two columns; zero where one is constant."""
+    x, y = x - x.mean(), y - y.mean()
+    power = (x @ x) * (y @ y)
+    return float((x @ y) ** 2 / power) if power > 0 else 0.0
+
+
+def _is_clock(values, recording):
+    """Whether a column counts time, or rows, in each recording."""
+    t = recording.t
+    if t is None:
+        if recording.dt is None:
+            return False
+        t = recording.dt * np.arange(recording.n_samples)
+    period = recording.dt or float(np.median(np.diff(t)))
+    slopes, wander = [], 0.0
+    for part in recording.segments:
+        time, x = (column[part] - column[part].mean() for column in (t, values))
+        if not time.any():
+            continue
+        slopes.append((time @ x) / (time @ time))
+        wander = max(wander, np.abs(x - slopes[-1] * time).max())
+    slopes = np.array(slopes)
+    return any(
+        np.abs(slopes / unit - 1).max(initial=0.0) <= _CLOCK_TOLERANCE
+        and wander <= unit * period
+        for unit in (*_CLOCKS, 1 / period)
+        if slopes.size
+    )
+
+
+def _finding(name, reason):
+    return ChannelFinding(
+        kind="unusable_signal",
+        joints=(),
+        severity="warning",
+        message=f"The column {name!r} is not used as a signal: it {reason}.",
+    )
+
+
+# -- data frames, by the names of joints instead of by their places --------------------
 
 _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
 # Prefixes of the quantities of a state, in order.
@@ -56,12 +346,9 @@ def torques_in_order(y, names):
 def _divided(X, names):
     """Columns of positions or states in order, and columns beside them, two lists."""
     # Both are empty where there is nothing beside them, or positions are not complete.
-    columns = getattr(X, "columns", None)
-    if columns is None or not all(isinstance(column, str) for column in columns):
-        return [], []
-    columns = list(columns)
+    columns = _columns_of(X)
     found = _channels(columns, names)
-    channels = [column for quantity in found for column in quantity]
+    channels = list(itertools.chain(*found))
     for prefixes in (*_STATES[1:], _TORQUE):
         channels += _by_joint(columns, names, prefixes)
         channels += _by_number(columns, len(names), prefixes)
@@ -71,33 +358,28 @@ def _divided(X, names):
     return list(itertools.chain(*found)), rest
 
 
+def _columns_of(frame):
+    """Names of the columns of a data frame; as in scikit-learn only text is one."""
+    columns = list(getattr(frame, "columns", ()))
+    return columns if all(isinstance(column, str) for column in columns) else []
+
+
 def _channels(columns, names):
     """Columns of positions or of states, a list for each quantity; empty for none."""
-    found = [
-        _by_joint(columns, names, prefixes) or _by_number(columns, len(names), prefixes)
-        for prefixes in _STATES
-    ]
+    found = [_named(columns, names, prefixes) for prefixes in _STATES]
     return found if all(found) else found[:1]
 
 
 def _in_order(frame, names, what, kinds):
     """Order columns; `kinds` are the prefixes of each quantity in turn."""
-    columns = getattr(frame, "columns", None)
-    if columns is None:
-        return frame
-    columns = list(columns)
+    columns = _columns_of(frame)
     count, rest = divmod(len(columns), len(names))
-    # A wrong number of columns is refused elsewhere, as for arrays; as in scikit-learn
-    # only text is a name.
+    # A wrong number of columns is refused elsewhere, as for arrays.
     if rest or count not in {1, len(kinds)}:
-        return frame
-    if not all(isinstance(column, str) for column in columns):
         return frame
     wanted = []
     for prefixes in kinds[:count]:
-        found = _by_joint(columns, names, prefixes) or _by_number(
-            columns, len(names), prefixes
-        )
+        found = _named(columns, names, prefixes)
         if not found:
             expected = [f"{kind[0]}_{name}" for kind in kinds[:count] for name in names]
             strange = [c for c in columns if not _known(c, names, kinds)]
@@ -110,6 +392,12 @@ def _in_order(frame, names, what, kinds):
             )
         wanted += found
     return frame if wanted == columns else frame[wanted]
+
+
+def _named(columns, names, prefixes):
+    """Columns of one quantity by joints or by their numbers, empty without all."""
+    by_number = _by_number(columns, len(names), prefixes)
+    return _by_joint(columns, names, prefixes) or by_number
 
 
 def _by_joint(columns, names, prefixes):

@@ -102,7 +102,7 @@ def in_order(findings):
     return tuple(sorted(findings, key=lambda f: SEVERITIES.index(f.severity)))
 
 
-def listed(names, joints):
+def listed_joints(names, joints):
     """List joints by name, or as "all joints"."""
     if len(joints) == len(names) > 1:
         return "all joints"
@@ -392,11 +392,11 @@ def held_channels(names, q, tau, dt, lost, parts, skip):
                 f"held_{what}",
                 joints,
                 "doubt",
-                f"The {what} of {listed(names, joints)} has a new value only every "
-                f"{k} rows ({1e3 * k * dt:.3g} ms) while the {other} change in every "
-                f"one: it is late by {0.5e3 * (k - 1) * dt:.3g} ms and goes in steps; "
-                f"keep one row for each new {what} (and dt={k * dt:.6g}), or record "
-                "it at the full rate.",
+                f"The {what} of {listed_joints(names, joints)} has a new value only "
+                f"every {k} rows ({1e3 * k * dt:.3g} ms) while the {other} change in "
+                f"every one: it is late by {0.5e3 * (k - 1) * dt:.3g} ms and goes in "
+                f"steps; keep one row for each new {what} (and dt={k * dt:.6g}), or "
+                "record it at the full rate.",
             )
         )
         held[i, list(joints)] = True
@@ -493,7 +493,7 @@ def two_values(names, moves, tau):
     if not joints.size or (moves & (low < second)).any():
         return []
     j = joints[0]
-    who = listed(names, joints)
+    who = listed_joints(names, joints)
     return [
         ChannelFinding(
             "two_torques",

@@ -2,40 +2,47 @@
 
 import re
 import warnings
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from os import PathLike, fspath
+from pathlib import Path
+from statistics import median_low
 
 import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import _layout
-from sklearn_vbjfa.recording._concatenate import (
-    RecordedFile,
-    concatenate,
-    said,
-    without_repeats,
-)
-from sklearn_vbjfa.recording._files import read_table
-from sklearn_vbjfa.recording._layout import Layout, MappingRefused
-from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
-from sklearn_vbjfa.recording._quoting import listed, quoted
-from sklearn_vbjfa.recording._recording import Recording, _check_dt
-from sklearn_vbjfa.recording._refusal import (
-    RecordingRefused,
-    nearest,
-    suggestion,
+from sklearn_vbjfa.recording import _layout, formats
+from sklearn_vbjfa.recording._channels import (
+    Asked,
+    Joints,
+    channels_of,
+    laid_out,
+    otherwise,
+    refuse_two,
     unit_is_wrong,
     unit_of_steps,
     usual_step,
 )
-from sklearn_vbjfa.recording._resample import on_grid
-from sklearn_vbjfa.recording._signals import as_numbers
-from sklearn_vbjfa.recording._table import Loss, Table
-from sklearn_vbjfa.recording._units import TIME_UNITS, split_unit, unit_of
+from sklearn_vbjfa.recording._columns import as_numbers
+from sklearn_vbjfa.recording._layout import (
+    TIME_UNITS,
+    split_unit,
+    unit_of,
+)
+from sklearn_vbjfa.recording._presets import currents_as_efforts
+from sklearn_vbjfa.recording._recording import Recording, _check_dt
+from sklearn_vbjfa.recording._sampling import distinct, on_grid, on_one_grid
+from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
+from sklearn_vbjfa.recording.formats import expanded, read_table
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
+# Relative difference between the periods of two files that is refused: accelerations
+# go with its square.
+_DT_TOLERANCE = 0.01
+# Files of which a note is told that are named; more are counted.
+_NAMED = 3
 # Units of torque; a motor is recorded in others.
 _TORQUES = ("N m", "N")
 
@@ -58,16 +65,17 @@ def read_recording(
     Parameters
     ----------
     path : str, os.PathLike or sequence of these
-        One row per sample, as CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy with
-        named fields or MATLAB (to version 7.2); a bag of ROS 1 or 2 or an MCAP file
-        with JointState, with or without its folder; the folder of a LeRobot data set;
-        "-" for standard input. Columns: positions q1 ... qn [rad or m] and torques
-        tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s], a1 ... an
-        [rad/s^2 or m/s^2], t [s or dates] and segment, the label of separate
-        recordings (contiguous rows). Names may also be q_1 or q[1], count from 0, or
-        use the joint's name, such as q_shoulder; a unit may follow (q1 [deg], t_ms),
-        or stand in a row below the names. Names that the presets know are recognised.
-        An npz file may hold matrices q, tau, ... and a number dt. Text is separated by
+        One row per sample, as
+        TABLES;
+        a bag of ROS 1 or 2 or an MCAP file with JointState, with or without its folder;
+        the folder of a LeRobot data set; "-" for standard input. Columns: positions q1
+        ... qn [rad or m] and torques tau1 ... taun [N m or N]; optionally v1 ... vn
+        [rad/s or m/s], a1 ... an [rad/s^2 or m/s^2], t [s or dates] and segment, the
+        label of separate recordings (contiguous rows). Names may also be q_1 or q[1],
+        count from 0, or use the joint's name, such as q_shoulder; a unit may follow (q1
+        [deg], t_ms), or stand in a row below the names. Names that the presets know are
+        recognised. An npz or JSON file may hold matrices q, tau, ... and a number dt;
+        JSON may also be a list of records, or one record a line. Text is separated by
         comma, semicolon, tab or blanks; # begins a comment. Of several files of one
         robot the recordings stand one after the other, called after their files, with
         their own names behind where a file has several.
@@ -112,8 +120,8 @@ def read_recording(
     FileNotFoundError
         If the file does not exist.
     ImportError
-        If a package is missing that the format needs (pyarrow, rosbags,
-        python-calamine), or `urdf` without Pinocchio.
+        If a package is missing that the format needs (PACKAGES),
+        or `urdf` without Pinocchio.
     ValueError
         If the file is damaged or not what its ending says, the number of columns is
         wrong, two columns could be meant, a value is not finite or beyond 1e12, time
@@ -159,7 +167,7 @@ def read_recording(
     """
     if dt is not None:
         _check_dt(dt)
-    asked = _Asked(
+    asked = Asked(
         mapping={} if columns is None else _layout.parse_mapping(columns),
         preset=_layout.checked_preset(preset),
         timed=dt is not None,
@@ -171,7 +179,7 @@ def read_recording(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
     is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
-    paths, again = ([path], []) if is_one else without_repeats(path)
+    paths, again = ([path], []) if is_one else _without_repeats(path)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     files = []
@@ -187,15 +195,21 @@ def read_recording(
             raise RecordingRefused(error.reason) from error
         files.append(file)
     if is_one:
-        recording, notes = files[0].recording, said(files)
+        recording, notes = files[0].recording, _said(files)
         if name:
             recording = replace(recording, name=name)
     else:
-        recording, notes = concatenate(files, again, name)
+        recording, notes = _concatenate(files, again, name)
     for note in notes:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
+
+
+if read_recording.__doc__:  # not if Python leaves docstrings out
+    read_recording.__doc__ = read_recording.__doc__.replace(
+        "TABLES", formats.TABLES
+    ).replace("PACKAGES", formats.PACKAGES)
 
 
 def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
@@ -205,13 +219,13 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)
-    robot = _Joints(names=names or model_names, chosen=bool(names))
+    robot = Joints(names=names or model_names, chosen=bool(names))
     notes = list(table.notes)
     dt = _given_period(table, dt)
     asked = replace(asked, timed=dt is not None)
-    layout = _laid_out(table, asked, robot.names)
+    layout = laid_out(table, asked, robot.names)
     table = _without_blank_rows(table, layout, notes)
-    found, robot = _channels(table, layout, asked, robot, notes)
+    found, robot = channels_of(table, layout, asked, robot, notes)
     names = robot.names
     channels, units = {}, {}
     for kind, columns_of in found.items():
@@ -262,7 +276,7 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
         left_out=left_out,
         **fields,
     )
-    return RecordedFile(
+    return _File(
         path=table.path,
         recording=recording,
         notes=tuple(notes),
@@ -287,24 +301,6 @@ def _stem(path):
 
 
 # -- columns ---------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Asked:
-    """What the user says of the columns, and whether of the period and the gains."""
-
-    mapping: dict
-    preset: str | None
-    timed: bool
-    gained: bool
-
-
-@dataclass(frozen=True, kw_only=True)
-class _Joints:
-    """The joints that columns are looked for of, and whether the user chose them."""
-
-    names: tuple = ()
-    chosen: bool = False
 
 
 def _strings(joint_names):
@@ -339,224 +335,6 @@ def _movable(urdf):
     from sklearn_vbjfa.model import movable_joints
 
     return movable_joints(urdf)
-
-
-def _laid_out(table: Table, asked, names) -> Layout:
-    """Say which columns are which channels; refuse what does not fit."""
-    mapping, preset = asked.mapping, asked.preset
-    if preset is not None and mapping:
-        raise RecordingRefused(
-            "give columns or a preset, not both: a preset is a mapping.",
-            {"preset": None},
-        )
-    if mapping:
-        try:
-            return _layout.by_mapping(table, mapping, names)
-        except MappingRefused as error:
-            raise RecordingRefused(
-                f"{table.path}: {error}.", _otherwise(table, asked, names)
-            ) from None
-    plain = _layout.by_names(table, names)
-    if table.joints:
-        return replace(plain, certain=True)
-    if preset is None and any(_matched(plain, kind, names) for kind in ("q", "tau")):
-        return plain
-    fitted = _layout.by_preset(table, preset, names)
-    if len(fitted) > 1:
-        raise RecordingRefused(
-            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
-            f"give preset={' or '.join(repr(x) for x in fitted)}.",
-            {"preset": next(iter(fitted))},
-        )
-    if fitted:
-        (layout,) = fitted.values()
-        return _named(layout)
-    if preset is not None:
-        expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
-        raise RecordingRefused(
-            f"{table.path}: does not fit the preset {preset!r}, which expects columns "
-            f"{expected}; found {listed(table.columns)}.",
-            _otherwise(table, asked, names),
-        )
-    return plain
-
-
-def _otherwise(table: Table, asked, names):
-    """Return the options that would read a file, had the user said nothing of it."""
-    said = {"columns": asked.mapping, "preset": asked.preset}
-    nothing = {key: None for key, value in said.items() if value}
-    plain = _layout.by_names(table, names)
-    if all(_matched(plain, kind, names) for kind in ("q", "tau")):
-        return nothing
-    if len(_layout.by_preset(table, None, names)) == 1:
-        return nothing
-    found = suggestion(
-        table, names, ("q", "tau", "t"), {}, timed=asked.timed, gained=asked.gained
-    )
-    return nothing | found if found else {}
-
-
-def _named(layout: Layout) -> Layout:
-    """Put the joints' names, if there are any, into those of numbered channels."""
-    # Numbers count from 0 or 1, as elsewhere.
-    if not layout.joints:
-        return layout
-    roles = {}
-    first = 0 if "q0" in layout.roles else 1
-    for name, role in layout.roles.items():
-        match = re.fullmatch(r"(q|tau|v)(\d+)", name)
-        j = int(match[2]) - first if match else -1
-        if match and 0 <= j < len(layout.joints):
-            name = f"{match[1]}_{layout.joints[j]}"
-        roles[name] = role
-    return replace(layout, roles=roles)
-
-
-def _matched(layout: Layout, kind, names):
-    """Return the columns of a kind by joint and by number, two dicts of roles."""
-    by_joint, by_number = {}, {}
-    for name, role in layout.roles.items():
-        match = re.fullmatch(rf"{kind}[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
-        if match is None:
-            continue
-        suffix = match.group(1)
-        if suffix in names:
-            found, key = by_joint, suffix
-        elif suffix.isdecimal() and suffix.isascii():
-            # int() would choke on thousands of digits.
-            found, key = by_number, suffix.lstrip("0").rjust(1, "0")
-        elif not suffix and name.lower() == kind:
-            found, key = by_number, "1"
-        else:
-            continue
-        found.setdefault(key, []).append(role)
-    return (by_joint, by_number) if by_joint or by_number else ()
-
-
-def _channels(table: Table, layout, asked, robot, notes):
-    """Return the roles of each kind, listed in the order of the joints, and those."""
-    # Refuses, all at once, what is missing.
-    names = robot.names or _own_joints(layout)
-    robot = replace(robot, names=names)
-    matched = {kind: _matched(layout, kind, names) for kind in _layout.KINDS}
-    missing = [kind for kind in ("q", "tau") if not matched[kind]]
-    no_time = not (asked.timed or layout.times)
-    if missing or no_time:
-        raise _all_missing(table, layout, asked, names, missing, no_time)
-    for pair in filter(None, matched.values()):
-        _refuse_both(table, *pair, names)
-    by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
-    if any(by_joint.values()):
-        robot = _held(table, layout, robot, by_joint, notes)
-    return {
-        kind: _in_order(table, kind, pair, robot.names) if pair else []
-        for kind, pair in matched.items()
-    }, robot
-
-
-def _own_joints(layout: Layout):
-    """Return the joints that the columns of a recognised log are called after."""
-    found = {}
-    if layout.certain:
-        for name in layout.roles:
-            match = re.fullmatch(r"q_(.+)", name)
-            if match and not match[1].isdecimal():
-                found[match[1]] = None
-    return tuple(found)
-
-
-def _held(table, layout, robot, by_joint, notes):
-    """Leave out the robot's joints without any column, unless the user chose them."""
-    having = set().union(*by_joint.values())
-    names = tuple(x for x in robot.names if x in having)
-    if layout.certain:
-        others = [x for x in _own_joints(layout) if x not in robot.names]
-        if others:
-            notes.append(
-                f"joint(s) {listed(others)} are none of the robot's and are left out."
-            )
-    if robot.chosen or len(names) == len(robot.names):
-        return robot
-    held = [x for x in robot.names if x not in having]
-    notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
-    return replace(robot, names=names)
-
-
-def _refuse_both(table, by_joint, by_number, names):
-    """Refuse several columns for one channel, and numbers beside names."""
-    for found in (by_joint, by_number):
-        for roles in found.values():
-            for other in roles[1:]:
-                _refuse_two(table, roles[0].column, other.column)
-    if by_joint and by_number:
-        name, (named, *_) = next(iter(by_joint.items()))
-        j = names.index(name)
-        (numbered, *_) = by_number.get(str(j + 1), next(iter(by_number.values())))
-        _refuse_two(table, named.column, numbered.column)
-
-
-def _in_order(table: Table, kind, pair, names):
-    """Return the roles of one kind in the order of the joints."""
-    by_joint, by_number = pair
-    found = by_joint or by_number
-    first = 0 if by_joint or "0" in found else 1
-    count = len(names if by_joint else found)
-    roles = []
-    for k in range(count):
-        key = names[k] if by_joint else str(first + k)
-        if key not in found:
-            missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
-            beside = listed([role.column for (role, *_) in found.values()])
-            raise ValueError(
-                f"{table.path}: column {missing!r} is missing beside {beside}; every "
-                "joint needs one, in order."
-            )
-        roles.append(found[key][0])
-    return roles
-
-
-def _all_missing(table, layout, asked, names, missing, no_time):
-    """Return the refusal that lists everything that is missing."""
-    parts = []
-    strangers = _own_joints(layout)
-    if missing and strangers and names:
-        parts.append(
-            f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
-        )
-    for kind, what in (("q", "positions"), ("tau", "torques")):
-        if kind in missing:
-            near = nearest(table, kind, names)
-            near = f" (nearest: {near})" if near else ""
-            parts.append(f"no {what}: expected columns {kind}1, {kind}2, ...{near}")
-    if no_time:
-        near = nearest(table, "t", names)
-        near = f" (nearest: {near})" if near else ""
-        parts.append(
-            f"no column t and no dt{near}; add time stamps [s] as column t, or give "
-            "the sample period dt in seconds"
-            if not missing
-            else f"no time: expected a column t, or dt{near}"
-        )
-    needed = [*missing, *(["t"] if no_time else [])]
-    options = suggestion(
-        table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
-    )
-    found = f"; found {listed(table.columns)}" if missing else ""
-    offer = (
-        '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
-        if missing and not options
-        else ""
-    )
-    return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
-
-
-def _refuse_two(table, one, other):
-    """Refuse two columns that could both be meant."""
-    if one != other:
-        raise ValueError(
-            f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
-            "or remove the one that is not."
-        )
 
 
 def _values(table: Table, kind, roles):
@@ -651,7 +429,7 @@ def _check_joints(table: Table, found, asked, robot):
             options = {"joint_names": names[:nv]}
         if nv == 1 and "q" in asked.mapping:
             # A pattern without {i} is the name of a single column.
-            options = _otherwise(table, asked, names) or options
+            options = otherwise(table, asked, names) or options
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
             f"({listed(names)}); {remedy}.",
@@ -734,7 +512,7 @@ def _segments(table: Table, layout):
     if not columns:
         return None, ""
     for other in columns[1:]:
-        _refuse_two(table, columns[0], other)
+        refuse_two(table, columns[0], other)
     labels = table.columns[columns[0]]
     if labels.dtype.kind == "f":
         labels = _numbers(table, columns[0])
@@ -816,7 +594,7 @@ def _time(table: Table, layout, dt, time_unit):
         return None, None
     if len(times) > 1 and not layout.what:
         if own:
-            _refuse_two(table, times[0].column, times[1].column)
+            refuse_two(table, times[0].column, times[1].column)
         raise RecordingRefused(
             f"{table.path}: columns {listed([x.column for x in times])} could all be "
             f"time; give columns='t={times[0].column}', or another of them.",
@@ -875,3 +653,205 @@ def _given_period(table: Table, dt):
             )
         dt = float(dt)
     return dt
+
+
+# -- several files of one robot --------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _File:
+    """A file as it was read, with what its recording no longer tells."""
+
+    path: Path  # as messages name it
+    recording: Recording  # what it holds
+    notes: tuple[str, ...]  # what a user should know of it
+    stamped: bool  # whether it has time stamps
+    torque_units: tuple[str, ...]  # before they were multiplied by gains
+
+
+def _without_repeats(paths):
+    """Return each file's first path, and (path, first path) of those given again."""
+    first, again = {}, []
+    for path in map(Path, paths):
+        try:
+            found = expanded(path).stat()
+            key = found.st_dev, found.st_ino
+        except OSError:
+            # Standard input, or what the reader will refuse.
+            key = str(path)
+        if key in first:
+            again.append((path, first[key]))
+        first.setdefault(key, path)
+    return list(first.values()), again
+
+
+def common_folder(paths):
+    """Return the name of the folder that holds all files, "" if there is none."""
+    folders = {expanded(path).parent.resolve() for path in paths}
+    return folders.pop().name if len(folders) == 1 else ""
+
+
+def _concatenate(files, again=(), name=None):
+    """Return the recording of all files, and what to say of it."""
+    # again: (path, first path) of files that were given twice and read once.
+    _check_agreement(files)
+    files, copies = _without_copies(files)
+    copies = [*again, *copies]
+    notes = [_said_of_copies(copies)] if copies else []
+    notes += _said(files)
+    common, left_out, missing = _shared_signals(files)
+    if missing:
+        notes.append(
+            f"column(s) {listed(missing)} are not in all files and are left out."
+        )
+    recordings = [
+        replace(x.recording, signals={key: x.recording.signals[key] for key in common})
+        for x in files
+    ]
+    dt = median_low([x.dt for x in recordings])
+    fields, moved = on_one_grid(recordings, _group_names(files), dt)
+    if moved:
+        paths = [files[k].path for k in moved]
+        notes.append(
+            f"{_named(paths)}: interpolated to the sample period of the others, "
+            f"{dt:.6g} s."
+        )
+    first = recordings[0]
+    whole = replace(
+        first,
+        name=name or common_folder([x.path for x in files]) or first.name,
+        left_out=left_out,
+        description=f"Read from {listed([x.path.name for x in files])}.",
+        **fields,
+    )
+    return whole, notes
+
+
+def _said(files):
+    """Return the notes of files with their paths before them, equal ones in one."""
+    paths = {}
+    for file in files:
+        for note in file.notes:
+            paths.setdefault((type(note), str(note)), {})[str(file.path)] = None
+    return [kind(f"{_named(of)}: {note}") for (kind, note), of in paths.items()]
+
+
+def _named(paths):
+    """Name files; of many the first."""
+    shown = [str(path) for path in paths][:_NAMED]
+    more = len(paths) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")
+
+
+# -- what must agree -------------------------------------------------------------------
+
+
+def _check_agreement(files):
+    """Refuse files that cannot be of one robot, or were not recorded alike."""
+    first = files[0]
+    for other in files[1:]:
+        for one, two in zip(_traits(first), _traits(other)):
+            if one != two:
+                raise ValueError(
+                    f"{first.path} has {one} and {other.path} has {two}; expected "
+                    "files with the same joints and channels: mend one of them, or "
+                    "take them one by one."
+                )
+    fast = min(files, key=lambda x: x.recording.dt)
+    slow = max(files, key=lambda x: x.recording.dt)
+    if slow.recording.dt > (1 + _DT_TOLERANCE) * fast.recording.dt:
+        raise ValueError(
+            f"{fast.path} has a sample period of {fast.recording.dt:.6g} s and "
+            f"{slow.path} one of {slow.recording.dt:.6g} s; expected periods that "
+            f"differ by {100 * _DT_TOLERANCE:g} % at most: resample one of the files, "
+            "or take them one by one."
+        )
+
+
+def _traits(file):
+    """Yield what must be the same in all files, in words."""
+    recording = file.recording
+    yield f"the joints {listed(recording.joint_names)}"
+    yield f"positions in {_units(recording.position_units)}"
+    yield f"torques in {_units(file.torque_units)}"
+    for what, there in (
+        ("velocities", recording.v is not None),
+        ("accelerations", "a" in recording.signals),
+        ("time stamps", file.stamped),
+    ):
+        yield what if there else f"no {what}"
+
+
+def _units(units):
+    return listed(units[:1] if len(set(units)) == 1 else units)
+
+
+# -- copies ----------------------------------------------------------------------------
+
+
+def _without_copies(files):
+    """Return files whose motion is in none before, and (path, of which) of copies."""
+    kept, copies = [], []
+    for file in files:
+        of = next((x for x in kept if _is_copy(x.recording, file.recording)), None)
+        if of is None:
+            kept.append(file)
+        else:
+            copies.append((file.path, of.path))
+    return kept, copies
+
+
+def _is_copy(one, other):
+    return np.array_equal(one.q, other.q) and np.array_equal(one.tau, other.tau)
+
+
+def _said_of_copies(copies):
+    """Name all copies, in one line."""
+    of = {}
+    for path, first in copies:
+        of.setdefault(str(first), {})[str(path)] = None
+    parts = []
+    for first, found in of.items():
+        others = [path for path in found if path != first]
+        if len(others) < len(found):
+            parts.append(f"{first} is given more than once")
+        if others:
+            names = " and ".join(filter(None, [", ".join(others[:-1]), others[-1]]))
+            are = "is a copy" if len(others) == 1 else "are copies"
+            parts.append(f"{names} {are} of {first}")
+    return Loss(f"{'; '.join(parts)}: {'each ' * (len(of) > 1)}taken once.")
+
+
+# -- names and signals -----------------------------------------------------------------
+
+
+def _group_names(files):
+    """Call recordings after their files, and their own names where there are more."""
+    stems = Counter(x.recording.name for x in files)
+    names = []
+    for file in files:
+        stem = file.recording.name
+        label = stem if stems[stem] == 1 else str(file.path)
+        own = file.recording.group_names
+        # What a file calls "recording" has no name of its own.
+        suffixes = [x.removeprefix("recording").strip() for x in own]
+        names += (
+            [label] if len(own) == 1 else [f"{label} {x}".strip() for x in suffixes]
+        )
+    return distinct(names)
+
+
+def _shared_signals(files):
+    """Return names of the signals in all files, and what is wrong with the others."""
+    # The third are the names of those that are missing somewhere.
+    left_out, missing = {}, []
+    for file in files:
+        for key, reason in file.recording.left_out.items():
+            left_out.setdefault(key, f"{reason} ({file.path})")
+    names = dict.fromkeys(key for x in files for key in x.recording.signals)
+    for key in [key for key in names if key not in left_out]:
+        without = [x.path for x in files if key not in x.recording.signals]
+        if without:
+            missing.append(key)
+            left_out[key] = f"is missing in {_named(without)}"
+    return [key for key in names if key not in left_out], left_out, missing

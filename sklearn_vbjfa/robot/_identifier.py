@@ -9,17 +9,16 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.model._loading import joint_names
-from sklearn_vbjfa.recording._columns import (
+from sklearn_vbjfa.recording import (
+    check_dt,
+    check_time_stamps,
+    check_useful,
     columns_beside,
+    contiguous_groups,
     positions_in_order,
+    signals_for,
     torques_in_order,
 )
-from sklearn_vbjfa.recording._recording import (
-    check_dt,
-    contiguous_groups,
-)
-from sklearn_vbjfa.recording._signals import check_useful, signals_for
-from sklearn_vbjfa.recording._stamps import check_time_stamps
 from sklearn_vbjfa.robot._bodies import described_bodies, little_learned
 from sklearn_vbjfa.robot._closed_loop import check_reference, refine_controlled
 from sklearn_vbjfa.robot._equations import (

@@ -12,7 +12,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
-from sklearn_vbjfa.recording._recording import check_cutoff, check_dt, contiguous_groups
+from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._equations import Equations
 from sklearn_vbjfa.robot._estimate import default_regressor, estimate
 from sklearn_vbjfa.robot._features import check_as_computed, parameter_names_of

@@ -19,7 +19,7 @@ from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.effects._library import available
 from sklearn_vbjfa.model._loading import joint_names, load_text
 from sklearn_vbjfa.model._trees import in_order, is_prismatic
-from sklearn_vbjfa.recording._quoting import quoted
+from sklearn_vbjfa.recording._table import quoted
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, CommonGain, KnownMass

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, take_arrays
+from sklearn_vbjfa.recording import check_dt, contiguous_groups, take_arrays
 from sklearn_vbjfa.robot._states import RecordingStates
 
 # Shortest period, in samples, from which states can be estimated.

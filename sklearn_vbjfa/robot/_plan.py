@@ -12,7 +12,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Effect, resolve
 from sklearn_vbjfa.effects._rest import Rest
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording._recording import check_cutoff, check_dt
+from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import RecordingStates, smooth_segment

@@ -5,7 +5,7 @@ import warnings
 import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording._faults import (
+from sklearn_vbjfa.recording import (
     at_rest,
     nothing_moves,
     position_jumps,

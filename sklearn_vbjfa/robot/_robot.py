@@ -19,6 +19,7 @@ from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,
+    signals_for,
     torques_in_order,
 )
 from sklearn_vbjfa.recording._recording import (
@@ -29,7 +30,6 @@ from sklearn_vbjfa.recording._recording import (
     contiguous_groups,
     take_arrays,
 )
-from sklearn_vbjfa.recording._signals import signals_for
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     equations,

@@ -12,8 +12,7 @@ import numpy as np
 from scipy import special
 
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording._columns import torques_in_order
-from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.recording import check_dt, torques_in_order
 from sklearn_vbjfa.simulation._simulate import SimulationError
 
 # Level of the one-sided test by which an error is clearly smaller than another.

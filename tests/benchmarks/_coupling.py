@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.recording._recording import contiguous_groups
+from sklearn_vbjfa.recording import contiguous_groups
 from sklearn_vbjfa.robot import TorqueResiduals
 from sklearn_vbjfa.robot._estimate import least_squares, noise_weights
 from sklearn_vbjfa.robot._joint_moments import joint_moments

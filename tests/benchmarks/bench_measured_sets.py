@@ -39,8 +39,8 @@ from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import protocols
-from sklearn_vbjfa.diagnosis.explain._split import split_in_time
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.diagnosis.explain import split_in_time
+from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
 from sklearn_vbjfa.robot._residuals import collect_residuals
 

@@ -3,8 +3,6 @@
 import numpy as np
 import pytest
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import (
     CATALOGUE,
@@ -16,7 +14,10 @@ from sklearn_vbjfa.datasets import (
     make_robot_recording,
     protocols,
 )
-from sklearn_vbjfa.recording._resample import Log
+from sklearn_vbjfa.recording import Log
+
+pytest.importorskip("pinocchio")
+
 
 SWING = 0.5 * np.sin(np.arange(30))
 

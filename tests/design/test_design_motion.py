@@ -6,16 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.design import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.design import (
     MotionLimits,
     design_motion,
     worth,
 )
-from sklearn_vbjfa.recording._repetition import find_repetition  # noqa: E402
-from tests.design._chains import chain, problem_of  # noqa: E402
+from sklearn_vbjfa.recording import find_repetition
+from tests.design._chains import chain, problem_of
+
+pin = pytest.importorskip("pinocchio")
+
 
 KINDS = ("revolute", "prismatic", "continuous")
 SHORT = {"duration": 3.0, "dt": 0.02, "random_state": 0}

@@ -14,7 +14,7 @@ from sklearn.preprocessing import FunctionTransformer
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
-from sklearn_vbjfa.diagnosis.explain._split import split_in_time
+from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Effect
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record

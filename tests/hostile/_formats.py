@@ -2,6 +2,7 @@
 
 import gzip
 import io
+import json
 import sqlite3
 import zipfile
 
@@ -45,6 +46,12 @@ def _xlsx():
     stream = io.BytesIO()
     book.save(stream)
     return stream.getvalue()
+
+
+def _json():
+    t, q, tau = _matrices()
+    arrays = {"t": t.tolist(), "q": q.tolist(), "tau": tau.tolist()}
+    return json.dumps(arrays).encode()
 
 
 def _packed(content):
@@ -128,6 +135,7 @@ def cases():
     makers = {
         "arm.mat": _mat,
         "arm.xlsx": _xlsx,
+        "arm.json": _json,
         "arm.csv.gz": lambda: _packed(clean_text().encode()),
     }
     for name, make in makers.items():
@@ -136,7 +144,18 @@ def cases():
             add(f"{name} cut {k}", _written(name, make, _cut), "refused")
             add(f"{name} flipped bytes {k}", _written(name, make, _flipped))
     noise = lambda rng, content: rng.bytes(5000)  # noqa: E731
-    endings = ("mat", "npy", "xlsx", "xls", "ods", "db3", "mcap", "bag", "csv.gz")
+    endings = (
+        "mat",
+        "npy",
+        "xlsx",
+        "xls",
+        "ods",
+        "db3",
+        "mcap",
+        "bag",
+        "json",
+        "csv.gz",
+    )
     for ending in (*endings, "csv.bz2", "csv.xz", "csv.zst", "parquet.gz"):
         name = f"arm.{ending}"
         add(f"{name} of noise", _written(name, bytes, noise), "refused")

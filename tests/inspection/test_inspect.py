@@ -11,7 +11,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels
-from sklearn_vbjfa.recording._faults import levels
+from sklearn_vbjfa.recording import levels
 from tests._quick import checkered, one_in
 
 # What the notes on the measured sets say of their channels: the currents of the last

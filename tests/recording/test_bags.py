@@ -11,7 +11,7 @@ import pytest
 pytest.importorskip("rosbags")
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
-from sklearn_vbjfa.recording._refusal import RecordingRefused
+from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._bags import States, states, write_ros1, write_ros2
 
 N, DT = 80, 0.01

@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.recording._columns import positions_in_order, torques_in_order
+from sklearn_vbjfa.recording import positions_in_order, torques_in_order
 from sklearn_vbjfa.robot._recording_checks import warn_of_disorder
 
 pandas = pytest.importorskip("pandas")

@@ -7,9 +7,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _encodings
-from sklearn_vbjfa.recording._encodings import encoding_of
-from sklearn_vbjfa.recording._table import Source
 from tests.recording.test_reader import DT, N, table
 
 HEADER = ("t [ms]", "q1 [°]", "q2 [°]", "tau1 [Nm]", "tau2 [Nm]", "Öl [°C]")
@@ -60,19 +57,21 @@ def test_excel_in_german(separator, encoding, note, told, tmp_path):
     np.testing.assert_allclose(recording.signals["Öl [°C]"], np.linspace(20, 40, N))
 
 
-def found(tmp_path, content):
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
+@pytest.mark.parametrize("after", [1, 2, 3])
+def test_characters_on_the_border_of_two_pieces(encoding, after, tmp_path):
+    # Files are looked at in pieces of a MiB.
+    beginning = "t,q1,tau1,µ €\n# "
+    rows = "".join(f"\n{DT * k:.6f},{0.1 * k},1,2" for k in range(N))
+    left = (1 << 20) - after - len(beginning.encode(encoding))
+    padding = "x" * (left // len("x".encode(encoding.replace("16", "16-le"))))
     path = tmp_path / "log.csv"
-    path.write_bytes(content)
-    return encoding_of(Source(path, path))
-
-
-@pytest.mark.parametrize("size", [1, 2, 3, 5, 1 << 20])
-def test_characters_on_the_border_of_two_pieces(size, tmp_path, monkeypatch):
-    monkeypatch.setattr(_encodings, "_CHUNK", size)
-    text = "t,µ,°,€,q1\n"
-    assert found(tmp_path, text.encode()) == "utf-8"
-    assert found(tmp_path, text.encode("cp1252")) == "cp1252"
-    assert found(tmp_path, text.encode("utf-16")) == "utf-16"
+    path.write_bytes(f"{beginning}{padding}€°{rows}".encode(encoding))
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path)
+    assert list(recording.signals) == ["µ €"]
+    assert (encoding == "cp1252") == any("cp1252" in str(x.message) for x in caught)
 
 
 @pytest.mark.parametrize(
@@ -87,11 +86,11 @@ def test_characters_on_the_border_of_two_pieces(size, tmp_path, monkeypatch):
         ("t,q1\n".encode("utf-16")[:-1], "is no UTF-16 text (truncated data at"),
     ],
 )
-@pytest.mark.parametrize("size", [3, 1 << 20])
-def test_what_is_no_text_is_refused(content, message, size, tmp_path, monkeypatch):
-    monkeypatch.setattr(_encodings, "_CHUNK", size)
+def test_what_is_no_text_is_refused(content, message, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_bytes(content)
     with pytest.raises(ValueError, match=re.escape(message)) as told:
-        found(tmp_path, content)
+        read_recording(path)
     assert str(told.value).endswith("save it as CSV in UTF-8.")
 
 

@@ -10,12 +10,14 @@ import re
 import sys
 import threading
 import warnings
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _arrays, _files, _sheets
+from sklearn_vbjfa.recording import _table
+from sklearn_vbjfa.recording.formats import FORMATS
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
 PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
@@ -59,6 +61,20 @@ def check_damage(path):
         assert "\n" not in message
 
 
+def test_the_guide_names_every_format():
+    guide = Path(__file__).parents[2].joinpath("docs", "own_robot.rst").read_text()
+    for one in FORMATS:
+        assert one.name.split()[0] in guide
+        if one.needs:
+            assert f"[{one.needs[2]}]" in guide
+
+
+def test_every_ending_is_of_one_format():
+    endings = [ending for one in FORMATS for ending in one.endings]
+    assert len(set(endings)) == len(endings)
+    assert all(x.startswith(".") and x == x.lower() for x in endings)
+
+
 # -- packed ----------------------------------------------------------------------------
 
 
@@ -93,7 +109,7 @@ def test_packed_without_an_inner_ending(tmp_path):
 
 
 def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
-    monkeypatch.setattr(_files, "LARGEST", 1 << 20)
+    monkeypatch.setattr(_table, "LARGEST", 1 << 20)
     path = tmp_path / "arm.csv.gz"
     path.write_bytes(gzip.compress(bytes(3 << 20)))
     assert "too large to be read at once; give a shorter recording" in refused(path)
@@ -144,7 +160,7 @@ def test_a_named_pipe(tmp_path):
 
 
 def test_an_endless_pipe_is_refused(monkeypatch):
-    monkeypatch.setattr(_files, "LARGEST", 3 << 20)
+    monkeypatch.setattr(_table, "LARGEST", 3 << 20)
     if not os.path.exists("/dev/zero"):
         pytest.skip("there is no endless file")
     assert "too large" in refused("/dev/zero")
@@ -226,7 +242,7 @@ def test_damaged_sheets(sheet):
 
 
 def test_a_large_sheet_is_refused_early(sheet, monkeypatch):
-    monkeypatch.setattr(_sheets, "LARGEST", 1000)
+    monkeypatch.setattr(_table, "LARGEST", 1000)
     assert "too large to be read at once" in refused(sheet(rows_of(table())))
 
 
@@ -277,7 +293,7 @@ def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
     content = path.read_bytes()
     check_damage(path)
     path.write_bytes(content)
-    monkeypatch.setattr(_arrays, "LARGEST", 1000)
+    monkeypatch.setattr(_table, "LARGEST", 1000)
     assert "too large to be read at once" in refused(path)
 
 
@@ -381,3 +397,104 @@ def test_lerobot_data_sets_that_lack_something(lerobot):
     for file in (folder / "data").rglob("*.parquet"):
         file.unlink()
     assert "LeRobot data set without parquet files in its folder" in refused(folder)
+
+
+# -- JSON ------------------------------------------------------------------------------
+
+
+def records_of(columns):
+    return [dict(zip(columns, map(float, row))) for row in zip(*columns.values())]
+
+
+def as_json(kind):
+    """Text of each kind, and the columns that it says."""
+    columns, arrays = matrices()
+    arrays = {name: x.tolist() for name, x in arrays.items()}
+    records = records_of(columns)
+    nested = [
+        {"t": t, "state": {"q": q, "tau": tau}}
+        for t, q, tau in zip(arrays["t"], arrays["q"], arrays["tau"])
+    ]
+    content = {
+        "columns": {name: x.tolist() for name, x in columns.items()},
+        "arrays": arrays,
+        "arrays inside": {"log": arrays},
+        "records": records,
+    }
+    if kind in content:
+        return json.dumps(content[kind], indent=1), columns
+    lines = nested if kind == "nested lines" else records
+    return "\n".join(map(json.dumps, lines)) + "\n", columns
+
+
+@pytest.mark.parametrize("kind", ["columns", "arrays", "arrays inside", "records"])
+def test_json(kind, tmp_path):
+    text, columns = as_json(kind)
+    path = tmp_path / "arm.json"
+    path.write_text(text)
+    assert_same(read_recording(path), columns)
+
+
+@pytest.mark.parametrize("ending", [".jsonl", ".ndjson", ".json", ".jsonl.gz"])
+def test_json_lines(ending, tmp_path):
+    text, columns = as_json("lines")
+    path = tmp_path / f"arm{ending}"
+    path.write_bytes(PACK.get(f".{ending.split('.')[-1]}", bytes)(text.encode()))
+    assert_same(read_recording(path), columns)
+
+
+def test_nested_records_are_named_with_points(tmp_path):
+    text, columns = as_json("nested lines")
+    path = tmp_path / "arm.jsonl"
+    path.write_text(text)
+    found = read_recording(path, columns="q=state.q{i},tau=state.tau{i},t=t")
+    assert_same(found, columns)
+
+
+def test_json_out_of_a_pipe(tmp_path, monkeypatch):
+    for kind in ("arrays", "records", "lines"):
+        text, columns = as_json(kind)
+        path = tmp_path / "arm"
+        path.write_text(text)
+        with path.open() as stream:
+            monkeypatch.setattr(sys, "stdin", stream)
+            assert_same(read_recording("-"), columns)
+
+
+def test_what_is_beside_the_channels_in_json(tmp_path):
+    columns = table()
+    records = records_of(columns)
+    for k, record in enumerate(records):
+        record |= {"mode": "auto", "heat": None if k == 3 else 20.0 + k, "on": k > 4}
+    path = tmp_path / "arm.jsonl"
+    path.write_text("\n".join(map(json.dumps, records)))
+    with pytest.warns(UserWarning, match="mode, heat hold no finite numbers"):
+        recording = read_recording(path)
+    np.testing.assert_array_equal(recording.signals["on"], np.arange(N) > 4)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no rows of data; expected one row"),
+        ("[]", "holds nothing"),
+        ("{}", "holds nothing"),
+        ("5", "holds 5 as record 1; expected objects such as"),
+        ('[{"q1": 1}, 2]', "holds 2 as record 2"),
+        ('[{"q1": 1}', "is no whole JSON file (Expecting ',' delimiter in line 1)"),
+        ('{"q1": 1}\n{"q1": 1', "(Expecting ',' delimiter in line 2)"),
+        ('{"q": [[1, 2], [3]], "tau": [1, 2]}', "or lists of other lengths"),
+        ('{"q": [1, "off"], "tau": [1, 2]}', "'q' holds 1 and others that are no"),
+        ("[" * 100_000, "is no whole JSON file"),
+    ],
+)
+def test_json_that_is_none_is_refused(text, message, tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(text)
+    assert message in refused(path, dt=DT)
+
+
+def test_damaged_json(tmp_path):
+    path = tmp_path / "arm.json"
+    path.write_text(as_json("arrays")[0])
+    check_damage(path)

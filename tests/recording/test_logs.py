@@ -9,8 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
-from sklearn_vbjfa.recording._presets import PRESETS
-from sklearn_vbjfa.recording._refusal import RecordingRefused
+from sklearn_vbjfa.recording import PRESETS, RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain
 from tests.recording.test_reader import table, write
 

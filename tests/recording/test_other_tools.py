@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording._refusal import RecordingRefused
+from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording.test_reader import DT, N, table, write
 
 JOINTS = ("shoulder", "lift")

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sklearn_vbjfa.recording._quoting import listed, quoted
+from sklearn_vbjfa.recording import listed, quoted
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording._repetition import commands_among, find_repetition
+from sklearn_vbjfa.recording import commands_among, find_repetition
 
 DT = 0.01
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.recording._resample import (
+from sklearn_vbjfa.recording import (
     Log,
     interpolate,
     join,

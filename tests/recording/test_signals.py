@@ -6,13 +6,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording._columns import columns_beside, positions_in_order
-from sklearn_vbjfa.recording._recording import take_arrays, take_rows
-from sklearn_vbjfa.recording._signals import (
+from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_given,
+    columns_beside,
     fault,
+    positions_in_order,
     survey,
+    take_arrays,
+    take_rows,
 )
 
 DT, N = 0.01, 2000

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import protocols, read_recording
-from sklearn_vbjfa.recording._stamps import inspect_time_stamps, prediction_errors
+from sklearn_vbjfa.recording import inspect_time_stamps, prediction_errors
 
 DT = 0.004
 N = 3000

@@ -11,9 +11,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa._cli._close_loop import _write_parameters  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.diagnosis.explain._identified import (  # noqa: E402
-    parameter_values,
-)
+from sklearn_vbjfa.diagnosis.explain import parameter_values  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     BaseTilt,
     JointAxis,

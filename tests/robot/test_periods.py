@@ -7,16 +7,17 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import signal
 
-pytest.importorskip("pinocchio")
-
 from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier, StateEstimator
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.model import nominal_parameters
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
 from sklearn_vbjfa.robot._states import RecordingStates
 from tests.model._robots import swing
+
+pytest.importorskip("pinocchio")
+
 
 DT = 0.005
 N_PERIOD = 800

@@ -4,7 +4,7 @@ import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa.diagnosis.displays._base import Display
-from sklearn_vbjfa.recording._recording import check_clock, contiguous_groups
+from sklearn_vbjfa.recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 

@@ -1,1 +1,80 @@
-"""What a search leaves to be said: intervals, errors, limits, remains, pictures."""
+"""What follows from a finished search: facts of it, each a function and a finding."""
+
+from sklearn_vbjfa import _lazily
+
+# Nothing of it is for users but what `EffectDiscovery` hands on.
+_MODULES = {
+    "_ceiling": (
+        "Ceiling",
+        "Map",
+        "Signals",
+        "Stretches",
+        "ceilings",
+        "since_reversal",
+    ),
+    "_contradictions": (
+        "Contradiction",
+        "Contradictions",
+        "Deviation",
+        "Parts",
+        "contradictions",
+    ),
+    "_drawn": (
+        "TimeLine",
+        "TorqueCurves",
+        "cloud_size",
+        "curve_size",
+        "curves_over",
+        "effect_curves",
+        "extremes",
+        "time_line",
+    ),
+    "_evidence": (
+        "Comparison",
+        "Dependence",
+        "SMALLEST_GAIN",
+        "Whitening",
+        "compare",
+        "dependences",
+        "motion_signals",
+        "p_value",
+    ),
+    "_gaps": (
+        "ABOVE_FLOOR",
+        "Hidden",
+        "MotionLimit",
+        "Unexplained",
+        "inseparable",
+        "motion_limits",
+    ),
+    "_identified": (
+        "Band",
+        "ParameterValue",
+        "RecordedMotion",
+        "measure_band",
+        "parameter_values",
+        "power_share",
+    ),
+    "_intervals": (
+        "EffectEstimate",
+        "FinalFit",
+        "NEXT_SECONDS",
+        "NextRecording",
+        "added_effects",
+        "error_intervals",
+        "next_recording",
+    ),
+    "_judgement": ("Models", "ProjectionPrice", "Pushed", "concerned", "judge"),
+    "_outcome": (
+        "DiscoveredEffect",
+        "Outcome",
+        "Provenance",
+        "Round",
+        "Trial",
+        "make_outcome",
+        "named_values",
+    ),
+    "_split": ("split_in_time",),
+}
+__all__ = []
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

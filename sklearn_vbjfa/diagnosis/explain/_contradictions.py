@@ -40,92 +40,52 @@ _TURNS, _STAYS = 20, 1e-4
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """What is another in one of the recordings, or in each of them.
+    """What is another in one of the recordings, or in each of them."""
 
-    Attributes
-    ----------
-    recordings : tuple of int
-        Recordings that may be the one, from zero, the most probable first; all of them
-        where each has its own.
-    name : {"offset", "gain", "friction", "payload", "model"}
-        Of a torque, of friction, of the last body, or everything.
-    joints : tuple of int
-        Joints, from zero.
-    value : float
-        Of one offset: how much larger it is [N m or N]; of one gain: how many times as
-        large the torque is; where each has its own, their deviation; else nan.
-    log_odds : float
-        Logarithm of the posterior odds that it is another.
-    scatters : bool
-        Whether each recording has its own.
-    rivals : tuple of str
-        Names of what explains it within the rivals' nats, the best first.
-    """
-
+    # that may be the one, from zero, the most probable first; all of them where each
+    # has its own
     recordings: tuple
+    # offset, gain (of a torque), friction, payload (of the last body), or the model:
+    # everything
     name: str
-    joints: tuple
+    joints: tuple  # from zero
+    # of one offset: how much larger it is [N m or N]; of one gain: how many times as
+    # large the torque is; where each has its own, their deviation; else nan
     value: float = np.nan
-    log_odds: float = np.nan
-    scatters: bool = False
+    log_odds: float = np.nan  # posterior, that it is another
+    scatters: bool = False  # whether each recording has its own
+    # names of what explains it within the rivals' nats, the best first
     rivals: tuple = ()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradiction:
-    """A recording whose torques on a joint are not those of the robot of the others.
+    """A recording whose torques on a joint are not those of the robot of the others."""
 
-    Attributes
-    ----------
-    recording : int
-        Recording, from zero.
-    joint : int
-        Joint, from zero.
-    alone, together : float
-        Error on parts of the recording that were not fitted, over the spread of the
-        torque: by a fit to the rest of this recording, and by one to the rest of all.
-    """
-
-    recording: int
-    joint: int
+    recording: int  # from zero
+    joint: int  # from zero
+    # error on parts of the recording that were not fitted, over the spread of the
+    # torque: by a fit to the rest of this recording, and by one to the rest of all
     alone: float
     together: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class Contradictions:
-    """What contradicts what, and why.
+    """What contradicts what, and why."""
 
-    Attributes
-    ----------
-    found : tuple of Contradiction
-        Recordings and joints.
-    culprit : int or None
-        Recording, from zero, that alone is another; None if it is not known which, or
-        if several are.
-    deviations : tuple of Deviation
-        What is another, the most probable first.
-    """
-
-    found: tuple = ()
+    found: tuple = ()  # recordings and joints
+    # recording, from zero, that alone is another; None if it is not known which, or if
+    # several are
     culprit: int | None = None
-    deviations: tuple = ()
+    deviations: tuple = ()  # what is another, the most probable first
 
 
 def contradictions(parts, spread, alpha, settings):
-    """Compare the recordings of a fit with each other, as `Contradictions`.
-
-    Parameters
-    ----------
-    parts : Parts or None
-        Of the completed model on all recordings; None for a single one.
-    spread : ndarray of shape (nv,)
-        Spread of the torque [N m or N].
-    alpha : float
-        Share of robots whose recordings agree that get any.
-    settings : SearchSettings
-        Prior and rivals, as of effects.
-    """
+    """Compare the recordings of a fit with each other, as `Contradictions`."""
+    # parts: of the completed model on all recordings, None for a single one; spread
+    # (nv,): of the torque [N m or N]; alpha: share of robots whose recordings agree
+    # that get any; settings: prior and rivals, as of effects.
     suffering = [] if parts is None else _suffering(parts, spread)
     if not suffering:
         return Contradictions()
@@ -400,22 +360,10 @@ def _member(family, scale):
 
 
 class Parts:
-    """Equations by recordings and parts of them, and fits to all but some of them.
+    """Equations by recordings and parts of them, and fits to all but some of them."""
 
-    Parameters
-    ----------
-    fit : FinalFit
-        Completed model on all recordings.
-
-    Attributes
-    ----------
-    fit : FinalFit
-        As given.
-    recordings : ndarray of int
-        Recordings.
-    precision : ndarray of shape (nv,)
-        Weights of the joints.
-    """
+    # fit: `FinalFit`, the completed model on all recordings; recordings; precision
+    # (nv,): weights of the joints.
 
     @classmethod
     def of(cls, fit):
@@ -485,10 +433,8 @@ class Parts:
         return scaled_eigen(G, _KNOWN).solve(g)
 
     def left_out(self, spread):
-        """Errors (r, nv) on each recording of fits to the others, over the spread.
-
-        Recordings of one motion are left out together: none of them is another one.
-        """
+        """Errors (r, nv) on each recording of fits to the others, over the spread."""
+        # Recordings of one motion are left out together: none of them is another one.
         repetition = self.fit.view.repetition
         motion = repetition.motion if repetition else np.arange(self.recordings.size)
         names = np.unique(motion)
@@ -511,10 +457,8 @@ class Parts:
             yield own[self._part[own] == part]
 
     def squares(self, recording, *, others):
-        """Squared errors (n_blocks, nv) on each part of a recording, fitted without it.
-
-        others : whether the other recordings are fitted as well.
-        """
+        """Squared errors (n_blocks, nv) on parts of a recording, without them."""
+        # others: whether the other recordings are fitted as well.
         own = np.flatnonzero(self._origin == recording)
         pool = np.arange(self._origin.size) if others else own
         out = {}

@@ -1,19 +1,25 @@
-"""What remains unexplained, and what the data cannot show."""
+"""What remains unexplained, what the data cannot show, what the motion leaves open.
+
+Friction shows in both directions and at several speeds, weight in several poses. A
+joint that has one of each only leaves coefficients that cannot be told apart, and
+nothing in the residual says so: the fit is as good with one as with the other.
+"""
 
 from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
-from sklearn_vbjfa.diagnosis.explain._findings import (
-    Hidden,
-    Unexplained,
-    named_beside,
+from sklearn_vbjfa.diagnosis.explain._evidence import (
+    Dependence,
+    dependences,
+    motion_signals,
 )
+from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
 from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._equations import make_motion
 
 # A joint whose residual is this far above its noise floor has something unexplained:
@@ -29,6 +35,38 @@ _EQUAL = 1e-3
 _LOOSE = 1e4
 # Nats that a scale and a value of its own cost an effect.
 _OCCAM = 5.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Unexplained:
+    """What remains of a joint's residual above the noise and has no name."""
+
+    joint: int  # from zero
+    joint_name: str
+    # out-of-sample residual and noise floor [N m or N]; the floor is nan if unknown
+    rms: float
+    floor: float
+    share: float  # share of the residual's mean square above the floor
+    # root mean square of what is above the floor over the spread of the torque, on the
+    # untouched part (on the search part where the untouched one shows nothing above the
+    # floor, or is too short); of the whole residual, if the floor is unknown
+    of_torque: float
+    # signals that it varies with, the strongest first
+    signals: tuple[Dependence, ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Hidden:
+    """An effect that this data cannot show."""
+
+    name: str
+    joint: int  # from zero
+    joint_name: str
+    # it lies in the span of the declared columns whatever the motion; it does so in
+    # this recording; it needs a signal that is not there; or it shows, but only
+    # together with another effect
+    reason: str
+    remedy: str = ""  # what to record; the name of the other effect
 
 
 def unexplained(model, names, spread, floors, errors):
@@ -129,7 +167,7 @@ def _hidden(found, names):
                     remedy=remedy,
                 )
             )
-    for one, other in _inseparable(found, in_model):
+    for one, other in inseparable(found, in_model):
         not_seen.append(
             Hidden(
                 name=one.name,
@@ -142,7 +180,7 @@ def _hidden(found, names):
     return tuple(sorted(not_seen, key=lambda one: one.joint))
 
 
-def _inseparable(found, effects):
+def inseparable(found, effects):
     """Pairs of effects in the model of which only one can be told from all else."""
     # Nothing is left of the columns of the first beside those of the second, which
     # comes before it in precedence or in the list.
@@ -252,3 +290,114 @@ def _in_span(effect, Phi, motion):
     solution, *_ = np.linalg.lstsq(flat, target, rcond=1e-10)
     rest = target - flat @ solution
     return bool(np.all((rest**2).sum(0) <= _IN_SPAN * (target**2).sum(0)))
+
+
+def named_beside(effect, chosen, names):
+    """Name an effect beside another, with its joint where that is a different one."""
+    if effect.joint == chosen.joint or effect.scope == "robot":
+        return effect.told_beside(chosen)
+    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"
+
+
+# -- what joints do in no recording ----------------------------------------------------
+
+# A joint has one speed if this share of its moving time, about the middle, lies in a
+# range of this share of the speed: speeds that are even in it deviate by a tenth of
+# their mean, and Coulomb friction, which is the line through them at no speed at all,
+# is ten times less certain than the friction at that speed.
+_MIDDLE, _ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
+# Rows that show which way a link hangs.
+_POSES = 400
+
+
+@dataclass(frozen=True, kw_only=True)
+class MotionLimit:
+    """What a joint does not do in any recording."""
+
+    # it never reverses; it always has the same speed; its link always hangs the same
+    # way
+    kind: str
+    joint: int  # from zero
+    recordings: tuple  # recordings in which it moves, from zero
+    # range of its velocity, speed or position that it keeps to [rad or m, s]
+    low: float
+    high: float
+
+
+def motion_limits(view):
+    """Return the `MotionLimit` of each joint of a recording, a tuple."""
+    # view: `RecordingView` of all recordings.
+    found = []
+    for joint in range(view.nv):
+        rows = np.flatnonzero(view.equations.weight[:, joint] > 0)
+        if not rows.size or view.precision[joint] == 0:
+            continue
+        recordings = tuple(int(k) for k in np.unique(view.origin[rows]))
+        for kind, ends in (
+            ("one way", _one_way(view, joint, rows)),
+            ("one speed", _one_speed(view, joint, rows)),
+            ("one pose", _one_pose(view, joint, rows)),
+        ):
+            if ends is not None:
+                found.append(
+                    MotionLimit(
+                        kind=kind,
+                        joint=joint,
+                        recordings=recordings,
+                        low=float(ends[0]),
+                        high=float(ends[1]),
+                    )
+                )
+    return tuple(found)
+
+
+def _velocity(view, joint, rows):
+    """Return velocities of a joint while it moves."""
+    v = view.states[view.index[rows], view.nv + joint]
+    return v[np.abs(v) > max(view.robot.standstill_[joint], 0.0)]
+
+
+def _one_way(view, joint, rows):
+    """Return the range of the velocity of a joint that never reverses, or None."""
+    v = _velocity(view, joint, rows)
+    if not v.size:
+        return None
+    rarer = min((v > 0).sum(), (v < 0).sum())
+    share = rarer / v.size
+    # The power of the velocity's sign about its mean, and how many values it is of.
+    band = min(view.robot.cutoff_, 0.5 / (view.robot.dt or 1.0))
+    values = 2.0 * band * rarer * view.step
+    if rarer and (4 * share * (1 - share) >= _UNSEEN and values >= FEWEST_VALUES):
+        return None
+    common = v[v > 0] if (v > 0).sum() > rarer else v[v < 0]
+    return np.quantile(common, [0.0, 1.0])
+
+
+def _one_speed(view, joint, rows):
+    """Return the range of the speed of a joint that has one only, or None."""
+    speed = np.abs(_velocity(view, joint, rows))
+    if not speed.size:
+        return None
+    ends = np.quantile(speed, [0.5 - 0.5 * _MIDDLE, 0.5 + 0.5 * _MIDDLE])
+    return ends if ends[1] - ends[0] < _ONE_SPEED * ends.mean() else None
+
+
+def _one_pose(view, joint, rows):
+    """Return the range of the position of a joint whose link always hangs alike."""
+    features, nv = view.robot.features_, view.nv
+    if is_prismatic(features.model_)[joint]:
+        return None
+    chosen = view.index[rows[:: max(1, rows.size // _POSES)]]
+    states = np.zeros((chosen.size, 3 * nv))
+    states[:, :nv] = view.states[chosen, :nv]
+    first = joint * (features.n_parameters_ // nv)
+    # At rest: torques of the first moments of the link are those of its weight.
+    weight = features.matrices(states)[:, joint, first + 1 : first + 4]
+    power = (weight**2).sum()
+    if not power > 0:
+        # Gravity does not act about a vertical axis.
+        return None
+    varying = ((weight - weight.mean(axis=0)) ** 2).sum()
+    if varying >= _UNSEEN * power:
+        return None
+    return np.quantile(states[:, joint], [0.0, 1.0])

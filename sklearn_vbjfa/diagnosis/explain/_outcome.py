@@ -1,7 +1,8 @@
-"""Everything that a loop found out, collected for the report."""
+"""Everything that a loop found out, in the form in which it is read."""
 
 import dataclasses
 import platform
+from dataclasses import dataclass, field
 
 import numpy as np
 import scipy
@@ -10,34 +11,207 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.explain._ceiling import ceilings
-from sklearn_vbjfa.diagnosis.explain._contradictions import Parts, contradictions
-from sklearn_vbjfa.diagnosis.explain._drawn import effect_curves, time_line
-from sklearn_vbjfa.diagnosis.explain._findings import (
-    Afterwards,
-    DiscoveredEffect,
-    Outcome,
-    Round,
-    Trial,
-    named_beside,
+from sklearn_vbjfa.diagnosis.explain._contradictions import (
+    Contradictions,
+    Parts,
+    contradictions,
 )
-from sklearn_vbjfa.diagnosis.explain._gaps import hidden, too_short, unexplained
+from sklearn_vbjfa.diagnosis.explain._drawn import effect_curves, time_line
+from sklearn_vbjfa.diagnosis.explain._evidence import memory_seconds
+from sklearn_vbjfa.diagnosis.explain._gaps import (
+    hidden,
+    motion_limits,
+    named_beside,
+    too_short,
+    unexplained,
+)
 from sklearn_vbjfa.diagnosis.explain._identified import (
+    Band,
+    ParameterValue,
+    RecordedMotion,
     parameter_values,
     recorded_motion,
 )
-from sklearn_vbjfa.diagnosis.explain._intervals import NEXT_SECONDS, quantile
-from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
-from sklearn_vbjfa.diagnosis.explain._next_recording import next_recording
-from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
+from sklearn_vbjfa.diagnosis.explain._intervals import (
+    NEXT_SECONDS,
+    NextRecording,
+    next_recording,
+    quantile,
+)
+from sklearn_vbjfa.diagnosis.explain._judgement import ProjectionPrice
+from sklearn_vbjfa.diagnosis.search._found import Evidence
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
-from sklearn_vbjfa.robot._corrections import corrections_of
+from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
+from sklearn_vbjfa.robot._gains import ChannelGains
 from sklearn_vbjfa.robot._spreads import body_masses
 
 # Points of a picture.
 _POINTS = 4000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Provenance:
+    """Where a report comes from, as the program that ran the search knows it."""
+
+    file: str | tuple = ""  # recording; the files if there were several
+    description: str = ""  # its file
+    held: tuple = ()  # joints that were held at zero
+    warnings: tuple = ()  # what the run warned of
+    files: tuple = ()  # files beside the page, which links to them
+
+
+@dataclass(frozen=True, kw_only=True)
+class Afterwards:
+    """What is known of an effect of time after the recording."""
+
+    seconds: float  # last time of the fit [s]
+    how: str  # what the effect is taken to do from then on
+    # what is left of its coefficients at that time; empty if it stays as it is
+    left: dict
+    intervals: dict  # 90 %
+
+
+@dataclass(frozen=True, kw_only=True)
+class DiscoveredEffect:
+    """An effect that the declared model lacked."""
+
+    name: str  # of its class, in the library or of one's own
+    joint: int  # from zero
+    joint_name: str
+    parameters: dict  # coefficients and shape parameters, as an engineer calls them
+    units: dict
+    # 90 %: Student's t, from the scatter between blocks of time of the completed
+    # model's residuals; none for a shape parameter that was not searched on, what the
+    # recording does not excite, and an instant
+    intervals: dict
+    # posterior odds, and what it saves on stretches of time that were not fitted
+    evidence: Evidence
+    # effects that this data cannot tell from it; another use of the same one with what
+    # sets it apart, such as "signal: voltage"
+    rivals: tuple = ()
+    effect: object = None  # the transformer itself
+    # whether it belongs to its joint, or to the robot as a whole; its joint is the
+    # first one then
+    scope: str = "joint"
+    # positions, speeds and loads of its joint that it was fitted on, in the model that
+    # is handed over
+    ranges: EffectRange | None = None
+    # what an effect of time is taken to do after the recording
+    afterwards: Afterwards | None = None
+    doubt: str = ""  # why it is told as "perhaps" only; empty for one that has a name
+
+    @property
+    def log_odds(self):
+        """Logarithm of the posterior odds that the declared model lacked it [nats]."""
+        return self.evidence.log_odds
+
+    @property
+    def probability(self):
+        """Probability that the declared model lacked it."""
+        # The posterior one, or the probability that it lowers the error on stretches of
+        # time that were not fitted, if that is less.
+        return self.evidence.probability
+
+
+@dataclass(frozen=True, kw_only=True)
+class Trial:
+    """What would have taken the place of an effect."""
+
+    name: str
+    joint: int  # from zero
+    shape: dict  # parameters of its best variant
+    log_odds: float  # posterior, in that place [nats]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Round:
+    """One step of the path to the most probable model."""
+
+    action: str
+    name: str
+    joint: int  # from zero
+    joint_name: str
+    shape: dict  # parameters
+    replaced: str  # empty otherwise
+    # posterior, beside the others as they were then [nats]: above zero for what came,
+    # below for what went
+    log_odds: float
+    rivals: tuple  # what would have come in its place within the rivals' nats
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcome:
+    """Everything that a discovery found out; the report is made from it."""
+
+    # declared model: robot, joints, friction, number of parameters, cut-off
+    declared: dict
+    effects: tuple  # those that have a name
+    # those that are more probable than not and have none; in the completed model too
+    perhaps: tuple
+    rounds: tuple  # the path of the search
+    unexplained: tuple  # joints that stay above their noise floor
+    # what functions of any form explain on joints above their floor; empty if not asked
+    # for
+    ceiling: tuple
+    hidden: tuple  # effects that could not be looked for
+    channels: tuple  # what is wrong with channels of the recording
+    joint_names: tuple
+    torque_units: tuple  # "N m" or "N"
+    unsearched: tuple  # joints whose channels show too little to be searched
+    added: tuple  # plain terms that were fitted on every joint beyond what was declared
+    # (nv,): errors on the untouched part over `spread`: declared, plain, completed
+    error_before: object
+    error_plain: object
+    error_after: object
+    # (nv,): deviation of the torque in the moving time of the whole recording [N m or
+    # N]
+    spread: object
+    # (nv,): errors in a wider band than that of the fit; nan for none
+    wide_before: object
+    wide_plain: object
+    wide_after: object
+    wide_cutoff: float  # where that band ends [Hz]; nan for none
+    seconds: object  # (nv,): untouched time in which each joint moves [s]
+    enough: object  # (nv,): whether that is enough for a verdict
+    # (2, nv): where the errors ``"before"``, ``"plain"``, ``"after"``, and after minus
+    # before (``"difference"``) and minus plain (``"added"``), over the next 50 s of the
+    # same motion lie in 90 % of cases
+    intervals: dict
+    floor: object  # (nv,): noise floor over the spread
+    # what was looked for, by name: what an effect is called and what to record
+    library: dict
+    settings: dict  # thresholds, split, blocks, what intervals are of, seed, versions
+    band: Band | None = None  # of the fit; None if nothing is known of it
+    # what physically consistent parameters cost; None if they were not asked for
+    projection: ProjectionPrice | None = None
+    recordings: tuple = ()  # what each recording is called
+    motion_limits: tuple = ()  # what joints do in no recording
+    next_recording: NextRecording | None = None
+    repeated: tuple = ()  # motion that was recorded more than once
+    # recordings that are not of one robot
+    contradictions: Contradictions = field(default_factory=Contradictions)
+    # masses of the model that is handed over, and which of them are known
+    bodies: tuple = ()
+    # residuals and signals for pictures; "seconds" is the time in the untouched part,
+    # its recordings joined [s]; "maps" has a `Map` of some joints, "effects" an
+    # `EffectCurves` or None of each effect, "line" the `TimeLine`
+    curves: dict = field(default_factory=dict)
+    # where the untouched part leaves what the judged model was fitted on
+    outside: tuple = ()
+    # those of the torque channels in the model that is handed over, if unknown
+    gains: ChannelGains | None = None
+    # what effects in the model that is handed over ask for
+    corrections: Corrections = field(default_factory=Corrections)
+    # bodies that are not as described; see `RobotIdentifier.departures_`
+    departures: tuple = ()
+    # how many times as heavy all bodies together are as described
+    common_size: float = 1.0
+    parameters: tuple[ParameterValue, ...] = ()  # of the model that is handed over
+    recorded: RecordedMotion | None = None
+    provenance: Provenance | None = None
 
 
 def make_outcome(search, models, final, judgement, channels, asked, recordings=()):
@@ -136,7 +310,7 @@ def _effects(search, final, names, prismatic):
         final.effect_estimates,
         ranges,
     ):
-        values, deviations = _named(effect, estimate)
+        values, deviations = named_values(effect, estimate)
         half = quantile(estimate.freedom)
         units = effect.parameter_units(prismatic[effect.joint])
         intervals = {
@@ -215,7 +389,7 @@ def _afterwards(effect, estimate, seconds):
     )
 
 
-def _named(effect, estimate):
+def named_values(effect, estimate):
     """Parameters as an engineer calls them, and standard deviations (delta method)."""
     coef, covariance = estimate.coef, estimate.covariance
     k = len(coef)

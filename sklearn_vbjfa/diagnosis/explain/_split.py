@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.recording._recording import contiguous_groups, take_rows
+from sklearn_vbjfa.recording import contiguous_groups, take_rows
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
     n_fastest,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._drawn import extremes
+from sklearn_vbjfa.diagnosis.explain import extremes
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 WIDTH, HEIGHT = 400, 200

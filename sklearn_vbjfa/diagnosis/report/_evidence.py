@@ -8,8 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._findings import Provenance
-from sklearn_vbjfa.diagnosis.explain._identified import HALF_WIDTH
+from sklearn_vbjfa.diagnosis.explain import Provenance
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._charts import (
     About,
@@ -19,6 +18,7 @@ from sklearn_vbjfa.diagnosis.report._charts import (
 )
 from sklearn_vbjfa.diagnosis.report._mathml import mathml
 from sklearn_vbjfa.effects import available
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 _KNOWN = {
     "yes": "yes",

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._identified import HALF_WIDTH
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import Payload
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 # Share of a value that rounding leaves of it.
 _ZERO = 1e-9

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import (
     _evidence,
     _gains,

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._limits import contradiction

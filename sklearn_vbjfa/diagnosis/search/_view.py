@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     phase_blocks,
 )
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.recording._recording import check_clock
+from sklearn_vbjfa.recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 
 # Directions of the scaled Gram matrix below this are never used.

@@ -9,10 +9,9 @@ from scipy import signal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.explain._ceiling import Signals, ceilings, since_reversal
-from sklearn_vbjfa.diagnosis.explain._flexible import Stretches
+from sklearn_vbjfa.diagnosis.explain import Signals, Stretches, ceilings, since_reversal
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 from tests.diagnosis.search._searches import Search

@@ -4,15 +4,15 @@ import pytest
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.explain._contradictions import (
+from sklearn_vbjfa.diagnosis.explain import (
     Contradictions,
+    FinalFit,
     Parts,
     contradictions,
 )
-from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record
 from tests.effects._arms import inverse_dynamics, last_body_regressor
 

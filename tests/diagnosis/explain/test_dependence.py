@@ -5,7 +5,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.explain._dependence import dependences, motion_signals
+from sklearn_vbjfa.diagnosis.explain import dependences, motion_signals
 from tests.diagnosis.search._searches import CLEAN, search
 
 VIEW = search(CLEAN.torque(), ["coulomb"]).view

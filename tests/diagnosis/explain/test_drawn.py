@@ -7,11 +7,18 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.explain import _drawn
-from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, added_effects
+from sklearn_vbjfa.diagnosis.explain import (
+    FinalFit,
+    added_effects,
+    cloud_size,
+    curves_over,
+    effect_curves,
+    extremes,
+    time_line,
+)
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Drift, Effect, Signal, Spring, resolve
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 
 NAMED = {
     "joint": 0,
@@ -27,14 +34,14 @@ def test_means_and_spread_are_those_of_the_rows():
     x = rng.uniform(-2.0, 2.0, 20_000)
     law = 3.0 * x
     after = 0.5 * rng.standard_normal(x.size)
-    found = _drawn.curves_over(x, after, law, np.ones(x.size), **NAMED)
+    found = curves_over(x, after, law, np.ones(x.size), **NAMED)
     np.testing.assert_allclose(found.law_mean, 3.0 * found.center, atol=0.05)
     np.testing.assert_allclose(found.mean[1], 0.0, atol=0.1)
     np.testing.assert_allclose(found.mean[0], found.mean[1] + found.law_mean)
     np.testing.assert_allclose(found.deviation[1], 0.5, rtol=0.15)
     # the cloud is of the rows themselves, in order
     assert (np.diff(found.x) >= 0).all()
-    assert found.x.size == _drawn._CLOUD
+    assert found.x.size == cloud_size(1)
     np.testing.assert_allclose(found.without - found.after, found.law)
     np.testing.assert_allclose(found.law, 3.0 * found.x)
 
@@ -43,7 +50,7 @@ def test_rows_count_by_their_weight():
     x = np.repeat(np.linspace(0.0, 1.0, 400), 2)
     after = np.tile([1.0, 3.0], 400)
     weight = np.tile([3.0, 1.0], 400)
-    found = _drawn.curves_over(x, after, np.zeros(800), weight, **NAMED)
+    found = curves_over(x, after, np.zeros(800), weight, **NAMED)
     np.testing.assert_allclose(found.mean, 1.5)
     np.testing.assert_allclose(found.deviation, np.sqrt(0.75))
 
@@ -52,7 +59,7 @@ def test_rows_count_by_their_weight():
 def test_there_are_as_many_bins_as_the_law_needs(waves, n_bins):
     x = np.linspace(0.0, 1.0, 50_000)
     law = np.sin(2 * np.pi * waves * x)
-    found = _drawn.curves_over(x, 0.0 * x, law, np.ones(x.size), **NAMED)
+    found = curves_over(x, 0.0 * x, law, np.ones(x.size), **NAMED)
     assert found.center.size == n_bins
     assert np.abs(found.law_mean).max() > 0.8
 
@@ -61,8 +68,8 @@ def test_units_of_signal_and_torque_change_nothing_else():
     rng = np.random.default_rng(1)
     x, after = rng.standard_normal((2, 4000))
     law, weight = np.sign(x), rng.uniform(0.5, 1.0, 4000)
-    one = _drawn.curves_over(x, after, law, weight, **NAMED)
-    other = _drawn.curves_over(1e3 * x, 1e-3 * after, 1e-3 * law, weight, **NAMED)
+    one = curves_over(x, after, law, weight, **NAMED)
+    other = curves_over(1e3 * x, 1e-3 * after, 1e-3 * law, weight, **NAMED)
     np.testing.assert_allclose(other.center, 1e3 * one.center)
     np.testing.assert_allclose(other.mean, 1e-3 * one.mean, atol=1e-12)
     np.testing.assert_allclose(other.deviation, 1e-3 * one.deviation)
@@ -71,19 +78,19 @@ def test_units_of_signal_and_torque_change_nothing_else():
 @pytest.mark.parametrize("x", [np.zeros(100), np.arange(10.0), np.zeros(0)])
 def test_too_little_is_not_drawn(x):
     ones = np.ones(x.size)
-    assert _drawn.curves_over(x, ones, ones, ones, **NAMED) is None
+    assert curves_over(x, ones, ones, ones, **NAMED) is None
 
 
 def test_a_thinned_curve_keeps_its_peaks_and_its_gaps():
     values = np.sin(np.arange(100_000) / 50.0)
     values[12_345], values[60_000], values[70_000] = 9.0, -9.0, np.nan
-    rows = _drawn.extremes(values, 500)
+    rows = extremes(values, 500)
     assert rows.size <= 502
     assert {12_345, 60_000, 70_000} <= set(rows.tolist())
     assert (np.diff(rows) > 0).all()
-    np.testing.assert_array_equal(_drawn.extremes(values[:300], 500), np.arange(300))
+    np.testing.assert_array_equal(extremes(values[:300], 500), np.arange(300))
     # nothing known in a whole interval
-    assert np.isnan(_drawn.extremes(np.full(1000, np.nan), 10)).sum() == 0
+    assert np.isnan(extremes(np.full(1000, np.nan), 10)).sum() == 0
 
 
 def part(index, torque, before, after):
@@ -106,7 +113,7 @@ def test_the_time_line_has_borders_gaps_and_the_untouched_part():
 
     judgement = SimpleNamespace(searched=given(searched))
     judgement.before, judgement.after = given(untouched)
-    line = _drawn.time_line(judgement, clock, [0, 60])
+    line = time_line(judgement, clock, [0, 60])
     assert line.in_seconds
     assert line.borders == (10.0,)
     np.testing.assert_allclose(line.untouched, [(2.0, 4.0), (14.0, 16.0)])
@@ -120,7 +127,7 @@ def test_the_time_line_has_borders_gaps_and_the_untouched_part():
     )
     np.testing.assert_allclose(one.before[known], one.measured[known] + 1.0)
     np.testing.assert_allclose(other.after[known], other.measured[known] + 2.0)
-    assert not _drawn.time_line(judgement, None, [0, 60]).in_seconds
+    assert not time_line(judgement, None, [0, 60]).in_seconds
 
 
 @pytest.fixture(scope="module")
@@ -149,7 +156,7 @@ def fitted():
 
 
 def test_effects_are_drawn_over_their_own_signal(fitted):
-    spring, coulomb = _drawn.effect_curves(fitted)
+    spring, coulomb = effect_curves(fitted)
     assert (spring.joint, spring.kind, spring.unit) == (1, "position", "rad")
     assert (coulomb.joint, coulomb.kind, coulomb.unit) == (0, "speed", "rad/s")
     # the law of a spring is a straight line, k (q - q0)
@@ -171,8 +178,7 @@ def test_torques_of_effects_and_residuals_add_up(fitted):
 
 
 def test_every_effect_of_the_library_names_a_signal_that_exists():
-    known = {*_drawn._OF_STATE, "time", "signal", ""}
-    assert set(_drawn._UNITS) == known
+    known = {"position", "speed", "acceleration", "load", "time", "signal", ""}
     for effect in resolve("all"):
         assert effect.seen_over in known, effect.name
         # what is a function of one quantity alone is seen over it

@@ -7,12 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import stats
 
-from sklearn_vbjfa.diagnosis.explain._evidence import (
-    SMALLEST_GAIN,
-    Comparison,
-    compare,
-    p_value,
-)
+from sklearn_vbjfa.diagnosis.explain import SMALLEST_GAIN, Comparison, compare, p_value
 
 
 def pairs(n, better, seed=0, spread=0.3):

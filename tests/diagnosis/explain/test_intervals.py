@@ -10,13 +10,13 @@ from scipy import signal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.diagnosis.explain._intervals import (
+from sklearn_vbjfa.diagnosis.explain import (
     NEXT_SECONDS,
     EffectEstimate,
     FinalFit,
     error_intervals,
+    named_values,
 )
-from sklearn_vbjfa.diagnosis.explain._outcome import _named
 from sklearn_vbjfa.effects import AsymmetricFriction
 from sklearn_vbjfa.robot import TorqueResiduals
 from tests.diagnosis._recordings import named, record
@@ -248,7 +248,7 @@ def test_a_variance_that_is_not_known_is_no_variance_of_nothing():
     estimate = EffectEstimate(
         coef=np.array([2.0, 1.0]), shape=(), covariance=covariance, freedom=20.0
     )
-    values, found = _named(AsymmetricFriction(0), estimate)
+    values, found = named_values(AsymmetricFriction(0), estimate)
     # Names of coefficients are their parameters here.
     assert list(values.values()) == [2.0, 1.0]
     first, second = found.values()

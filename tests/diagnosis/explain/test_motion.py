@@ -3,9 +3,9 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
+from sklearn_vbjfa.diagnosis.explain import motion_limits
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from tests.effects._arms import arm, inverse_dynamics
 
 DT = 0.02

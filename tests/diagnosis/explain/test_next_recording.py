@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.diagnosis.explain._next_recording import next_recording
+from sklearn_vbjfa.diagnosis.explain import next_recording
 
 NOISE = np.full(2, np.nan)
 

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.diagnosis.explain._split import split_in_time
+from sklearn_vbjfa.diagnosis.explain import split_in_time
 from tests.effects._arms import arm
 
 DT = 0.02

@@ -4,9 +4,9 @@ import dataclasses
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._band import Band
-from sklearn_vbjfa.diagnosis.explain._dependence import Dependence
-from sklearn_vbjfa.diagnosis.explain._findings import (
+from sklearn_vbjfa.diagnosis.explain import (
+    Band,
+    Dependence,
     DiscoveredEffect,
     Hidden,
     Outcome,

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain._contradictions import (
+from sklearn_vbjfa.diagnosis.explain import (
     Contradiction,
     Contradictions,
     Deviation,
+    MotionLimit,
+    NextRecording,
+    ProjectionPrice,
+    Pushed,
 )
-from sklearn_vbjfa.diagnosis.explain._motion import MotionLimit
-from sklearn_vbjfa.diagnosis.explain._next_recording import NextRecording
-from sklearn_vbjfa.diagnosis.explain._price import ProjectionPrice, Pushed
 from sklearn_vbjfa.diagnosis.report import _limits
 from sklearn_vbjfa.diagnosis.report._limits import (
     band_sentences,
@@ -24,7 +25,7 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     projection_sentences,
 )
 from sklearn_vbjfa.diagnosis.report._verdict import judge
-from sklearn_vbjfa.recording._repetition import RepeatedMotion
+from sklearn_vbjfa.recording import RepeatedMotion
 from sklearn_vbjfa.robot._bodies import Departure
 from sklearn_vbjfa.robot._spreads import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome

@@ -10,14 +10,16 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain import _drawn
-from sklearn_vbjfa.diagnosis.explain._drawn import (
+from sklearn_vbjfa.diagnosis.explain import (
+    ParameterValue,
+    Provenance,
+    RecordedMotion,
     TimeLine,
     TorqueCurves,
+    cloud_size,
+    curve_size,
     curves_over,
 )
-from sklearn_vbjfa.diagnosis.explain._findings import Provenance
-from sklearn_vbjfa.diagnosis.explain._identified import ParameterValue, RecordedMotion
 from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._mathml import mathml
@@ -49,10 +51,10 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
                 signal="",
                 unit="N m",
                 with_motion=True,
-                most=_drawn.cloud_size(n_effects),
+                most=cloud_size(n_effects),
             )
         )
-    seconds = np.linspace(0.0, 20.0, _drawn.curve_size(nv))
+    seconds = np.linspace(0.0, 20.0, curve_size(nv))
     torques = tuple(
         TorqueCurves(
             joint=j,

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain._ceiling import Map
-from sklearn_vbjfa.diagnosis.explain._findings import Ceiling
+from sklearn_vbjfa.diagnosis.explain import Ceiling, Map
 from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH, map_picture
 from tests.diagnosis.report._outcomes import make_outcome
 

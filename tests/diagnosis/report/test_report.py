@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.diagnosis.explain._findings import Hidden
+from sklearn_vbjfa.diagnosis.explain import Hidden
 from sklearn_vbjfa.diagnosis.report import _render
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis

@@ -9,7 +9,7 @@ from sklearn_vbjfa.diagnosis.search._path import Path
 from sklearn_vbjfa.diagnosis.search._posterior import search as posterior
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.recording._recording import take_arrays
+from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record
 
 CLEAN = record("ZY", seed=2)

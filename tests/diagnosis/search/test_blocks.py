@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.signal import lfilter
 
-from sklearn_vbjfa.diagnosis.explain._whitening import Whitening
+from sklearn_vbjfa.diagnosis.explain import Whitening
 from sklearn_vbjfa.diagnosis.search._blocks import (
     FEWEST,
     _integrated,

@@ -12,7 +12,7 @@ import pinocchio as pin
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.explain._price import _concerned
+from sklearn_vbjfa.diagnosis.explain import concerned
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
@@ -175,7 +175,7 @@ def test_the_price_is_looked_for_where_most_of_it_stems_from(two_arms, arm):
     moved = np.zeros((8, robot.theta_.size // 8))
     moved[own[1]] = 1.0
     robot.theta_ = robot.theta_unconstrained_ + moved.ravel()
-    assert _concerned(robot) == own
+    assert concerned(robot) == own
     # where nothing moved nothing is to be named
     robot.theta_ = robot.theta_unconstrained_
-    assert _concerned(robot) == []
+    assert concerned(robot) == []

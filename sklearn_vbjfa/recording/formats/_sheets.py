@@ -5,25 +5,19 @@ import zipfile
 
 import numpy as np
 
-from sklearn_vbjfa.recording._quoting import quoted
-from sklearn_vbjfa.recording._table import LARGEST, Source, Table
-from sklearn_vbjfa.recording._text import row_of_units
-
-ENDINGS = (".xlsx", ".xlsm", ".xlsb", ".xls", ".ods")
+from sklearn_vbjfa.recording._table import Format, Source, Table, check_size, quoted
+from sklearn_vbjfa.recording.formats._text import row_of_units
 
 
-def read_sheet(path: Source) -> Table:
+def read_sheet(path: Source, wanted) -> Table:
     """Read the first sheet that is not empty; its first row has the names."""
     try:
         from python_calamine import CalamineError, CalamineWorkbook
     except ImportError as error:
-        raise ImportError(
-            f"{path}: spreadsheets need python-calamine, which is not installed: "
-            'pip install "sklearn-vbjfa[excel]"'
-        ) from error
+        raise SHEET.missing(path) from error
     broken = f"{path}: is no whole spreadsheet"
     try:
-        _check_size(path)
+        check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
         with CalamineWorkbook.from_path(path.file) as book:
             names = book.sheet_names
             rows, used = [], ""
@@ -66,17 +60,13 @@ def read_sheet(path: Source) -> Table:
     )
 
 
-def _check_size(path):
-    """Refuse what is packed small and fills the memory."""
+def _unpacked_size(path):
+    """Return the bytes of a file, or of what is packed in it."""
     size = path.file.stat().st_size
     if zipfile.is_zipfile(path.file):
         with zipfile.ZipFile(path.file) as archive:
             size = max(size, sum(x.file_size for x in archive.infolist()))
-    if size > LARGEST:
-        raise ValueError(
-            f"{path}: has {size / (1 << 30):.1f} GiB unpacked, too large to be read at "
-            "once; save a shorter recording, or CSV."
-        )
+    return size
 
 
 def _titles(rows, filled):
@@ -134,3 +124,12 @@ def _column(path, name, cells, where):
                 )
         return np.array([np.nan if x == "" else float(x) for x in cells])
     return np.array([str(x) for x in cells])
+
+
+SHEET = Format(
+    name="Excel",
+    endings=(".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"),
+    read=read_sheet,
+    begins=((b"\xd0\xcf\x11\xe0", ".xls"),),
+    needs=("python-calamine", "spreadsheets", "excel"),
+)

@@ -6,52 +6,38 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.recording._table import LARGEST, Source, Table, row_in_words
+from sklearn_vbjfa.recording._table import Format, Source, Table, check_size
 
 # Columns of several numbers per row, as LeRobot calls those of a robot's state.
 _INFO = Path("meta") / "info.json"
 
 
-def read_parquet(path: Source) -> Table:
+def read_parquet(path: Source, wanted) -> Table:
     """Read a parquet file with pyarrow; lists become columns with numbers."""
     columns = _columns(path)
     info = _lerobot_info(path.file)
     if info is not None:
         columns = _with_names(columns, info)
-    return Table(path=path.shown, columns=_flat(columns), where=row_in_words)
+    return Table(path=path.shown, columns=_flat(columns))
 
 
-def is_lerobot(folder: Path) -> bool:
-    """Whether a folder is a LeRobot data set."""
-    return (folder / _INFO).is_file()
-
-
-def read_lerobot(path: Source) -> Table:
-    """Read all episodes of a LeRobot data set."""
-    files = sorted((path.file / "data").rglob("*.parquet"))
+def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
+    """Read all episodes of a LeRobot data set; None for other folders."""
+    if not (path / _INFO).is_file():
+        return None
+    files = sorted((path / "data").rglob("*.parquet"))
     if not files:
         raise ValueError(
             f"{path}: is a LeRobot data set without parquet files in its folder data; "
             "expected data/chunk-000/*.parquet (is it downloaded completely?)."
         )
     size = sum(file.stat().st_size for file in files)
-    if size > LARGEST:
-        raise ValueError(
-            f"{path}: has {size / (1 << 30):.1f} GiB of parquet files, too large to be "
-            f"read at once; give one of them, such as {files[0]}."
-        )
+    check_size(path, size, f"give one of them, such as {files[0]}", "of parquet files")
     info = _lerobot_info(files[0]) or {}
-    parts = [
-        _flat(
-            _with_names(
-                _columns(Source(file, path.shown / file.relative_to(path.file))), info
-            )
-        )
-        for file in files
-    ]
+    parts = [_flat(_with_names(_columns(Source(x, x)), info)) for x in files]
     shared = [x for x in parts[0] if all(x in part for part in parts)]
     columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return Table(path=path.shown, columns=columns, where=row_in_words)
+    return Table(path=path, columns=columns)
 
 
 def _columns(path):
@@ -59,19 +45,11 @@ def _columns(path):
     try:
         from pyarrow import ArrowException, parquet
     except ImportError as error:
-        raise ImportError(
-            f"{path}: parquet files need pyarrow, which is not installed: "
-            'pip install "sklearn-vbjfa[parquet]"'
-        ) from error
+        raise PARQUET.missing(path) from error
     try:
         with parquet.ParquetFile(path.file) as file:
             groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
-            size = sum(group.total_byte_size for group in groups)
-            if size > LARGEST:
-                raise ValueError(
-                    f"{path}: has {size / (1 << 30):.1f} GiB unpacked, too large to be "
-                    "read at once; save a shorter recording."
-                )
+            check_size(path, sum(group.total_byte_size for group in groups))
             read = file.read()
         arrays = [column.to_numpy() for column in read.columns]
     except (ArrowException, OSError, UnicodeDecodeError) as error:
@@ -147,3 +125,13 @@ def _matrix(values):
     if len({x.size for x in values}) > 1 or values[0].dtype.kind not in "biuf":
         return None
     return np.stack(list(values)) if values[0].size else None
+
+
+PARQUET = Format(
+    name="parquet",
+    endings=(".parquet", ".pq"),
+    read=read_parquet,
+    begins=((b"PAR1", ".parquet"),),
+    read_folder=read_lerobot,
+    needs=("pyarrow", "parquet files", "parquet"),
+)

@@ -1,25 +1,46 @@
-"""Files of recordings: which format they have, unpacked, out of pipes.
+"""Formats of files, a module each, and how files are opened: unpacked, out of pipes.
 
 The ending tells the format, or the first bytes where there is none, as in a pipe.
 """
 
 import bz2
 import contextlib
+import functools
 import gzip
 import lzma
-import re
 import shlex
 import sys
 import tempfile
 import zlib
 from pathlib import Path
 
-from sklearn_vbjfa.recording import _arrays, _bags, _parquet, _sheets, _text
-from sklearn_vbjfa.recording._quoting import listed
-from sklearn_vbjfa.recording._table import LARGEST, Source, Table
+from sklearn_vbjfa.recording import _table
+from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed
+from sklearn_vbjfa.recording.formats._bags import BAG
+from sklearn_vbjfa.recording.formats._json import JSON
+from sklearn_vbjfa.recording.formats._matlab import MATLAB
+from sklearn_vbjfa.recording.formats._numpy import NPY, NPZ
+from sklearn_vbjfa.recording.formats._parquet import PARQUET
+from sklearn_vbjfa.recording.formats._sheets import SHEET
+from sklearn_vbjfa.recording.formats._text import TEXT
 
-# Endings that are read as text with separators.
-_TEXT = (".csv", ".tsv", ".txt", ".dat")
+# In the order in which lists name them, bags last.
+FORMATS = (TEXT, SHEET, NPZ, NPY, MATLAB, PARQUET, JSON, BAG)
+
+
+def _alternatives(words):
+    """List words as a choice: "a, b or c"."""
+    return f"{', '.join(words[:-1])} or {words[-1]}"
+
+
+_BY_ENDING = {ending: x for x in FORMATS for ending in x.endings}
+_KNOWN = (
+    f"{_alternatives([x for y in FORMATS for x in y.shown or y.endings[:1]])} (text "
+    "also with .gz, .bz2, .xz or .zst behind)"
+)
+# What a file may be, and what reads it, for docstrings and the help of commands.
+TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
+PACKAGES = _alternatives([x.needs[0] for x in FORMATS if x.needs])
 
 
 def _zstandard(source):
@@ -59,24 +80,11 @@ _ADVICE = {
         "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
     ),
     **dict.fromkeys(
-        (".json", ".jsonl", ".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
+        (".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
         "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
         "tau=tau)",
     ),
 }
-_READERS = {
-    **dict.fromkeys(_TEXT, _text.read_text),
-    **dict.fromkeys(_sheets.ENDINGS, _sheets.read_sheet),
-    ".npz": _arrays.read_npz,
-    ".npy": _arrays.read_npy,
-    ".mat": _arrays.read_mat,
-    ".parquet": _parquet.read_parquet,
-    ".pq": _parquet.read_parquet,
-}
-_KNOWN = (
-    ".csv, .xlsx, .npz, .npy, .mat, .parquet, .bag, .db3 or .mcap (text also with .gz, "
-    ".bz2, .xz or .zst behind)"
-)
 _ZSTANDARD = (".zst", ".zstd")
 # How files begin, and the ending that they would have.
 _MAGIC = (
@@ -84,27 +92,19 @@ _MAGIC = (
     (b"BZh", ".bz2"),
     (b"\xfd7zXZ\x00", ".xz"),
     (b"\x28\xb5\x2f\xfd", ".zst"),
-    (b"\x93NUMPY", ".npy"),
-    (b"PAR1", ".parquet"),
-    (b"SQLite format 3\x00", ".db3"),
-    (b"\x89MCAP0\r\n", ".mcap"),
-    (b"#ROSBAG V", ".bag"),
-    (b"MATLAB 5.0", ".mat"),
-    (b"\xd0\xcf\x11\xe0", ".xls"),
+    *(begin for x in FORMATS for begin in x.begins),
 )
 _CHUNK = 1 << 20
 
 
-def read_table(path, topic=None, wanted=lambda: ()) -> Table:
+def read_table(path, topic=None, joints=lambda: ()) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
-    # topic: topic of a bag; wanted: function that returns the robot's joints.
-    path = expanded(path)
+    # topic: topic of a bag; joints: function that returns the robot's joints.
+    path, wanted = expanded(path), Wanted(topic=topic, joints=joints)
     with contextlib.ExitStack() as stack:
-        if path.is_dir():
-            table = _read_folder(stack, path, topic, wanted)
-        else:
-            table = _read_file(stack, path, topic, wanted)
+        read = _read_folder if path.is_dir() else _read_file
+        table = read(stack, path, wanted)
     if not table.columns or table.n_rows == 0:
         raise ValueError(f"{path}: no rows of data; expected one row per sample.")
     return table
@@ -120,24 +120,19 @@ def expanded(path):
         return path
 
 
-def _read_folder(stack, path, topic, wanted):
+def _read_folder(stack, path, wanted):
     """Read the folder of a bag or of a LeRobot data set."""
-    if _parquet.is_lerobot(path):
-        _refuse_topic(path, topic)
-        return _parquet.read_lerobot(Source(path, path))
-    if _packs_messages(path):
-        return _bags.read_bag([Source(path, path)], path, topic, wanted())
-    for ending in _bags.ENDINGS:
-        files = sorted(path.glob(f"*{ending}"))
-        sources = [Source(file, path) for file in files]
-        for packed in sorted(path.glob(f"*{ending}.zst*")):
-            sources.append(_unpacked(stack, Source(packed, path), packed.suffix))
-        if sources:
-            return _bags.read_bag(sources, path, topic, wanted())
+    for one in FORMATS:
+        if one.read_folder is not None:
+            unpacked = functools.partial(_unpacked, stack)
+            table = one.read_folder(path, wanted, unpacked)
+            if table is not None:
+                _check_topic(path, one, wanted)
+                return table
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     for name in names:
         stem, _, ending = name.rpartition(".")
-        if f".{ending}" in _OTHER_PACKERS and stem.endswith(_bags.ENDINGS):
+        if f".{ending}" in _OTHER_PACKERS and stem.endswith(BAG.endings):
             raise _packed(path / name, f".{ending}")
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
@@ -145,17 +140,7 @@ def _read_folder(stack, path, topic, wanted):
     )
 
 
-def _packs_messages(folder):
-    """Whether the description of a bag says that each message is packed."""
-    try:
-        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return False
-    mode = re.search(r"compression_mode:\s*[\"']?(\w+)", text)
-    return mode is not None and mode[1].lower() == "message"
-
-
-def _read_file(stack, path, topic, wanted):
+def _read_file(stack, path, wanted):
     source = Source(path, path)
     if str(path) == "-" or (path.exists() and not path.is_file()):
         source = _from_pipe(stack, path)
@@ -169,25 +154,23 @@ def _read_file(stack, path, topic, wanted):
         ending = source.file.suffix.lower()
     if ending in _OTHER_PACKERS:
         raise _packed(source, ending)
-    if ending in _bags.ENDINGS:
-        if _packs_messages(path.parent):
-            source = Source(path.parent, path)
-        return _bags.read_bag([source], source.shown, topic, wanted())
-    _refuse_topic(source, topic)
-    if ending not in _READERS:
+    found = _BY_ENDING.get(ending)
+    _check_topic(source, found, wanted)
+    if found is None:
         advice = _ADVICE.get(ending, "")
         raise ValueError(
             f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}"
             f"{f'; {advice}' if advice else '.'}"
         )
-    return _READERS[ending](source)
+    return found.read(source, wanted)
 
 
-def _refuse_topic(path, topic):
-    if topic is not None:
+def _check_topic(path, found, wanted):
+    """Refuse a topic of what has none."""
+    if wanted.topic is not None and not (found and found.has_topics):
         raise ValueError(
-            f"{path}: is no bag, so that it has no topic {topic!r}; leave out the "
-            "topic, or give a .bag, .db3 or .mcap file."
+            f"{path}: is no bag, so that it has no topic {wanted.topic!r}; leave out "
+            "the topic, or give a .bag, .db3 or .mcap file."
         )
 
 
@@ -256,9 +239,9 @@ def _copy(stream, file, shown):
     with file.open("wb") as target:
         while chunk := stream.read(_CHUNK):
             size += len(chunk)
-            if size > LARGEST:
+            if size > _table.LARGEST:
                 raise ValueError(
-                    f"{shown}: has more than {LARGEST / (1 << 30):g} GiB, too large to "
-                    "be read at once; give a shorter recording."
+                    f"{shown}: has more than {_table.LARGEST / (1 << 30):g} GiB, too "
+                    "large to be read at once; give a shorter recording."
                 )
             target.write(chunk)

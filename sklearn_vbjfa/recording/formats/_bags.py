@@ -14,11 +14,16 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.recording._quoting import listed
-from sklearn_vbjfa.recording._refusal import RecordingRefused
-from sklearn_vbjfa.recording._table import LARGEST, Loss, Source, Table
+from sklearn_vbjfa.recording._table import (
+    LARGEST,
+    Format,
+    Loss,
+    RecordingRefused,
+    Source,
+    Table,
+    listed,
+)
 
-ENDINGS = (".bag", ".db3", ".mcap")
 _TYPE = "sensor_msgs/msg/JointState"
 # What mends a bag that was cut, and what unpacks one, by its ending.
 _MEND = {
@@ -52,18 +57,44 @@ class _Kind:
     tau: list = field(default_factory=list)
 
 
-def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
-    """Read the joint states of a bag, which may be split over several files."""
-    # topic: name of the topic, None for the only one of joint states; wanted: names of
-    # the robot's joints, empty for all.
+def read_bag(path: Source, wanted) -> Table:
+    """Read the joint states of a bag's file."""
+    # Of packed messages the folder tells how.
+    folder = path.shown.parent
+    source = Source(folder, path.shown) if _packs_messages(folder) else path
+    return _read([source], path.shown, wanted)
+
+
+def read_bag_folder(path: Path, wanted, unpacked) -> Table | None:
+    """Read the joint states of a bag split over several files; None without any."""
+    if _packs_messages(path):
+        return _read([Source(path, path)], path, wanted)
+    for ending in BAG.endings:
+        sources = [Source(file, path) for file in sorted(path.glob(f"*{ending}"))]
+        for packed in sorted(path.glob(f"*{ending}.zst*")):
+            sources.append(unpacked(Source(packed, path), packed.suffix))
+        if sources:
+            return _read(sources, path, wanted)
+    return None
+
+
+def _packs_messages(folder):
+    """Whether the description of a bag says that each message is packed."""
+    try:
+        text = (folder / "metadata.yaml").read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return False
+    mode = re.search(r"compression_mode:\s*[\"']?(\w+)", text)
+    return mode is not None and mode[1].lower() == "message"
+
+
+def _read(paths: Sequence[Source], shown: Path, wanted) -> Table:
+    joints = wanted.joints()
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise ImportError(
-            f"{shown}: bags need rosbags, which is not installed: "
-            'pip install "sklearn-vbjfa[bags]"'
-        ) from error
+        raise BAG.missing(shown) from error
     files = [path.file for path in paths]
     for path in paths:
         _check_begin(path)
@@ -72,7 +103,7 @@ def read_bag(paths: Sequence[Source], shown: Path, topic, wanted) -> Table:
         with AnyReader(
             files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag:
-            return _joint_states(bag, shown, topic, wanted)
+            return _joint_states(bag, shown, wanted.topic, joints)
     except (_Refused, MemoryError):
         raise
     except Exception as error:
@@ -338,3 +369,15 @@ def _stamps(kinds, order):
     return (received - received[0]) / 1e9, [
         "the stamps in the headers stand still; times are those of the recorder."
     ]
+
+
+BAG = Format(
+    name="bag of ROS 1 or 2, MCAP",
+    endings=(".bag", ".db3", ".mcap"),
+    shown=(".bag", ".db3", ".mcap"),
+    read=read_bag,
+    begins=tuple((begin, ending) for ending, begin in _BEGIN.items()),
+    read_folder=read_bag_folder,
+    has_topics=True,
+    needs=("rosbags", "bags", "bags"),
+)

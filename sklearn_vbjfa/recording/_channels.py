@@ -1,0 +1,490 @@
+"""The columns of a file as channels of the robot's joints, in their order.
+
+A file whose columns are not recognised is refused: with all that is missing at once,
+the columns that come nearest to it, and the options with which it would be read.
+"""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.recording._layout import (
+    KINDS,
+    TIME_NAMES,
+    TIME_UNITS,
+    Layout,
+    MappingRefused,
+    by_mapping,
+    by_names,
+    by_preset,
+    split_last_part,
+    split_unit,
+    unit_of,
+)
+from sklearn_vbjfa.recording._presets import PRESETS
+from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
+
+
+@dataclass(frozen=True, kw_only=True)
+class Asked:
+    """What the user says of the columns, and whether of the period and the gains."""
+
+    mapping: dict
+    preset: str | None
+    timed: bool
+    gained: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joints:
+    """The joints that columns are looked for of, and whether the user chose them."""
+
+    names: tuple = ()
+    chosen: bool = False
+
+
+def laid_out(table: Table, asked, names) -> Layout:
+    """Say which columns are which channels; refuse what does not fit."""
+    mapping, preset = asked.mapping, asked.preset
+    if preset is not None and mapping:
+        raise RecordingRefused(
+            "give columns or a preset, not both: a preset is a mapping.",
+            {"preset": None},
+        )
+    if mapping:
+        try:
+            return by_mapping(table, mapping, names)
+        except MappingRefused as error:
+            raise RecordingRefused(
+                f"{table.path}: {error}.", otherwise(table, asked, names)
+            ) from None
+    plain = by_names(table, names)
+    if table.joints:
+        return replace(plain, certain=True)
+    if preset is None and any(_matched(plain, kind, names) for kind in ("q", "tau")):
+        return plain
+    fitted = by_preset(table, preset, names)
+    if len(fitted) > 1:
+        raise RecordingRefused(
+            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
+            f"give preset={' or '.join(repr(x) for x in fitted)}.",
+            {"preset": next(iter(fitted))},
+        )
+    if fitted:
+        (layout,) = fitted.values()
+        return _named(layout)
+    if preset is not None:
+        expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
+        raise RecordingRefused(
+            f"{table.path}: does not fit the preset {preset!r}, which expects columns "
+            f"{expected}; found {listed(table.columns)}.",
+            otherwise(table, asked, names),
+        )
+    return plain
+
+
+def otherwise(table: Table, asked, names):
+    """Return the options that would read a file, had the user said nothing of it."""
+    said = {"columns": asked.mapping, "preset": asked.preset}
+    nothing = {key: None for key, value in said.items() if value}
+    plain = by_names(table, names)
+    if all(_matched(plain, kind, names) for kind in ("q", "tau")):
+        return nothing
+    if len(by_preset(table, None, names)) == 1:
+        return nothing
+    found = _suggestion(
+        table, names, ("q", "tau", "t"), {}, timed=asked.timed, gained=asked.gained
+    )
+    return nothing | found if found else {}
+
+
+def _named(layout: Layout) -> Layout:
+    """Put the joints' names, if there are any, into those of numbered channels."""
+    # Numbers count from 0 or 1, as elsewhere.
+    if not layout.joints:
+        return layout
+    roles = {}
+    first = 0 if "q0" in layout.roles else 1
+    for name, role in layout.roles.items():
+        match = re.fullmatch(r"(q|tau|v)(\d+)", name)
+        j = int(match[2]) - first if match else -1
+        if match and 0 <= j < len(layout.joints):
+            name = f"{match[1]}_{layout.joints[j]}"
+        roles[name] = role
+    return replace(layout, roles=roles)
+
+
+def _matched(layout: Layout, kind, names):
+    """Return the columns of a kind by joint and by number, two dicts of roles."""
+    by_joint, by_number = {}, {}
+    for name, role in layout.roles.items():
+        match = re.fullmatch(rf"{kind}[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
+        if match is None:
+            continue
+        suffix = match.group(1)
+        if suffix in names:
+            found, key = by_joint, suffix
+        elif suffix.isdecimal() and suffix.isascii():
+            # int() would choke on thousands of digits.
+            found, key = by_number, suffix.lstrip("0").rjust(1, "0")
+        elif not suffix and name.lower() == kind:
+            found, key = by_number, "1"
+        else:
+            continue
+        found.setdefault(key, []).append(role)
+    return (by_joint, by_number) if by_joint or by_number else ()
+
+
+def channels_of(table: Table, layout, asked, robot, notes):
+    """Return the roles of each kind, listed in the order of the joints, and those."""
+    # Refuses, all at once, what is missing.
+    names = robot.names or _own_joints(layout)
+    robot = replace(robot, names=names)
+    matched = {kind: _matched(layout, kind, names) for kind in KINDS}
+    missing = [kind for kind in ("q", "tau") if not matched[kind]]
+    no_time = not (asked.timed or layout.times)
+    if missing or no_time:
+        raise _all_missing(table, layout, asked, names, missing, no_time)
+    for pair in filter(None, matched.values()):
+        _refuse_both(table, *pair, names)
+    by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
+    if any(by_joint.values()):
+        robot = _held(table, layout, robot, by_joint, notes)
+    return {
+        kind: _in_order(table, kind, pair, robot.names) if pair else []
+        for kind, pair in matched.items()
+    }, robot
+
+
+def _own_joints(layout: Layout):
+    """Return the joints that the columns of a recognised log are called after."""
+    found = {}
+    if layout.certain:
+        for name in layout.roles:
+            match = re.fullmatch(r"q_(.+)", name)
+            if match and not match[1].isdecimal():
+                found[match[1]] = None
+    return tuple(found)
+
+
+def _held(table, layout, robot, by_joint, notes):
+    """Leave out the robot's joints without any column, unless the user chose them."""
+    having = set().union(*by_joint.values())
+    names = tuple(x for x in robot.names if x in having)
+    if layout.certain:
+        others = [x for x in _own_joints(layout) if x not in robot.names]
+        if others:
+            notes.append(
+                f"joint(s) {listed(others)} are none of the robot's and are left out."
+            )
+    if robot.chosen or len(names) == len(robot.names):
+        return robot
+    held = [x for x in robot.names if x not in having]
+    notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+    return replace(robot, names=names)
+
+
+def _refuse_both(table, by_joint, by_number, names):
+    """Refuse several columns for one channel, and numbers beside names."""
+    for found in (by_joint, by_number):
+        for roles in found.values():
+            for other in roles[1:]:
+                refuse_two(table, roles[0].column, other.column)
+    if by_joint and by_number:
+        name, (named, *_) = next(iter(by_joint.items()))
+        j = names.index(name)
+        (numbered, *_) = by_number.get(str(j + 1), next(iter(by_number.values())))
+        refuse_two(table, named.column, numbered.column)
+
+
+def _in_order(table: Table, kind, pair, names):
+    """Return the roles of one kind in the order of the joints."""
+    by_joint, by_number = pair
+    found = by_joint or by_number
+    first = 0 if by_joint or "0" in found else 1
+    count = len(names if by_joint else found)
+    roles = []
+    for k in range(count):
+        key = names[k] if by_joint else str(first + k)
+        if key not in found:
+            missing = f"{kind}_{names[k]}" if by_joint else f"{kind}{key}"
+            beside = listed([role.column for (role, *_) in found.values()])
+            raise ValueError(
+                f"{table.path}: column {missing!r} is missing beside {beside}; every "
+                "joint needs one, in order."
+            )
+        roles.append(found[key][0])
+    return roles
+
+
+def _all_missing(table, layout, asked, names, missing, no_time):
+    """Return the refusal that lists everything that is missing."""
+    parts = []
+    strangers = _own_joints(layout)
+    if missing and strangers and names:
+        parts.append(
+            f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
+        )
+    for kind, what in (("q", "positions"), ("tau", "torques")):
+        if kind in missing:
+            near = _nearest(table, kind, names)
+            near = f" (nearest: {near})" if near else ""
+            parts.append(f"no {what}: expected columns {kind}1, {kind}2, ...{near}")
+    if no_time:
+        near = _nearest(table, "t", names)
+        near = f" (nearest: {near})" if near else ""
+        parts.append(
+            f"no column t and no dt{near}; add time stamps [s] as column t, or give "
+            "the sample period dt in seconds"
+            if not missing
+            else f"no time: expected a column t, or dt{near}"
+        )
+    needed = [*missing, *(["t"] if no_time else [])]
+    options = _suggestion(
+        table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
+    )
+    found = f"; found {listed(table.columns)}" if missing else ""
+    offer = (
+        '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
+        if missing and not options
+        else ""
+    )
+    return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
+
+
+def refuse_two(table, one, other):
+    """Refuse two columns that could both be meant."""
+    if one != other:
+        raise ValueError(
+            f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
+            "or remove the one that is not."
+        )
+
+
+# -- what would be taken, by the words of names ----------------------------------------
+
+# Words in names, and how well they say what a column is.
+_WORDS = {
+    "q": {"q": 3, "position": 3, "positions": 3, "pos": 3, "angle": 3, "angles": 3}
+    | {"theta": 2, "phi": 2, "winkel": 3, "joint": 1, "joints": 1, "actual": 1}
+    | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
+    "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
+    | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
+    | {"strom": 2, "i": 1, "load": 1, "force": 2, "actual": 1, "measured": 1, "m": 1}
+    | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
+}
+# Words of what is asked for, or of something else.
+_OTHER = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goal"}
+_OTHER |= {"reference", "setpoint", "sp", "error", "err", "tcp", "cartesian", "ext"}
+_OTHER |= {"velocity", "vel", "speed", "qd", "dq", "acc", "acceleration", "d", "ff"}
+_OTHER |= {"temperature", "temp", "voltage", "stamp", "external", "soll", "window"}
+# Words of a motor's current.
+_CURRENT = {"current", "currents", "strom", "i"}
+# A name must have a word that says it by itself.
+_ENOUGH = 2
+# A clock that steps by this or more [s] is in another unit.
+_SLOWEST, _FASTEST = 1.0, 2e-5
+
+
+@dataclass(frozen=True)
+class _Family:
+    """Columns that differ in a number or a joint's name."""
+
+    pattern: str
+    keys: tuple
+    columns: tuple
+
+
+def _suggestion(table: Table, joints, needed, given, *, timed, gained):
+    """Return the options that would read a file, {} if they cannot be told."""
+    # joints: names of the robot's joints, empty if unknown; needed: kinds without a
+    # column ("q", "tau", "t"); given: mapping as far as it stands; timed: whether a
+    # period is known; gained: whether gains are.
+    mapping, numbered = dict(given), None
+    families = _families(table, joints)
+    best = _best_pair(table, families, joints, needed)
+    for kind in ("q", "tau"):
+        if kind in needed:
+            if best.get(kind) is None:
+                return {}
+            mapping[kind] = best[kind].pattern
+            numbered = best[kind].keys if "{i}" in best[kind].pattern else None
+    options = {}
+    if "tau" in needed and not gained and len(best["tau"].keys) > 1:
+        units = {split_unit(column)[1] for column in best["tau"].columns} - {""}
+        bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
+        if not units and _CURRENT & set(_words(best["tau"].pattern)):
+            mapping["tau"] += " [A]"
+            options["gains"] = "unknown"
+        elif bases - {"N m", "N"}:
+            options["gains"] = "unknown"
+    if "t" in needed and not timed:
+        column = _clock(table)
+        if column is None:
+            return {}
+        mapping["t"] = column
+        unit = _clock_unit(table, column)
+        if unit not in ("", "s"):
+            options["time_unit"] = unit
+    if any("," in x or "=" in x for x in mapping.values()):
+        return {}
+    chosen = _joints_of(numbered, joints)
+    if chosen:
+        options["joint_names"] = chosen
+    columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
+    return {"columns": columns, **options}
+
+
+def _nearest(table: Table, kind, joints):
+    """Return the pattern of the columns nearest to a kind, "" for none."""
+    if kind == "t":
+        return _clock(table) or ""
+    found = _ranked(_families(table, joints), kind, joints)
+    return found[0].pattern if found else ""
+
+
+def _families(table, joints):
+    """Group the columns of numbers by their names without a number or joint."""
+    groups = {}
+    bare = Counter(split_unit(name)[0] for name in table.columns)
+    for column, values in table.columns.items():
+        if values.dtype.kind not in "biuf":
+            continue
+        # Joints that turn and joints that slide have units of their own.
+        name = split_unit(column)[0]
+        if bare[name] > 1:
+            name = column
+        for joint in sorted(joints, key=len, reverse=True):
+            at = name.find(joint)
+            if at >= 0:
+                pattern = f"{name[:at]}{{joint}}{name[at + len(joint) :]}"
+                groups.setdefault(pattern, {})[joint] = column
+                break
+        # Any of its numbers may be the joint's.
+        for match in re.finditer(r"\d+", split_unit(name)[0]):
+            pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
+            groups.setdefault(pattern, {})[int(match[0])] = column
+    return [
+        _Family(pattern, tuple(sorted(found, key=str)), tuple(found.values()))
+        for pattern, found in groups.items()
+        if _is_row(pattern, found, joints)
+    ]
+
+
+def _is_row(pattern, found, joints):
+    """Whether a group counts from 0 or 1 without a hole, or has joints' names."""
+    if "{joint}" in pattern:
+        return True
+    numbers = sorted(found)
+    alone = len(numbers) > 1 or len(joints) == 1
+    return (
+        alone and numbers[0] in (0, 1) and numbers[-1] - numbers[0] == len(numbers) - 1
+    )
+
+
+def _words(pattern):
+    """Return the words in a pattern, in small letters."""
+    text = re.sub(r"\{\w+\}", " ", pattern)
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def _score(pattern, kind):
+    """How well the words of a pattern say that it is of a kind."""
+    words = _words(pattern)
+    points = [_WORDS[kind].get(word, 0) for word in words]
+    if not points or max(points) < _ENOUGH or _OTHER & set(words):
+        return 0
+    return sum(points)
+
+
+def _ranked(families, kind, joints):
+    """Return families of a kind, the best first."""
+    scored = [(x, _score(x.pattern, kind)) for x in families]
+
+    def order(pair):
+        family, score = pair
+        by_number = "{joint}" not in family.pattern
+        return (len(family.keys) != len(joints), -score, by_number, family.pattern)
+
+    return [x for x, score in sorted(scored, key=order) if score]
+
+
+def _best_pair(table, families, joints, needed):
+    """Return a family for each kind needed, both of the same joints."""
+    ranked = {kind: _ranked(families, kind, joints) for kind in ("q", "tau")}
+    if {"q", "tau"} <= set(needed):
+        for first in ranked["q"]:
+            for second in ranked["tau"]:
+                if first.keys == second.keys and first.columns != second.columns:
+                    return {"q": first, "tau": second}
+        return {}
+    return {kind: found[0] for kind, found in ranked.items() if found}
+
+
+def _joints_of(numbers, joints):
+    """Return the joints that numbered columns are of, if the robot has others, too."""
+    if numbers is None or len(numbers) == len(joints) or not joints:
+        return ()
+    groups = {}
+    for joint in joints:
+        match = re.search(r"\d+(?=\D*$)", joint)
+        if match:
+            rest = joint[: match.start()] + "\0" + joint[match.end() :]
+            groups.setdefault(rest, {})[int(match[0])] = joint
+    fitting = [
+        x for x in groups.values() if sorted(x) == sorted(int(k) for k in numbers)
+    ]
+    if len(fitting) != 1:
+        return ()
+    return tuple(fitting[0][k] for k in sorted(fitting[0]))
+
+
+def _clock(table):
+    """Return the column that is time, None if none or several could be."""
+    named = []
+    for name, values in table.columns.items():
+        bare = split_unit(name)[0]
+        stem = split_last_part(bare, "t")[0]
+        last = re.split(r"[/. ]", bare)[-1].lower()
+        if {bare.lower(), stem.lower(), last} & set(TIME_NAMES) and _rises(values):
+            named.append(name)
+    return named[0] if len(named) == 1 else None
+
+
+def _rises(values):
+    if values.dtype.kind not in "iuf" or values.size < 2:
+        return values.dtype.kind in "MU"
+    return bool((np.diff(values.astype(float)) >= 0).all() and values[-1] > values[0])
+
+
+def _clock_unit(table, column):
+    """Return the unit in which a clock must be if its steps are those of a robot."""
+    values = table.columns[column]
+    if values.dtype.kind not in "iuf" or split_unit(column)[1]:
+        return ""
+    return unit_of_steps(usual_step(values.astype(float)))
+
+
+def usual_step(t):
+    """Return the middle one of the steps by which a clock rises, 0 without any."""
+    step = np.diff(t)
+    step = step[step > 0]
+    return float(np.median(step)) if step.size else 0.0
+
+
+def unit_of_steps(step):
+    """Return the unit of time in which steps are those of a robot, "" for none."""
+    fitting = [
+        unit
+        for unit, factor in zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9))
+        if _FASTEST < step * factor < _SLOWEST
+    ]
+    return fitting[0] if fitting else ""
+
+
+def unit_is_wrong(period):
+    """Whether a period [s] is none of a robot that moves."""
+    return not _FASTEST < period < _SLOWEST

@@ -117,7 +117,7 @@ class Band:
 
 def measure_band(view, asked, tau, longest):
     """Describe the band of a fitted declared model, as a `Band`."""
-    # view: of the part that was searched; asked: its cut-off; tau (n, nv): its torques as
+    # view: of the part that was searched; asked: its cut-off; tau (n, nv): torques as
     # recorded [N m or N]; longest: rows of its longest piece.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv

@@ -21,7 +21,7 @@ from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import joint_names, load_model
-from sklearn_vbjfa.physical._solver import one_blas_thread
+from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._columns import (
     columns_beside,
     positions_in_order,

@@ -20,9 +20,9 @@ from sklearn_vbjfa._core._moments import from_data
 from sklearn_vbjfa.recording._faults import levels
 from sklearn_vbjfa.recording._reader import read_recording
 from sklearn_vbjfa.recording._recording import check_dt
-from sklearn_vbjfa.regression._base import check_sample_weight
-from sklearn_vbjfa.regression._joint_factor import (
+from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
+    check_sample_weight,
     fit_moments,
 )
 from sklearn_vbjfa.robot._equations import accumulate, segments

@@ -15,7 +15,7 @@ from sklearn_vbjfa.model import (
     joint_names,
     load_folded,
 )
-from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
+from sklearn_vbjfa.physical import INERTIAL_NAMES
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):

@@ -33,7 +33,7 @@ def main(argv=None):
         with stoppable():
             # Imports take a second, in which a run may be stopped as well.
             arguments = _arguments(argv)
-            from sklearn_vbjfa.physical._solver import one_blas_thread
+            from sklearn_vbjfa.physical import one_blas_thread
 
             # The matrices are small: threads would only wait for each other.
             with one_blas_thread():

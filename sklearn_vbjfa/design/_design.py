@@ -17,7 +17,12 @@ from sklearn_vbjfa.design._criterion import (
 )
 from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
 from sklearn_vbjfa.design._known_robot import KnownRobot
-from sklearn_vbjfa.design._limits import MotionLimits, MotionRefused, rounded_up
+from sklearn_vbjfa.design._limits import (
+    POSES,
+    MotionLimits,
+    MotionRefused,
+    rounded_up,
+)
 from sklearn_vbjfa.design._motion import DesignedMotion, FourierCurve
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
@@ -39,9 +44,8 @@ _PER_SAMPLE = 0.06
 # Random motions of which the best is improved, and states at which columns are
 # compared.
 _DRAWN, _STARTS, _REFERENCE = 40, 3, 600
-# Poses that are tried for a start, and the share of the torque limits that may go into
-# holding it.
-_POSES, _HELD = 200, 0.85
+# Share of the torque limits that may go into holding a start.
+_HELD = 0.85
 # Share of the limits within which motions are drawn.
 _DRAWN_INSIDE = 0.95
 # Margin to all limits at ten times the sampling of the design.
@@ -168,7 +172,7 @@ def design_motion(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Task:
+class DesignTask:
     """A motion that is asked for."""
 
     problem: Problem
@@ -180,7 +184,7 @@ class Task:
 
 
 def pose(model, *, duration, dt, limits, effects, report, start, rng):
-    """Return the `Task` of arguments as those of `design_motion`."""
+    """Return the `DesignTask` of arguments as those of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
     duration = _checked_duration(duration, dt)
@@ -235,7 +239,7 @@ def pose(model, *, duration, dt, limits, effects, report, start, rng):
         model = beside(candidates)
         questions = _questions(model, candidates, reference, noise)
         told = replace(problem, model=model, questions=questions)
-    return Task(
+    return DesignTask(
         problem=problem,
         told=told,
         robot=robot,
@@ -465,7 +469,7 @@ def _about_start(problem, z, basis, t):
 def _held_pose(problem, lowest, highest, rng):
     """Draw a pose between two that the torques hold against gravity, or anywhere."""
     for low, high in ((lowest, highest), _inner(problem.limits)):
-        poses = rng.uniform(low, high, size=(_POSES, lowest.size))
+        poses = rng.uniform(low, high, size=(POSES, lowest.size))
         held, strain = _strain(problem, poses)
         if held.any():
             return poses[np.flatnonzero(held)[0]]
@@ -489,7 +493,7 @@ def _check_held(problem, names, rng):
     """Refuse torque limits that do not hold the robot where the motion may start."""
     start, limits = problem.curve.start, problem.limits
     low, high = limits.position.T
-    poses = rng.uniform(low, high, size=(_POSES, len(names)))
+    poses = rng.uniform(low, high, size=(POSES, len(names)))
     poses = poses if start is None else start[None]
     held, strain = _strain(problem, poses)
     if held.any():
@@ -498,7 +502,7 @@ def _check_held(problem, names, rng):
     j = int(np.argmax(best))
     if best[j] < _HELD:
         _tell_collision(problem, poses, start is not None)
-    where = f"any of {_POSES} random poses" if start is None else "the start"
+    where = f"any of {POSES} random poses" if start is None else "the start"
     enough = np.maximum(limits.torque, best * limits.torque / _HELD)
     raise MotionRefused(
         f"The limits leave no room: to hold the robot still at {where}, {names[j]} "

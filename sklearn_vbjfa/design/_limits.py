@@ -26,7 +26,7 @@ _TO_MOVE = 1.5
 # Time to full speed of the acceleration that is proposed where there is no limit [s].
 _RUN_UP = 0.5
 # Poses in which the torque of holding still is looked at.
-_POSES = 200
+POSES = 200
 
 
 @dataclass(frozen=True, eq=False)
@@ -268,7 +268,7 @@ def _known(limit):
 def _holding(model, low, high):
     """Largest torques (nv,) that hold a robot still in random poses."""
     features = RigidBodyFeatures(model, friction=()).load()
-    poses = np.random.default_rng(0).uniform(low, high, size=(_POSES, model.nv))
+    poses = np.random.default_rng(0).uniform(low, high, size=(POSES, model.nv))
     still = np.zeros_like(poses)
     inertial = np.ascontiguousarray(nominal_parameters(model))
     return np.abs(features.torques(poses, still, still, inertial)).max(axis=0)

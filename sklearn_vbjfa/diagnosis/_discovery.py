@@ -25,7 +25,7 @@ from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
 from sklearn_vbjfa.effects._declared import available as plain_terms
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import joint_names, load_model
-from sklearn_vbjfa.physical._solver import one_blas_thread
+from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_clock,
@@ -38,10 +38,7 @@ from sklearn_vbjfa.recording import (
     take_arrays,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._identifier import (
-    RecordingRegressorMixin,
-    RobotIdentifier,
-)
+from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 

@@ -18,8 +18,11 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._moments import from_data
 from sklearn_vbjfa.recording import check_dt, levels, read_recording
-from sklearn_vbjfa.regression._base import check_sample_weight
-from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor, fit_moments
+from sklearn_vbjfa.regression import (
+    BaseJointFactorRegressor,
+    check_sample_weight,
+    fit_moments,
+)
 from sklearn_vbjfa.robot._equations import accumulate, segments
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._plan import (

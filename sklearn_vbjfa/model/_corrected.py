@@ -76,7 +76,7 @@ def _trace(A):
     return A[0, 0] + A[1, 1] + A[2, 2]
 
 
-class _Link:
+class _MovedLink:
     """A joint and its body in some samples: vectors (3, n) in the world's axes."""
 
     # `base`, `placed`: origin of the joint before it moves, and its axes there (3, 3,
@@ -244,7 +244,7 @@ class TorqueDerivatives:
         links, masses = [], []
         for j, parent in enumerate(parents):
             above = links[parent] if parent >= 0 else None
-            links.append(_Link(q[j], v[j], a[j], tree, j, above))
+            links.append(_MovedLink(q[j], v[j], a[j], tree, j, above))
             masses.append(_Mass(links[j], self._inertial[j]))
         for j in range(len(parents) - 1, -1, -1):
             if parents[j] >= 0:

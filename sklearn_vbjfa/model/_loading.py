@@ -20,6 +20,7 @@ import numpy as np
 
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
+    ROUNDING,
     Folded,
     LoadedRobot,
     check_joints,
@@ -45,8 +46,6 @@ if TYPE_CHECKING:
 # below which a warning says so. (What was identified and projected lies between it and
 # what counts as solid.)
 _POSSIBLE = 1e-12
-# Distance of two models by rounding alone [m, and of the axes' components].
-_ROUNDING = 1e-9
 # File inside the example-robot-data collection, module of robot_descriptions.
 _PUBLIC_DESCRIPTIONS = {
     "franka_panda": ("panda_description/urdf/panda.urdf", "panda_description"),
@@ -327,7 +326,7 @@ def alike(one, other):
         np.abs(getattr(first, name) - getattr(second, name)).max()
         for name in ("frames", "axes", "turns", "slides")
     ]
-    return max(placed + apart) < _ROUNDING
+    return max(placed + apart) < ROUNDING
 
 
 # -- nominal models of the measured sets -----------------------------------------------

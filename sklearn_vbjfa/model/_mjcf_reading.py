@@ -331,14 +331,14 @@ def read_mjcf(root, path, parse):
     # parse: function of a path to an `ElementTree`, for included files. A ValueError
     # names the file.
     try:
-        return _Reader(Document(root, path, parse)).robot()
+        return _BodyReader(Document(root, path, parse)).robot()
     except ValueError as error:
         raise ValueError(
             f"{str(path)!r} is not readable as MJCF: {error}; correct the description."
         ) from error
 
 
-class _Reader:
+class _BodyReader:
     """Bodies and constraints of a document."""
 
     def __init__(self, document):

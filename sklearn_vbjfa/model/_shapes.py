@@ -27,7 +27,7 @@ class NoShapes(ValueError):
 
 
 @dataclass(frozen=True)
-class Shape:
+class CollisionShape:
     """A convex shape on a body of the robot."""
 
     link: str  # link of the URDF that it belongs to
@@ -153,7 +153,7 @@ def _build(pin, tree, path, model):
 
 
 def _shape(coal, found, link, path):
-    """Return the `Shape` of a pinocchio.GeometryObject."""
+    """Return the `CollisionShape` of a pinocchio.GeometryObject."""
     geometry = found.geometry
     if isinstance(geometry, coal.BVHModelBase):
         geometry = _hull(coal, np.array(geometry.vertices()), found.meshPath)
@@ -164,7 +164,7 @@ def _shape(coal, found, link, path):
             "size."
         )
     corners, swept = _corners(coal, geometry, link)
-    return Shape(
+    return CollisionShape(
         link=link,
         joint=found.parentJoint,
         axes=found.placement.rotation.copy(),

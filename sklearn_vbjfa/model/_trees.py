@@ -16,6 +16,8 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which the body has next to no extension in some direction.
 _SOLID = 1e-6
+# Distance of two models by rounding alone [m, and of the axes' components].
+ROUNDING = 1e-9
 # Sine of the angle from the vertical below which a base is called level.
 _LEVEL = 1e-6
 _MOST_JOINTS = 200

@@ -11,6 +11,7 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 
 from sklearn_vbjfa.model._trees import (
+    ROUNDING,
     Link,
     body_names,
     check_number,
@@ -39,8 +40,6 @@ _REMEDY = (
 )
 # What URDF readers take for no limit.
 _UNLIMITED = 1e12
-# Distance of two models by rounding alone [m, and of the axes' components].
-_ROUNDING = 1e-9
 
 
 class UrdfRobot:
@@ -567,7 +566,7 @@ def _check_kind(model, j, tree):
     turns = tree.axes[j] if tree.turns[j] else np.zeros(3)
     slides = np.zeros(3) if tree.turns[j] else tree.axes[j]
     other = np.r_[motion.angular - turns, motion.linear - slides]
-    if np.abs(other).max() > _ROUNDING:
+    if np.abs(other).max() > ROUNDING:
         raise ValueError(
             f"Joint {model.names[j + 1]} ({model.joints[j + 1].shortname()}) is "
             "neither revolute nor prismatic, and URDF has no name for it."

@@ -4,6 +4,9 @@ from sklearn_vbjfa.physical._layout import ParameterLayout, resolve_layout
 from sklearn_vbjfa.physical._projection import ProjectionResult, project
 from sklearn_vbjfa.physical._projector import PhysicalProjector
 from sklearn_vbjfa.physical._pseudo_inertia import (
+    INERTIAL_NAMES as INERTIAL_NAMES,
+)
+from sklearn_vbjfa.physical._pseudo_inertia import (
     body_scales,
     constraint_matrix,
     inertia_matrix,
@@ -17,7 +20,7 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 from sklearn_vbjfa.physical._solver import ProjectionError
 from sklearn_vbjfa.physical._solver import one_blas_thread as one_blas_thread
 
-# `one_blas_thread` is for other rooms, not for users.
+# What is imported under its own name is for other rooms and tests, not for users.
 __all__ = [
     "ParameterLayout",
     "PhysicalProjector",

@@ -52,7 +52,7 @@ class ProjectionError(RuntimeError):
 
 
 @dataclass(frozen=True, kw_only=True)
-class Solution:
+class CertifiedVector:
     """A consistent vector and what is known of it."""
 
     vector: np.ndarray  # (n_features,): consistent vector in scaled units
@@ -72,7 +72,7 @@ def solve(programme, *, max_steps):
     squared, least = programme.distance(vector) ** 2, programme.resolution**2
     gap = squared / max(squared, least, np.finfo(float).tiny)
     if gap <= GAP_TARGET:
-        return Solution(vector=vector, gap=gap, n_iter=0, status="nothing to do")
+        return CertifiedVector(vector=vector, gap=gap, n_iter=0, status="nothing to do")
     answer, n_iter, status = solve_conic(programme, max_steps=max_steps)
     how = "without a start"
     for start in chain([answer], clipped_starts(programme)):
@@ -100,7 +100,9 @@ def solve(programme, *, max_steps):
         )
     if gap > GAP_TARGET:
         status = f"{status}; its refinement ended {how}"
-    return Solution(vector=vector, gap=max(gap, 0.0), n_iter=n_iter, status=status)
+    return CertifiedVector(
+        vector=vector, gap=max(gap, 0.0), n_iter=n_iter, status=status
+    )
 
 
 def solve_conic(programme, *, max_steps):

@@ -8,11 +8,13 @@ from sklearn.cross_decomposition import PLSRegression
 from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import GridSearchCV, KFold
 
-from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
-from sklearn_vbjfa.regression._joint_factor import JFARegressor
-from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
-from sklearn_vbjfa.regression._total_least_squares import TotalLeastSquares
-from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
+from sklearn_vbjfa.regression import (
+    InstrumentalVariables,
+    JFARegressor,
+    StepwiseRegressor,
+    TotalLeastSquares,
+    VBJFARegressor,
+)
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._plan import corrects_noise
 from sklearn_vbjfa.robot._residuals import collect_residuals

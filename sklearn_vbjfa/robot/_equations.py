@@ -21,9 +21,8 @@ from sklearn_vbjfa._core._lowpass import (
 from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.effects._ranges import own_motions
-from sklearn_vbjfa.model._regressor import rounding_entries
-from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.physical._solver import one_blas_thread
+from sklearn_vbjfa.model import is_prismatic, rounding_entries
+from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
 from sklearn_vbjfa.robot._joint_moments import Numbering, piece_moments, sum_moments
 from sklearn_vbjfa.robot._parallel import run

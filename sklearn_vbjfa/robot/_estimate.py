@@ -9,11 +9,11 @@ from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_ei
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
-from sklearn_vbjfa.regression._joint_factor import (
+from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
+    VBJFARegressor,
     fit_moments,
 )
-from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
 from sklearn_vbjfa.robot._bodies import around, as_described
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments

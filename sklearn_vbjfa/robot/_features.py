@@ -11,12 +11,17 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import _declared as _friction
 from sklearn_vbjfa.effects._follower import ChainJoint, Follower
-from sklearn_vbjfa.model._corrected import CorrectedModel, TorqueDerivatives
-from sklearn_vbjfa.model._loading import import_pinocchio, joint_names, load_folded
+from sklearn_vbjfa.model import (
+    CorrectedModel,
+    TorqueDerivatives,
+    TreeRegressor,
+    is_prismatic,
+    joint_names,
+    load_folded,
+)
+from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._mjcf import FollowingJoint
-from sklearn_vbjfa.model._regressor import TreeRegressor
-from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
+from sklearn_vbjfa.physical import INERTIAL_NAMES
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):

@@ -4,7 +4,7 @@ import itertools
 
 from sklearn.utils.parallel import Parallel, delayed
 
-from sklearn_vbjfa.physical._solver import one_blas_thread
+from sklearn_vbjfa.physical import one_blas_thread
 
 # Tasks dispatched at a time: their results are in memory together.
 _BATCH = 32

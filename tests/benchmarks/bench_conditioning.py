@@ -16,7 +16,7 @@ from sklearn.linear_model import LinearRegression, Ridge
 
 from sklearn_vbjfa import VBJFARegressor
 from sklearn_vbjfa._core import _moments
-from sklearn_vbjfa.regression._joint_factor import fit_moments
+from sklearn_vbjfa.regression import fit_moments
 
 CONDITIONS = (1e2, 1e4, 1e6, 1e8, 1e10, 1e12)
 NOISES = (1e-2, 1e-6, 1e-10)

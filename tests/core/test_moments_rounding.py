@@ -10,7 +10,7 @@ from scipy import linalg
 
 from sklearn_vbjfa import VBJFARegressor
 from sklearn_vbjfa._core import _moments
-from sklearn_vbjfa.regression._joint_factor import fit_moments
+from sklearn_vbjfa.regression import fit_moments
 
 
 def make_problem(n, condition, noise, seed=0, *, n_features=6):

@@ -5,8 +5,7 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.physical import resolve_layout
-from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES
+from sklearn_vbjfa.physical import INERTIAL_NAMES, resolve_layout
 
 
 @pytest.mark.parametrize(

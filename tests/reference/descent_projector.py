@@ -53,6 +53,6 @@ def _solve(programme, *, max_steps):
             "least squared distance (relative). Raise max_solver_iter, or use "
             "PhysicalProjector."
         )
-    return _solver.Solution(
+    return _solver.CertifiedVector(
         vector=vector, gap=max(excess, 0.0), n_iter=steps, status=message
     )

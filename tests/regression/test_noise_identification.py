@@ -7,7 +7,7 @@ from sklearn.linear_model import ARDRegression, LassoCV, LinearRegression
 
 from sklearn_vbjfa import VBJFARegressor
 from sklearn_vbjfa.datasets import make_noisy_regression
-from sklearn_vbjfa.regression._vbjfa import LARGEST_FRACTION, largest_noise_fraction
+from sklearn_vbjfa.regression import LARGEST_FRACTION, largest_noise_fraction
 
 
 def nmse(model, data):

@@ -14,7 +14,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from sklearn_vbjfa import StepwiseRegressor
-from sklearn_vbjfa.regression._stepwise import select_features, sweep
+from sklearn_vbjfa.regression import select_features, sweep
 
 examples = settings(derandomize=True, deadline=None, max_examples=25)
 

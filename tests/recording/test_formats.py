@@ -494,6 +494,13 @@ def test_json_that_is_none_is_refused(text, message, tmp_path):
     assert message in refused(path, dt=DT)
 
 
+def test_large_json_is_refused_early(tmp_path, monkeypatch):
+    monkeypatch.setattr(_table, "LARGEST", 1000)
+    path = tmp_path / "arm.jsonl"
+    path.write_text(as_json("lines")[0])
+    assert "GiB as objects, too large to be read at once" in refused(path)
+
+
 def test_damaged_json(tmp_path):
     path = tmp_path / "arm.json"
     path.write_text(as_json("arrays")[0])

@@ -457,7 +457,7 @@ class Parts:
             yield own[self._part[own] == part]
 
     def squares(self, recording, *, others):
-        """Squared errors (n_blocks, nv) on parts of a recording, of fits without them."""
+        """Squared errors (n_blocks, nv) on parts of a recording, not fitted to them."""
         # others: whether the other recordings are fitted as well.
         own = np.flatnonzero(self._origin == recording)
         pool = np.arange(self._origin.size) if others else own

@@ -6,6 +6,7 @@ from sklearn_vbjfa.recording._table import (
     Format,
     Source,
     Table,
+    check_size,
     flattened,
     quoted,
     table_of_arrays,
@@ -13,9 +14,13 @@ from sklearn_vbjfa.recording._table import (
     text_of,
 )
 
+_SPREAD = 4
+
 
 def read_json(path: Source, wanted) -> Table:
     """Read a list of records, records one a line, or arrays by their names."""
+    # Lists and numbers of Python take so many times the bytes of their text.
+    check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
     found = _parsed(path, text_of(path))
     if isinstance(found, dict):
         return table_of_arrays(path, flattened(found))

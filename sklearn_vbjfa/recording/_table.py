@@ -157,27 +157,31 @@ def text_of(path: Source) -> str:
     return text
 
 
-def flattened(values, keep=lambda value: True):
-    """Return nested structures as one, names with points; of a common one without."""
+def flattened(values, keep=lambda value: True, depth=0):
+    """Return what nested structures hold, names with points."""
+    found = {}
+    for name, value in values.items():
+        if isinstance(value, dict) and depth < 8:
+            inside = flattened(value, keep, depth + 1)
+            found |= {f"{name}.{key}": x for key, x in inside.items()}
+        elif keep(value):
+            found[name] = value
+    return found
 
-    def entries(inside, prefix, depth=0):
-        for name, value in inside.items():
-            if isinstance(value, dict) and depth < 8:
-                yield from entries(value, f"{prefix}{name}.", depth + 1)
-            elif keep(value):
-                yield f"{prefix}{name}", value
 
-    found = dict(entries(values, ""))
+def without_common_part(found):
+    """Take the name of the only structure off the names of what is in it."""
     if len({name.rpartition(".")[0] for name in found}) == 1:
         return {name.rpartition(".")[2]: x for name, x in found.items()}
     return found
 
 
 def table_of_records(path: Source, records) -> Table:
-    """Make columns of rows, each a dict; what a row lacks is nan."""
+    """Make columns of rows, each a dict, maybe nested; what a row lacks is nan."""
+    records = [flattened(record) for record in records]
     names = dict.fromkeys(name for record in records for name in record)
     columns = {name: [record.get(name) for record in records] for name in names}
-    return table_of_arrays(path, columns)
+    return table_of_arrays(path, without_common_part(columns))
 
 
 def table_of_arrays(path: Source, arrays) -> Table:

@@ -449,6 +449,12 @@ def test_nested_records_are_named_with_points(tmp_path):
     path.write_text(text)
     found = read_recording(path, columns="q=state.q{i},tau=state.tau{i},t=t")
     assert_same(found, columns)
+    # A record that lacks something has the names of the others.
+    lines = text.split("\n")
+    lines[4] = json.dumps({"state": json.loads(lines[4])["state"]})
+    path.write_text("\n".join(lines))
+    message = refused(path, columns="q=state.q{i},tau=state.tau{i},t=t")
+    assert "nan or nothing in row 5, column 't'" in message
 
 
 def test_json_out_of_a_pipe(tmp_path, monkeypatch):
@@ -492,6 +498,13 @@ def test_json_that_is_none_is_refused(text, message, tmp_path):
     path = tmp_path / "arm.json"
     path.write_text(text)
     assert message in refused(path, dt=DT)
+
+
+def test_large_json_is_refused_early(tmp_path, monkeypatch):
+    monkeypatch.setattr(_table, "LARGEST", 1000)
+    path = tmp_path / "arm.jsonl"
+    path.write_text(as_json("lines")[0])
+    assert "GiB as objects, too large to be read at once" in refused(path)
 
 
 def test_damaged_json(tmp_path):

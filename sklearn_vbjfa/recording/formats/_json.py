@@ -6,19 +6,25 @@ from sklearn_vbjfa.recording._table import (
     Format,
     Source,
     Table,
+    check_size,
     flattened,
     quoted,
     table_of_arrays,
     table_of_records,
     text_of,
+    without_common_part,
 )
+
+_SPREAD = 4
 
 
 def read_json(path: Source, wanted) -> Table:
     """Read a list of records, records one a line, or arrays by their names."""
+    # Lists and numbers of Python take so many times the bytes of their text.
+    check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
     found = _parsed(path, text_of(path))
     if isinstance(found, dict):
-        return table_of_arrays(path, flattened(found))
+        return table_of_arrays(path, without_common_part(flattened(found)))
     for k, record in enumerate(found if isinstance(found, list) else [found]):
         if not isinstance(record, dict) or not record:
             raise ValueError(
@@ -26,7 +32,7 @@ def read_json(path: Source, wanted) -> Table:
                 'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, or arrays '
                 "by their names."
             )
-    return table_of_records(path, [flattened(record) for record in found])
+    return table_of_records(path, found)
 
 
 def _parsed(path, text):

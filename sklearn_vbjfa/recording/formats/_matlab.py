@@ -14,6 +14,7 @@ from sklearn_vbjfa.recording._table import (
     flattened,
     reading_arrays,
     table_of_arrays,
+    without_common_part,
 )
 
 
@@ -57,7 +58,8 @@ def read_mat(path: Source, wanted) -> Table:
         check_memory(max(8 * sum(sizes), path.file.stat().st_size))
         found = loadmat(path.file, simplify_cells=True)
     found = {name: x for name, x in found.items() if name[:2] != "__"}
-    arrays = {name: np.asarray(x) for name, x in flattened(found, _is_numeric).items()}
+    arrays = without_common_part(flattened(found, _is_numeric))
+    arrays = {name: np.asarray(x) for name, x in arrays.items()}
     return table_of_arrays(path, _upright(arrays))
 
 

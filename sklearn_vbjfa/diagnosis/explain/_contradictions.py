@@ -1,53 +1,74 @@
-"""Recordings that contradict each other: no one robot has the torques of both.
+"""Recordings that differ: what is another in one of them, or in each.
 
-What is wrong with one of several recordings (another payload, friction, or gain of a
-torque) is spread over all by a common fit. A fit to that recording alone then predicts
-its other blocks better than the common one, which has seen more; where all recordings
-are of one robot it cannot, except by chance.
+The model of all recordings has a deviation of each recording r in each group g of
+columns E_g, tau_r = Phi theta + sum_g E_g u_rg + noise: an offset, the friction or the
+gain of a joint, of all joints, the load of the last body, or everything. One of them
+may be another in one recording alone (it contradicts the others), or in each with one
+common scale (they scatter); scales are half-Cauchy and integrated, as those of effects.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._scaled_eigen import scaled_eigen
-from sklearn_vbjfa.diagnosis.explain._evidence import p_value
+from sklearn_vbjfa.diagnosis.search._moments import Moments
+from sklearn_vbjfa.diagnosis.search._problem import (
+    Base,
+    Family,
+    Fit,
+    Member,
+    declared_alone,
+    rescaled,
+    spectrum_of,
+)
 from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
 # Parts into which a recording is divided, each predicted without it, and the fewest.
 _PARTS, _FEWEST_PARTS = 8, 4
-# Share of the squared error that has to come from the other recordings: most of it.
+# A recording suffers if most of its squared error comes from the other recordings.
 _MOST = 0.5
-# Recordings by which a culprit and a cause are judged: those that suffer most.
-_JUDGED = 3
-# What explains nearly as much as the best of the causes, and is simpler, is taken.
-_AS_GOOD = 0.9
 # Directions that the data tell less about than this share are left alone.
 _KNOWN = 1e-9
+# What may scatter from one recording of a joint to the next, and from how many on.
+_PLAIN = ("offset", "gain", "friction")
+_SCATTER = 3
+# Times that gains are made anew of the torque that recordings share, until it stays.
+_TURNS, _STAYS = 20, 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
-class Cause:
-    """What may be another in one of the recordings.
+class Deviation:
+    """What is another in one of the recordings, or in each of them.
 
     Attributes
     ----------
-    recording : int
-        That recording, from zero.
-    name : {"offset", "gain", "friction", "payload"}
-        Of a torque, of friction, or of the last body.
+    recordings : tuple of int
+        Recordings that may be the one, from zero, the most probable first; all of them
+        where each has its own.
+    name : {"offset", "gain", "friction", "payload", "model"}
+        Of a torque, of friction, of the last body, or everything.
     joints : tuple of int
         Joints, from zero.
     value : float
         Of one offset: how much larger it is [N m or N]; of one gain: how many times as
-        large the torque is; nan otherwise.
+        large the torque is; where each has its own, their deviation; else nan.
+    log_odds : float
+        Logarithm of the posterior odds that it is another.
+    scatters : bool
+        Whether each recording has its own.
+    rivals : tuple of str
+        Names of what explains it within the rivals' nats, the best first.
     """
 
-    recording: int
+    recordings: tuple
     name: str
     joints: tuple
     value: float = np.nan
+    log_odds: float = np.nan
+    scatters: bool = False
+    rivals: tuple = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,15 +84,12 @@ class Contradiction:
     alone, together : float
         Error on parts of the recording that were not fitted, over the spread of the
         torque: by a fit to the rest of this recording, and by one to the rest of all.
-    p_value : float
-        How likely blocks of time would favour the fit to it alone so much by chance.
     """
 
     recording: int
     joint: int
     alone: float
     together: float
-    p_value: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -83,19 +101,18 @@ class Contradictions:
     found : tuple of Contradiction
         Recordings and joints.
     culprit : int or None
-        Recording, from zero, without which the others contradict each other no more;
-        None if there is no such one, or only two.
-    cause : Cause or None
-        What accounts for most of the difference, on all joints together, if it is
-        another in one recording; None if nothing that was tried does.
+        Recording, from zero, that alone is another; None if it is not known which, or
+        if several are.
+    deviations : tuple of Deviation
+        What is another, the most probable first.
     """
 
     found: tuple = ()
     culprit: int | None = None
-    cause: Cause | None = None
+    deviations: tuple = ()
 
 
-def contradictions(parts, spread, alpha):
+def contradictions(parts, spread, alpha, settings):
     """Compare the recordings of a fit with each other, as `Contradictions`.
 
     Parameters
@@ -105,153 +122,281 @@ def contradictions(parts, spread, alpha):
     spread : ndarray of shape (nv,)
         Spread of the torque [N m or N].
     alpha : float
-        Significance level over all recordings and joints.
+        Share of robots whose recordings agree that get any.
+    settings : SearchSettings
+        Prior and rivals, as of effects.
     """
-    if parts is None:
+    suffering = [] if parts is None else _suffering(parts, spread)
+    if not suffering:
         return Contradictions()
-    fit = parts.fit
-    checked = [k for k in parts.recordings if parts.count(k) >= _FEWEST_PARTS]
-    level = alpha / max(len(checked) * fit.view.nv, 1)
-    found, victims = [], []
-    for recording in checked:
-        alone = parts.squares(recording, others=False)
-        together = parts.squares(recording, others=True)
-        own = _compared(parts, recording, alone, together, spread, level)
-        if own:
-            found += own
-            weight = np.zeros(fit.view.nv)
-            joints = [one.joint for one in own]
-            weight[joints] = parts.precision[joints]
-            victims.append(
-                _Victim(
-                    recording=recording,
-                    weight=weight,
-                    together=together.sum(axis=0) @ weight,
-                    saved=(together - alone).sum(axis=0) @ weight,
-                )
-            )
+    joints = sorted({one.joint for one in suffering})
+    # Of two, the one that does not suffer may be the one that is another.
+    suspects = parts.recordings
+    if suspects.size > 2:
+        suspects = np.unique([one.recording for one in suffering])
+    needed = float(np.log((1.0 - alpha) / alpha))
+    deviations = _Deviations(parts.fit, settings).found(suspects, joints, needed)
+    of_joints = {j for one in deviations for j in one.joints}
+    found = tuple(one for one in suffering if one.joint in of_joints)
     if not found:
         return Contradictions()
-    victims = sorted(victims, key=lambda one: -one.saved)[:_JUDGED]
-    culprit = _culprit(parts, victims)
-    suspects = [one.recording for one in victims] if culprit is None else [culprit]
-    if parts.recordings.size == 2:
-        suspects = parts.recordings
-    joints = sorted({one.joint for one in found})
-    cause = _cause(parts, suspects, joints, victims)
-    return Contradictions(found=tuple(found), culprit=culprit, cause=cause)
+    others = {r for one in deviations for r in one.recordings}
+    culprit = others.pop() if len(others) == 1 else None
+    return Contradictions(found=found, culprit=culprit, deviations=deviations)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Victim:
-    """A recording that the others are fitted at the expense of.
-
-    Attributes
-    ----------
-    recording : int
-        Recording.
-    weight : ndarray of shape (nv,)
-        Weights of the joints that suffer, zero elsewhere.
-    together, saved : float
-        Weighted squared error if all are fitted, and what a fit to this one alone takes
-        off it.
-    """
-
-    recording: int
-    weight: np.ndarray
-    together: float
-    saved: float
-
-
-def _compared(parts, recording, alone, together, spread, level):
-    """Return the contradictions of one recording with the others, a list."""
-    rows = parts.weight(recording)
+def _suffering(parts, spread):
+    """List joints of recordings that a fit to these alone predicts much better."""
     found = []
-    for joint in np.flatnonzero(parts.precision > 0):
-        one, both = alone[:, joint], together[:, joint]
-        used = rows[:, joint] > 0
-        if not used.any() or one.sum() > _MOST * both.sum():
+    for recording in parts.recordings:
+        if parts.count(recording) < _FEWEST_PARTS:
             continue
-        chance = p_value(both[used], one[used])
-        if chance < level:
-            size = spread[joint] * np.sqrt(rows[:, joint].sum())
-            found.append(
-                Contradiction(
-                    recording=int(recording),
-                    joint=int(joint),
-                    alone=float(np.sqrt(one.sum()) / size),
-                    together=float(np.sqrt(both.sum()) / size),
-                    p_value=chance,
+        rows = parts.weight(recording).sum(axis=0)
+        alone = parts.squares(recording, others=False).sum(axis=0)
+        together = parts.squares(recording, others=True).sum(axis=0)
+        for joint in np.flatnonzero((parts.precision > 0) & (rows > 0)):
+            if alone[joint] <= _MOST * together[joint]:
+                size = spread[joint] * np.sqrt(rows[joint])
+                found.append(
+                    Contradiction(
+                        recording=int(recording),
+                        joint=int(joint),
+                        alone=float(np.sqrt(alone[joint]) / size),
+                        together=float(np.sqrt(together[joint]) / size),
+                    )
                 )
-            )
     return found
 
 
-def _culprit(parts, victims):
-    """Return the recording without which the others suffer no more, or None."""
-    if parts.recordings.size == 2:
-        return None
-    left = {}
-    for suspect in parts.recordings:
-        others = [one for one in victims if one.recording != suspect]
-        # If nobody else suffers, it is the one.
-        gone, whole = 0.0, sum(one.saved for one in others)
-        for one in others:
-            squares = parts.squares(one.recording, others=True, without=suspect)
-            gone += one.together - squares.sum(axis=0) @ one.weight
-        left[int(suspect)] = 1.0 - gone / whole if others else 0.0
-    best = min(left, key=left.get)
-    return best if left[best] < 1.0 - _MOST else None
+@dataclass(frozen=True)
+class _Group:
+    """What may be another: in place of an effect in the search's regression."""
+
+    name: str
+    joints: tuple
+    recordings: tuple
+    whole_robot: bool
+    in_model = slow = trend = False
+    jumping = ()
+
+    @property
+    def joint(self):
+        """First joint."""
+        return self.joints[0]
+
+    @property
+    def scatters(self):
+        """Whether each recording has its own."""
+        return len(self.recordings) > 1
 
 
-def _cause(parts, suspects, joints, victims):
-    """Return what accounts for most of the difference, the simplest, or None."""
-    # It is looked for in the suspected recordings and on some of the joints.
-    judged = [one.recording for one in victims]
-    whole = sum(one.saved for one in victims)
-    tried = []
-    for suspect in suspects:
-        for cause, extra in _candidates(parts, suspect, joints):
-            squares, coef = parts.squares_beside(suspect, extra, judged)
-            gone = sum(
-                one.together - squares[one.recording] @ one.weight for one in victims
+class _Deviations:
+    """Posterior of what is another in recordings, beside the completed model."""
+
+    def __init__(self, fit, settings):
+        self.fit, self.scale, self.rivals = fit, settings.scale, settings.rivals
+        self.settings, self.view = settings, fit.view
+        base = declared_alone(fit.view).base
+        self.problem = base.problem
+        self.heard = np.flatnonzero(self.problem.heard)
+        self.recordings = np.unique(fit.view.origin)
+        effects = [
+            Family.of(self.problem, (e,), fit.view.columns([e], fit.motion))
+            for e in fit.effects
+        ]
+        members = [family.member(0, self.scale) for family in effects]
+        start = rescaled(Fit(base, members), self.scale)
+        self.regression, self.n_effects = spectrum_of(start, settings), len(members)
+        self._mirrors = set()
+        self._still = {name: self._kind(name) for name in ("offset", "friction")}
+
+    def found(self, suspects, joints, needed):
+        """Deviations with enough odds, added one by one, a tuple of `Deviation`."""
+        regression, out = self.regression, []
+        open_ = list(self._groups(suspects, joints))
+        nv, R = self.view.nv, self.recordings.size
+        # Each joint and recording counts, whether it suffers or not.
+        count = R * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv * (R >= _SCATTER)
+        prior = np.log(self.settings.expected / count)
+        while open_:
+            torque = self._shared(regression)
+            families = [self._family(group, torque) for group in open_]
+            odds = [self._evidence(regression, own) + prior for own in families]
+            best = int(np.argmax(odds))
+            if odds[best] < needed:
+                break
+            near = [
+                open_[k]
+                for k in np.argsort(odds)[::-1]
+                if odds[k] > odds[best] - self.rivals
+            ]
+            scale = regression.groups(families[best]).best_scale(self.scale)[0]
+            regression = self._beside(regression, families[best], float(scale))
+            out.append((open_.pop(best), near, odds[best]))
+        members = range(self.n_effects, len(regression.members))
+        return tuple(self._told(regression, i, *own) for i, own in zip(members, out))
+
+    def _groups(self, suspects, joints):
+        """Yield what may be another, in each suspect or from recording to recording."""
+        every = tuple(self.recordings.tolist())
+        for name in _PLAIN:
+            for j in joints:
+                for r in suspects:
+                    yield _Group(name, (j,), (int(r),), False)
+                if len(every) >= _SCATTER:
+                    yield _Group(name, (j,), every, False)
+        wide = ("gain", "friction") if self.heard.size > 1 else ()
+        for name in (*wide, Payload.name, "model"):
+            for r in suspects:
+                yield _Group(name, tuple(self.heard.tolist()), (int(r),), True)
+
+    def _evidence(self, regression, family):
+        """Log Bayes factor of a group, tempered by its scatter in time."""
+        groups = regression.groups(family)
+        if not groups.shown().any():
+            return -np.inf
+        coef = groups.coefficients()[0]
+        excess = regression.excess(family, 0, coef, regression.scores)
+        return float(groups.tempered(excess).evidence(self.scale)[0])
+
+    def _beside(self, regression, family, scale):
+        """Regression with one more group; gains are of the torque that all share."""
+        before, group = regression, family.effects[0]
+        regression = before.beside(_member(family, scale))
+        if _turned(regression, len(before.members)):
+            before = self._mirrored(before, group)
+            family = self._family(group, self._shared(before))
+            regression = before.beside(_member(family, scale))
+        for _ in range(_TURNS):
+            torque = self._shared(regression)
+            members = [
+                _member(self._family(one.effect, torque), one.scale) if k else one
+                for one, k in zip(regression.members, self._is_group(regression))
+            ]
+            again = rescaled(Fit(regression.base, members), self.scale)
+            regression = spectrum_of(again, self.settings, 1)
+            change = self._shared(regression) - torque
+            if (change**2).sum() <= _STAYS**2 * (torque**2).sum():
+                break
+        return regression
+
+    def _mirrored(self, regression, group):
+        """Regression on torques of the other sign, for a gain that is negative."""
+        problem, j = regression.problem, group.joint
+        own = np.isin(self.view.origin, group.recordings)
+        rows = problem.cosines.rows(problem.y[[j]]) * np.where(own, -1.0, 1.0)
+        y = problem.y.copy()
+        y[j] = problem.cosines(rows, [j])[0]
+        self._mirrors.add(group)
+        base = Base(problem.with_torques(y), regression.base.density)
+        return spectrum_of(Fit(base, regression.members), self.settings)
+
+    def _is_group(self, regression):
+        """Which members are no effects of the completed model."""
+        return np.arange(len(regression.members)) >= self.n_effects
+
+    def _told(self, regression, i, group, near, log_odds):
+        """Collect a group that was found, the i-th member."""
+        member, value = regression.members[i], np.nan
+        if len(group.joints) == 1 and group.name in ("offset", "gain"):
+            value = float(regression.coefficients(i)[0])
+            if group.scatters:
+                value = float(member.scale * member.unit[0])
+            elif group.name == "gain":
+                value = (1.0 + value) * (-1.0 if group in self._mirrors else 1.0)
+        alike = (o for o in near if (o.name, o.joints) == (group.name, group.joints))
+        recordings = dict.fromkeys(o.recordings[0] for o in alike if not o.scatters)
+        others = dict.fromkeys(o.name for o in near if o.name != group.name)
+        return Deviation(
+            recordings=group.recordings if group.scatters else tuple(recordings),
+            name=group.name,
+            joints=group.joints,
+            value=value,
+            log_odds=float(log_odds),
+            scatters=group.scatters,
+            rivals=tuple(others),
+        )
+
+    # -- columns --------------------------------------------------------------------
+
+    def _shared(self, regression):
+        """Weighted torque of what all recordings share, (nv, m)."""
+        shared = self.problem.Z @ regression.theta
+        for i, member in enumerate(regression.members[: self.n_effects]):
+            for own, j in zip(member.columns, member.joints):
+                shared[j] += own[:, 0] @ regression.coefficients(i)
+        return self.problem.cosines.rows(shared)
+
+    def _kind(self, name, torque=None):
+        """Columns of each joint that is heard, a dict of (m, k)."""
+        if name == "gain":
+            return {int(j): torque[j][:, None] for j in self.heard}
+        effects = (Offset(),) if name == "offset" else (Viscous(), Coulomb())
+        out = {}
+        for j in self.heard:
+            own = [clone(e).set_params(joint=int(j)) for e in effects]
+            made = [self.view.columns([e], self.fit.motion)[0, :, 0] for e in own]
+            out[int(j)] = np.concatenate(made, axis=1)
+        return out
+
+    def _columns(self, group, torque):
+        """Columns (nj, m, 1, k) of a group in all recordings."""
+        view = self.view
+        if group.name == Payload.name:
+            features = view.robot.features_
+            last = features.n_parameters_ - features.n_parameters_ // view.nv
+            body = view.equations.Phi[:, :, last : last + 10] * view.root[:, :, None]
+            return body.transpose(1, 0, 2)[:, :, None]
+        if group.name == "model":
+            every = [_wide(self._still[name], view) for name in self._still]
+            return np.concatenate([view.Z[:, :, None], *every], axis=3)
+        own = self._still.get(group.name) or self._kind(group.name, torque)
+        return (
+            _wide(own, view) if group.whole_robot else own[group.joint][None, :, None]
+        )
+
+    def _family(self, group, torque):
+        """Group in its recordings, or in each of several with columns of its own."""
+        columns = self._columns(group, torque)
+        unit = Family.of(self.problem, (group,), columns).unit
+        joints = tuple(self.view.joints_of(group))
+        made = [
+            self.problem.cosines(
+                columns * (self.view.origin == r)[:, None, None], joints
             )
-            if coef.size == 1:
-                value = float(coef[0]) + (cause.name == "gain")
-                cause = replace(cause, value=value)
-            tried.append((gone / whole, extra.shape[2], cause))
-    best = max(share for share, _, _ in tried)
-    if best < _MOST:
-        return None
-    good = [one for one in tried if one[0] >= _AS_GOOD * best]
-    return min(good, key=lambda one: (one[1], -one[0]))[2]
+            for r in group.recordings
+        ]
+        return Family(
+            effects=(group,),
+            moments=Moments(joints, np.concatenate(made, axis=3), self.problem.edges),
+            unit=np.tile(unit, len(made)),
+        )
 
 
-def _candidates(parts, recording, joints):
-    """Yield causes and their columns (m, nv, k), which count in one recording only."""
-    fit = parts.fit
-    view, nv = fit.view, fit.view.nv
-    offset, viscous, coulomb = (
-        [fit.in_equations(clone(e).set_params(joint=j)) for j in range(nv)]
-        for e in (Offset(), Viscous(), Coulomb())
+def _wide(columns, view):
+    """Columns (m, k) of joints as those of all joints, (nv, m, 1, k * joints)."""
+    width = [own.shape[1] for own in columns.values()]
+    out = np.zeros((view.nv, view.index.size, 1, sum(width)))
+    for j, own, end in zip(columns, columns.values(), np.cumsum(width)):
+        out[j, :, 0, end - own.shape[1] : end] = own
+    return out
+
+
+def _turned(regression, i):
+    """Whether a member is the negative gain of a joint in one recording."""
+    group = regression.members[i].effect
+    single = group.name == "gain" and not (group.whole_robot or group.scatters)
+    return single and regression.coefficients(i)[0] < -1.0
+
+
+def _member(family, scale):
+    """Group as a member of a fit."""
+    return Member(
+        effect=family.effects[0],
+        moments=family.moments,
+        unit=family.unit[0],
+        scale=scale,
     )
-    modelled = parts.torques(parts.without(recording))
-    gain = [(modelled * (np.arange(nv) == j))[:, :, None] for j in range(nv)]
-    friction = [np.concatenate(pair, axis=2) for pair in zip(viscous, coulomb)]
-
-    def cause(name, *where):
-        return Cause(recording=int(recording), name=name, joints=where)
-
-    kinds = ((Offset.name, offset), ("gain", gain), ("friction", friction))
-    for name, columns in kinds:
-        for j in joints:
-            yield cause(name, j), columns[j]
-    if nv > 1:
-        for name, columns in kinds[1:]:
-            yield cause(name, *range(nv)), np.concatenate(columns, axis=2)
-    features = view.robot.features_
-    last = features.n_parameters_ - features.n_parameters_ // nv
-    yield cause(Payload.name, nv - 1), view.equations.Phi[:, :, last : last + 10]
 
 
 class Parts:
@@ -312,22 +457,17 @@ class Parts:
         """Rows of a block."""
         return slice(self._edges[block], self._edges[block + 1])
 
-    def _moments_of(self, block, extra=None):
-        """Second moments (p, p) and (p,) of a block, perhaps with extra columns."""
+    def _moments_of(self, block):
+        """Second moments (p, p) and (p,) of a block."""
         G, g = 0.0, 0.0
         rows = self._rows(block)
-        Phi = self._design(rows, extra)
+        Phi = self.fit.columns(rows)
         weight = self.fit.view.equations.weight[rows] * self.precision
         for j in range(Phi.shape[1]):
             own = Phi[:, j] * weight[:, j, None]
             G = G + own.T @ Phi[:, j]
             g = g + own.T @ self.fit.view.equations.tau[rows, j]
         return G, g
-
-    def _design(self, rows, extra=None):
-        """Columns (n, nv, p) of the completed model, perhaps with extra ones."""
-        Phi = self.fit.columns(rows)
-        return Phi if extra is None else np.concatenate([Phi, extra[rows]], axis=2)
 
     def count(self, recording):
         """Count the parts of a recording."""
@@ -337,20 +477,12 @@ class Parts:
         """Weight of the rows of each block of a recording, (n_blocks, nv)."""
         return self._weights[self._origin == recording]
 
-    def _solve(self, blocks, moments=None):
+    def _solve(self, blocks):
         """Fit to some blocks, beside the description, (p,)."""
-        moments = self._moments if moments is None else moments
-        G = sum(moments[b][0] for b in blocks)
-        g = sum(moments[b][1] for b in blocks)
         known, pulled = self._prior
-        p = pulled.size
-        G[:p, :p] += known
-        g[:p] += pulled
+        G = known + sum(self._moments[b][0] for b in blocks)
+        g = pulled + sum(self._moments[b][1] for b in blocks)
         return scaled_eigen(G, _KNOWN).solve(g)
-
-    def without(self, recording):
-        """Fit to all recordings but one, (p,)."""
-        return self._solve(np.flatnonzero(self._origin != recording))
 
     def left_out(self, spread):
         """Errors (r, nv) on each recording of fits to the others, over the spread.
@@ -372,52 +504,27 @@ class Parts:
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out
 
-    def torques(self, theta):
-        """Torques (m, nv) of the model with some parameters."""
-        blocks = range(self._origin.size)
-        return np.concatenate([self._design(self._rows(b)) @ theta for b in blocks])
-
     def _folds(self, recording):
         """Yield the blocks of each part of a recording."""
         own = np.flatnonzero(self._origin == recording)
         for part in np.unique(self._part[own]):
             yield own[self._part[own] == part]
 
-    def squares(self, recording, *, others, without=None):
+    def squares(self, recording, *, others):
         """Squared errors (n_blocks, nv) on each part of a recording, fitted without it.
 
-        others : whether the other recordings are fitted as well, except for the one
-        `without`.
+        others : whether the other recordings are fitted as well.
         """
         own = np.flatnonzero(self._origin == recording)
-        pool = np.flatnonzero(self._origin != without) if others else own
+        pool = np.arange(self._origin.size) if others else own
         out = {}
         for left_out in self._folds(recording):
             theta = self._solve(np.setdiff1d(pool, left_out))
             out.update({b: self._error(b, theta) for b in left_out})
         return np.array([out[b] for b in own])
 
-    def squares_beside(self, recording, extra, judged):
-        """Squared errors (nv,) on recordings with extra columns in one of them.
-
-        A dict of the judged recordings; the others are fitted as well. And the
-        coefficients (k,) of the columns (m, nv, k) in a fit to all.
-        """
-        k = extra.shape[2]
-        moments = [(np.pad(G, (0, k)), np.pad(g, (0, k))) for G, g in self._moments]
-        for b in np.flatnonzero(self._origin == recording):
-            moments[b] = self._moments_of(b, extra)
-        pool, out = np.arange(self._origin.size), {}
-        for one in judged:
-            out[one] = 0.0
-            for left_out in self._folds(one):
-                theta = self._solve(np.setdiff1d(pool, left_out), moments)
-                own = (theta, extra) if one == recording else (theta[:-k],)
-                out[one] = out[one] + sum(self._error(b, *own) for b in left_out)
-        return out, self._solve(pool, moments)[-k:]
-
-    def _error(self, block, theta, extra=None):
+    def _error(self, block, theta):
         """Weighted squared errors of a block, (nv,)."""
         rows, equations = self._rows(block), self.fit.view.equations
-        residual = equations.tau[rows] - self._design(rows, extra) @ theta
+        residual = equations.tau[rows] - self.fit.columns(rows) @ theta
         return (equations.weight[rows] * residual**2).sum(axis=0)

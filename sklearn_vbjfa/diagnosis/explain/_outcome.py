@@ -105,7 +105,9 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         recordings=recordings,
         motion_limits=motion_limits(final.view),
         repeated=final.view.repetition.motions(),
-        contradictions=contradictions(parts, spread, float(asked["alpha"])),
+        contradictions=contradictions(
+            parts, spread, float(asked["alpha"]), search.settings
+        ),
         next_recording=next_recording(left_out, after, relative_floor),
         curves=_curves(models.judged, final, judgement, maps, effects),
         outside=judgement.outside,

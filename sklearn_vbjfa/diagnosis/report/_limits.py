@@ -386,38 +386,65 @@ def contradiction_sentences(outcome):
     worst = max(found, key=lambda one: one.together / one.alone)
     joint = words.joint_label(names, worst.joint)
     number = _recordings(outcome, [worst.recording])
-    sentences = [
+    first = (
         f"{contradiction(outcome)}: a fit to {number} alone predicts {joint} there to "
         f"{words.percent(worst.alone)} of its torque, one to all of them only to "
-        f"{words.percent(worst.together)} ({words.p_text(worst.p_value)}, both on "
-        "parts that were not fitted)."
-    ]
-    cause = outcome.contradictions.cause
-    if cause is None:
-        sentences.append(
-            "No single gain, offset, friction or payload accounts for it: look for "
-            "what was changed between the recordings, or identify them apart."
-        )
-    else:
-        sentences.append(
-            f"{words.capital(_cause(outcome, cause))} accounts for most of it. No one "
-            "robot has these torques: mend the recording, or identify them apart."
-        )
-    return tuple(sentences)
+        f"{words.percent(worst.together)} (both on parts that were not fitted)."
+    )
+    causes = (_cause(outcome, one) for one in outcome.contradictions.deviations)
+    last = "No one robot has these torques: mend the recording, or identify them apart."
+    return (first, *causes, last)
+
+
+# What else would say the same.
+_KINDS = {
+    "offset": "an offset",
+    "gain": "a gain",
+    "friction": "other friction",
+    Payload.name: "another load",
+    "model": "another robot",
+}
 
 
 def _cause(outcome, cause):
-    """Write what is another in one of the recordings."""
-    where = f"in {_recordings(outcome, [cause.recording])}"
+    """Write what is another in one of the recordings, or in each, as a sentence."""
     joints = words.joint_list(outcome.joint_names, cause.joints)
-    if cause.name == Payload.name:
-        return f"another load {where}"
-    if cause.name == "friction":
-        return f"another friction of {joints} {where}"
-    if cause.name == "gain" and np.isfinite(cause.value):
-        times = words.number(cause.value)
-        return f"a torque of {joints} that is {times} times as large {where}"
-    if cause.name == "gain":
-        return f"another gain of the torques of {joints} {where}"
+    known = np.isfinite(cause.value)
     unit = outcome.torque_units[cause.joints[0]]
-    return f"an offset of {words.number(cause.value)} {unit} on {joints} {where}"
+    if cause.name == "model":
+        what = "more than a gain, an offset, friction or the load is another"
+    elif cause.name == Payload.name:
+        what = "another load"
+    elif cause.name == "friction":
+        what = f"another friction of {joints}"
+    elif cause.name == "offset" and cause.scatters:
+        what = (
+            f"an offset of {joints} that scatters by {words.number(cause.value)} {unit}"
+        )
+    elif cause.name == "offset":
+        what = f"an offset of {words.number(cause.value)} {unit} on {joints}"
+    elif cause.scatters:
+        what = f"a gain of {joints} that scatters by {words.percent(cause.value)}"
+    elif known:
+        times = words.number(cause.value)
+        what = f"a torque of {joints} that is {times} times as large"
+    else:
+        what = f"another gain of the torques of {joints}"
+    what = f"{what} {_where_another(outcome, cause)}"
+    rivals = words.join([_KINDS[name] for name in cause.rivals], word="or")
+    rivals = f"; {rivals} would say nearly the same" if cause.rivals else ""
+    odds = words.odds_text(cause.log_odds)
+    return f"{words.capital(what)} accounts for it (odds {odds}{rivals})."
+
+
+def _where_another(outcome, cause):
+    """Write in which recording, or in which of two it may be."""
+    if cause.scatters:
+        return "from recording to recording"
+    first, *others = cause.recordings
+    where = f"in {_recordings(outcome, [first])}"
+    if not others:
+        return where
+    names = words.join([outcome.recordings[k] for k in others], 6, word="or")
+    opposite = "the opposite in " if np.isfinite(cause.value) else ""
+    return f"{where} (or {opposite}{names})"

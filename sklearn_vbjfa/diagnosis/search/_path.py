@@ -14,6 +14,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     Fit,
     Problem,
     declared_alone,
+    rescaled,
     spectrum_of,
     together,
     weighed,
@@ -297,12 +298,7 @@ class Path:
 
     def _scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
-        scale = self.settings.scale
-        members = [
-            replace(m, scale=float(g.best_scale(scale)[0]))
-            for m, g in zip(fit.members, fit.own_groups())
-        ]
-        return Fit(fit.base, members)
+        return rescaled(fit, self.settings.scale)
 
     def _member(self, fit, offer):
         """Return an offer as a member, its shape searched between the grid's."""

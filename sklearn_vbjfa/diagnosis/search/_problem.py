@@ -604,6 +604,15 @@ def together(fit, members, prior, scale):
     return [replace(members[i], scale=float(scales[i])) for i in kept]
 
 
+def rescaled(fit, scale):
+    """Return a fit with the most probable scale of each member."""
+    members = [
+        replace(m, scale=float(g.best_scale(scale)[0]))
+        for m, g in zip(fit.members, fit.own_groups())
+    ]
+    return Fit(fit.base, members)
+
+
 def declared_alone(view):
     """Fit the declared columns, joints weighted as in the fit of the robot."""
     problem = Problem(view)

@@ -1,16 +1,20 @@
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.diagnosis.explain._contradictions import Parts, contradictions
+from sklearn_vbjfa.diagnosis import SearchSettings
+from sklearn_vbjfa.diagnosis.explain._contradictions import (
+    Contradictions,
+    Parts,
+    contradictions,
+)
 from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
 from sklearn_vbjfa.recording._recording import take_arrays
 from tests.diagnosis._recordings import record
+from tests.effects._arms import inverse_dynamics, last_body_regressor
 
 SPREAD = np.ones(2)
 PAIR = tuple(record("ZY", seed=seed) for seed in (11, 12))
@@ -31,7 +35,7 @@ def compared(recordings, spoil=lambda k, torque, r: torque, order=None, unit=1.0
         X, y, groups, np.ones_like(y), dt=robot.dt, joint_names=robot.joint_names_
     )
     fit = FinalFit(robot, robot, RecordingView(robot, measured), [])
-    return fit, contradictions(Parts.of(fit), unit * SPREAD, 0.05)
+    return fit, contradictions(Parts.of(fit), unit * SPREAD, 0.05, SearchSettings())
 
 
 def gain(k, torque, recording):
@@ -46,6 +50,10 @@ def friction(k, torque, recording):
     return torque + 0.8 * np.sign(recording.v) if k == 1 else torque
 
 
+def flipped(k, torque, recording):
+    return torque * [1.0, -1.0] if k == 1 else torque
+
+
 def joint_friction(k, torque, recording):
     return torque + [0.0, 0.8] * np.sign(recording.v) if k == 1 else torque
 
@@ -53,7 +61,7 @@ def joint_friction(k, torque, recording):
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])
 def test_recordings_of_one_robot_agree(recordings):
     _, result = compared(recordings)
-    assert (result.found, result.culprit, result.cause) == ((), None, None)
+    assert result == Contradictions()
 
 
 @pytest.mark.parametrize("seed", range(20, 26))
@@ -81,7 +89,7 @@ def test_the_recordings_of_the_demo_agree():
         joint_names=declared.joint_names_,
     )
     fit = FinalFit(declared, whole, RecordingView(declared, measured), [lacking])
-    assert contradictions(Parts.of(fit), np.ones(6), 0.05).found == ()
+    assert contradictions(Parts.of(fit), np.ones(6), 0.05, SearchSettings()).found == ()
 
 
 @pytest.mark.parametrize("recordings", [PAIR, FOUR])
@@ -89,6 +97,7 @@ def test_the_recordings_of_the_demo_agree():
     ("spoil", "name", "joints", "value"),
     [
         (gain, "gain", (1,), 1.2),
+        (flipped, "gain", (1,), -1.0),
         (offset, "offset", (1,), 0.7),
         (joint_friction, "friction", (1,), np.nan),
         (friction, "friction", (0, 1), np.nan),
@@ -97,21 +106,72 @@ def test_the_recordings_of_the_demo_agree():
 def test_what_is_another_in_one_recording(recordings, spoil, name, joints, value):
     _, result = compared(recordings, spoil)
     assert {one.joint for one in result.found} >= {1}
-    assert result.culprit == (None if len(recordings) == 2 else 1)
-    cause = result.cause
-    assert (cause.name, cause.joints) == (name, joints)
-    if len(recordings) > 2 or name == "gain":
-        assert cause.recording == 1
-    if np.isfinite(value) and cause.recording == 1:
-        assert cause.value == pytest.approx(value, rel=0.03)
-    elif np.isfinite(value):
-        # An offset of one is the opposite of the other.
-        assert cause.value == pytest.approx(-value, rel=0.03)
+    (cause,) = result.deviations
+    assert (cause.name, cause.joints, cause.scatters) == (name, joints, False)
+    if len(recordings) == 2 and name == "friction":
+        # It is declared, and what one has more is what the other one has less.
+        assert (sorted(cause.recordings), result.culprit) == ([0, 1], None)
     else:
-        assert np.isnan(cause.value)
+        assert (cause.recordings, result.culprit) == ((1,), 1)
+    assert cause.value == pytest.approx(value, rel=0.03, nan_ok=True)
+    assert cause.log_odds > np.log(19)
     for one in result.found:
         assert one.alone < np.sqrt(0.5) * one.together
-        assert one.p_value < 0.05 / 4
+
+
+def test_another_load_in_one_recording():
+    def load(k, torque, recording):
+        if k != 1:
+            return torque
+        states = np.hstack([recording.q, recording.v, recording.a])
+        ball = np.array([0.6, 0.05, 0.02, 0.12, 0.02, 0.0, 0.02, 0.0, 0.0, 0.02])
+        return torque + last_body_regressor(recording.model, states) @ ball
+
+    _, result = compared(FOUR, load)
+    (cause,) = result.deviations
+    assert (cause.name, cause.recordings, result.culprit) == ("payload", (1,), 1)
+    assert "model" not in cause.rivals
+
+
+def test_recordings_of_two_robots():
+    def other(k, torque, recording):
+        model = recording.model.copy()
+        for body in list(model.inertias)[1:]:
+            body.mass *= 1.7
+            body.lever = body.lever + np.array([0.05, -0.04, 0.06])
+        states = np.hstack([recording.q, recording.v, recording.a])
+        changed = inverse_dynamics(model, states) - recording.load
+        return torque + (k == 1) * (changed + np.sign(recording.v) + 0.5)
+
+    _, result = compared(FOUR, other)
+    (cause,) = result.deviations
+    assert (cause.name, cause.recordings, cause.rivals) == ("model", (1,), ())
+
+
+def test_two_recordings_are_another_each_in_its_way():
+    def both(k, torque, recording):
+        return friction(k, torque, recording) + [0.0, 0.7 * (k == 2)]
+
+    _, result = compared(FOUR, both)
+    assert {(one.name, one.recordings) for one in result.deviations} == {
+        ("friction", (1,)),
+        ("offset", (2,)),
+    }
+    assert result.culprit is None
+
+
+def test_recordings_scatter():
+    offsets = (0.6, -0.5, 0.3, -0.7)
+
+    def each(k, torque, recording):
+        return torque + [0.0, offsets[k]]
+
+    _, result = compared(FOUR, each)
+    (cause,) = result.deviations
+    assert (cause.name, cause.joints, cause.scatters) == ("offset", (1,), True)
+    assert cause.recordings == (0, 1, 2, 3)
+    # The scale of four offsets, on the grid of scales.
+    assert np.std(offsets) / 2 < cause.value < 2 * np.std(offsets)
 
 
 def test_errors_are_those_of_fits_made_one_by_one():
@@ -151,7 +211,9 @@ def test_neither_order_nor_unit_matters():
     _, one = compared(FOUR, gain)
     _, other = compared(FOUR, gain, order=(2, 1, 0, 3), unit=1e3)
     assert other.culprit == one.culprit == 1
-    assert other.cause.value == pytest.approx(one.cause.value, rel=1e-3)
+    (cause,), (again,) = one.deviations, other.deviations
+    assert again.value == pytest.approx(cause.value, rel=1e-3)
+    assert again.log_odds == pytest.approx(cause.log_odds, rel=1e-3)
     renamed = {0: 2, 1: 1, 2: 0, 3: 3}
     assert {(renamed[x.recording], x.joint) for x in other.found} == {
         (x.recording, x.joint) for x in one.found
@@ -160,7 +222,7 @@ def test_neither_order_nor_unit_matters():
 
 def test_a_single_recording_contradicts_nothing():
     _, result = compared(PAIR[:1])
-    assert result == replace(result, found=(), culprit=None, cause=None)
+    assert result == Contradictions()
 
 
 def test_the_report_names_the_recording_and_the_cause():
@@ -171,10 +233,10 @@ def test_the_report_names_the_recording_and_the_cause():
     loop = EffectDiscovery(robot, effects=["spring"]).fit(X, y, groups=groups)
     text = " ".join(str(loop.report_).split())
     assert "Recordings cold and warm contradict each other" in text
-    assert "times as large in recording warm accounts for most of it" in text
+    assert "times as large in recording warm accounts for it (odds > 1e6 : 1)" in text
     data = loop.report_.to_dict()
     assert data["recordings"] == ["cold", "warm"]
-    assert data["contradictions"]["cause"]["name"] == "gain"
+    assert data["contradictions"]["deviations"][0]["name"] == "gain"
     sound = np.concatenate([one.torque() for one in PAIR])
     loop = EffectDiscovery(robot, effects=["spring"]).fit(X, sound, groups=groups)
     assert loop.report_.to_dict()["contradictions"]["found"] == []

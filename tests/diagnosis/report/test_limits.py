@@ -8,9 +8,9 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain._contradictions import (
-    Cause,
     Contradiction,
     Contradictions,
+    Deviation,
 )
 from sklearn_vbjfa.diagnosis.explain._motion import MotionLimit
 from sklearn_vbjfa.diagnosis.explain._next_recording import NextRecording
@@ -265,26 +265,27 @@ def test_one_pose_is_in_degrees():
 
 def contradiction(recording=0, joint=1, together=0.072):
     return Contradiction(
-        recording=recording, joint=joint, alone=0.011, together=together, p_value=2e-5
+        recording=recording, joint=joint, alone=0.011, together=together
     )
 
 
-def contradicted(*found, recordings=("1", "2"), **changes):
+def contradicted(*found, recordings=("1", "2", "3"), **changes):
     made = Contradictions(found=found, **changes)
     outcome = make_outcome(nv=3, contradictions=made, recordings=recordings)
     return " ".join(contradiction_sentences(outcome))
 
 
 def test_two_recordings_contradict_each_other():
-    cause = Cause(recording=1, name="gain", joints=(1,), value=1.2)
-    text = contradicted(contradiction(), contradiction(1, 2, 0.05), cause=cause)
-    assert text == (
+    cause = Deviation(
+        recordings=(1,), name="gain", joints=(1,), value=1.2, log_odds=np.log(350)
+    )
+    both = contradiction(), contradiction(1, 2, 0.05)
+    assert contradicted(*both, recordings=("1", "2"), deviations=(cause,)) == (
         "Recordings 1 and 2 contradict each other on joints 2 and 3: a fit to "
         "recording 1 alone predicts joint 2 there to 1.1 % of its torque, one to all "
-        "of them only to 7.2 % (p = 0.00002, both on parts that were not fitted). A "
-        "torque of joint 2 that is 1.2 times as large in recording 2 accounts for most "
-        "of it. No one robot has these torques: mend the recording, or identify them "
-        "apart."
+        "of them only to 7.2 % (both on parts that were not fitted). A torque of joint "
+        "2 that is 1.2 times as large in recording 2 accounts for it (odds 350 : 1). "
+        "No one robot has these torques: mend the recording, or identify them apart."
     )
 
 
@@ -302,32 +303,60 @@ def test_the_headline_says_so_first():
 def test_one_of_several_recordings_contradicts_the_others():
     text = contradicted(contradiction(), recordings=("1", "2", "warm"), culprit=2)
     assert text.startswith("Recording warm contradicts the others on joint 2: a fit")
-    assert "No single gain, offset, friction or payload accounts for it" in text
     nobody = contradicted(
         contradiction(0), contradiction(1), recordings=("1", "2", "3")
     )
     assert nobody.startswith("Recordings 1 and 2 and the others contradict each other")
 
 
+ALL = (0, 1, 2)
+
+
 @pytest.mark.parametrize(
     ("name", "joints", "value", "text"),
     [
-        ("offset", (1,), -0.5, "An offset of -0.5 N m on joint 2 in recording 1"),
-        ("friction", (0,), np.nan, "Another friction of joint 1 in recording 1"),
-        (
-            "gain",
-            (0, 1, 2),
-            np.nan,
-            "Another gain of the torques of all joints in recording 1",
-        ),
-        ("payload", (2,), np.nan, "Another load in recording 1"),
+        ("offset", (1,), -0.5, "An offset of -0.5 N m on joint 2"),
+        ("friction", (0,), np.nan, "Another friction of joint 1"),
+        ("gain", ALL, np.nan, "Another gain of the torques of all joints"),
+        ("payload", ALL, np.nan, "Another load"),
+        ("model", ALL, np.nan, "More than a gain, an offset, friction or the load"),
     ],
 )
 def test_causes_in_words(name, joints, value, text):
-    cause = Cause(recording=0, name=name, joints=joints, value=value)
-    assert f"{text} accounts for most of it." in contradicted(
-        contradiction(), cause=cause
+    one = Deviation(
+        recordings=(0,), name=name, joints=joints, value=value, log_odds=20.0
     )
+    told = contradicted(contradiction(), deviations=(one,))
+    told = told.replace(" is another in recording", " in recording")
+    assert f"{text} in recording 1 accounts for it (odds > 1e6 : 1)." in told
+    either = contradicted(contradiction(), deviations=(replace(one, recordings=ALL),))
+    opposite = "the opposite in " if np.isfinite(value) else ""
+    assert f"in recording 1 (or {opposite}2 or 3) accounts" in either
+    rivals = replace(one, rivals=("gain", "friction"))
+    assert "; a gain or other friction would say nearly the same)" in contradicted(
+        contradiction(), deviations=(rivals,)
+    )
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "text"),
+    [
+        ("offset", 0.3, "An offset of joint 2 that scatters by 0.3 N m from"),
+        ("gain", 0.1, "A gain of joint 2 that scatters by 10.0 % from"),
+        ("friction", np.nan, "Another friction of joint 2 from"),
+    ],
+)
+def test_scatter_in_words(name, value, text):
+    one = Deviation(
+        recordings=ALL,
+        name=name,
+        joints=(1,),
+        value=value,
+        log_odds=9.0,
+        scatters=True,
+    )
+    told = contradicted(contradiction(), deviations=(one,))
+    assert f"{text} recording to recording accounts for it" in told
 
 
 def test_sound_recordings_need_no_words():

@@ -1,6 +1,7 @@
 """Linear models with noisy inputs and outputs, made for robot identification."""
 
 import importlib
+import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -77,17 +78,23 @@ _ROOMS = (
 )
 
 
-def __getattr__(name):
-    """Import what is asked for."""
-    if name in _MODULES:
-        module = importlib.import_module(f"{__name__}.{_MODULES[name]}")
-        found = globals()[name] = getattr(module, name)
-        return found
-    if name in _ROOMS:
-        return importlib.import_module(f"{__name__}.{name}")
-    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+def lazy_names(package, modules, rooms=()):
+    """Return `__getattr__` and `__dir__` of a package that imports names when asked."""
+    # modules: dict of names to the modules below the package that have them.
+
+    def __getattr__(name):
+        if name in modules:
+            module = importlib.import_module(f"{package}.{modules[name]}")
+            found = vars(sys.modules[package])[name] = getattr(module, name)
+            return found
+        if name in rooms:
+            return importlib.import_module(f"{package}.{name}")
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+
+    def __dir__():
+        return sorted({*vars(sys.modules[package]), *modules, *rooms})
+
+    return __getattr__, __dir__
 
 
-def __dir__():
-    """Names of the package, imported or not."""
-    return sorted({*globals(), *_MODULES, *_ROOMS})
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, _ROOMS)

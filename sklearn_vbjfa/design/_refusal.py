@@ -10,15 +10,21 @@ class MotionRefused(ValueError):
     ----------
     reason : str
         The message, without a full stop.
+    wrong : str
+        The message, without what to give as an argument.
+    lacks : str
+        The argument that is lacking, if one is: ``"position"``, ``"velocity"``,
+        ``"torque"``.
     options : dict of str to float or tuple of float
         What would do, by the names of arguments: ``"duration"``, ``"start"``,
         ``"velocity"``, ``"torque"``.
     """
 
-    def __init__(self, message, options):
+    def __init__(self, wrong, options, *, lacks="", advice=""):
+        message = f"{wrong} {advice}".strip()
         super().__init__(message)
         self.reason = message.removesuffix(".")
-        self.options = options
+        self.wrong, self.lacks, self.options = wrong, lacks, options
 
 
 def rounded_up(limits):

@@ -147,7 +147,8 @@ def test_the_command_that_would_work_replaces_the_option(
         (
             {"preset": None, "gains": (8.0, 8.0), "joint_names": ("a", "b")}
             | {"columns": "q=q {i}"},
-            "; this would work: python -m sklearn_vbjfa inspect 'a b.csv' --urdf arm.urdf "
+            "; this would work: python -m sklearn_vbjfa inspect 'a b.csv' "
+            "--urdf arm.urdf "
             "--gain 8,8 --joints a,b --columns 'q=q {i}'",
         ),
         ({}, ""),

@@ -45,6 +45,7 @@ def run(arguments, folder):
     found = Simulated(
         recording=task.recording, rows=task.rows, windows=windows, told=task.told
     )
+    text = errors_text(found, arguments.window)
     files, left = {_TABLE: errors_table(found).encode("utf-8")}, ""
     if importlib.util.find_spec("matplotlib") is not None:
         drawn, left = pictures(found)
@@ -63,7 +64,7 @@ def run(arguments, folder):
         return [""]
 
     return Done(
-        text=errors_text(found, arguments.window),
+        text=text,
         doubts=doubts_of(found),
         folder=out,
         files=tuple(files),

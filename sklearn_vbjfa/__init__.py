@@ -78,23 +78,25 @@ _ROOMS = (
 )
 
 
-def lazy_names(package, modules, rooms=()):
+def lazy_names(package, modules, whole=None):
     """Return `__getattr__` and `__dir__` of a package that imports names when asked."""
-    # modules: dict of names to the modules below the package that have them.
+    # modules: of each name the module below the package that has it; whole: of names of
+    # modules themselves.
+    whole = whole or {}
 
     def __getattr__(name):
-        if name in modules:
-            module = importlib.import_module(f"{package}.{modules[name]}")
-            found = vars(sys.modules[package])[name] = getattr(module, name)
-            return found
-        if name in rooms:
-            return importlib.import_module(f"{package}.{name}")
-        raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        own = whole.get(name) or modules.get(name)
+        if own is None:
+            raise AttributeError(f"module {package!r} has no attribute {name!r}")
+        module = importlib.import_module(f"{package}.{own}")
+        found = module if name in whole else getattr(module, name)
+        vars(sys.modules[package])[name] = found
+        return found
 
     def __dir__():
-        return sorted({*vars(sys.modules[package]), *modules, *rooms})
+        return sorted({*vars(sys.modules[package]), *modules, *whole})
 
     return __getattr__, __dir__
 
 
-__getattr__, __dir__ = lazy_names(__name__, _MODULES, _ROOMS)
+__getattr__, __dir__ = lazy_names(__name__, _MODULES, {room: room for room in _ROOMS})

@@ -11,8 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa.design._design import MARGIN, ROOM
 from sklearn_vbjfa.design._promise import SAME_COLUMNS
-from sklearn_vbjfa.diagnosis.report import Section, Table, line_figure
-from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report import Section, Table, line_figure, words
 from sklearn_vbjfa.diagnosis.report import page as render
 from sklearn_vbjfa.effects import resolve
 

@@ -19,7 +19,7 @@ from sklearn_vbjfa.design._page import (
     summary,
 )
 from sklearn_vbjfa.design._promise import ExpectedInterval, Invisible, Parted, Visible
-from sklearn_vbjfa.diagnosis.report._charts import line_figure
+from sklearn_vbjfa.diagnosis.report import line_figure
 from sklearn_vbjfa.effects import available
 from tests.diagnosis.report.test_page import figures, numbers
 from tests.diagnosis.report.test_report import parsed

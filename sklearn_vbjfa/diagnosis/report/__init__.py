@@ -10,10 +10,12 @@ _NAMES = {
     "_mathml": "mathml",
     "_pictures": "HEIGHT SMALL_HEIGHT SMALL_WIDTH WIDTH effect_figure line_figure "
     "map_picture packed residual_picture ticks time_axis",
-    "_render": "Section Table figure page style text text_table",
+    "_render": "Section Table figure page plain_text style text_table",
     "_report": "sections",
     "_verdict": "judge",
 }
 __getattr__, __dir__ = lazy_names(
-    __name__, {name: module for module, own in _NAMES.items() for name in own.split()}
+    __name__,
+    {name: module for module, own in _NAMES.items() for name in own.split()},
+    {"words": "_words"},
 )

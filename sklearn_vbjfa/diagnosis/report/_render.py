@@ -95,7 +95,7 @@ def paragraph(heading, sentences_of):
     return section
 
 
-def text(sections):
+def plain_text(sections):
     """Write the sections for a terminal, lists and tables between empty lines."""
     out, follows = "", False
     for section in sections:

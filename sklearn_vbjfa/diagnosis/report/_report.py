@@ -108,7 +108,7 @@ class Report:
         )
 
     def __str__(self):
-        return _render.text(self._sections())
+        return _render.plain_text(self._sections())
 
     def _sections(self):
         return sections(self.outcome, self._verdict)

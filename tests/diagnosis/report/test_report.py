@@ -9,11 +9,14 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain._findings import Hidden
-from sklearn_vbjfa.diagnosis.report import _render
-from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
-from sklearn_vbjfa.diagnosis.report._sections import sections
-from sklearn_vbjfa.diagnosis.report._verdict import judge
+from sklearn_vbjfa.diagnosis.report import (
+    judge,
+    plain_text,
+    residual_picture,
+    sections,
+    time_axis,
+    words,
+)
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, available
 from sklearn_vbjfa.effects._ranges import OutsideRange
@@ -89,7 +92,7 @@ def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
     few, many = (make_outcome(effects=effects[:count]) for count in (6, 12))
     shown = sections(few, judge(few))
     for section in shown:
-        lines = _render.text((section,)).splitlines()
+        lines = plain_text((section,)).splitlines()
         assert len(lines) <= LINES.get(section.heading, 1), section.heading
     assert set(LINES) <= {section.heading for section in shown}
     few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
@@ -501,8 +504,9 @@ def test_residuals_are_drawn_over_time_with_the_gaps_between_recordings(count):
         "seconds": seconds,
     }
     picture = residual_picture(curves, 0, 0.1)
-    assert picture.kind == ("line" if count < 360 else "area")
-    pieces = picture.after.split("M")[1:]
+    after = picture.shapes[-1]
+    assert after.kind == ("line after" if count < 360 else "area after")
+    pieces = after.path.split("M")[1:]
     assert len(pieces) == 2
     x = [
         [float(point.split()[0]) for point in re.split("[LZ]", piece) if point]

@@ -116,22 +116,13 @@ class _Task:
 
 def _windows(task, seconds, *, timed):
     """Simulate the same windows of the rows by each robot."""
-    from sklearn_vbjfa.robot._windows import simulate_windows
+    from sklearn_vbjfa.diagnosis.displays import windows_of
 
     recording, rows = task.recording, task.rows
     # Saved models have a clock of their own.
     times = recording.clock()[rows] if timed else None
     part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
-    windows = {}
-    for label, robot in task.robots.items():
-        windows[label] = simulate_windows(
-            robot,
-            *part,
-            window=seconds,
-            signals=task.signals,
-            beside=next(iter(windows.values()), None),
-        )
-    return windows
+    return windows_of(task.robots, *part, window=seconds, signals=task.signals)
 
 
 def _saved(arguments, source, folder):

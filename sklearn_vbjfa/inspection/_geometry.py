@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from sklearn_vbjfa.inspection._rivals import (
     FEWEST_ROWS,
+    NOMINAL_SHARE,
     SURE,
     ChannelEquations,
     fits_of,
@@ -29,8 +30,6 @@ _CONTRADICTS = 0.02
 _FOLLOWS = 0.1
 # With a larger relative error the fit is too poor to judge the friction's sign by.
 _WORST_ERROR = 0.3
-# Share of the torque that the nominal model must explain to count as evidence.
-_NOMINAL_SHARE = 0.5
 
 
 def torque_signs(model, names, signals):
@@ -44,10 +43,10 @@ def torque_signs(model, names, signals):
             continue
         # A wrong sign takes stronger evidence than a right one.
         friction = fit.power_t * (fit.friction > _FRICTION_SHARE)
-        rigid = scale_t * (share > _NOMINAL_SHARE)
+        rigid = scale_t * (share > NOMINAL_SHARE)
         against = max(
             fit.power_t * (fit.friction > _CONTRADICTS),
-            scale_t * (share > 0.5 * _NOMINAL_SHARE),
+            scale_t * (share > 0.5 * NOMINAL_SHARE),
         )
         if min(friction, rigid) > -SURE or against > 2.0:
             continue

@@ -11,11 +11,12 @@ pytest.importorskip("pinocchio")
 
 import pinocchio as pin
 
-from sklearn_vbjfa.inspection import _geometry, inspect_channels
-from sklearn_vbjfa.inspection._rivals import (
+from sklearn_vbjfa.inspection import (
     ChannelEquations,
+    _geometry,
     channel_signals,
     fits_of,
+    inspect_channels,
 )
 from tests._quick import checkered
 from tests.model._robots import random_tree

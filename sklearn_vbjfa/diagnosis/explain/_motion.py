@@ -10,15 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
+from sklearn_vbjfa.inspection import one_speed
 from sklearn_vbjfa.model._loading import is_prismatic
 
 # Share of a column's power outside the span of others below which it cannot be seen.
 _UNSEEN = 1e-3
-# A joint has one speed if this share of its moving time, about the middle, lies in a
-# range of this share of the speed: speeds that are even in it deviate by a tenth of
-# their mean, and Coulomb friction, which is the line through them at no speed at all,
-# is ten times less certain than the friction at that speed.
-_MIDDLE, _ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # Rows that show which way a link hangs.
 _POSES = 400
 
@@ -103,8 +99,7 @@ def _one_speed(view, joint, rows):
     speed = np.abs(_velocity(view, joint, rows))
     if not speed.size:
         return None
-    ends = np.quantile(speed, [0.5 - 0.5 * _MIDDLE, 0.5 + 0.5 * _MIDDLE])
-    return ends if ends[1] - ends[0] < _ONE_SPEED * ends.mean() else None
+    return one_speed(speed)
 
 
 def _one_pose(view, joint, rows):

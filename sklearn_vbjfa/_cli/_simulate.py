@@ -297,12 +297,13 @@ def errors_text(simulated, seconds):
     velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
     for label, own in (windows | rivals).items():
         errors = own.errors[whole] * scale
-        positions[label] = _numbers(_rms(errors))
+        positions[label] = _over_windows(errors, _rms)
         if label in windows:
             # Heads differ in blanks where two models are simulated.
             head = f"median{' ' * list(windows).index(label)}"
-            positions[head] = _numbers(_median(errors))
-        velocities[label] = _numbers(_rms(own.velocity_errors[whole] * scale))
+            positions[head] = _over_windows(errors, _median)
+        speeds = own.velocity_errors[whole] * scale
+        velocities[label] = _over_windows(speeds, _rms)
     which = "all" if whole.all() else f"{whole.sum()} of"
     lines = [
         str(simulated.recording),
@@ -354,23 +355,19 @@ def _tabulated(columns):
     )
 
 
+def _over_windows(errors, mean):
+    """Write a mean of errors (n_windows, nv) for each joint, "none" without any."""
+    found = mean(errors) if len(errors) else np.full(errors.shape[1], np.nan)
+    # none is negative
+    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in found]
+
+
 def _rms(errors):
-    """Root mean square over windows, (nv,); nan without any."""
-    if not len(errors):
-        return np.full(errors.shape[1], np.nan)
     return np.sqrt(np.mean(errors**2, axis=0))
 
 
 def _median(errors):
-    """Median over windows, (nv,); nan without any."""
-    if not len(errors):
-        return np.full(errors.shape[1], np.nan)
     return np.median(errors, axis=0)
-
-
-def _numbers(values):
-    """Write errors, none of which is negative, with three digits."""
-    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in values]
 
 
 def _verdict(who, windows):
@@ -384,11 +381,8 @@ def _verdict(who, windows):
 
 def _failed(simulated, windows):
     """Name windows that were not simulated to their end, and why."""
-    count = len(windows.failures)
-    told = [f"{_failed_count(windows)} failed:"]
-    for one in windows.failures[:_MOST_NAMED]:
-        told.append(f"- {_placed(simulated, windows, one.window)}: {one.message}")
-    return _ended(told, count)
+    why = {one.window: one.message for one in windows.failures}
+    return _listed(simulated, windows, f"{_failed_count(windows)} failed:", why)
 
 
 def _failed_count(windows):
@@ -401,23 +395,20 @@ def _away_count(windows):
 
 def _run_away(simulated, windows):
     """Name windows in which joints ran away."""
-    away = windows.run_away
-    numbers = np.flatnonzero(away.any(axis=1))
-    told = [
+    head = (
         f"{_away_count(windows)} joints ran away, farther off than stays and goes on "
-        "in any:"
-    ]
-    for k in numbers[:_MOST_NAMED]:
-        names = [n for n, out in zip(windows.joint_names, away[k]) if out]
-        told.append(f"- {_placed(simulated, windows, k)}: {', '.join(names)}")
-    return _ended(told, numbers.size)
+    )
+    names, away = np.array(windows.joint_names), windows.run_away
+    found = {k: ", ".join(names[away[k]]) for k in np.flatnonzero(away.any(axis=1))}
+    return _listed(simulated, windows, f"{head}in any:", found)
 
 
-def _ended(told, count):
-    """Join the lines of a list, of which only the first are named."""
-    if count > _MOST_NAMED:
-        told.append(f"- and {count - _MOST_NAMED} more; see simulation.csv")
-    return "\n".join(told)
+def _listed(simulated, windows, head, said):
+    """Name the first of some windows, number -> what is said of it; count the rest."""
+    first, rest = list(said.items())[:_MOST_NAMED], len(said) - _MOST_NAMED
+    lines = [f"- {_placed(simulated, windows, k)}: {text}" for k, text in first]
+    more = [f"- and {rest} more; see {_TABLE}"] if rest > 0 else []
+    return "\n".join([head, *lines, *more])
 
 
 def _placed(simulated, windows, k):

@@ -392,14 +392,15 @@ def contradiction(outcome):
     if not found:
         return ""
     joints = words.joint_list(outcome.joint_names, [one.joint for one in found])
-    culprit = outcome.contradictions.culprit
+    causes = outcome.contradictions.deviations
+    own = sorted({one.recordings[0] for one in causes if len(one.recordings) == 1})
     if len(outcome.recordings) == 2:
         first = f"recordings {words.join(outcome.recordings)} contradict each other"
-    elif culprit is not None:
-        first = f"{_recordings(outcome, [culprit])} contradicts the others"
+    elif own and all(len(one.recordings) == 1 for one in causes):
+        verb = "contradicts" if len(own) == 1 else "contradict"
+        first = f"{_recordings(outcome, own)} {verb} the others"
     else:
-        which = _recordings(outcome, [one.recording for one in found])
-        first = f"{which} and the others contradict each other"
+        first = "the recordings contradict each other"
     return words.capital(f"{first} on {joints}")
 
 
@@ -417,7 +418,9 @@ def contradiction_sentences(outcome):
         f"{words.percent(worst.alone)} of its torque, one to all of them only to "
         f"{words.percent(worst.together)} (both on parts that were not fitted)."
     )
-    causes = (_cause(outcome, one) for one in outcome.contradictions.deviations)
+    causes = outcome.contradictions.deviations
+    share = "it" if len(causes) == 1 else "part of it"
+    causes = (_cause(outcome, one, share) for one in causes)
     last = "No one robot has these torques: mend the recording, or identify them apart."
     return (first, *causes, last)
 
@@ -432,7 +435,7 @@ _KINDS = {
 }
 
 
-def _cause(outcome, cause):
+def _cause(outcome, cause, share):
     """Write what is another in one of the recordings, or in each, as a sentence."""
     joints = words.joint_list(outcome.joint_names, cause.joints)
     known = np.isfinite(cause.value)
@@ -460,7 +463,7 @@ def _cause(outcome, cause):
     rivals = words.join([_KINDS[name] for name in cause.rivals], word="or")
     rivals = f"; {rivals} would say nearly the same" if cause.rivals else ""
     odds = words.odds_text(cause.log_odds)
-    return f"{words.capital(what)} accounts for it (odds {odds}{rivals})."
+    return f"{words.capital(what)} accounts for {share} (odds {odds}{rivals})."
 
 
 def _where_another(outcome, cause):

@@ -285,9 +285,7 @@ def contradicted(*found, recordings=("1", "2", "3"), **changes):
 
 
 def test_two_recordings_contradict_each_other():
-    cause = Deviation(
-        recordings=(1,), name="gain", joints=(1,), value=1.2, log_odds=np.log(350)
-    )
+    cause = deviation(1, name="gain", joints=(1,), value=1.2, log_odds=np.log(350))
     both = contradiction(), contradiction(1, 2, 0.05)
     assert contradicted(*both, recordings=("1", "2"), deviations=(cause,)) == (
         "Recordings 1 and 2 contradict each other on joints 2 and 3: a fit to "
@@ -309,13 +307,23 @@ def test_the_headline_says_so_first():
     assert report.headline == first + plain
 
 
-def test_one_of_several_recordings_contradicts_the_others():
-    text = contradicted(contradiction(), recordings=("1", "2", "warm"), culprit=2)
-    assert text.startswith("Recording warm contradicts the others on joint 2: a fit")
-    nobody = contradicted(
-        contradiction(0), contradiction(1), recordings=("1", "2", "3")
+def deviation(*recordings, name="model", joints=(0, 1, 2), **changes):
+    given = {"name": name, "joints": joints, "log_odds": 20.0, **changes}
+    return Deviation(recordings=recordings, **given)
+
+
+def test_who_contradicts_whom():
+    def told(*causes):
+        return contradicted(contradiction(), deviations=causes)
+
+    assert told(deviation(2)).startswith(
+        "Recording 3 contradicts the others on joint 2: a fit"
     )
-    assert nobody.startswith("Recordings 1 and 2 and the others contradict each other")
+    both = told(deviation(2), deviation(0))
+    assert both.startswith("Recordings 1 and 3 contradict the others on joint 2: a fit")
+    assert both.count(" accounts for part of it (odds > 1e6 : 1).") == 2
+    for causes in [deviation(2, 1)], [deviation(2), deviation(0, 1, 2, scatters=True)]:
+        assert told(*causes).startswith("The recordings contradict each other on joint")
 
 
 ALL = (0, 1, 2)
@@ -332,9 +340,7 @@ ALL = (0, 1, 2)
     ],
 )
 def test_causes_in_words(name, joints, value, text):
-    one = Deviation(
-        recordings=(0,), name=name, joints=joints, value=value, log_odds=20.0
-    )
+    one = deviation(0, name=name, joints=joints, value=value)
     told = contradicted(contradiction(), deviations=(one,))
     told = told.replace(" is another in recording", " in recording")
     assert f"{text} in recording 1 accounts for it (odds > 1e6 : 1)." in told
@@ -356,14 +362,7 @@ def test_causes_in_words(name, joints, value, text):
     ],
 )
 def test_scatter_in_words(name, value, text):
-    one = Deviation(
-        recordings=ALL,
-        name=name,
-        joints=(1,),
-        value=value,
-        log_odds=9.0,
-        scatters=True,
-    )
+    one = deviation(*ALL, name=name, joints=(1,), value=value, scatters=True)
     told = contradicted(contradiction(), deviations=(one,))
     assert f"{text} recording to recording accounts for it" in told
 

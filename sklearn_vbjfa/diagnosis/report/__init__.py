@@ -8,7 +8,7 @@ _NAMES = {
     "_evidence": "about_effect added_torque documentation_of explanation source_of",
     "_limits": "contradiction gain_doubts",
     "_mathml": "mathml",
-    "_pictures": "HEIGHT SMALL_HEIGHT SMALL_WIDTH WIDTH effect_figure line_figure "
+    "_pictures": "HEIGHT WIDTH effect_figure line_figure "
     "map_picture packed residual_picture ticks time_axis",
     "_render": "Section Table figure page plain_text style text_table",
     "_report": "sections",

@@ -13,9 +13,7 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.explain._drawn import extremes
 from sklearn_vbjfa.diagnosis.report import _words as words
 
-# Frames of a chart, and of a residual or a map.
 WIDTH, HEIGHT = 400, 200
-SMALL_WIDTH, SMALL_HEIGHT = 360, 110
 # Most steps of an axis.
 _STEPS = 5
 # Points of a static cloud and of a static curve over time; all are in the data.
@@ -228,7 +226,7 @@ def _chart(frame, title, x_label, y_label, shapes):
 
 @dataclass(frozen=True, kw_only=True)
 class Picture:
-    """A joint's residual before and after, in a small frame."""
+    """A joint's residual before and after, in a frame."""
 
     shapes: tuple  # from the back to the front
     limit: float  # torque at the upper edge, the lower one is its negative [N m or N]
@@ -250,27 +248,22 @@ def residual_picture(curves, joint, floor):
     if not limit > 0:
         return None
     seconds = np.asarray(curves.get("seconds", np.arange(before.size)), dtype=float)
-    x = SMALL_WIDTH * (seconds - seconds[0]) / (seconds[-1] - seconds[0])
-    draw = _pieces if before.size <= SMALL_WIDTH else _envelope
-    look = "line" if draw is _pieces else "area"
-    middle = SMALL_HEIGHT / 2
+    frame = _Frame(x=(seconds[0], seconds[-1]), y=(-limit, limit))
+    draw, look = (_pieces, "line") if before.size <= WIDTH else (_envelope, "area")
+    x = frame.across(seconds)
     before, after = (
-        Shape(
-            kind=f"{look} {name}",
-            path=draw(
-                x, np.where(used, middle * (1 - np.clip(values / limit, -1, 1)), np.nan)
-            ),
-        )
+        Shape(kind=f"{look} {name}", path=draw(x, np.where(used, y, np.nan)))
         for name, values in (("before", before), ("after", after))
+        for y in [frame.down(np.clip(values, -limit, limit))]
     )
-    band = []
-    if floor > 0:
-        # one standard deviation to each side
-        top = middle * (1 - min(floor / limit, 1.0))
-        path = f"M0 {top:.1f}H{SMALL_WIDTH}V{2 * middle - top:.1f}H0Z"
-        band = [Shape(kind="floor", path=path)]
-    zero = Shape(kind="zero", path=f"M0 {middle}H{SMALL_WIDTH}")
-    return Picture(shapes=(before, *band, zero, after), limit=limit)
+    zero = Shape(kind="zero", path=frame.level(0.0))
+    if not floor > 0:
+        return Picture(shapes=(before, zero, after), limit=limit)
+    # one standard deviation to each side
+    top, bottom = frame.down([min(floor, limit), -min(floor, limit)])
+    path = f"M0 {top:.1f}H{WIDTH}V{bottom:.1f}H0Z"
+    shapes = (before, Shape(kind="floor", path=path), zero, after)
+    return Picture(shapes=shapes, limit=limit)
 
 
 def time_axis(curves):
@@ -296,7 +289,7 @@ def _pieces(x, y):
 
 def _envelope(x, y):
     """Outline of a line with more points than the picture has columns."""
-    label = np.minimum(x.astype(int), SMALL_WIDTH - 1)
+    label = np.minimum(x.astype(int), WIDTH - 1)
     starts = np.flatnonzero(np.r_[True, np.diff(label) > 0])
     column = label[starts]
     top = np.fmin.reduceat(y, starts)
@@ -307,7 +300,7 @@ def _envelope(x, y):
     pieces = []
     for run in np.split(np.arange(seen.size), ends):
         if seen[run[0]]:
-            at, up, down = column[run], top[run] - 0.4, bottom[run]
+            at, up, down = column[run], top[run] - 0.7, bottom[run]
             outline = np.r_[at, at[-1] + 1, at[-1] + 1, at[::-1]]
             edge = np.r_[up, up[-1], down[-1], down[::-1]]
             pieces.append(_path(outline, edge) + "Z")
@@ -319,7 +312,7 @@ def _envelope(x, y):
 
 @dataclass(frozen=True, kw_only=True)
 class MapPicture:
-    """Two maps, each in a small frame; load rises upwards."""
+    """Two maps, each in a frame; load rises upwards."""
 
     # of each shade: "up" or "down"
     measured: tuple
@@ -342,14 +335,14 @@ def map_picture(drawn):
 
 def _shades(values):
     """Cells of like values (n_loads, n_speeds) as one path for each shade."""
-    height, width = SMALL_HEIGHT / values.shape[0], SMALL_WIDTH / values.shape[1]
+    height, width = HEIGHT / values.shape[0], WIDTH / values.shape[1]
     shade = np.ceil(np.clip(np.abs(values), 0, 1) * _SHADES)
     found = []
     for name, sign in (("up", 1), ("down", -1)):
         for k in range(1, _SHADES + 1):
             cells = np.argwhere((shade == k) & (np.sign(values) == sign))
             path = "".join(
-                f"M{column * width:.1f} {SMALL_HEIGHT - (row + 1) * height:.1f}"
+                f"M{column * width:.1f} {HEIGHT - (row + 1) * height:.1f}"
                 f"h{width:.1f}v{height:.1f}h-{width:.1f}z"
                 for row, column in cells
             )

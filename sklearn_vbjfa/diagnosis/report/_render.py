@@ -18,13 +18,8 @@ from sklearn_vbjfa.diagnosis.report import _pictures
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
-# Frames of the pictures.
-_SIZES = {
-    "width": _pictures.SMALL_WIDTH,
-    "height": _pictures.SMALL_HEIGHT,
-    "chart_width": _pictures.WIDTH,
-    "chart_height": _pictures.HEIGHT,
-}
+# The frame of the pictures.
+_SIZE = {"width": _pictures.WIDTH, "height": _pictures.HEIGHT}
 # Entries of a list that a terminal shows as sentences; each further one is a row.
 _SENTENCES = 6
 # How the entries of a list begin.
@@ -165,20 +160,18 @@ def page(sections, package=None):
         sections=sections,
         zooms=zooms,
         library=_vendored() if zooms else {},
-        **_SIZES,
+        **_SIZE,
     )
 
 
 def fragment(sections):
     """Write the sections as what a page holds, with its style, for notebooks."""
-    return _template("fragment.html.j2").render(
-        sections=sections, zooms=False, **_SIZES
-    )
+    return _template("fragment.html.j2").render(sections=sections, zooms=False, **_SIZE)
 
 
 def figure(drawn):
     """Write a `Figure` alone, without what moves it; `style` draws it."""
-    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZES)
+    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZE)
 
 
 def style():

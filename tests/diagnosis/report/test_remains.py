@@ -9,7 +9,7 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain._ceiling import Map
 from sklearn_vbjfa.diagnosis.explain._findings import Ceiling
-from sklearn_vbjfa.diagnosis.report import SMALL_HEIGHT, SMALL_WIDTH, map_picture
+from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, map_picture
 from tests.diagnosis.report._outcomes import make_outcome
 
 NAN = float("nan")
@@ -171,7 +171,7 @@ def test_cells_of_a_map_lie_where_their_signals_are():
     picture = map_picture(drawn())
     assert picture.limit == pytest.approx(np.quantile([1.0, 2.0, 0.5], 0.95))
     cells = {one.path: (one.kind, one.opacity) for one in picture.measured}
-    width, height = SMALL_WIDTH / 2, SMALL_HEIGHT / 2
+    width, height = WIDTH / 2, HEIGHT / 2
 
     def cell(column, row):
         return f"M{column * width:.1f} {row * height:.1f}h{width:.1f}v{height:.1f}"

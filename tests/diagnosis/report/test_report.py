@@ -10,6 +10,7 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain._findings import Hidden
 from sklearn_vbjfa.diagnosis.report import (
+    WIDTH,
     judge,
     plain_text,
     residual_picture,
@@ -505,7 +506,7 @@ def test_residuals_are_drawn_over_time_with_the_gaps_between_recordings(count):
     }
     picture = residual_picture(curves, 0, 0.1)
     after = picture.shapes[-1]
-    assert after.kind == ("line after" if count < 360 else "area after")
+    assert after.kind == ("line after" if count < WIDTH else "area after")
     pieces = after.path.split("M")[1:]
     assert len(pieces) == 2
     x = [
@@ -513,9 +514,9 @@ def test_residuals_are_drawn_over_time_with_the_gaps_between_recordings(count):
         for piece in pieces
     ]
     assert min(x[0]) == 0
-    assert max(x[0]) < 0.26 * 360
-    assert min(x[1]) > 0.74 * 360
-    assert 359 < max(x[1]) <= 360
+    assert max(x[0]) < 0.26 * WIDTH
+    assert min(x[1]) > 0.74 * WIDTH
+    assert WIDTH - 1 < max(x[1]) <= WIDTH
 
 
 def test_page_escapes_what_it_is_given():

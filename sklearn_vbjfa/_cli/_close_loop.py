@@ -27,11 +27,10 @@ def run(arguments, folder):
     source, default = _input.named(files), _input.default_folder(files)
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    seed, gains = _input.seed(arguments.seed), _input.gains(arguments.gain)
-    taken = _input.taken(arguments, gains, folder)
+    seed, taken = _input.seed(arguments.seed), _input.taken(arguments, folder)
     recording = taken.recording
-    _input.check_settings(settings, recording, taken.urdf, source)
-    signals, groups = _input.signals(arguments.signals, recording, source), None
+    taken.check(settings)
+    signals, groups = taken.signals(arguments.signals), None
     if len(files) > 1:
         # The report calls recordings after their files.
         groups = np.array(recording.group_names, dtype=object)[recording.groups]
@@ -47,7 +46,7 @@ def run(arguments, folder):
             signals=signals,
             **settings,
         )
-    others = _input.other_joints(taken.urdf, taken.held)
+    others = taken.other_joints()
 
     def write(folder, warned):
         # Each file once, whatever was typed.

@@ -133,22 +133,20 @@ def _own(arguments, folder):
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets._catalogue import Protocol
 
-    source = _input.named(_input.sources(arguments.recording))
-    settings, gains = _input.settings(arguments), _input.gains(arguments.gain)
-    taken = _input.taken(arguments, gains, folder)
-    recording, urdf = taken.recording, taken.urdf
-    _input.check_settings(settings, recording, urdf, source)
-    _input.check_channels(recording, urdf, gains, source)
+    settings, taken = _input.settings(arguments), _input.taken(arguments, folder)
+    recording = taken.recording
+    taken.check(settings)
+    taken.check_channels()
     return _Task(
         recording=recording,
         protocol=Protocol(friction=settings["friction"], cutoff=settings["cutoff"]),
         identifier=RobotIdentifier(
-            str(urdf),
+            str(taken.urdf),
             dt=recording.dt,
             torque_noise=recording.torque_noise,
             **settings,
         ),
-        source=source,
+        source=taken.source,
         held=taken.held,
     )
 
@@ -237,16 +235,13 @@ def inspect(arguments, folder):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import motion_of
 
-    source = _input.named(_input.sources(arguments.recording))
-    gains = _input.gains(arguments.gain)
     # A current is as good as a torque here: nothing is identified.
-    taken = _input.taken(arguments, gains or "unknown", folder)
-    recording, urdf = taken.recording, str(taken.urdf)
-    _input.signals(arguments.signals, recording, source)
-    findings = _input.channel_findings(recording, urdf, gains)
-    motions = motion_of(recording, urdf)
+    taken = _input.taken(arguments, folder, assumed="unknown")
+    taken.signals(arguments.signals)
+    recording, findings = taken.recording, taken.findings()
+    motions = motion_of(recording, str(taken.urdf))
     text = [
-        *_what(recording, _input.other_joints(urdf, taken.held)),
+        *_what(recording, taken.other_joints()),
         "",
         *_table(recording, motions),
         "",

@@ -51,20 +51,84 @@ def refuse_given(arguments, names, why):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taken:
-    """A recording of one's own, of one file or several, and its robot."""
+    """A recording, of one file or several, and its robot."""
 
     recording: object
-    urdf: Path  # description in which the joints that were not recorded are fixed
-    held: tuple  # those joints
+    urdf: object  # description in which the joints that were not recorded are fixed
+    source: object  # what to call what was read
+    held: tuple = ()  # those joints
+    gains: object = None  # what was said of the channels of torque
+
+    def check(self, chosen):
+        """Refuse settings that the recording and its robot cannot show."""
+        _check_nyquist(chosen["cutoff"], self.recording, self.source)
+        _check_gains(chosen["gains"], chosen["known_masses"], self.urdf)
+
+    def findings(self):
+        """Look for faults of the channels; factors that are unknown are none."""
+        from sklearn_vbjfa.inspection import inspect_recording
+
+        found = inspect_recording(self.recording, str(self.urdf))
+        motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
+        if motor or self.gains == "unknown":
+            return [one for one in found if one.kind != "gear_factor"]
+        return found
+
+    def check_channels(self):
+        """Refuse channels that are not what they are called, warn of doubtful ones."""
+        from sklearn_vbjfa.model._doubts import DoubtWarning
+
+        findings = self.findings()
+        errors = [found.message for found in findings if found.severity == "error"]
+        if errors:
+            raise ValueError(f"{self.source}: {' '.join(errors)}")
+        for message in channel_doubts(findings):
+            warnings.warn(f"{self.source}: {message}", DoubtWarning, stacklevel=2)
+
+    def signals(self, text):
+        """Return the signals that were asked for, by name; None takes what there is."""
+        from sklearn_vbjfa.recording._signals import OfferedSignals
+
+        offered = OfferedSignals.of_file(self.recording)
+        if text is None:
+            return offered
+        if text.strip() == "none":
+            return None
+        known, n = offered.names, self.recording.n_samples
+        if not known:
+            raise ValueError(
+                f"--signals has {text!r}, but {self.source} holds no columns beside "
+                "time, positions, velocities, accelerations and torques."
+            )
+        found = names("--signals", text, known)
+        try:
+            return {name: offered.column(name, n) for name in found}
+        except ValueError as error:
+            raise ValueError(f"{self.source}: {error}") from None
+
+    def other_joints(self):
+        """Say which joints are held, and which follow others; a list of lines."""
+        from sklearn_vbjfa.model import _loading
+
+        lines = [f"held at zero: {', '.join(self.held)}"] if self.held else []
+        follow = [body.name for body in _loading.load_folded(self.urdf).followers]
+        if follow:
+            lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+        return lines
 
 
-def taken(arguments, gains, folder):
+def taken(arguments, folder, *, assumed=None):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
+    # assumed: gains of the channels where none are given.
     urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
+    known = gains(arguments.gain)
     urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
-    recording = read(arguments, urdf, joints, gains)
+    recording = read(arguments, urdf, joints, known or assumed)
     urdf, held = _hold_others(urdf, recording, held, folder)
-    return Taken(recording=recording, urdf=urdf, held=tuple(held))
+    source = named(sources(arguments.recording))
+    return Taken(
+        recording=recording, urdf=urdf, source=source, held=tuple(held), gains=known
+    )
 
 
 def settings(arguments):
@@ -81,12 +145,6 @@ def settings(arguments):
         "gains": "unknown" if factors == "unknown" else None,
         "known_masses": known_masses(masses, factors),
     }
-
-
-def check_settings(chosen, recording, urdf, source):
-    """Refuse settings that a recording and its robot cannot show."""
-    _check_nyquist(chosen["cutoff"], recording, source)
-    _check_gains(chosen["gains"], chosen["known_masses"], urdf)
 
 
 def library(text):
@@ -141,12 +199,12 @@ def _quaternion(text):
     """Return the numbers in a comma-separated list, None for None."""
     if text is None:
         return None
-    try:
-        return [float(x) for x in text.split(",")]
-    except ValueError as error:
+    found = numbers(text)
+    if any(map(math.isnan, found)):
         raise ValueError(
             f"--base-orientation must be four numbers W,X,Y,Z, got {text!r}."
-        ) from error
+        )
+    return found
 
 
 def number(text):
@@ -261,40 +319,6 @@ def _hold_others(urdf, recording, held, folder):
     return reduced, (*held, *more)
 
 
-def other_joints(urdf, held):
-    """Say which joints are held, and which follow others; a list of lines."""
-    from sklearn_vbjfa.model import _loading
-
-    lines = [f"held at zero: {', '.join(held)}"] if held else []
-    follow = [body.name for body in _loading.load_folded(urdf).followers]
-    if follow:
-        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
-    return lines
-
-
-def channel_findings(recording, urdf, gains):
-    """Look for faults of the channels; factors that are unknown are none."""
-    from sklearn_vbjfa.inspection import inspect_recording
-
-    findings = inspect_recording(recording, urdf)
-    motor = any(unit not in ("N m", "N") for unit in recording.torque_units)
-    if motor or gains == "unknown":
-        return [found for found in findings if found.kind != "gear_factor"]
-    return findings
-
-
-def check_channels(recording, urdf, gains, source):
-    """Refuse channels that cannot be what their names say, warn of doubtful ones."""
-    from sklearn_vbjfa.model._doubts import DoubtWarning
-
-    findings = channel_findings(recording, urdf, gains)
-    errors = [found.message for found in findings if found.severity == "error"]
-    if errors:
-        raise ValueError(f"{source}: {' '.join(errors)}")
-    for message in channel_doubts(findings):
-        warnings.warn(f"{source}: {message}", DoubtWarning, stacklevel=2)
-
-
 def channel_doubts(findings):
     """Messages of the findings on channels that are doubts, a list of str."""
     return [
@@ -302,28 +326,6 @@ def channel_doubts(findings):
         for one in findings
         if one.severity != "warning" or one.kind in _LEFT_OUT
     ]
-
-
-def signals(text, recording, source):
-    """Return the signals that were asked for, by name; None takes what there is."""
-    from sklearn_vbjfa.recording._signals import OfferedSignals
-
-    offered = OfferedSignals.of_file(recording)
-    if text is None:
-        return offered
-    if text.strip() == "none":
-        return None
-    known = offered.names
-    if not known:
-        raise ValueError(
-            f"--signals has {text!r}, but {source} holds no columns beside time, "
-            "positions, velocities, accelerations and torques."
-        )
-    found = names("--signals", text, known)
-    try:
-        return {name: offered.column(name, recording.n_samples) for name in found}
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from None
 
 
 def expanded(text):

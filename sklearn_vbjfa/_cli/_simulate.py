@@ -147,7 +147,8 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    _input.check_channels(recording, urdf, gains, source)
+    taken = _input.Taken(recording=recording, urdf=urdf, source=source, gains=gains)
+    taken.check_channels()
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -155,7 +156,7 @@ def _saved(arguments, source, folder):
         recording=recording,
         rows=np.arange(recording.n_samples),
         robots={"simulated": robot},
-        signals=_input.signals(arguments.signals, recording, source),
+        signals=taken.signals(arguments.signals),
         told=f"model: {arguments.model}, effects: {effects or 'none'}",
     )
 
@@ -183,28 +184,28 @@ def _identified(arguments, source, folder):
     from sklearn_vbjfa.datasets import load_demo_recording
 
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    gains, signals, held = _input.gains(arguments.gain), None, ()
+    signals = None
     if arguments.recording is None:
-        recording = load_demo_recording()
-        urdf = recording.urdf
+        demo = load_demo_recording()
+        taken = _input.Taken(recording=demo, urdf=demo.urdf, source=source)
     else:
-        taken = _input.taken(arguments, gains, folder)
-        recording, urdf, held = taken.recording, taken.urdf, taken.held
-        _input.check_channels(recording, urdf, gains, source)
-        signals = _input.signals(arguments.signals, recording, source)
-    _input.check_settings(settings, recording, urdf, source)
+        taken = _input.taken(arguments, folder)
+        taken.check_channels()
+        signals = taken.signals(arguments.signals)
+    taken.check(settings)
+    recording = taken.recording
     first, rest = _parts(recording)
     part = _rows_of(recording, first)
     known = {"t": recording.clock()[first], "signals": _at(signals, first)}
     settings["torque_noise"] = recording.torque_noise
     with blaming(source):
-        robots = _robots(part, str(urdf), library, known, settings)
+        robots = _robots(part, str(taken.urdf), library, known, settings)
     told = (
         f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
         f"friction: {', '.join(settings['friction']) or 'none'}"
     )
-    if held:
-        told = f"held at zero: {', '.join(held)}\n{told}"
+    if taken.held:
+        told = f"held at zero: {', '.join(taken.held)}\n{told}"
     if "completed" in robots:
         found = robots["completed"].effects_
         names = recording.joint_names

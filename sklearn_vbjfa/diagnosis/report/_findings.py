@@ -33,28 +33,24 @@ def effects(outcome, verdict):
     """Tabulate the effects that were found."""
     sentences, short, rows = [], [], []
     for e in outcome.effects:
-        joint = words.place_label(outcome, e.name, e.joint)
-        label = words.effect_label(outcome, e.name, e.parameters)
+        joint, label, rivals = _called(outcome, e)
         if _plain.in_model(outcome, e):
             first, parameters = _plain.statement(outcome, e), _plain.value_cells(e)
         else:
             parameters = words.parameter_text(e)
             first = ", ".join([f"{joint}: {label}", *parameters])
         gain, odds = words.whole_percent(e.evidence.gain), words.odds_text(e.log_odds)
-        rivals = [words.other_label(outcome, rival, e.name) for rival in e.rivals]
         evidence = f"saves {gain}, odds {odds}"
         told = [f"- {first}", evidence]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
-        afterwards = _afterwards(e)
-        told += filter(None, [_known_for(outcome, e), afterwards])
+        known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
+        told += known
         sentences.append("; ".join(told))
         short.append((f"- {joint}", label, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
-        known = filter(None, [_known_for(outcome, e), afterwards])
-        cell = (*parameters, *known)
-        rows.append((joint, label, cell, gain, odds, cannot))
+        rows.append((joint, label, (*parameters, *known), gain, odds, cannot))
     heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "odds")
     shown = anchors(outcome)
     links = tuple(f"#{anchor}" if anchor else "" for anchor in shown)
@@ -65,14 +61,21 @@ def effects(outcome, verdict):
     )
 
 
+def _called(outcome, effect):
+    """Return where an effect is, what to call it, and what cannot be told from it."""
+    return (
+        words.place_label(outcome, effect.name, effect.joint),
+        words.effect_label(outcome, effect.name, effect.parameters),
+        [words.other_label(outcome, rival, effect.name) for rival in effect.rivals],
+    )
+
+
 def perhaps(outcome, verdict):
     """Say what is more probable than not and has no name."""
     rows, told = [], []
     for e in outcome.perhaps:
-        joint = words.place_label(outcome, e.name, e.joint)
-        label = words.effect_label(outcome, e.name, e.parameters)
+        joint, label, rivals = _called(outcome, e)
         probability = words.probability_text(e.probability)
-        rivals = [words.other_label(outcome, rival, e.name) for rival in e.rivals]
         cell = tuple(words.parameter_text(e))
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, cell, probability, e.doubt, cannot))
@@ -102,8 +105,7 @@ def corrections(outcome, verdict):
     todo = [one.text for one in _plain.remedies(outcome)]
     rows = [
         (
-            words.place_label(outcome, e.name, e.joint),
-            words.effect_label(outcome, e.name, e.parameters),
+            *_called(outcome, e)[:2],
             _plain.value_cells(e),
             tuple(words.parameter_text(e)),
         )

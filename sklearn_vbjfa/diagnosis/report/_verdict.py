@@ -231,73 +231,12 @@ def _errors_sentence(outcome, errors):
 
 def _headline(outcome, joints, status):
     """Say in a sentence what was found and what is still open."""
-
-    def where(kind):
-        found = [v.joint for v in joints if v.status == kind]
-        return words.joint_list(outcome.joint_names, found), len(found) == 1
-
+    if status in ("doubtful", "no data", "unsearched"):
+        return _unjudged(outcome, joints, status)
+    if status in ("failed", "worse", "unsettled", "unknown"):
+        return _unsure(outcome, joints, status)
     found, count = _found(outcome), len(outcome.effects)
-    if status == "doubtful":
-        first, *more = doubts(outcome)
-        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
-        return (
-            f"Mend the recording first. {first}{others} Until then nothing below can "
-            "be trusted."
-        )
-    if status == "no data":
-        return (
-            "No verdict: no joint moves for long enough in the untouched part; record "
-            "more motion of each joint."
-        )
-    if status == "unsearched":
-        return (
-            f"Nothing was searched: the channels of {where('unsearched')[0]} show too "
-            "little to tell what is missing."
-        )
-    if status == "failed":
-        which, one = where("failed")
-        text = (
-            f"{which} {'is' if one else 'are'} predicted worse than by "
-            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
-            "check the recording."
-        )
-        return f"{found} added, but {text}" if count else words.capital(text)
-    if status == "worse":
-        which, one = where("worse")
-        what = found if count else "What is perhaps missing was"
-        if not count and outcome.added:
-            what = f"{words.capital(plain_words(outcome))} were"
-        declared = any(
-            next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
-        )
-        than = "before" if declared else "with the plain terms alone"
-        return (
-            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
-            f"data worse than {than}: do not trust what was added there."
-        )
-    if status == "unsettled":
-        return (
-            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
-            f"{where('above')[0]} reached the noise floor in the search but not on "
-            "untouched data: record more, or look for what changed."
-        )
-    if status == "unknown":
-        first = "No effect of the library was found; whether one is missing"
-        if count:
-            first = f"{found} missing; whether more is"
-        return (
-            f"{first} cannot be said, as the noise floor of {where('unknown')[0]} is "
-            "unknown."
-        )
-    few, one = where("few")
-    silent = ""
-    if few:
-        verb = "moves" if one else "move"
-        silent = f" {words.capital(few)} {verb} too little for a verdict."
-    left_out, one = where("unsearched")
-    if left_out:
-        verb = "was" if one else "were"
-        silent += f" {words.capital(left_out)} {verb} not searched."
+    silent = _silent(outcome, joints)
     near = "near" if any(v.text.startswith("near") for v in joints) else "at"
     if status == "nothing":
         more = ""
@@ -315,7 +254,7 @@ def _headline(outcome, joints, status):
         )
     if status == "complete":
         return f"{found} missing; what remains is {near} the noise floor.{silent}"
-    which, one = where("unexplained")
+    which, one = _where(outcome, joints, "unexplained")
     first = "Something is missing that has no name"
     if count:
         first = f"{found} missing, but that is not all"
@@ -326,6 +265,85 @@ def _headline(outcome, joints, status):
         f"{which} is above the noise floor and no effect of the library explains "
         f"it.{silent}"
     )
+
+
+def _where(outcome, joints, kind):
+    """Name the joints of a status; whether there is one only."""
+    found = [v.joint for v in joints if v.status == kind]
+    return words.joint_list(outcome.joint_names, found), len(found) == 1
+
+
+def _unjudged(outcome, joints, status):
+    """Say why nothing is judged."""
+    if status == "doubtful":
+        first, *more = doubts(outcome)
+        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
+        return (
+            f"Mend the recording first. {first}{others} Until then nothing below can "
+            "be trusted."
+        )
+    if status == "no data":
+        return (
+            "No verdict: no joint moves for long enough in the untouched part; record "
+            "more motion of each joint."
+        )
+    which, _ = _where(outcome, joints, "unsearched")
+    return (
+        f"Nothing was searched: the channels of {which} show too little to tell what "
+        "is missing."
+    )
+
+
+def _unsure(outcome, joints, status):
+    """Say why the completed model is not to be trusted, or may not be complete."""
+    found, count = _found(outcome), len(outcome.effects)
+    if status == "failed":
+        which, one = _where(outcome, joints, "failed")
+        text = (
+            f"{which} {'is' if one else 'are'} predicted worse than by "
+            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
+            "check the recording."
+        )
+        return f"{found} added, but {text}" if count else words.capital(text)
+    if status == "worse":
+        which, one = _where(outcome, joints, "worse")
+        what = found if count else "What is perhaps missing was"
+        if not count and outcome.added:
+            what = f"{words.capital(plain_words(outcome))} were"
+        declared = any(
+            next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
+        )
+        than = "before" if declared else "with the plain terms alone"
+        return (
+            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
+            f"data worse than {than}: do not trust what was added there."
+        )
+    if status == "unsettled":
+        which, _ = _where(outcome, joints, "above")
+        return (
+            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
+            f"{which} reached the noise floor in the search but not on "
+            "untouched data: record more, or look for what changed."
+        )
+    first = "No effect of the library was found; whether one is missing"
+    if count:
+        first = f"{found} missing; whether more is"
+    which, _ = _where(outcome, joints, "unknown")
+    return f"{first} cannot be said, as the noise floor of {which} is unknown."
+
+
+def _silent(outcome, joints):
+    """Name the joints that nothing is known of; begins with a space, or is empty."""
+    few, one = _where(outcome, joints, "few")
+    silent = ""
+    if few:
+        verb = "moves" if one else "move"
+        silent = f" {words.capital(few)} {verb} too little for a verdict."
+    left_out, one = _where(outcome, joints, "unsearched")
+    if left_out:
+        verb = "was" if one else "were"
+        silent += f" {words.capital(left_out)} {verb} not searched."
+    return silent
 
 
 def plain_words(outcome):

@@ -318,12 +318,34 @@ def _period(robot, found):
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot; and what was read."""
     from sklearn_vbjfa.design import MotionLimits
-    from sklearn_vbjfa.design._refusal import MotionRefused
     from sklearn_vbjfa.model._loading import joint_names
 
+    given, source = _given_limits(arguments, robot)
+    # Limits of the description are in its own order.
     names, described = robot.known.joint_names, joint_names(robot.model)
+    order = [names.index(name) for name in described]
+    back = [described.index(name) for name in names]
+    position = np.column_stack([given["lower"], given["upper"]])[order]
+    more = {name: given[name][order] for name in _OPTIONS}
+    try:
+        found = MotionLimits.of(robot.model, position=position, **more)
+    except ValueError as error:
+        raise _refused(error, robot, given, source, back) from error
+    return (
+        MotionLimits(
+            found.position[back],
+            arguments.scale * found.velocity[back],
+            arguments.scale * found.acceleration[back],
+            found.torque[back],
+        ),
+        source,
+    )
+
+
+def _given_limits(arguments, robot):
+    """Read the limits of a file and of options, nan for none; and what was read."""
+    names, source = robot.known.joint_names, ""
     given = {name: np.full(len(names), np.nan) for name in _LIMITS}
-    source = ""
     if arguments.limits is not None:
         path = _input.expanded(arguments.limits)
         source = str(path)
@@ -339,35 +361,23 @@ def _limits(arguments, robot):
             "--torque in the units of the channels",
             {"acceleration": tuple(2 * np.array(robot.model.velocityLimit))},
         )
-    # Limits of the description are in its own order.
-    order = [names.index(name) for name in described]
-    back = [described.index(name) for name in names]
-    position = np.column_stack([given["lower"], given["upper"]])[order]
-    more = {name: given[name][order] for name in _OPTIONS}
-    try:
-        found = MotionLimits.of(robot.model, position=position, **more)
-    except MotionRefused as refused:
-        options = {
-            name: tuple(np.array(values)[back].tolist())
-            for name, values in refused.options.items()
-        }
-        wrong = f"{refused.wrong} {_ADVICE[refused.lacks]}"
-        content = "" if options else _template(names, robot.model, given)
-        wrong = wrong if options or not source else f"{source}: {wrong}"
-        raise _input.Refused(wrong, options, content) from refused
-    except ValueError as error:
-        wrong = f"{f'{source}: ' if source else ''}{error}".removesuffix(".")
-        content = _template(names, robot.model, given)
-        raise _input.Refused(wrong, content=content) from error
-    return (
-        MotionLimits(
-            found.position[back],
-            arguments.scale * found.velocity[back],
-            arguments.scale * found.acceleration[back],
-            found.torque[back],
-        ),
-        source,
-    )
+    return given, source
+
+
+def _refused(error, robot, given, source, back):
+    """Word a refusal of limits, with options or a file that would do."""
+    # back: where each joint is among those of the description.
+    options = {
+        name: tuple(np.array(values)[back].tolist())
+        for name, values in getattr(error, "options", {}).items()
+    }
+    lacks = getattr(error, "lacks", "")
+    wrong = f"{error.wrong} {_ADVICE[lacks]}" if lacks else str(error).removesuffix(".")
+    if options:
+        return _input.Refused(wrong, options)
+    wrong = f"{source}: {wrong}" if source else wrong
+    content = _template(robot.known.joint_names, robot.model, given)
+    return _input.Refused(wrong, content=content)
 
 
 def _read_limits(path, names, model):

@@ -126,8 +126,8 @@ class Correction:
     # (nv,) or None: offsets to add to the positions [rad]
     offset: np.ndarray | None = None
     # logarithm of the factor by which the squared errors of these joints fall
-    gain: float
-    gain_t: float  # the same in standard errors
+    gain: float = 0.0
+    gain_t: float = 0.0  # the same in standard errors
 
     def put_right(self, signals):
         """Return the corrected signals."""
@@ -282,7 +282,7 @@ class _Trial:
         equations = ChannelEquations(model, signals)
         self._features = equations.features
         self._known = {ChannelEquations.fit: {}, ChannelEquations.least_errors: {}}
-        fits = self._errors(_correction((), kind="as recorded"))
+        fits = self._errors(Correction(joints=(), kind="as recorded"))
         self._now = total(fits)
         errors = [fit.error[0] for fit in fits.values()]
         self._lost = np.median(errors) > _NO_FIT
@@ -336,7 +336,7 @@ class _Trial:
         # From the mean over all joints to that over the joints concerned.
         share = self._model.nv / max(len(moved), 2)
         least = max(least, _SWAP_GAIN / share)
-        better, better_t = self._gain(_correction(moved, **how), least)
+        better, better_t = self._gain(Correction(joints=moved, **how), least)
         if not (share * better > _SWAP_GAIN and better_t > SURE):
             return None
         return Correction(joints=moved, gain=share * better, gain_t=better_t, **how)
@@ -382,7 +382,7 @@ class _Trial:
         for other in orders:
             if (other == np.arange(other.size)).all():
                 continue
-            tried = _correction((), kind="swapped_joints", order=other)
+            tried = Correction(joints=(), kind="swapped_joints", order=other)
             better, _ = self._gain(tried, best)
             if better > best:
                 best, order = better, other
@@ -410,10 +410,6 @@ class _Trial:
                     )
                 )
         return [c for c in found if c is not None]
-
-
-def _correction(joints, **how):
-    return Correction(joints=joints, gain=0.0, gain_t=0.0, **how)
 
 
 def _exchanged(order, pair):

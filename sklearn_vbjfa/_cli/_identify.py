@@ -1,5 +1,6 @@
 """The commands that only tell: ``identify``, ``inspect``, ``effects``, ``datasets``."""
 
+import contextlib
 import sys
 from dataclasses import dataclass
 
@@ -61,28 +62,20 @@ def identify(arguments, folder):
     from sklearn_vbjfa.robot._comparison import compare_methods
 
     _check(arguments)
-    if arguments.recording:
-        task = _own(arguments, folder)
-        with blaming(task.source):
-            results, fitted = _compared(task, compare_methods)
-    else:
-        task = _of_catalogue(arguments)
-        results, fitted = _compared(task, compare_methods)
+    task = (_own if arguments.recording else _of_catalogue)(arguments, folder)
+    recording = task.recording
+    parts = (
+        (recording.q[rows], recording.tau[rows], recording.groups[rows])
+        for rows in tuple(task.protocol.split(recording))
+    )
+    progress = show_progress if sys.stderr.isatty() else None
+    # A measured set is not at fault.
+    with blaming(task.source) if arguments.recording else contextlib.nullcontext():
+        results, fitted = compare_methods(task.identifier, *parts, on_progress=progress)
     return Done(
         text=_report(task, results, fitted),
         doubts=method_doubts(results, fitted.joint_names_),
     )
-
-
-def _compared(task, compare_methods):
-    """Fit all methods to a part of the recording; their errors on the other."""
-    parts = (
-        (task.recording.q[rows], task.recording.tau[rows], task.recording.groups[rows])
-        for rows in task.protocol.split(task.recording)
-    )
-    shows = sys.stderr.isatty()
-    progress = show_progress if shows else None
-    return compare_methods(task.identifier, *parts, on_progress=progress)
 
 
 def _check(arguments):
@@ -102,7 +95,7 @@ def _check(arguments):
         raise ValueError("give --urdf FILE, the description of the robot.")
 
 
-def _of_catalogue(arguments):
+def _of_catalogue(arguments, folder):
     """Load a measured set, or the recording that comes with the package."""
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets._catalogue import protocols

@@ -45,23 +45,27 @@ __all__ = [
 # Where each name is. It is imported when it is first asked for: a program is at work at
 # once, and can be stopped while the rest is loaded.
 _MODULES = {
-    "EffectDiscovery": "diagnosis._discovery",
-    "IdentifiedRobot": "robot._identified",
-    "InstrumentalVariables": "regression._instrumental_variables",
-    "JFARegressor": "regression._jfa",
-    "JointTorqueRegressor": "robot._joint_torque",
-    "LocallyWeightedRegressor": "regression._locally_weighted",
-    "NoiseCovariance": "regression._replicates",
-    "PhysicalProjector": "physical",
-    "RigidBodyFeatures": "robot._features",
-    "RobotIdentifier": "robot._identifier",
-    "StateEstimator": "robot._states",
-    "StepwiseRegressor": "regression._stepwise",
-    "TotalLeastSquares": "regression._total_least_squares",
-    "VBJFARegressor": "regression._vbjfa",
-    "load_identified": "robot._identified",
-    "load_model": "model._loading",
-    "replicate_noise": "regression._replicates",
+    "diagnosis._discovery": ("EffectDiscovery",),
+    "model._loading": ("load_model",),
+    "physical": ("PhysicalProjector",),
+    "regression._instrumental_variables": ("InstrumentalVariables",),
+    "regression._jfa": ("JFARegressor",),
+    "regression._locally_weighted": ("LocallyWeightedRegressor",),
+    "regression._replicates": (
+        "NoiseCovariance",
+        "replicate_noise",
+    ),
+    "regression._stepwise": ("StepwiseRegressor",),
+    "regression._total_least_squares": ("TotalLeastSquares",),
+    "regression._vbjfa": ("VBJFARegressor",),
+    "robot._features": ("RigidBodyFeatures",),
+    "robot._identified": (
+        "IdentifiedRobot",
+        "load_identified",
+    ),
+    "robot._identifier": ("RobotIdentifier",),
+    "robot._joint_torque": ("JointTorqueRegressor",),
+    "robot._states": ("StateEstimator",),
 }
 _ROOMS = (
     "datasets",
@@ -78,25 +82,24 @@ _ROOMS = (
 )
 
 
-def lazy_names(package, modules, whole=None):
-    """Return `__getattr__` and `__dir__` of a package that imports names when asked."""
-    # modules: of each name the module below the package that has it; whole: of names of
-    # modules themselves.
-    whole = whole or {}
+def _lazily(package, modules, rooms=()):
+    """Return `__getattr__` and `__dir__` that import names when they are asked for."""
+    # modules: names that a module below the package has, by the module, beside the
+    # package if it begins with a dot; rooms: modules that are names themselves. The
+    # faces of rooms are made of it as well.
+    where = {name: module for module, names in modules.items() for name in names}
+    own = vars(sys.modules[package])
 
-    def __getattr__(name):
-        own = whole.get(name) or modules.get(name)
-        if own is None:
-            raise AttributeError(f"module {package!r} has no attribute {name!r}")
-        module = importlib.import_module(f"{package}.{own}")
-        found = module if name in whole else getattr(module, name)
-        vars(sys.modules[package])[name] = found
-        return found
+    def get(name):
+        if name in where:
+            module = importlib.import_module(f".{where[name]}", package)
+            found = own[name] = getattr(module, name)
+            return found
+        if name in rooms:
+            return importlib.import_module(f".{name}", package)
+        raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    def __dir__():
-        return sorted({*vars(sys.modules[package]), *modules, *whole})
-
-    return __getattr__, __dir__
+    return get, lambda: sorted({*own, *where, *rooms})
 
 
-__getattr__, __dir__ = lazy_names(__name__, _MODULES, {room: room for room in _ROOMS})
+__getattr__, __dir__ = _lazily(__name__, _MODULES, _ROOMS)

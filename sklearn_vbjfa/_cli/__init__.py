@@ -9,7 +9,7 @@ import signal
 import sys
 import textwrap
 
-from sklearn_vbjfa import lazy_names
+from sklearn_vbjfa import _lazily
 from sklearn_vbjfa._cli._run import (
     DOUBTFUL,
     EPILOG,
@@ -28,23 +28,14 @@ from sklearn_vbjfa._cli._run import (
 )
 
 # What commands and tests need of the others; `main` and `program` are for users.
-__getattr__, __dir__ = lazy_names(
-    __name__,
-    {
-        "STOPS": "_run",
-        "check_folder": "_input",
-        "check_overwriting": "_input",
-        "close": "_close_loop",
-        "default_folder": "_input",
-        "expanded": "_input",
-        "left_out_lines": "_close_loop",
-        "method_doubts": "_identify",
-        "no_formula": "_input",
-        "report_doubts": "_close_loop",
-        "sources": "_input",
-        "write_parameters": "_close_loop",
-    },
-)
+_MODULES = {
+    "_close_loop": ("close", "left_out_lines", "report_doubts", "write_parameters"),
+    "_identify": ("method_doubts",),
+    "_input": ("check_folder", "check_overwriting", "default_folder", "no_formula")
+    + ("sources",),
+    "_run": ("STOPS",),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)
 
 # Longest message [characters].
 _LONGEST = 900

@@ -1,6 +1,6 @@
 """Channels that contradict the robot: signs, orders, units, delays, zeros."""
 
-from sklearn_vbjfa import lazy_names
+from sklearn_vbjfa import _lazily
 from sklearn_vbjfa.inspection._inspect import (
     ChannelFinding,
     inspect_channels,
@@ -17,10 +17,8 @@ __all__ = [
 ]
 
 # For other rooms, and for the tests.
-_NAMES = {
-    "ChannelEquations": "_rivals",
-    "channel_signals": "_rivals",
-    "fits_of": "_rivals",
-    "one_speed": "_overview",
+_MODULES = {
+    "_overview": ("one_speed",),
+    "_rivals": ("ChannelEquations", "channel_signals", "fits_of"),
 }
-__getattr__, __dir__ = lazy_names(__name__, _NAMES)
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

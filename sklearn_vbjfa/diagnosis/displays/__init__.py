@@ -1,8 +1,7 @@
 """Figures of fitted models, drawn by matplotlib."""
 
-from sklearn_vbjfa import lazy_names
+from sklearn_vbjfa import _lazily
 
 # For the command line and the tests; users get `sklearn_vbjfa.diagnosis`.
-__getattr__, __dir__ = lazy_names(
-    __name__, {"running_median": "_recordings", "windows_of": "_recordings"}
-)
+_MODULES = {"_recordings": ("running_median", "windows_of")}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -11,7 +11,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.report._evidence import explanation, source_of
+from sklearn_vbjfa.diagnosis.report import explanation, source_of
 from tests.effects._arms import (
     arm,
     dahl_in_small_steps,

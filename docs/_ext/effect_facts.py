@@ -4,8 +4,8 @@ import re
 
 from simulated_effects import step_reasons
 
-from sklearn_vbjfa.diagnosis.report import _render
-from sklearn_vbjfa.diagnosis.report._evidence import added_torque
+from sklearn_vbjfa.diagnosis.report import added_torque
+from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
 
 # Attributes of a written file that come with others and say nothing by themselves.
 _WITH_OTHERS = {
@@ -134,7 +134,7 @@ def _sort(value):
 
 def style():
     """Return the report's style sheet, with the guide's own switch for dark pages."""
-    sheet = _render.style()
+    sheet = sheet_of_reports()
     colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--untouched:[^;}]*)", sheet)
     light, dark = colours[:2]
     return "".join(

@@ -33,13 +33,14 @@ from simulated_effects import (
 from sphinx.util.docutils import SphinxDirective
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.diagnosis.report import _render
-from sklearn_vbjfa.diagnosis.report._charts import HEIGHT, WIDTH
-from sklearn_vbjfa.diagnosis.report._evidence import (
+from sklearn_vbjfa.diagnosis.report import (
+    HEIGHT,
+    WIDTH,
     explanation,
+    figure,
     source_of,
+    words,
 )
-from sklearn_vbjfa.diagnosis.report._words import number
 
 _SHEET = "effects.css"
 
@@ -78,7 +79,7 @@ def _plain(text):
 def _shown(value):
     if isinstance(value, tuple):
         return ", ".join(map(_shown, value))
-    return f"``{value!r}``" if isinstance(value, str) else number(float(value))
+    return f"``{value!r}``" if isinstance(value, str) else words.number(float(value))
 
 
 # -- directives --------------------------------------------------------------------
@@ -148,7 +149,7 @@ class Picture(_OfEffect):
     def run(self):
         """Make the nodes."""
         use = self.use
-        html = f'<div class="vbjfa">{_render.figure(drawn(use.effect.name))}</div>'
+        html = f'<div class="vbjfa">{figure(drawn(use.effect.name))}</div>'
         own = use.effect.seen_over or "own torque"
         seen = (
             ""

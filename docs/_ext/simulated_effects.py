@@ -16,7 +16,7 @@ from sklearn.base import clone
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import curves_over
-from sklearn_vbjfa.diagnosis.report._charts import effect_figure
+from sklearn_vbjfa.diagnosis.report import effect_figure
 from sklearn_vbjfa.effects import Motion
 from sklearn_vbjfa.effects._in_model import cross_axes, rotation
 from sklearn_vbjfa.effects._library import closure

@@ -1,7 +1,6 @@
-"""Command line: close the loop, simulate, compare methods, list effects and sets."""
+"""Command line: its commands and options, and how a run ends in words."""
 
 import argparse
-import contextlib
 import os
 import re
 import shlex
@@ -10,154 +9,367 @@ import signal
 import sys
 import textwrap
 
-from sklearn_vbjfa._cli import _exit_codes
-from sklearn_vbjfa._cli._stopping import (
+from sklearn_vbjfa import _lazily
+from sklearn_vbjfa._cli._run import (
+    DOUBTFUL,
+    EPILOG,
+    REFUSED,
+    USABLE,
     Stopped,
+    clear_progress,
+    exit_line,
     ignore_stops,
     open_streams,
+    run,
+    say,
     stoppable,
     stopped_by,
+    wrapped,
 )
+
+# What commands and tests need of the others; `main` and `program` are for users.
+_MODULES = {
+    "_close_loop": ("close", "left_out_lines", "report_doubts", "write_parameters"),
+    "_identify": ("method_doubts",),
+    "_input": ("check_folder", "check_overwriting", "default_folder", "no_formula")
+    + ("sources",),
+    "_run": ("STOPS",),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)
 
 # Longest message [characters].
 _LONGEST = 900
 
+# -- commands and options --------------------------------------------------------------
 
-def main(argv=None):
-    """Run the command line; return its exit code, see `_exit_codes`."""
-    # 0 if the result can be used; 2 if nothing was done, with one line on stderr; 3 if
-    # it was done with a doubt, which is stated; 128 plus the signal's number if the run
-    # was stopped, so 130 for an interrupt.
-    arguments = None
-    try:
-        with stoppable():
-            # Imports take a second, in which a run may be stopped as well.
-            arguments = _arguments(argv)
-            from sklearn_vbjfa.physical import one_blas_thread
+# What is declared of every joint where no option says so.
+FRICTION = "viscous,coulomb,offset,rotor_inertia"
+# A designed motion [s], unless an option or a report says otherwise.
+DURATION, PERIOD = 20.0, 0.01
 
-            # The matrices are small: threads would only wait for each other.
-            with one_blas_thread():
-                arguments.run(arguments)
-            _flush()
-    except BrokenPipeError:
-        # The reader (head, less) has seen enough.
-        _no_more_output()
-    except (KeyboardInterrupt, Stopped) as stop:
-        return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
-    except MemoryError:
-        _tell(
-            "not enough memory; give a shorter recording or fewer effects (--effects)"
-        )
-        return _given_up(arguments)
-    except (ValueError, OSError, ImportError) as error:
-        if stopped_by() is not None:
-            return _tell_stop(stopped_by(), arguments)
-        line = one_line(_in_words(error, arguments))
-        command = _command(argv, getattr(error, "options", None))
-        _say(line, command or _content(error))
-        return _given_up(arguments)
-    if arguments is None or not arguments.doubts:
-        return _exit_codes.USABLE
-    _note(_exit_codes.line(arguments.doubts))
-    return _exit_codes.DOUBTFUL
+# What a recording may be, for the help.
+_RECORDING = (
+    "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
+    "q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
+    "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
+    "of a LeRobot data set; - for standard input"
+)
+_LIMITS = (
+    "limits of {} [{}], one for each joint with commas between them, or one for all"
+)
+_OUT = "folder for the files; by default the name of RECORDING{} plus -{}"
 
+# What the parser is told of each argument; `default` is filled in after it, so that
+# what was given is known. A command may say otherwise of its own.
+_ARGUMENTS = {
+    "recording": {
+        "metavar": "RECORDING",
+        "help": f"{_RECORDING}; or several such files of one robot, recorded alike",
+    },
+    "--urdf": {"metavar": "FILE", "help": "description of the robot, URDF or MJCF"},
+    "--base-orientation": {
+        "metavar": "W,X,Y,Z",
+        "help": "orientation of a base that is free in the description (quadruped, "
+        "humanoid) and held, a quaternion in the world; by default that of the "
+        "description",
+    },
+    "--joints": {
+        "metavar": "NAMES",
+        "help": "recorded joints, separated by commas, in the order of the columns "
+        "q1..qn; other joints (gripper, wheels) are held at zero; by default all, in "
+        "the order of the description",
+    },
+    "--dt": {"type": float, "metavar": "S", "help": "sample period [s]"},
+    "--columns": {
+        "metavar": "MAPPING",
+        "help": "which columns are which channels, such as "
+        '"q=actual_q_{i},tau=actual_current_{i},t=timestamp"; {i} is the number of a '
+        "joint from 0 or 1, {joint} its name; a unit may follow: q=pos_{i} [deg]",
+    },
+    "--preset": {
+        "metavar": "TOOL",
+        "help": "names as tools write them: ros, ur, franka or lerobot; by default "
+        "they are recognised",
+    },
+    "--topic": {
+        "metavar": "NAME",
+        "help": "topic of a bag; by default the only one of joint states",
+    },
+    "--time-unit": {
+        "metavar": "UNIT",
+        "help": "unit of time: s, ms, us or ns; by default what its name says, or s",
+    },
+    "--gain": {
+        "metavar": "FACTORS",
+        "help": "factors by which the columns of torques become N m or N, one for each "
+        "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
+        "currents), and the factors are identified relative to one of them",
+    },
+    "--signals": {
+        "metavar": "NAMES",
+        "help": "other columns of RECORDING that friction and offsets may vary with, "
+        "such as temperature,voltage; by default all that hold numbers; none for none",
+    },
+    "--friction": {
+        "default": FRICTION,
+        "metavar": "NAMES",
+        "help": "what the model of each joint has already: none, or any of "
+        "viscous,coulomb,offset,rotor_inertia; by default all four",
+    },
+    "--known-mass": {
+        "action": "append",
+        "default": (),
+        "metavar": "LINK=KG",
+        "help": "with --gain unknown, a mass that fixes the common factor: of a link "
+        "with what is fixed to it, or payload=KG of what is picked up or put down; may "
+        "be repeated",
+    },
+    "--bodies": {
+        "choices": ("prior", "free", "fixed"),
+        "default": "prior",
+        "help": "masses and inertias: near those of the description unless the torques "
+        "say otherwise (prior), from the torques alone (free), or as described "
+        "(fixed); by default prior",
+    },
+    "--cutoff": {
+        "default": "auto",
+        "metavar": "HZ",
+        "help": "cut-off of the low-pass for torques and regressors; by default auto, "
+        "from the motion; none for no low-pass",
+    },
+    "--effects": {"metavar": "NAMES"},
+    "--seed": {"type": int, "default": 0},
+    "--no-ceiling": {
+        "dest": "ceiling",
+        "action": "store_false",
+        "help": "do not measure what functions of any form would explain of what "
+        "remains; saves some seconds",
+    },
+    "--out": {"metavar": "DIR"},
+    "--force": {
+        "action": "store_true",
+        "help": "write to --out even if it holds files of others, or an input of this "
+        "run",
+    },
+    "--model": {
+        "metavar": "FILE",
+        "help": "identified robot, as RobotIdentifier.save writes it; nothing is "
+        "identified then",
+    },
+    "--window": {
+        "type": float,
+        "default": 1.0,
+        "metavar": "S",
+        "help": "length of a window [s], by default 1",
+    },
+    "--data": {
+        "metavar": "NAME",
+        "help": "demo (default) or a measured set; see the command datasets",
+    },
+    "--data-home": {
+        "metavar": "DIR",
+        "help": "folder of the measured sets, by default scikit-learn's data folder; "
+        "missing files are downloaded to it",
+    },
+    "--report": {
+        "metavar": "FOLDER",
+        "help": "folder that close-loop wrote: what its report.json left open is what "
+        "the motion decides, and its identified.json has the robot and the measured "
+        "noise",
+    },
+    "--duration": {
+        "type": float,
+        "default": DURATION,
+        "metavar": "S",
+        "help": f"length of the motion [s], by default {DURATION:g}",
+    },
+    "--start": {
+        "metavar": "POSITIONS",
+        "help": "positions at which the motion begins and ends [rad or m], one for "
+        "each joint with commas between them; by default the best",
+    },
+    "--limits": {
+        "metavar": "FILE",
+        "help": "limits in place of those of the description: CSV or JSON with joint "
+        "and any of lower, upper, velocity, acceleration, torque, in SI units",
+    },
+    "--velocity": {
+        "metavar": "LIMITS",
+        "help": _LIMITS.format("velocity", "rad/s or m/s"),
+    },
+    "--acceleration": {
+        "metavar": "LIMITS",
+        "help": _LIMITS.format("acceleration", "rad/s^2 or m/s^2"),
+    },
+    "--torque": {"metavar": "LIMITS", "help": _LIMITS.format("torque", "N m or N")},
+    "--scale": {
+        "type": float,
+        "default": 1.0,
+        "metavar": "SHARE",
+        "help": "share of the limits of velocity and acceleration that may be used, "
+        "such as 0.5 for a first run; by default 1",
+    },
+}
 
-def _given_up(arguments):
-    """Return the exit code of a run that could not go on to its end."""
-    is_written = arguments is not None and arguments.written
-    return _exit_codes.DOUBTFUL if is_written else _exit_codes.REFUSED
+# How a recording is read, and what is identified of it, in the order of the help.
+READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
+_READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit --gain"
+_IDENTIFIED = "--friction --known-mass --bodies --cutoff"
+_REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
 
-
-def _in_words(error, arguments):
-    """Return what a refusal says, without what only concerns callers of a function."""
-    done = arguments is not None and arguments.written
-    written = "; all files were written" if done else ""
-    if isinstance(error, OSError) and error.strerror:
-        # Writing to a stream names no file.
-        what = error.filename or "the standard output"
-        return f"{what}: {error.strerror}{written}"
-    return f"{getattr(error, 'reason', error)}{written}"
-
-
-# Options of the command line, by the arguments of `read_recording`.
-_OPTIONS = {
-    "acceleration": "--acceleration",
-    "base_orientation": "--base-orientation",
-    "columns": "--columns",
-    "dt": "--dt",
-    "duration": "--duration",
-    "gains": "--gain",
-    "joint_names": "--joints",
-    "out": "--out",
-    "preset": "--preset",
-    "scale": "--scale",
-    "start": "--start",
-    "time_unit": "--time-unit",
-    "topic": "--topic",
-    "torque": "--torque",
-    "velocity": "--velocity",
+# Command -> where it is done, its arguments, what is different of them, and its help.
+_COMMANDS = {
+    "close-loop": {
+        "run": "_close_loop:run",
+        "arguments": f"recording --urdf {_READ} --signals --out --force {_IDENTIFIED} "
+        "--effects --seed --no-ceiling",
+        "own": {
+            **_REQUIRED,
+            "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
+            "--effects": {
+                "default": "all",
+                "help": "effects to look for, by default all; see the command effects",
+            },
+            "--seed": {
+                "help": "order in which blocks of time are left out for the ceiling; "
+                "nothing else is random"
+            },
+        },
+        "help": "find what the model of your robot lacks",
+        "description": "Identify a robot from a recording or several, find effects "
+        "that its model lacks, add them, and report the error before and after on "
+        "parts of the recordings that were set aside. Writes report.html, report.json, "
+        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
+        "identified.json, which the command simulate reads.",
+    },
+    "inspect": {
+        "run": "_identify:inspect",
+        "arguments": f"recording --urdf {_READ} --signals",
+        "own": _REQUIRED,
+        "help": "say what a recording is, what is wrong with it and what it can show",
+        "description": "Say what a recording is as it is understood, what is wrong "
+        "with it, and what its motion can show of a robot. Nothing is identified and "
+        "nothing is written.",
+    },
+    "simulate": {
+        "run": "_simulate:run",
+        "arguments": f"recording --urdf --model --window {_READ} --signals --out "
+        f"--force {_IDENTIFIED} --effects",
+        "own": {
+            "recording": {"nargs": "?", "help": _RECORDING},
+            "--out": {"help": _OUT.format("", "simulation")},
+            "--effects": {
+                "default": "none",
+                "help": "effects to look for, or all; the completed model is then "
+                "simulated beside the declared one. By default none; see the command "
+                "effects",
+            },
+        },
+        "help": "simulate the identified robot beside the measured motion",
+        "description": "Drive the identified robot by the measured torques, over "
+        "windows that begin at measured states, and print how far it gets from the "
+        "measured motion. The first 70 % of every recording are identified and windows "
+        "of the rest are simulated; with --model, windows of the whole recording. "
+        "Without RECORDING, the one that comes with the package. Writes simulation.csv "
+        "and, with matplotlib, a picture of each recording.",
+    },
+    "design": {
+        "run": "_design:run",
+        "arguments": "--urdf --base-orientation --report --duration --out --force --dt "
+        "--joints --start --limits --velocity --acceleration --torque --scale "
+        "--effects --seed",
+        "own": {
+            "--urdf": {
+                "help": "description of the robot; with --report, by default that of "
+                "the report"
+            },
+            "--out": {
+                "default": "motion.csv",
+                "metavar": "FILE",
+                "help": "file for the motion, by default motion.csv; the page goes "
+                "beside it with the ending .html",
+            },
+            "--force": {"help": "replace files that exist"},
+            "--dt": {
+                "help": "sample period [s], by default that of the report, or "
+                f"{PERIOD:g}"
+            },
+            "--joints": {
+                "help": "joints that move, separated by commas; others (gripper, "
+                "wheels) are held at zero; by default all"
+            },
+            "--effects": {
+                "help": "effects that the motion shall show and tell apart on every "
+                "joint; see the command effects"
+            },
+            "--seed": {"help": "draws the motions of which the best is improved"},
+        },
+        "help": "design the motion to record next",
+        "description": "Design a periodic motion within the limits of the robot that "
+        "determines its model best; with the folder of a report, the one that decides "
+        "what the report left open. Writes the motion as CSV (t, then q_, v_ and a_ of "
+        "each joint, in SI units) and a page beside it. Takes a minute or two.",
+    },
+    "identify": {
+        "run": "_identify:identify",
+        "arguments": f"recording --urdf --data --data-home {_READ} --friction --bodies "
+        "--cutoff",
+        "own": {"recording": {"nargs": "*"}},
+        "help": "identify a recording and compare methods on its held-out part",
+        "description": "Identify a recording and compare the torque errors of fifteen "
+        "methods on the part of it that was held out: of your own recording the last "
+        "30 % (of each, if it holds several). Without RECORDING, the one that comes "
+        "with the package, or a measured set. Nothing is written.",
+    },
+    "effects": {"run": "_identify:list_effects", "help": "list the library of effects"},
+    "datasets": {"run": "_identify:list_datasets", "help": "list the measured sets"},
 }
 
 
-def _command(argv, options):
-    """Say which command would work, given the options to add; "" for none."""
-    if not options:
-        return ""
-    words, changed = [], {_OPTIONS[key]: value for key, value in options.items()}
-    given = iter(sys.argv[1:] if argv is None else argv)
-    for word in given:
-        option = str(word).partition("=")[0]
-        if option not in changed:
-            words.append(str(word))
-        elif "=" not in str(word):
-            next(given, None)
-    for option, value in changed.items():
-        if isinstance(value, tuple):
-            value = ",".join(x if isinstance(x, str) else f"{x:.15g}" for x in value)
-        elif isinstance(value, float):
-            value = f"{value:.15g}"
-        if value is not None:
-            # A list that begins with a minus would be taken for an option.
-            minus = str(value).startswith("-")
-            words += [f"{option}={value}"] if minus else [option, value]
-    return f"python -m sklearn_vbjfa {shlex.join(words)}"
+class _Parser(argparse.ArgumentParser):
+    """Parser that tells the exit codes, whose refusals are as short as a run's."""
+
+    def __init__(self, **given):
+        super().__init__(epilog=EPILOG, **given)
+
+    def error(self, message):
+        super().error(one_line(message))
 
 
-def _content(error):
-    """Say what a file would have to hold; "" for nothing."""
-    content = getattr(error, "content", "")
-    return f"a file with {content}" if content else ""
+def _parser():
+    from sklearn_vbjfa import __version__
+
+    parser = _Parser(
+        prog="sklearn-vbjfa",
+        description="Robot identification with noise in inputs and outputs. Without "
+        "a command, close the loop on the recording that comes with the package.",
+    )
+    parser.add_argument("--version", action="version", version=__version__)
+    parser.set_defaults(run="_close_loop:run_demo", defaults={})
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for name, command in _COMMANDS.items():
+        _add(commands, name, **command)
+    return parser
 
 
-def _tell_stop(number, arguments):
-    """Say that a signal has stopped the run; the exit code."""
-    name = signal.Signals(number).name
-    how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
-    written = arguments is not None and arguments.written
-    _clear_progress()
-    _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
-    return 128 + number
-
-
-def program():
-    """Run the command line as a program of its own; return the exit code of `main`."""
-    try:
-        open_streams()
-        return main()
-    except KeyboardInterrupt:
-        # Before or after a run takes care of it.
-        _tell("interrupted")
-        return 128 + signal.SIGINT
-    finally:
-        ignore_stops()
+def _add(commands, name, *, run, arguments="", own=None, **told):
+    """Add a command with its arguments to a parser."""
+    command, defaults = commands.add_parser(name, **told), {}
+    for argument in arguments.split():
+        given = _ARGUMENTS[argument] | (own or {}).get(argument, {})
+        default = given.pop("default", None)
+        action = command.add_argument(argument, **given)
+        if default is not None:
+            defaults[action.dest] = default
+    command.set_defaults(run=run, defaults=defaults)
 
 
 def _arguments(argv):
     """Parse arguments; what a parser prints may meet a reader that has left."""
     try:
-        given = sys.argv[1:] if argv is None else argv
+        words = sys.argv[1:] if argv is None else argv
         parser = _parser()
-        arguments, more = parser.parse_known_args(_joined(list(map(str, given))))
+        arguments, more = parser.parse_known_args(_joined(list(map(str, words))))
         files = getattr(arguments, "recording", None)
         options = [word for word in more if word.startswith("-") and word != "-"]
         if isinstance(files, list) and not options:
@@ -165,6 +377,12 @@ def _arguments(argv):
             files += more
         elif more:
             parser.error(f"unrecognized arguments: {' '.join(more)}")
+        own = vars(arguments)
+        arguments.given = {name for name in own if own[name] not in (None, [])}
+        for name, value in arguments.defaults.items():
+            if own[name] is None:
+                own[name] = value
+        arguments.written, arguments.doubts = False, ()
         return arguments
     finally:
         _flush()
@@ -181,20 +399,127 @@ def _joined(words):
     return found
 
 
+def spelled(name):
+    """Return an option as it is typed, by the name of its argument."""
+    # read_recording calls some otherwise
+    name = {"gains": "gain", "joint_names": "joints"}.get(name, name)
+    return f"--{name.replace('_', '-')}"
+
+
+# -- a run and its end -----------------------------------------------------------------
+
+
+def program():
+    """Run the command line as a program of its own; return the exit code of `main`."""
+    try:
+        open_streams()
+        return main()
+    except KeyboardInterrupt:
+        # Before or after a run takes care of it.
+        _tell("interrupted")
+        return 128 + signal.SIGINT
+    finally:
+        ignore_stops()
+
+
+def main(argv=None):
+    """Run the command line; return its exit code, see `EPILOG`."""
+    arguments = None
+    try:
+        with stoppable():
+            # Imports take a second, in which a run may be stopped as well.
+            arguments = _arguments(argv)
+            from sklearn_vbjfa.physical._solver import one_blas_thread
+
+            # The matrices are small: threads would only wait for each other.
+            with one_blas_thread():
+                run(arguments)
+            _flush()
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough: the rest goes nowhere.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    except (KeyboardInterrupt, Stopped) as stop:
+        return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
+    except MemoryError:
+        _tell(
+            "not enough memory; give a shorter recording or fewer effects (--effects)"
+        )
+        return _given_up(arguments)
+    except (ValueError, OSError, ImportError) as error:
+        if stopped_by() is not None:
+            return _tell_stop(stopped_by(), arguments)
+        _refuse(one_line(_in_words(error, arguments)), _remedy(error, argv))
+        return _given_up(arguments)
+    if arguments is None or not arguments.doubts:
+        return USABLE
+    say(wrapped(one_line(f"note: {exit_line(arguments.doubts)}"), sys.stderr))
+    return DOUBTFUL
+
+
+def _given_up(arguments):
+    """Return the exit code of a run that could not go on to its end."""
+    is_written = arguments is not None and arguments.written
+    return DOUBTFUL if is_written else REFUSED
+
+
+def _in_words(error, arguments):
+    """Return what a refusal says, without what only concerns callers of a function."""
+    done = arguments is not None and arguments.written
+    written = "; all files were written" if done else ""
+    if isinstance(error, OSError) and error.strerror:
+        # Writing to a stream names no file.
+        what = error.filename or "the standard output"
+        return f"{what}: {error.strerror}{written}"
+    return f"{getattr(error, 'reason', error)}{written}"
+
+
+def _remedy(error, argv):
+    """Say which command, or which file, would work; "" for none."""
+    options, content = (getattr(error, name, "") for name in ("options", "content"))
+    if not options:
+        return f"a file with {content}" if content else ""
+    words, changed = [], {spelled(key): value for key, value in options.items()}
+    given = iter(sys.argv[1:] if argv is None else argv)
+    for word in given:
+        option = str(word).partition("=")[0]
+        if option not in changed:
+            words.append(str(word))
+        elif "=" not in str(word):
+            next(given, None)
+    for option, value in changed.items():
+        if value is not None:
+            text = _typed(value)
+            # A list that begins with a minus would be taken for an option.
+            words += [f"{option}={text}"] if text.startswith("-") else [option, text]
+    return f"python -m sklearn_vbjfa {shlex.join(words)}"
+
+
+def _typed(value):
+    """Return a value of an option as it is typed."""
+    if isinstance(value, tuple):
+        return ",".join(map(_typed, value))
+    return value if isinstance(value, str) else f"{value:.15g}"
+
+
+def _tell_stop(number, arguments):
+    """Say that a signal has stopped the run; the exit code."""
+    name = signal.Signals(number).name
+    how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
+    written = arguments is not None and arguments.written
+    clear_progress()
+    _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
+    return 128 + number
+
+
 def _flush():
     # A process without a standard output has none.
     if sys.stdout is not None:
         sys.stdout.flush()
 
 
-def _no_more_output():
-    """Let what is still printed go nowhere."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-
-
-def _say(message, command=""):
+def _refuse(message, remedy):
     """Print a refusal: one line, which a terminal gets wrapped but for a command."""
-    if command:
+    if remedy:
         message += "; this would work:"
     if sys.stderr is not None and sys.stderr.isatty():
         width = max(shutil.get_terminal_size().columns, 40)
@@ -202,27 +527,15 @@ def _say(message, command=""):
         lines = textwrap.fill(
             message, width, initial_indent=name, break_on_hyphens=False
         )
-        message = "\n".join(filter(None, [lines.removeprefix(name), command]))
-    elif command:
-        message += f" {command}"
+        message = "\n".join(filter(None, [lines.removeprefix(name), remedy]))
+    elif remedy:
+        message += f" {remedy}"
     _tell(message)
 
 
 def _tell(message):
-    """Print a message to stderr; one that nobody can read is no error of its own."""
-    with contextlib.suppress(OSError):
-        print(f"sklearn-vbjfa: {message}", file=sys.stderr, flush=True)
-
-
-def _note(text):
-    """Print a note to stderr, which a terminal gets wrapped."""
-    from sklearn_vbjfa._cli._input import wrapped
-
-    if sys.stderr is None:
-        return
-    with contextlib.suppress(OSError):
-        text = one_line(f"note: {text}")
-        print(wrapped(text, sys.stderr), file=sys.stderr, flush=True)
+    """Print a message under the name of the program."""
+    say(f"sklearn-vbjfa: {message}")
 
 
 def one_line(message):
@@ -233,78 +546,3 @@ def one_line(message):
         begin, end = text[: _LONGEST - 300], text[-300:]
         text = f"{begin} (and {left} characters more) {end}"
     return text
-
-
-class _Parser(argparse.ArgumentParser):
-    """Parser that tells the exit codes, whose refusals are as short as a run's."""
-
-    def __init__(self, **given):
-        super().__init__(epilog=_exit_codes.EPILOG, **given)
-
-    def error(self, message):
-        super().error(one_line(message))
-
-
-def _clear_progress():
-    if sys.stderr is not None and sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr)
-
-
-def _parser():
-    from sklearn_vbjfa import __version__
-    from sklearn_vbjfa._cli import (
-        _close_loop,
-        _design,
-        _identify,
-        _inspect,
-        _simulate,
-    )
-
-    parser = _Parser(
-        prog="sklearn-vbjfa",
-        description="Robot identification with noise in inputs and outputs. Without "
-        "a command, close the loop on the recording that comes with the package.",
-    )
-    parser.add_argument("--version", action="version", version=__version__)
-    parser.set_defaults(run=_close_loop.run_demo, written=False, doubts=())
-    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
-    _close_loop.add_to(commands)
-    _inspect.add_to(commands)
-    _simulate.add_to(commands)
-    _design.add_to(commands)
-    _identify.add_to(commands)
-    effects = commands.add_parser("effects", help="list the library of effects")
-    effects.set_defaults(run=_effects)
-    datasets = commands.add_parser("datasets", help="list the measured sets")
-    datasets.set_defaults(run=_datasets)
-    return parser
-
-
-def _effects(arguments):
-    from tabulate import tabulate
-
-    from sklearn_vbjfa.effects import resolve
-
-    rows = []
-    for effect in resolve("all"):
-        summary = (type(effect).__doc__ or "").strip().splitlines()[0]
-        rows.append([effect.name, summary.rstrip("."), effect.visible])
-    print(
-        tabulate(
-            rows,
-            headers=["name", "effect", "shows if the recording has"],
-            maxcolwidths=[None, 46, 34],
-        )
-    )
-
-
-def _datasets(arguments):
-    from tabulate import tabulate
-
-    from sklearn_vbjfa.datasets import protocols
-
-    rows = []
-    for name, protocol in protocols().items():
-        summary = (protocol.load.__doc__ or "").strip().splitlines()[0]
-        rows.append([name, summary])
-    print(tabulate(rows, headers=["name", "recording"], maxcolwidths=[None, 56]))

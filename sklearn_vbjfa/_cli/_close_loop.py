@@ -2,170 +2,98 @@
 
 import csv
 import json
-import os
 import shlex
-import sys
-import tempfile
-import warnings
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _exit_codes, _input, _options
-from sklearn_vbjfa._cli._identify import say_warnings, told
-from sklearn_vbjfa._cli._stopping import undisturbed
+from sklearn_vbjfa._cli import FRICTION, _input
+from sklearn_vbjfa._cli._run import Done, blaming
 
-# The robot, as a description, for MuJoCo, and with all that was identified.
-_IDENTIFIED = ("identified.urdf", "identified.xml", "identified.json")
 # What a run writes, the page first.
 _PAGE = "report.html"
+_FILES = (_PAGE, "report.json", "parameters.csv")
+# The robot, as a description, for MuJoCo, and with all that was identified.
+_FILES += ("identified.urdf", "identified.xml", "identified.json")
 _COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
 _COLUMNS += ("description", "description_std", "learned")
-_FILES = (_PAGE, "report.json", "parameters.csv", *_IDENTIFIED)
+# Verdicts on a joint that answer nothing, or say not to trust the model.
+_NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
 
-def add_to(commands):
-    """Add the command to a parser."""
-    parser = commands.add_parser(
-        "close-loop",
-        help="find what the model of your robot lacks",
-        description="Identify a robot from a recording or several, find effects that "
-        "its model lacks, add them, and report the error before and after on parts of "
-        "the recordings that were set aside. Writes report.html, report.json, "
-        "parameters.csv, identified.urdf, identified.xml for MuJoCo, and "
-        "identified.json, which the command simulate reads.",
-    )
-    _options.add_files(parser)
-    _options.add_recording(parser)
-    _options.add_out(parser, "report", several=True)
-    _options.add_model(parser)
-    parser.add_argument(
-        "--effects",
-        default="all",
-        metavar="NAMES",
-        help="effects to look for, by default all; see the command effects",
-    )
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        help="order in which blocks of time are left out for the ceiling; nothing else "
-        "is random",
-    )
-    parser.add_argument(
-        "--no-ceiling",
-        dest="ceiling",
-        action="store_false",
-        help="do not measure what functions of any form would explain of what remains; "
-        "saves some seconds",
-    )
-    parser.set_defaults(run=run)
-
-
-def run(arguments):
+def run(arguments, folder):
     """Close the loop on a user's recording and write the files."""
-    from sklearn_vbjfa import effects
-    from sklearn_vbjfa.diagnosis import Report
-    from sklearn_vbjfa.diagnosis.explain import Provenance
-    from sklearn_vbjfa.effects import _declared
-    from sklearn_vbjfa.physical import ProjectionError
+    files, urdf = _input.sources(arguments.recording), _input.expanded(arguments.urdf)
+    source, default = _input.named(files), _input.default_folder(files)
+    out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
+    settings, library = _input.settings(arguments), _input.library(arguments.effects)
+    seed, taken = _input.seed(arguments.seed), _input.taken(arguments, folder)
+    recording = taken.recording
+    taken.check(settings)
+    signals, groups = taken.signals(arguments.signals), None
+    if len(files) > 1:
+        # The report calls recordings after their files.
+        groups = np.array(recording.group_names, dtype=object)[recording.groups]
+    with blaming(source):
+        loop = close(
+            recording,
+            str(taken.urdf),
+            groups=groups,
+            effects=library,
+            ceiling=arguments.ceiling,
+            seed=seed,
+            torque_noise=recording.torque_noise,
+            signals=signals,
+            **settings,
+        )
+    others = taken.other_joints()
 
-    files, urdf = _input.sources(arguments.recording), _input.path(arguments.urdf)
-    source = _input.named(files)
-    out = _input.path(arguments.out) if arguments.out else None
-    out = out or _input.default_folder(files)
-    _input.check_folder(out)
-    if not arguments.force:
-        _input.check_overwriting(out, _FILES, (*files, urdf))
-    friction = _input.names("--friction", arguments.friction, _declared.available())
-    library = arguments.effects
-    if library != "all":
-        library = _input.names("--effects", library, effects.available())
-    cutoff = _input.cutoff(arguments.cutoff)
-    seed = _input.seed(arguments.seed)
-    gains = _input.gains(arguments.gain)
-    masses = _input.known_masses(arguments.known_mass, gains)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as caught,
-    ):
-        warnings.simplefilter("always")
-        taken = _input.taken(arguments, gains, Path(folder))
-        recording, held = taken.recording, taken.held
-        _input.check_nyquist(cutoff, recording, source)
-        _input.check_gains(gains, masses, taken.urdf)
-        signals = _input.signals(arguments.signals, recording, source)
+    def write(folder, warned):
         # Each file once, whatever was typed.
-        groups, given = None, tuple(dict.fromkeys(map(str, files)))
-        if len(files) > 1:
-            # The report calls recordings after their files.
-            groups = np.array(recording.group_names, dtype=object)[recording.groups]
-        try:
-            loop = close(
-                recording,
-                str(taken.urdf),
-                groups=groups,
-                friction=friction,
-                bodies=arguments.bodies,
-                effects=library,
-                cutoff=cutoff,
-                ceiling=arguments.ceiling,
-                seed=seed,
-                torque_noise=recording.torque_noise,
-                gains="unknown" if gains == "unknown" else None,
-                known_masses=masses,
-                signals=signals,
-            )
-        except (ValueError, ProjectionError) as error:
-            # The options are valid, so the recording is at fault.
-            raise ValueError(f"{source}: {error}") from error
-        others = _input.other_joints(taken.urdf, held)
-        text = [str(recording), *others, str(loop.report_)]
-        arguments.doubts = _doubts(loop, caught)
-        try:
-            # Before anything is printed, as a reader such as head may end the run.
-            provenance = Provenance(
-                file=source if len(files) == 1 else given,
-                description=str(urdf),
-                held=held,
-                warnings=told(caught),
-                files=tuple(name for name in _FILES if name != _PAGE),
-            )
-            report = Report(replace(loop.report_.outcome, provenance=provenance))
-            with undisturbed():
-                written, left_out = _write(loop, report, out)
-                arguments.written = True
-        except OSError:
-            print("\n".join(text))
-            raise
-    print("\n".join(text))
-    lines = [*_left_out_lines(left_out), *_next_motion(report.outcome, out)]
-    if lines:
-        print("\n" + "\n".join(_input.wrapped(x, sys.stdout) for x in lines))
-    names = ", ".join(map(str, written))
-    print(f"\n{_input.wrapped(f'written: {names}', sys.stdout)}")
-    say_warnings(caught)
+        given = tuple(dict.fromkeys(map(str, files)))
+        file, description = source if len(files) == 1 else given, str(urdf)
+        report = _report(loop, warned, file, description, taken.held)
+        left_out = _write(loop, report, folder)
+        lines = [*left_out_lines(left_out), *_next_motion(report.outcome, out)]
+        return ["", *lines, ""] if lines else [""]
+
+    return Done(
+        text="\n".join([str(recording), *others, str(loop.report_)]),
+        doubts=report_doubts(loop.report_),
+        folder=out,
+        files=_FILES,
+        write=write,
+    )
 
 
-def run_demo(arguments):
+def run_demo(arguments, folder):
     """Close the loop on the recording that comes with the package."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
     recording = load_demo_recording()
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        friction = _options.FRICTION.split(",")
-        loop = close(recording, recording.urdf, friction=friction)
-    arguments.doubts = _doubts(loop, caught)
-    print(recording)
-    print(loop.report_)
-    say_warnings(caught)
+    loop = close(recording, recording.urdf, friction=FRICTION.split(","))
+    text = f"{recording}\n{loop.report_}"
+    return Done(text=text, doubts=report_doubts(loop.report_))
 
 
-def _doubts(loop, caught):
-    """Doubts of a report, and of the warnings that came with it."""
-    return [*_exit_codes.of_report(loop.report_), *_exit_codes.of_warnings(caught)]
+def report_doubts(report):
+    """Doubts that a report states, a list of str."""
+    from sklearn_vbjfa.diagnosis.report import contradiction, gain_doubts
+
+    outcome = report.outcome
+    joints = [
+        f"{one.label}: {one.text}" for one in report.joints if one.status in _NO_ANSWER
+    ]
+    # What the recording itself is doubted for comes first, what is left out last.
+    doubted = [one for one in outcome.channels if one.severity != "warning"]
+    others = [one for one in outcome.channels if one.severity == "warning"]
+    return [
+        *filter(None, [contradiction(outcome)]),
+        *_input.channel_doubts(doubted),
+        *joints,
+        *gain_doubts(outcome),
+        *_input.channel_doubts(others),
+    ]
 
 
 def close(
@@ -206,30 +134,38 @@ def close(
     return loop.fit(recording.q, recording.tau, groups, t=t, signals=signals)
 
 
-def _write(loop, report, out):
-    """Write all files or none; each appears complete."""
-    # Returns their paths, and what the descriptions do not have, by their names.
-    from sklearn_vbjfa.diagnosis.explain import parameter_values
+def _report(loop, warned, file, description, held):
+    """Return the report, with what was read and what is written."""
+    from sklearn_vbjfa.diagnosis import Report
+    from sklearn_vbjfa.diagnosis.explain._outcome import Provenance
 
-    texts = {
-        _PAGE: report.to_html(),
-        "report.json": json.dumps(report.to_dict(), indent=1, allow_nan=False),
+    provenance = Provenance(
+        file=file,
+        description=description,
+        held=held,
+        warnings=warned,
+        files=tuple(name for name in _FILES if name != _PAGE),
+    )
+    return Report(replace(loop.report_.outcome, provenance=provenance))
+
+
+def _write(loop, report, folder):
+    """Write all files; return what the descriptions lack, by their names."""
+    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+
+    robot = loop.identifier_
+    page, text = (
+        report.to_html(),
+        json.dumps(report.to_dict(), indent=1, allow_nan=False),
+    )
+    folder.joinpath(_PAGE).write_text(page, encoding="utf-8")
+    folder.joinpath("report.json").write_text(text, encoding="utf-8")
+    write_parameters(robot, parameter_values(robot), folder / "parameters.csv")
+    robot.save(folder / "identified.json")
+    return {
+        "identified.urdf": robot.to_urdf(folder / "identified.urdf"),
+        "identified.xml": robot.to_mjcf(folder / "identified.xml"),
     }
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
-        for name, text in texts.items():
-            Path(folder, name).write_text(text, encoding="utf-8")
-        path = Path(folder, "parameters.csv")
-        values = parameter_values(loop.identifier_)
-        _write_parameters(loop.identifier_, values, path)
-        write = loop.identifier_.to_urdf, loop.identifier_.to_mjcf
-        left_out = {
-            name: to(Path(folder, name)) for name, to in zip(_IDENTIFIED, write)
-        }
-        loop.identifier_.save(Path(folder, "identified.json"))
-        for name in _FILES:
-            os.replace(Path(folder, name), out / name)
-    return [out / name for name in _FILES], left_out
 
 
 def _next_motion(outcome, out):
@@ -247,7 +183,7 @@ def _next_motion(outcome, out):
     ]
 
 
-def _left_out_lines(left_out):
+def left_out_lines(left_out):
     """Say what descriptions go without, those that go without the same in one line."""
     # left_out: dict of str to tuple of LeftOut, by the names of the files.
     names = {}
@@ -276,7 +212,7 @@ def _left_out_text(left):
     return f"{count}: {told}"
 
 
-def _write_parameters(robot, values, path):
+def write_parameters(robot, values, path):
     """Write one row per parameter; empty where data or description are silent."""
     # values: what `parameter_values` says of each.
     relative = ""

@@ -1,141 +1,29 @@
 """The command ``design``: the motion to record next, as a file and a page."""
 
-import contextlib
 import csv
 import io
 import json
 import math
-import os
 import shlex
-import sys
-import tempfile
-import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _exit_codes, _input, _options
-from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._stopping import undisturbed
+from sklearn_vbjfa._cli import DURATION, PERIOD, _input
+from sklearn_vbjfa._cli._run import Done, clear_progress, show_progress
 
-# Without an option, and without a report that says how it was recorded.
-_DURATION, _DT = 20.0, 0.01
 # Columns of a file of limits beside the joint.
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "torque")
+_OPTIONS = _LIMITS[2:]
 # Descriptions whose joints lie farther apart [m, or cosines] are of different robots.
 _APART = 1e-4
-
-
-def add_to(commands):
-    """Add the command to a parser."""
-    parser = commands.add_parser(
-        "design",
-        help="design the motion to record next",
-        description="Design a periodic motion within the limits of the robot that "
-        "determines its model best; with the folder of a report, the one that decides "
-        "what the report left open. Writes the motion as CSV (t, then q_, v_ and a_ of "
-        "each joint, in SI units) and a page beside it. Takes a minute or two.",
-    )
-    parser.add_argument(
-        "--urdf",
-        default=None,
-        metavar="FILE",
-        help="description of the robot; with --report, by default that of the report",
-    )
-    _options.add_base(parser)
-    parser.add_argument(
-        "--report",
-        default=None,
-        metavar="FOLDER",
-        help="folder that close-loop wrote: what its report.json left open is what the "
-        "motion decides, and its identified.json has the robot and the measured noise",
-    )
-    parser.add_argument(
-        "--duration",
-        type=float,
-        default=_DURATION,
-        metavar="S",
-        help=f"length of the motion [s], by default {_DURATION:g}",
-    )
-    parser.add_argument(
-        "--out",
-        default="motion.csv",
-        metavar="FILE",
-        help="file for the motion, by default motion.csv; the page goes beside it with "
-        "the ending .html",
-    )
-    parser.add_argument("--force", action="store_true", help="replace files that exist")
-    parser.add_argument(
-        "--dt",
-        type=float,
-        default=None,
-        metavar="S",
-        help=f"sample period [s], by default that of the report, or {_DT:g}",
-    )
-    parser.add_argument(
-        "--joints",
-        default=None,
-        metavar="NAMES",
-        help="joints that move, separated by commas; others (gripper, wheels) are held "
-        "at zero; by default all",
-    )
-    parser.add_argument(
-        "--start",
-        default=None,
-        metavar="POSITIONS",
-        help="positions at which the motion begins and ends [rad or m], one for each "
-        "joint with commas between them; by default the best",
-    )
-    parser.add_argument(
-        "--limits",
-        default=None,
-        metavar="FILE",
-        help="limits in place of those of the description: CSV or JSON with joint and "
-        "any of lower, upper, velocity, acceleration, torque, in SI units",
-    )
-    for name, unit in (
-        ("velocity", "rad/s or m/s"),
-        ("acceleration", "rad/s^2 or m/s^2"),
-        ("torque", "N m or N"),
-    ):
-        parser.add_argument(
-            f"--{name}",
-            default=None,
-            metavar="LIMITS",
-            help=f"limits of {name} [{unit}], one for each joint with commas between "
-            "them, or one for all",
-        )
-    parser.add_argument(
-        "--scale",
-        type=float,
-        default=1.0,
-        metavar="SHARE",
-        help="share of the limits of velocity and acceleration that may be used, such "
-        "as 0.5 for a first run; by default 1",
-    )
-    parser.add_argument(
-        "--effects",
-        default=None,
-        metavar="NAMES",
-        help="effects that the motion shall show and tell apart on every joint; see "
-        "the command effects",
-    )
-    parser.add_argument(
-        "--seed",
-        type=int,
-        default=0,
-        help="draws the motions of which the best is improved",
-    )
-    parser.set_defaults(run=run)
-
-
-class LimitsRefused(ValueError):
-    """Limits in a file that do not do, with the content, a line, of one that would."""
-
-    def __init__(self, reason, content):
-        super().__init__(reason)
-        self.content = content
+# What to give where the description lacks a limit.
+_ADVICE = {
+    "position": "give --limits FILE with its range in metres",
+    "velocity": "Give those of the robot by --velocity",
+    "torque": "Give those of the drives by --torque, or --acceleration",
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,7 +32,6 @@ class _Robot:
 
     known: object
     model: object  # its description, joints in its own order
-    name: str
     file: str  # description that was given, or that a report tells
     held: tuple = ()  # joints that are held
     dt: float | None = None  # sample period of its recordings so far [s]
@@ -152,90 +39,78 @@ class _Robot:
     is_relative: bool = False
 
 
-def run(arguments):
-    """Design a motion, print what it decides and write the files."""
-    from sklearn_vbjfa import design, effects
+def run(arguments, folder):
+    """Design a motion, tell what it decides and write the files."""
+    from sklearn_vbjfa import effects
+    from sklearn_vbjfa.design import _page
+    from sklearn_vbjfa.design._open_questions import read_report
 
     _check(arguments)
-    out = _input.path(arguments.out)
+    out = _input.expanded(arguments.out)
     _check_out(out, arguments.force)
-    seed = _input.seed(arguments.seed)
-    asked = ()
+    seed, asked = _input.seed(arguments.seed), ()
     if arguments.effects is not None:
         asked = _input.names("--effects", arguments.effects, effects.available())
-    report = None if arguments.report is None else _input.path(arguments.report)
-    found = None if report is None else design.read_report(report)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as caught,
-    ):
-        warnings.simplefilter("always")
-        robot = _robot(arguments, report, found, Path(folder))
-        names = robot.known.joint_names
-        limits, file_of_limits = _limits(arguments, robot)
-        start = _numbers("--start", arguments.start, names, positive=False)
-        dt = arguments.dt or _period(robot, found)
-        with _progress(f"designing {arguments.duration:g} s for {len(names)} joints"):
-            motion = design.design_motion(
-                robot.known,
-                duration=arguments.duration,
-                dt=dt,
-                limits=limits,
-                effects=asked,
-                report=found,
-                start=start,
-                random_state=seed,
-            )
-        if not motion.within_limits:
-            raise ValueError(
-                f"no motion within the limits was found: {design.exceeded(motion)}; "
-                "give another --start, a longer --duration or another --seed."
-            )
-        noise = np.array(robot.known.torque_noise)
-        background = design.Background(
-            robot=robot.name,
-            description=robot.file,
-            report="" if report is None else str(report),
-            found=found,
-            measured=np.isfinite(noise) & (noise > 0),
-            seed=seed,
-            settings=_settings(arguments, file_of_limits, limits),
-            held=robot.held,
-            file=out.name,
-            commands=_next(arguments, robot, found),
-        )
-        text = design.summary(motion, background)
-        arguments.doubts = [
-            *design.undecided(motion),
-            *design.unseen(motion, asked),
-            *_exit_codes.of_warnings(caught),
-        ]
-        try:
-            with undisturbed():
-                written = _write(motion, design.page(motion, background), out)
-                arguments.written = True
-        except OSError:
-            print("\n".join(text))
-            raise
-    print("\n".join(text))
-    print("\nNext:")
-    for step in background.commands:
-        print(f"  {_input.wrapped(step, sys.stdout)}")
-    print(f"written: {', '.join(map(str, written))}")
-    say_warnings(caught)
+    report = None if arguments.report is None else _input.expanded(arguments.report)
+    found = None if report is None else read_report(report)
+    robot = _robot(arguments, report, found, folder)
+    limits, file_of_limits = _limits(arguments, robot)
+    motion = _motion(arguments, robot, limits, asked, found, seed)
+    noise = np.array(robot.known.torque_noise)
+    background = _page.Background(
+        robot=Path(robot.file).name,
+        description=robot.file,
+        report="" if report is None else str(report),
+        found=found,
+        measured=np.isfinite(noise) & (noise > 0),
+        seed=seed,
+        settings=_settings(arguments, file_of_limits, limits),
+        held=robot.held,
+        file=out.name,
+        commands=_next(arguments, robot, found),
+    )
+
+    def write(folder, warned):
+        page = _page.page(motion, background)
+        motion.to_csv(folder / out.name)
+        folder.joinpath(_page_of(out).name).write_text(page, encoding="utf-8")
+        return ["", "Next:", *(f"  {step}" for step in background.commands)]
+
+    return Done(
+        text="\n".join(_page.summary(motion, background)),
+        doubts=(*_page.undecided(motion), *_page.unseen(motion, asked)),
+        folder=out.parent,
+        files=(out.name, _page_of(out).name),
+        write=write,
+    )
 
 
-@contextlib.contextmanager
-def _progress(text):
-    """Show on a terminal what takes its time."""
-    shows = sys.stderr is not None and sys.stderr.isatty()
-    if shows:
-        print(f"{text} ...", end="", file=sys.stderr, flush=True)
+def _motion(arguments, robot, limits, asked, found, seed):
+    """Design the motion, refused if it goes beyond the limits."""
+    from sklearn_vbjfa.design import _page, design_motion
+
+    names = robot.known.joint_names
+    start = _numbers("--start", arguments.start, names, positive=False)
+    show_progress(f"designing {arguments.duration:g} s for {len(names)} joints")
     try:
-        yield
+        motion = design_motion(
+            robot.known,
+            duration=arguments.duration,
+            dt=arguments.dt or _period(robot, found),
+            limits=limits,
+            effects=asked,
+            report=found,
+            start=start,
+            random_state=seed,
+        )
     finally:
-        if shows:
-            print("\r\033[K", end="", file=sys.stderr, flush=True)
+        clear_progress()
+    if not motion.within_limits:
+        raise ValueError(
+            f"no motion within the limits was found: {_page.exceeded(motion)}; "
+            "give another --start, a longer --duration or another --seed."
+        )
+    return motion
 
 
 # -- what is given ---------------------------------------------------------------------
@@ -248,17 +123,13 @@ def _check(arguments):
             "give --urdf FILE, the description of the robot, or --report FOLDER, what "
             "close-loop wrote of it."
         )
-    if not 0 < arguments.duration < math.inf:
-        raise _input.Refused(
-            "--duration must be a positive number of seconds; got "
-            f"{arguments.duration:g}",
-            {"duration": f"{_DURATION:g}"},
-        )
-    if arguments.dt is not None and not 0 < arguments.dt < math.inf:
-        raise _input.Refused(
-            f"--dt must be a positive number of seconds; got {arguments.dt:g}",
-            {"dt": f"{_DT:g}"},
-        )
+    for name, usual in (("duration", DURATION), ("dt", PERIOD)):
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < math.inf:
+            raise _input.Refused(
+                f"--{name} must be a positive number of seconds; got {value:g}",
+                {name: f"{usual:g}"},
+            )
     if not 0 < arguments.scale <= 1:
         raise _input.Refused(
             "--scale must be a share of the limits, above 0 and at most 1; got "
@@ -269,36 +140,24 @@ def _check(arguments):
 
 def _check_out(out, force):
     """Refuse, before the work begins, a file that cannot be or that there is."""
-    if out.is_dir():
-        raise _input.Refused(
-            f"{out} is a folder, where --out must name a file",
-            {"out": str(_input.free(out / "motion.csv"))},
-        )
     page = _page_of(out)
-    if page == out:
-        raise _input.Refused(
-            f"{out} is where the page goes; --out names the file of the motion",
-            {"out": str(_input.free(out.with_suffix(".csv")))},
-        )
-    for folder in out.parents:
-        if folder.exists():
-            if not folder.is_dir():
-                other = folder.with_name(f"{folder.stem}-motion{out.suffix}")
-                raise _input.Refused(
-                    f"{folder} is a file, where --out needs a folder",
-                    {"out": str(_input.free(other))},
-                )
-            if not os.access(folder, os.W_OK):
-                raise ValueError(f"{folder} cannot be written to; give another --out.")
-            break
     there = [str(path) for path in (out, page) if path.exists()]
-    if there and not force:
-        both = len(there) > 1
-        raise _input.Refused(
-            f"{' and '.join(there)} exist{'' if both else 's'}; give another --out, or "
-            f"--force to replace {'them' if both else 'it'}",
-            {"out": str(_input.free(out, page.suffix))},
-        )
+    if out.is_dir():
+        wrong, other = f"{out} is a folder, where --out must name a file", "motion.csv"
+        other = _input.free(out / other)
+    elif page == out:
+        wrong = f"{out} is where the page goes; --out names the file of the motion"
+        other = _input.free(out.with_suffix(".csv"))
+    else:
+        ending = f"-motion{out.suffix}"
+        _input.check_folder(out.parent, "needs a folder", ending)
+        if force or not there:
+            return
+        ends, them = ("", "them") if len(there) > 1 else ("s", "it")
+        wrong = f"{' and '.join(there)} exist{ends}; give another --out, or --force to "
+        wrong += f"replace {them}"
+        other = _input.free(out, page.suffix)
+    raise _input.Refused(wrong, {"out": str(other)})
 
 
 def _page_of(out):
@@ -310,11 +169,7 @@ def _numbers(option, text, names, *, positive=True):
     """Return a number for each joint (nv,), None for None; one stands for all."""
     if text is None:
         return None
-    try:
-        found = np.array([float(x) for x in text.split(",")])
-    except ValueError:
-        found = np.full(1, np.nan)
-    n = len(names)
+    found, n = np.array(_input.numbers(text)), len(names)
     if positive and found.size == 1:
         found = np.full(n, found[0])
     kind = "positive numbers" if positive else "positions"
@@ -354,7 +209,10 @@ def _described(arguments, found, folder):
     """Take a robot of which only the description is known."""
     from sklearn_vbjfa.design import KnownRobot
 
-    given, joints = _input.path(arguments.urdf), _input.joint_names(arguments.joints)
+    given, joints = (
+        _input.expanded(arguments.urdf),
+        _input.joint_names(arguments.joints),
+    )
     if not joints and found is not None:
         # Those that close-loop held have no place in its report.
         joints = tuple(found["joint_names"])
@@ -363,7 +221,6 @@ def _described(arguments, found, folder):
     return _Robot(
         known=known,
         model=known.features.model_,
-        name=given.name,
         file=str(given),
         held=tuple(held),
     )
@@ -374,7 +231,7 @@ def _identified(arguments, path, found, folder):
     from sklearn_vbjfa import load_identified
     from sklearn_vbjfa.design import KnownRobot
 
-    _options.refuse_given(
+    _input.refuse_given(
         arguments, ("base_orientation",), f"is that of {path}; leave it out"
     )
     robot = load_identified(path)
@@ -390,7 +247,7 @@ def _identified(arguments, path, found, folder):
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if arguments.urdf is not None:
-        description = _input.path(arguments.urdf)
+        description = _input.expanded(arguments.urdf)
         file = str(description)
         model = _agreeing(description, model, path)
     elif file != str(path) and Path(file).is_file():
@@ -403,7 +260,6 @@ def _identified(arguments, path, found, folder):
     return _Robot(
         known=replace(KnownRobot.of(robot), description=str(description)),
         model=model,
-        name=Path(file).name,
         file=file,
         held=held,
         dt=robot.dt,
@@ -453,7 +309,7 @@ def _agreeing(urdf, model, path):
 def _period(robot, found):
     """Sample period of the recordings so far, or a usual one [s]."""
     rate = ((found or {}).get("recorded") or {}).get("rate")
-    return robot.dt or (1.0 / rate if rate else _DT)
+    return robot.dt or (1.0 / rate if rate else PERIOD)
 
 
 # -- limits ----------------------------------------------------------------------------
@@ -461,58 +317,20 @@ def _period(robot, found):
 
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot; and what was read."""
-    from sklearn_vbjfa.design import MotionLimits, MotionRefused
+    from sklearn_vbjfa.design import MotionLimits
     from sklearn_vbjfa.model import joint_names
 
-    names, described = robot.known.joint_names, joint_names(robot.model)
-    given = {name: np.full(len(names), np.nan) for name in _LIMITS}
-    source = ""
-    if arguments.limits is not None:
-        path = _input.path(arguments.limits)
-        source = str(path)
-        given = _read_limits(path, names, robot.model)
-    for option in ("velocity", "acceleration", "torque"):
-        numbers = _numbers(f"--{option}", getattr(arguments, option), names)
-        given[option] = given[option] if numbers is None else numbers
-    free = np.isnan(given["acceleration"]) & np.isnan(given["torque"])
-    if robot.is_relative and free.any():
-        raise _input.Refused(
-            "the gains of the torque channels are relative, so that the description's "
-            "limits of torque in N m or N do not hold; give --acceleration, or "
-            "--torque in the units of the channels",
-            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit))},
-        )
+    given, source = _given_limits(arguments, robot)
     # Limits of the description are in its own order.
+    names, described = robot.known.joint_names, joint_names(robot.model)
     order = [names.index(name) for name in described]
     back = [described.index(name) for name in names]
     position = np.column_stack([given["lower"], given["upper"]])[order]
-    more = {name: given[name][order] for name in _LIMITS[2:]}
+    more = {name: given[name][order] for name in _OPTIONS}
     try:
         found = MotionLimits.of(robot.model, position=position, **more)
-    except MotionRefused as refused:
-        options = {
-            name: tuple(np.array(values)[back].tolist())
-            for name, values in refused.options.items()
-        }
-        (option,) = options
-        raise _input.Refused(
-            refused.reason.replace(
-                "Give limits=MotionLimits(...) with torques above that, or "
-                "accelerations",
-                "Give those of the drives by --torque, or --acceleration",
-            ).replace(
-                "Give limits=MotionLimits(...) with velocities",
-                "Give those of the robot by --velocity",
-            ),
-            options,
-        ) from refused
     except ValueError as error:
-        raise LimitsRefused(
-            f"{f'{source}: ' if source else ''}{error}".removesuffix(".").replace(
-                "limits=MotionLimits(...)", "--limits FILE"
-            ),
-            _template(names, robot.model, given),
-        ) from error
+        raise _refused(error, robot, given, source, back) from error
     return (
         MotionLimits(
             found.position[back],
@@ -524,84 +342,126 @@ def _limits(arguments, robot):
     )
 
 
+def _given_limits(arguments, robot):
+    """Read the limits of a file and of options, nan for none; and what was read."""
+    names, source = robot.known.joint_names, ""
+    given = {name: np.full(len(names), np.nan) for name in _LIMITS}
+    if arguments.limits is not None:
+        path = _input.expanded(arguments.limits)
+        source = str(path)
+        given = _read_limits(path, names, robot.model)
+    for option in _OPTIONS:
+        numbers = _numbers(f"--{option}", getattr(arguments, option), names)
+        given[option] = given[option] if numbers is None else numbers
+    free = np.isnan(given["acceleration"]) & np.isnan(given["torque"])
+    if robot.is_relative and free.any():
+        raise _input.Refused(
+            "the gains of the torque channels are relative, so that the description's "
+            "limits of torque in N m or N do not hold; give --acceleration, or "
+            "--torque in the units of the channels",
+            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit))},
+        )
+    return given, source
+
+
+def _refused(error, robot, given, source, back):
+    """Word a refusal of limits, with options or a file that would do."""
+    # back: where each joint is among those of the description.
+    options = {
+        name: tuple(np.array(values)[back].tolist())
+        for name, values in getattr(error, "options", {}).items()
+    }
+    lacks = getattr(error, "lacks", "")
+    wrong = f"{error.wrong} {_ADVICE[lacks]}" if lacks else str(error).removesuffix(".")
+    if options:
+        return _input.Refused(wrong, options)
+    wrong = f"{source}: {wrong}" if source else wrong
+    content = _template(robot.known.joint_names, robot.model, given)
+    return _input.Refused(wrong, content=content)
+
+
 def _read_limits(path, names, model):
     """Read limits of joints from CSV or JSON, dict of str to ndarray (nv,)."""
-    # What is not given is nan.
-    content = _template(names, model)
     try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise LimitsRefused(f"{path} is not a text file: {error}", content) from None
-    except FileNotFoundError:
-        raise LimitsRefused(f"{path}: no such file of limits", content) from None
-    rows = _rows(path, text, content)
+        return _by_joint(_rows(path), path, names)
+    except ValueError as wrong:
+        raise _input.Refused(str(wrong), content=_template(names, model)) from wrong
+
+
+def _by_joint(rows, path, names):
+    """Sort rows of a file of limits by joints, dict of str to ndarray (nv,)."""
+    # What is not given is nan.
     found = {name: np.full(len(names), np.nan) for name in _LIMITS}
     seen = set()
     for row in rows:
         joint = str(row.pop("joint", "")).strip()
         if joint not in names:
-            raise LimitsRefused(
+            raise ValueError(
                 f"{path} has limits of {joint!r}; the joints that move are "
-                f"{', '.join(names)}",
-                content,
+                f"{', '.join(names)}"
             )
         if joint in seen:
-            raise LimitsRefused(f"{path} has limits of {joint} twice", content)
+            raise ValueError(f"{path} has limits of {joint} twice")
         seen.add(joint)
         for key, cell in row.items():
             if key not in found:
-                raise LimitsRefused(
+                raise ValueError(
                     f"{path} has {key!r}; expected joint and any of "
-                    f"{', '.join(_LIMITS)}",
-                    content,
+                    f"{', '.join(_LIMITS)}"
                 )
-            if cell is None or not str(cell).strip():
-                continue
-            try:
-                value = float(cell)
-            except (TypeError, ValueError):
-                value = math.nan
-            sign_is_free = key in ("lower", "upper")
-            if math.isnan(value) or not (sign_is_free or value > 0):
-                kind = "a number" if sign_is_free else "a positive number"
-                raise LimitsRefused(
-                    f"{path} has {key} {cell!r} of {joint}; expected {kind}", content
-                )
-            found[key][names.index(joint)] = value
+            if cell is not None and str(cell).strip():
+                found[key][names.index(joint)] = _limit(path, joint, key, cell)
     return found
 
 
-def _rows(path, text, content):
+def _limit(path, joint, key, cell):
+    """Return a limit, refused if it cannot be one."""
+    value, sign_is_free = _input.number(cell), key in ("lower", "upper")
+    if math.isnan(value) or not (sign_is_free or value > 0):
+        kind = "a number" if sign_is_free else "a positive number"
+        raise ValueError(f"{path} has {key} {cell!r} of {joint}; expected {kind}")
+    return value
+
+
+def _rows(path):
     """Rows of a file of limits, dicts with the key joint."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise ValueError(f"{path} is not a text file: {error}") from None
+    except FileNotFoundError:
+        raise ValueError(f"{path}: no such file of limits") from None
     if text.lstrip()[:1] in ("{", "["):
-        try:
-            found = json.loads(text)
-        except json.JSONDecodeError as error:
-            raise LimitsRefused(
-                f"{path} is not readable as JSON: {error}", content
-            ) from error
-        if isinstance(found, dict):
-            found = [
-                {"joint": name, **row} if isinstance(row, dict) else row
-                for name, row in found.items()
-            ]
-        if not all(isinstance(row, dict) for row in found):
-            raise LimitsRefused(f"{path} must hold limits by joints", content)
-        return found
+        return _rows_of_json(path, text)
     table = list(csv.reader(io.StringIO(text)))
     table = [[cell.strip() for cell in row] for row in table if any(row)]
     heads = table[0] if table else []
     if "joint" not in heads:
-        raise LimitsRefused(
-            f"{path} has no column joint; expected joint,{','.join(_LIMITS)}", content
+        raise ValueError(
+            f"{path} has no column joint; expected joint,{','.join(_LIMITS)}"
         )
     for k, row in enumerate(table[1:], 2):
         if len(row) != len(heads):
-            raise LimitsRefused(
-                f"{path} has {len(row)} cells in row {k} and {len(heads)} columns",
-                content,
+            raise ValueError(
+                f"{path} has {len(row)} cells in row {k} and {len(heads)} columns"
             )
     return [dict(zip(heads, row)) for row in table[1:]]
+
+
+def _rows_of_json(path, text):
+    """Rows of limits by joints, or of a list of them."""
+    try:
+        found = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not readable as JSON: {error}") from error
+    if isinstance(found, dict):
+        found = [
+            {"joint": name, **row} if isinstance(row, dict) else row
+            for name, row in found.items()
+        ]
+    if not all(isinstance(row, dict) for row in found):
+        raise ValueError(f"{path} must hold limits by joints")
+    return found
 
 
 def _template(names, model, given=None):
@@ -644,7 +504,7 @@ def _settings(arguments, file_of_limits, limits):
     """Return what was asked for, as rows of the provenance."""
     own = [
         f"--{name} {getattr(arguments, name)}"
-        for name in ("velocity", "acceleration", "torque")
+        for name in _OPTIONS
         if getattr(arguments, name) is not None
     ]
     source = ", ".join([file_of_limits or "of the description", *own])
@@ -683,15 +543,3 @@ def _next(arguments, robot, found):
     step = f"Run {arguments.out} and record q and tau while it runs{like}."
     words += ["recording.csv"]
     return (step, shlex.join([*words, "--urdf", urdf, *options]))
-
-
-def _write(motion, page, out):
-    """Write both files or none; each appears complete. Returns their paths."""
-    out.parent.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".writing-") as folder:
-        table, text = Path(folder, "motion"), Path(folder, "page")
-        motion.to_csv(table)
-        text.write_text(page, encoding="utf-8")
-        os.replace(text, _page_of(out))
-        os.replace(table, out)
-    return out, _page_of(out)

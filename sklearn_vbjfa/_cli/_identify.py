@@ -1,86 +1,49 @@
-"""The command ``identify``: held-out errors of several methods on one recording."""
+"""The commands that only tell: ``identify``, ``inspect``, ``effects``, ``datasets``."""
 
+import contextlib
 import sys
-import tempfile
-import warnings
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _exit_codes, _input, _options
+from sklearn_vbjfa._cli import READING, _input
+from sklearn_vbjfa._cli._run import Done, blaming, show_progress, wrapped
 
-# What is identified of a recording of one's own, where no option says so.
-_DEFAULTS = {"friction": _options.FRICTION, "bodies": "prior", "cutoff": "auto"}
-_OF_RECORDING = (*_options.OF_READING, *_DEFAULTS, "urdf", "base_orientation")
+_OF_RECORDING = (*READING, "friction", "bodies", "cutoff", "urdf", "base_orientation")
 _OF_SETS = ("data", "data_home")
+_TOO_SHORT = "too short for a look at the motion"
 
 
-def add_to(commands):
-    """Add the command to a parser."""
-    parser = commands.add_parser(
-        "identify",
-        help="identify a recording and compare methods on its held-out part",
-        description="Identify a recording and compare the torque errors of fifteen "
-        "methods on the part of it that was held out: of your own recording the last "
-        "30 % (of each, if it holds several). Without RECORDING, the one that comes "
-        "with the package, or a measured set. Nothing is written.",
-    )
-    _options.add_optional_files(parser)
-    parser.add_argument(
-        "--data",
-        default=None,
-        metavar="NAME",
-        help="demo (default) or a measured set; see the command datasets",
-    )
-    parser.add_argument(
-        "--data-home",
-        default=None,
-        metavar="DIR",
-        help="folder of the measured sets, by default scikit-learn's data folder; "
-        "missing files are downloaded to it",
-    )
-    _options.add_recording(parser, signals=False)
-    _options.add_friction(parser)
-    _options.add_bodies(parser)
-    _options.add_cutoff(parser)
-    parser.set_defaults(run=run, **dict.fromkeys(_DEFAULTS))
+def list_effects(arguments, folder):
+    """List the library of effects."""
+    from sklearn_vbjfa.effects import resolve
+
+    rows = [[one.name, _summary(type(one)), one.visible] for one in resolve("all")]
+    heads = ["name", "effect", "shows if the recording has"]
+    return _listed(rows, heads, [None, 46, 34])
 
 
-def run(arguments):
-    """Identify a recording and compare methods on its held-out part."""
-    from sklearn_vbjfa.robot._comparison import compare_methods
+def list_datasets(arguments, folder):
+    """List the measured sets."""
+    from sklearn_vbjfa.datasets._catalogue import protocols
 
-    _check(arguments)
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as caught,
-    ):
-        warnings.simplefilter("always")
-        if not arguments.recording:
-            task = _of_catalogue(arguments)
-        else:
-            task = _own(arguments, Path(folder))
-        train, test = task.protocol.split(task.recording)
-        try:
-            results, fitted = compare_methods(
-                task.identifier,
-                _part(task.recording, train),
-                _part(task.recording, test),
-                on_progress=_progress(),
-            )
-        except ValueError as error:
-            if not arguments.recording:
-                raise
-            # The options are valid, so the recording is at fault.
-            source = _input.named(_input.sources(arguments.recording))
-            raise ValueError(f"{source}: {error}") from error
-    arguments.doubts = [
-        *_doubts(results, fitted.joint_names_),
-        *_exit_codes.of_warnings(caught),
-    ]
-    print(_report(task, results, fitted))
-    say_warnings(caught)
+    rows = [[name, _summary(one.load, ".")] for name, one in protocols().items()]
+    return _listed(rows, ["name", "recording"], [None, 56])
+
+
+def _summary(described, stop=""):
+    """Return the first line of a docstring, which ends with `stop`."""
+    line = (described.__doc__ or "").strip().splitlines()[0]
+    return line.rstrip(".") + stop
+
+
+def _listed(rows, headers, widths):
+    from tabulate import tabulate
+
+    return Done(text=tabulate(rows, headers=headers, maxcolwidths=widths))
+
+
+# -- methods compared ------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,30 +53,49 @@ class _Task:
     recording: object
     protocol: object  # what of it is fitted, and what is held out
     identifier: object  # settings that all methods share
+    source: object = None  # files that were read, named
     held: tuple = ()  # joints of the description that were not recorded
 
 
+def identify(arguments, folder):
+    """Identify a recording and compare methods on its held-out part."""
+    from sklearn_vbjfa.robot._comparison import compare_methods
+
+    _check(arguments)
+    task = (_own if arguments.recording else _of_catalogue)(arguments, folder)
+    recording = task.recording
+    parts = (
+        (recording.q[rows], recording.tau[rows], recording.groups[rows])
+        for rows in tuple(task.protocol.split(recording))
+    )
+    progress = show_progress if sys.stderr.isatty() else None
+    # A measured set is not at fault.
+    with blaming(task.source) if arguments.recording else contextlib.nullcontext():
+        results, fitted = compare_methods(task.identifier, *parts, on_progress=progress)
+    return Done(
+        text=_report(task, results, fitted),
+        doubts=method_doubts(results, fitted.joint_names_),
+    )
+
+
 def _check(arguments):
-    """Refuse options that do not go together, and fill in the others."""
+    """Refuse options that do not go together."""
     if not arguments.recording:
-        _options.refuse_given(
+        _input.refuse_given(
             arguments,
             _OF_RECORDING,
             "needs a RECORDING; without one, a measured set is identified (--data), by "
             "default the recording that comes with the package",
         )
-    else:
-        _options.refuse_given(
-            arguments, _OF_SETS, "is for the measured sets; leave it or RECORDING out"
-        )
-        if arguments.urdf is None:
-            raise ValueError("give --urdf FILE, the description of the robot.")
-    for name, value in _DEFAULTS.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, value)
+        return
+    _input.refuse_given(
+        arguments, _OF_SETS, "is for the measured sets; leave it or RECORDING out"
+    )
+    if arguments.urdf is None:
+        raise ValueError("give --urdf FILE, the description of the robot.")
 
 
-def _of_catalogue(arguments):
+def _of_catalogue(arguments, folder):
     """Load a measured set, or the recording that comes with the package."""
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets import protocols
@@ -128,7 +110,7 @@ def _of_catalogue(arguments):
         recording = protocol.load()
     else:
         home = arguments.data_home
-        recording = protocol.load(data_home=home and _input.path(home))
+        recording = protocol.load(data_home=home and _input.expanded(home))
     identifier = RobotIdentifier(
         recording.robot_model(),
         dt=recording.dt,
@@ -143,68 +125,22 @@ def _own(arguments, folder):
     """Read a recording of one's own."""
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets import Protocol
-    from sklearn_vbjfa.effects import _declared
 
-    source = _input.named(_input.sources(arguments.recording))
-    friction = _input.names("--friction", arguments.friction, _declared.available())
-    cutoff = _input.cutoff(arguments.cutoff)
-    gains = _input.gains(arguments.gain)
-    taken = _input.taken(arguments, gains, folder)
-    _input.check_nyquist(cutoff, taken.recording, source)
-    _input.check_gains(gains, None, taken.urdf)
-    _input.check_channels(taken.recording, taken.urdf, gains, source)
-    identifier = RobotIdentifier(
-        str(taken.urdf),
-        dt=taken.recording.dt,
-        friction=friction,
-        bodies=arguments.bodies,
-        cutoff=cutoff,
-        torque_noise=taken.recording.torque_noise,
-        gains="unknown" if gains == "unknown" else None,
-    )
+    settings, taken = _input.settings(arguments), _input.taken(arguments, folder)
+    recording = taken.recording
+    taken.check(settings)
+    taken.check_channels()
     return _Task(
-        recording=taken.recording,
-        protocol=Protocol(friction=friction, cutoff=cutoff),
-        identifier=identifier,
+        recording=recording,
+        protocol=Protocol(friction=settings["friction"], cutoff=settings["cutoff"]),
+        identifier=RobotIdentifier(
+            str(taken.urdf),
+            dt=recording.dt,
+            torque_noise=recording.torque_noise,
+            **settings,
+        ),
+        source=taken.source,
         held=taken.held,
-    )
-
-
-def _part(recording, rows):
-    return recording.q[rows], recording.tau[rows], recording.groups[rows]
-
-
-def _progress():
-    """Name each method while it runs, on a terminal only."""
-    if not sys.stderr.isatty():
-        return None
-
-    def show(name):
-        print(f"\r\033[K{name} ...", end="", file=sys.stderr, flush=True)
-
-    return show
-
-
-def say_warnings(caught):
-    """Show warnings as notes on stderr, each once."""
-    if sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr)
-    for text in told(caught):
-        print(_input.wrapped(f"note: {text}", sys.stderr), file=sys.stderr)
-
-
-def told(caught):
-    """Texts of the warnings that concern a user, each once, a tuple of str."""
-    from sklearn.exceptions import ConvergenceWarning
-
-    # Convergence of the rivals does not concern the user; the data do.
-    return tuple(
-        dict.fromkeys(
-            " ".join(str(warning.message).split())
-            for warning in caught
-            if issubclass(warning.category, UserWarning)
-            and warning.category is not ConvergenceWarning
-        )
     )
 
 
@@ -229,7 +165,7 @@ def _report(task, results, fitted):
     )
     lines = [
         f"{recording}",
-        _input.wrapped(
+        wrapped(
             f"{protocol.describe(recording)}; {cutoff}, standstill masked; friction: "
             f"{', '.join(protocol.friction) or 'none'}",
             sys.stdout,
@@ -239,7 +175,7 @@ def _report(task, results, fitted):
         "held-out torque error [% of the torque's standard deviation]",
         table,
         "",
-        _input.wrapped(_consistency(results, len(names)), sys.stdout),
+        wrapped(_consistency(results, len(names)), sys.stdout),
     ]
     return "\n".join(lines + _failed(results))
 
@@ -249,7 +185,7 @@ def _failed(results):
     return [f"{r.name} failed: {r.message}" for r in results if r.message]
 
 
-def _doubts(results, joints):
+def method_doubts(results, joints):
     """Name methods that failed, joints without an error, and bodies that cannot be."""
     ours = results[0]
     doubts = _failed(results)
@@ -283,3 +219,114 @@ def _consistency(results, n_bodies):
         f"eigenvalue {ours.min_eigenvalue:.2g}, in units of each body's mass and "
         f"length); without projection {spread} of {n_bodies} bodies are impossible."
     )
+
+
+# -- a recording described -------------------------------------------------------------
+
+
+def inspect(arguments, folder):
+    """Read a recording and describe it."""
+    from sklearn_vbjfa.inspection import motion_of
+
+    # A current is as good as a torque here: nothing is identified.
+    taken = _input.taken(arguments, folder, assumed="unknown")
+    taken.signals(arguments.signals)
+    recording, findings = taken.recording, taken.findings()
+    motions = motion_of(recording, str(taken.urdf))
+    text = [
+        *_what(recording, taken.other_joints()),
+        "",
+        *_table(recording, motions),
+        "",
+        *_wrong(recording, findings),
+        "",
+        *_shown(motions),
+    ]
+    doubts = [*([] if motions else [_TOO_SHORT]), *_input.channel_doubts(findings)]
+    return Done(text="\n".join(text), doubts=doubts)
+
+
+def _what(recording, others):
+    """Say what the data are; others : lines on joints without columns."""
+    lengths = np.bincount(recording.groups) * recording.dt
+    listed = [
+        f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
+    ]
+    lines = [
+        str(recording),
+        wrapped(
+            f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
+            f"{', '.join(listed)}",
+            sys.stdout,
+        ),
+    ]
+    if recording.signals:
+        names = [name for name in recording.signals if name != "a"]
+        lines.append(f"signals beside the motion: {', '.join(names) or 'none'}")
+    if recording.torque_noise is not None:
+        lines.append("rows were interpolated on a uniform grid")
+    return [*lines, *others]
+
+
+def _table(recording, motions):
+    """Tabulate what each joint does."""
+    from tabulate import tabulate
+
+    if not motions:
+        return [_TOO_SHORT]
+    rows = []
+    for motion, unit in zip(motions, recording.torque_units):
+        scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")
+        rows.append(
+            [
+                motion.name,
+                f"{scale * motion.lowest:.4g} to {scale * motion.highest:.4g} {name}",
+                f"{scale * motion.fastest:.3g} {name}/s",
+                str(motion.reversals),
+                f"{100 * motion.resting:.0f} %",
+                f"{motion.torques[0]:.3g} to {motion.torques[1]:.3g} {unit}",
+                f"{motion.loads[0]:.3g} to {motion.loads[1]:.3g} "
+                f"{'N' if motion.slides else 'N m'}",
+            ]
+        )
+    heads = ["joint", "position", "speed", "reversals", "at rest", "torque"]
+    table = tabulate(
+        rows,
+        headers=[*heads, "of it gravity"],
+        disable_numparse=True,
+        colalign=("left", *6 * ["right"]),
+    )
+    return table.splitlines()
+
+
+def _wrong(recording, findings):
+    """Say what is wrong with the channels."""
+    odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
+    lines = ["What is wrong with it"]
+    lines += [f"- {x.severity}: {x.message}" for x in findings]
+    if odd:
+        lines.append(
+            f"- torques are recorded in {odd[0]}: close-loop needs --gain unknown, or "
+            "the factors to N m"
+        )
+    return lines if len(lines) > 1 else [*lines, "- nothing that the robot would show"]
+
+
+def _shown(motions):
+    """Say what the motion can show and what it cannot, joints with the same in one."""
+    lines = []
+    for head, of in (
+        ("What it can show", lambda motion: motion.shows),
+        ("What it can hardly show, or not at all", lambda motion: motion.hides),
+    ):
+        joints = {}
+        for motion in motions:
+            for what in of(motion):
+                joints.setdefault(what, []).append(motion.name)
+        lines.append(head)
+        for what, names in joints.items():
+            every = len(names) == len(motions) > 1
+            lines.append(f"- {'all joints' if every else ', '.join(names)}: {what}")
+        if not joints:
+            lines.append("- nothing")
+    return lines

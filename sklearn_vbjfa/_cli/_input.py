@@ -4,48 +4,159 @@ import contextlib
 import itertools
 import math
 import os
-import shutil
 import sys
 import tempfile
-import textwrap
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _exit_codes
+from sklearn_vbjfa._cli import spelled
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
+# Warnings about channels that are left out of what was asked for.
+_LEFT_OUT = ("coarse_torque", "still_joint", "unusable_signal")
 
 
 class Refused(ValueError):
-    """An argument in whose place another would do: `options`, as commands name them."""
+    """An argument, or a file, in whose place another would do.
 
-    def __init__(self, reason, options):
+    Attributes
+    ----------
+    options : dict
+        What would do, by the names of arguments.
+    content : str
+        Or a line of a file that would do.
+    """
+
+    def __init__(self, reason, options=None, content=""):
         super().__init__(reason)
-        self.options = options
+        self.options, self.content = options or {}, content
+
+
+def refuse_given(arguments, names, why):
+    """Refuse the first of some options that is given."""
+    for name in names:
+        if name in arguments.given:
+            raise ValueError(f"{spelled(name)} {why}.")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Taken:
-    """A recording of one's own, of one file or several, and its robot."""
+    """A recording, of one file or several, and its robot."""
 
     recording: object
-    urdf: Path  # description in which the joints that were not recorded are fixed
-    held: tuple  # those joints
+    urdf: object  # description in which the joints that were not recorded are fixed
+    source: object  # what to call what was read
+    held: tuple = ()  # those joints
+    gains: object = None  # what was said of the channels of torque
+
+    def check(self, chosen):
+        """Refuse settings that the recording and its robot cannot show."""
+        _check_nyquist(chosen["cutoff"], self.recording, self.source)
+        _check_gains(chosen["gains"], chosen["known_masses"], self.urdf)
+
+    def findings(self):
+        """Look for faults of the channels; factors that are unknown are none."""
+        from sklearn_vbjfa.inspection import inspect_recording
+
+        found = inspect_recording(self.recording, str(self.urdf))
+        motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
+        if motor or self.gains == "unknown":
+            return [one for one in found if one.kind != "gear_factor"]
+        return found
+
+    def check_channels(self):
+        """Refuse channels that are not what they are called, warn of doubtful ones."""
+        from sklearn_vbjfa.model import DoubtWarning
+
+        findings = self.findings()
+        errors = [found.message for found in findings if found.severity == "error"]
+        if errors:
+            raise ValueError(f"{self.source}: {' '.join(errors)}")
+        for message in channel_doubts(findings):
+            warnings.warn(f"{self.source}: {message}", DoubtWarning, stacklevel=2)
+
+    def signals(self, text):
+        """Return the signals that were asked for, by name; None takes what there is."""
+        from sklearn_vbjfa.recording._columns import OfferedSignals
+
+        offered = OfferedSignals.of_file(self.recording)
+        if text is None:
+            return offered
+        if text.strip() == "none":
+            return None
+        known, n = offered.names, self.recording.n_samples
+        if not known:
+            raise ValueError(
+                f"--signals has {text!r}, but {self.source} holds no columns beside "
+                "time, positions, velocities, accelerations and torques."
+            )
+        found = names("--signals", text, known)
+        try:
+            return {name: offered.column(name, n) for name in found}
+        except ValueError as error:
+            raise ValueError(f"{self.source}: {error}") from None
+
+    def other_joints(self):
+        """Say which joints are held, and which follow others; a list of lines."""
+        from sklearn_vbjfa.model import _loading
+
+        lines = [f"held at zero: {', '.join(self.held)}"] if self.held else []
+        follow = [body.name for body in _loading.load_folded(self.urdf).followers]
+        if follow:
+            lines.append(f"follow other joints, without columns: {', '.join(follow)}")
+        return lines
 
 
-def taken(arguments, gains, folder):
+def taken(arguments, folder, *, assumed=None):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
-    urdf, joints = path(arguments.urdf), joint_names(arguments.joints)
+    # assumed: gains of the channels where none are given.
+    urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
+    known = gains(arguments.gain)
     urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
-    recording = read(arguments, urdf, joints, gains)
-    urdf, held = hold_others(urdf, recording, held, folder)
-    return Taken(recording=recording, urdf=urdf, held=tuple(held))
+    recording = read(arguments, urdf, joints, known or assumed)
+    urdf, held = _hold_others(urdf, recording, held, folder)
+    source = named(sources(arguments.recording))
+    return Taken(
+        recording=recording, urdf=urdf, source=source, held=tuple(held), gains=known
+    )
+
+
+def settings(arguments):
+    """Return what is to be identified, settings of `RobotIdentifier`."""
+    from sklearn_vbjfa.effects import _declared
+
+    known, factors = _declared.available(), gains(arguments.gain)
+    masses = getattr(arguments, "known_mass", ())
+    return {
+        "friction": names("--friction", arguments.friction, known),
+        "bodies": arguments.bodies,
+        "cutoff": cutoff(arguments.cutoff),
+        # factors that are known are in the recording that is read with them
+        "gains": "unknown" if factors == "unknown" else None,
+        "known_masses": known_masses(masses, factors),
+    }
+
+
+def library(text):
+    """Return the names of the effects to look for, or "all"."""
+    from sklearn_vbjfa import effects
+
+    return text if text == "all" else names("--effects", text, effects.available())
+
+
+def free_folder(arguments, default, names, inputs, endings=()):
+    """Return the folder for files, refused if it holds what is not to be lost."""
+    out = expanded(arguments.out or default)
+    check_folder(out)
+    if not arguments.force:
+        check_overwriting(out, names, inputs, endings)
+    return out
 
 
 def robot(urdf, joints, folder, base_orientation=None):
@@ -89,12 +200,26 @@ def _quaternion(text):
     """Return the numbers in a comma-separated list, None for None."""
     if text is None:
         return None
-    try:
-        return [float(x) for x in text.split(",")]
-    except ValueError as error:
+    found = numbers(text)
+    if any(map(math.isnan, found)):
         raise ValueError(
             f"--base-orientation must be four numbers W,X,Y,Z, got {text!r}."
-        ) from error
+        )
+    return found
+
+
+def number(text):
+    """Return the number that a text is, nan for none."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def numbers(text):
+    """Return the numbers in a comma-separated list; a single nan where one is none."""
+    found = [number(x) for x in text.split(",")]
+    return [math.nan] if any(map(math.isnan, found)) else found
 
 
 def joint_names(text):
@@ -182,7 +307,7 @@ def read(arguments, urdf, joints, gains, *, identified=True):
     return recording
 
 
-def hold_others(urdf, recording, held, folder):
+def _hold_others(urdf, recording, held, folder):
     """Fix the joints without columns; return the description and all held joints."""
     from sklearn_vbjfa.model import movable_joints, write_reduced
 
@@ -195,63 +320,16 @@ def hold_others(urdf, recording, held, folder):
     return reduced, (*held, *more)
 
 
-def other_joints(urdf, held):
-    """Say which joints are held, and which follow others; a list of lines."""
-    from sklearn_vbjfa.model import load_folded
-
-    lines = [f"held at zero: {', '.join(held)}"] if held else []
-    follow = [body.name for body in load_folded(urdf).followers]
-    if follow:
-        lines.append(f"follow other joints, without columns: {', '.join(follow)}")
-    return lines
+def channel_doubts(findings):
+    """Messages of the findings on channels that are doubts, a list of str."""
+    return [
+        one.message
+        for one in findings
+        if one.severity != "warning" or one.kind in _LEFT_OUT
+    ]
 
 
-def channel_findings(recording, urdf, gains):
-    """Look for faults of the channels; factors that are unknown are none."""
-    from sklearn_vbjfa.inspection import inspect_recording
-
-    findings = inspect_recording(recording, urdf)
-    motor = any(unit not in ("N m", "N") for unit in recording.torque_units)
-    if motor or gains == "unknown":
-        return [found for found in findings if found.kind != "gear_factor"]
-    return findings
-
-
-def check_channels(recording, urdf, gains, source):
-    """Refuse channels that cannot be what their names say, warn of doubtful ones."""
-    from sklearn_vbjfa.model import DoubtWarning
-
-    findings = channel_findings(recording, urdf, gains)
-    errors = [found.message for found in findings if found.severity == "error"]
-    if errors:
-        raise ValueError(f"{source}: {' '.join(errors)}")
-    for message in _exit_codes.of_channels(findings):
-        warnings.warn(f"{source}: {message}", DoubtWarning, stacklevel=2)
-
-
-def signals(text, recording, source):
-    """Return the signals that were asked for, by name; None takes what there is."""
-    from sklearn_vbjfa.recording import OfferedSignals
-
-    offered = OfferedSignals.of_file(recording)
-    if text is None:
-        return offered
-    if text.strip() == "none":
-        return None
-    known = offered.names
-    if not known:
-        raise ValueError(
-            f"--signals has {text!r}, but {source} holds no columns beside time, "
-            "positions, velocities, accelerations and torques."
-        )
-    found = names("--signals", text, known)
-    try:
-        return {name: offered.column(name, recording.n_samples) for name in found}
-    except ValueError as error:
-        raise ValueError(f"{source}: {error}") from None
-
-
-def path(text):
+def expanded(text):
     """Return a path in which ~ is the home folder, as shells have it."""
     from sklearn_vbjfa.recording import expanded
 
@@ -260,7 +338,7 @@ def path(text):
 
 def sources(given):
     """Return the paths of one or several files, a tuple."""
-    return tuple(map(path, [given] if isinstance(given, str) else given))
+    return tuple(map(expanded, [given] if isinstance(given, str) else given))
 
 
 def named(paths):
@@ -273,19 +351,8 @@ def no_formula(cell):
     """Return a cell of a table that a spreadsheet does not take for a formula."""
     # One that begins like a formula gets an apostrophe in front, unless it is a number.
     text = str(cell)
-    try:
-        float(text)
-    except ValueError:
-        return f"'{text}" if text.startswith(_FORMULA) else text
-    return text
-
-
-def wrapped(text, stream):
-    """Return a text wrapped to the width of a terminal; as it is for other streams."""
-    if not stream.isatty():
-        return text
-    width = shutil.get_terminal_size().columns
-    return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
+    is_formula = text.startswith(_FORMULA) and math.isnan(number(text))
+    return f"'{text}" if is_formula else text
 
 
 def check_overwriting(out, names, inputs, endings=()):
@@ -336,14 +403,15 @@ def free(wanted, *endings):
     )
 
 
-def check_folder(out):
+def check_folder(out, needs="must name a folder", ending="-report"):
     """Refuse, before the work begins, a folder that cannot be written to."""
+    # ending: of the name of another one.
     for folder in (out, *out.parents):
         if folder.exists():
             if not folder.is_dir():
-                other = free(folder.with_name(f"{folder.stem}-report"))
+                other = free(folder.with_name(f"{folder.stem}{ending}"))
                 raise Refused(
-                    f"{folder} is a file, where --out must name a folder",
+                    f"{folder} is a file, where --out {needs}",
                     {"out": str(other)},
                 )
             if not os.access(folder, os.W_OK):
@@ -376,10 +444,7 @@ def gains(text):
     """Return factors of the channels of torque, "unknown", or None."""
     if text in (None, "unknown"):
         return text
-    try:
-        found = tuple(float(x) for x in text.split(","))
-    except ValueError:
-        found = (0.0,)
+    found = tuple(numbers(text))
     if not all(math.isfinite(x) and x != 0 for x in found):
         raise ValueError(
             "--gain must be a factor to N m or N for each joint, such as 8,8,5, or "
@@ -398,11 +463,8 @@ def known_masses(texts, gains):
         )
     found = {}
     for text in texts:
-        name, equals, number = text.rpartition("=")
-        try:
-            mass = float(number)
-        except ValueError:
-            mass = math.nan
+        name, equals, kilograms = text.rpartition("=")
+        mass = number(kilograms)
         if not (equals and name and 0 < mass < math.inf):
             raise ValueError(
                 "--known-mass must be LINK=KG or payload=KG with a positive mass in "
@@ -414,7 +476,7 @@ def known_masses(texts, gains):
     return found or None
 
 
-def check_gains(gains, masses, urdf):
+def _check_gains(gains, masses, urdf):
     """Refuse unknown gains of a robot that cannot show them, and unknown links."""
     from sklearn_vbjfa.model import body_names, load_model
 
@@ -439,10 +501,7 @@ def cutoff(text):
     """Return the cut-off frequency [Hz], "auto", or None for no low-pass."""
     if text in ("auto", "none"):
         return None if text == "none" else text
-    try:
-        frequency = float(text)
-    except ValueError:
-        frequency = math.nan
+    frequency = number(text)
     if not 0 < frequency < math.inf:
         raise ValueError(
             f"--cutoff must be a positive frequency in Hz, auto or none; got {text}."
@@ -450,7 +509,7 @@ def cutoff(text):
     return frequency
 
 
-def check_nyquist(frequency, recording, source):
+def _check_nyquist(frequency, recording, source):
     """Refuse a cut-off at or above the Nyquist frequency."""
     highest = 0.5 / recording.dt
     if isinstance(frequency, float) and frequency >= highest:

@@ -1,25 +1,19 @@
 """The command ``simulate``: the identified robot in motion, beside the measured one."""
 
+import csv
+import importlib
 import importlib.util
+import io
 import os
-import sys
-import tempfile
+import re
+import textwrap
 import warnings
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _close_loop, _exit_codes, _input, _options
-from sklearn_vbjfa._cli._identify import say_warnings
-from sklearn_vbjfa._cli._simulated import (
-    Simulated,
-    doubts_of,
-    errors_table,
-    errors_text,
-    pictures,
-)
-from sklearn_vbjfa._cli._stopping import undisturbed
+from sklearn_vbjfa._cli import READING, _close_loop, _input
+from sklearn_vbjfa._cli._run import Done, blaming
 
 # What a run writes beside pictures.
 _TABLE = "simulation.csv"
@@ -27,60 +21,86 @@ _TABLE = "simulation.csv"
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-# Options of an identification, and what they are where none is given.
-_DEFAULTS = {
-    "friction": _options.FRICTION,
-    "bodies": "prior",
-    "effects": "none",
-    "cutoff": "auto",
-}
-_OF_IDENTIFICATION = ("urdf", "base_orientation", *_DEFAULTS, "known_mass")
-_OF_RECORDING = (
-    *_options.OF_READING,
-    "urdf",
-    "base_orientation",
-    "model",
-    "signals",
-)
+_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "effects")
+_OF_IDENTIFICATION += ("cutoff", "known_mass")
+_OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
+# Most pictures, and most windows that failed and are named.
+_MOST_PICTURES, _MOST_NAMED = 12, 5
+_WIDTH = 80  # characters of a line
+_RESOLUTION = 120  # dots per inch
 
 
-def add_to(commands):
-    """Add the command to a parser."""
-    parser = commands.add_parser(
-        "simulate",
-        help="simulate the identified robot beside the measured motion",
-        description="Drive the identified robot by the measured torques, over windows "
-        "that begin at measured states, and print how far it gets from the measured "
-        "motion. The first 70 % of every recording are identified and windows of the "
-        "rest are simulated; with --model, windows of the whole recording. Without "
-        "RECORDING, the one that comes with the package. Writes simulation.csv and, "
-        "with matplotlib, a picture of each recording.",
+def run(arguments, folder):
+    """Simulate windows of a recording, tell their errors and write the files."""
+    _check(arguments)
+    source = _input.expanded(arguments.recording or "demo")
+    default = f"{source.stem or 'recording'}-simulation"
+    given = filter(None, (arguments.urdf, arguments.model))
+    inputs = (source, *map(_input.expanded, given))
+    out = _input.free_folder(arguments, default, (_TABLE,), inputs, (".png",))
+    take = _identified if arguments.model is None else _saved
+    task = take(arguments, source, folder)
+    with blaming(source):
+        windows = _windows(task, arguments.window, timed=arguments.model is None)
+    found = Simulated(
+        recording=task.recording, rows=task.rows, windows=windows, told=task.told
     )
-    _options.add_optional_files(parser, several=False)
-    parser.add_argument(
-        "--model",
-        default=None,
-        metavar="FILE",
-        help="identified robot, as RobotIdentifier.save writes it; nothing is "
-        "identified then",
+    text = errors_text(found, arguments.window)
+    files, left = {_TABLE: errors_table(found).encode("utf-8")}, ""
+    if importlib.util.find_spec("matplotlib") is not None:
+        drawn, left = pictures(found)
+        files |= drawn
+    else:
+        warnings.warn(
+            "no pictures were drawn, as matplotlib is not installed; install it with "
+            'pip install "sklearn-vbjfa[plot]".',
+            UserWarning,
+            stacklevel=2,
+        )
+
+    def write(folder, warned):
+        for name, content in files.items():
+            folder.joinpath(name).write_bytes(content)
+        return [""]
+
+    return Done(
+        text=text,
+        doubts=doubts_of(found),
+        folder=out,
+        files=tuple(files),
+        write=write,
+        left=left,
     )
-    parser.add_argument(
-        "--window",
-        type=float,
-        default=1.0,
-        metavar="S",
-        help="length of a window [s], by default 1",
-    )
-    _options.add_recording(parser)
-    _options.add_out(parser, "simulation")
-    _options.add_model(parser)
-    parser.add_argument(
-        "--effects",
-        metavar="NAMES",
-        help="effects to look for, or all; the completed model is then simulated "
-        "beside the declared one. By default none; see the command effects",
-    )
-    parser.set_defaults(run=run, **dict.fromkeys(_DEFAULTS))
+
+
+def _check(arguments):
+    """Refuse options that do not go together."""
+    if arguments.recording is None:
+        _input.refuse_given(
+            arguments,
+            _OF_RECORDING,
+            "needs a RECORDING; without one, the recording that comes with the package "
+            "is simulated",
+        )
+    elif arguments.model is None and arguments.urdf is None:
+        raise ValueError(
+            "give --urdf FILE, the description of the robot, or --model FILE, an "
+            "identified robot."
+        )
+    if arguments.model is not None:
+        _input.refuse_given(
+            arguments,
+            _OF_IDENTIFICATION,
+            "belongs to an identification, and the robot of --model is identified; "
+            "give one of the two",
+        )
+    if not 0 < arguments.window < np.inf:
+        raise ValueError(
+            f"--window must be a positive number of seconds; got {arguments.window:g}."
+        )
+
+
+# -- robots ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -94,125 +114,22 @@ class _Task:
     told: str  # what was identified, a line
 
 
-def run(arguments):
-    """Simulate windows of a recording, print their errors and write the files."""
-    from sklearn_vbjfa.robot._windows import simulate_windows
+def _windows(task, seconds, *, timed):
+    """Simulate the same windows of the rows by each robot."""
+    from sklearn_vbjfa.diagnosis.displays import windows_of
 
-    _check(arguments)
-    source = _input.path(arguments.recording or "demo")
-    out = _input.path(arguments.out or f"{source.stem or 'recording'}-simulation")
-    _input.check_folder(out)
-    if not arguments.force:
-        given = (arguments.urdf, arguments.model)
-        inputs = (source, *map(_input.path, filter(None, given)))
-        _input.check_overwriting(out, (_TABLE,), inputs, (".png",))
-    draws = importlib.util.find_spec("matplotlib") is not None
-    with (
-        tempfile.TemporaryDirectory() as folder,
-        warnings.catch_warnings(record=True) as caught,
-    ):
-        warnings.simplefilter("always")
-        task = _task(arguments, source, Path(folder))
-        recording, rows = task.recording, task.rows
-        # Saved models have a clock of their own.
-        times = None if arguments.model else recording.clock()[rows]
-        part = recording.q[rows], recording.tau[rows], recording.groups[rows]
-        windows, first = {}, None
-        try:
-            for label, robot in task.robots.items():
-                windows[label] = simulate_windows(
-                    robot,
-                    *part,
-                    times,
-                    window=arguments.window,
-                    signals=task.signals,
-                    beside=first,
-                )
-                first = first or windows[label]
-        except ValueError as error:
-            raise ValueError(f"{source}: {error}") from error
-        found = Simulated(
-            recording=recording, rows=rows, windows=windows, told=task.told
-        )
-        text = errors_text(found, arguments.window)
-        arguments.doubts = [*doubts_of(found), *_exit_codes.of_warnings(caught)]
-        files = {_TABLE: errors_table(found).encode("utf-8")}
-        left = ""
-        if draws:
-            drawn, left = pictures(found)
-            files |= drawn
-        try:
-            with undisturbed():
-                _write(files, out)
-                arguments.written = True
-        except OSError:
-            print(text)
-            raise
-    print(text)
-    names = ", ".join(str(out / name) for name in files)
-    print(f"\n{_input.wrapped(f'written: {names}{left}', sys.stdout)}")
-    say_warnings(caught)
-    if not draws:
-        _say_no_pictures()
-
-
-def _say_no_pictures():
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        warnings.warn(
-            "no pictures were drawn, as matplotlib is not installed; install it with "
-            'pip install "sklearn-vbjfa[plot]".',
-            UserWarning,
-            stacklevel=2,
-        )
-    say_warnings(caught)
-
-
-def _check(arguments):
-    """Refuse options that do not go together, and fill in the others."""
-    if arguments.recording is None:
-        _options.refuse_given(
-            arguments,
-            _OF_RECORDING,
-            "needs a RECORDING; without one, the recording that comes with the package "
-            "is simulated",
-        )
-    elif arguments.model is None and arguments.urdf is None:
-        raise ValueError(
-            "give --urdf FILE, the description of the robot, or --model FILE, an "
-            "identified robot."
-        )
-    if arguments.model is not None:
-        _options.refuse_given(
-            arguments,
-            _OF_IDENTIFICATION,
-            "belongs to an identification, and the robot of --model is identified; "
-            "give one of the two",
-        )
-    if not 0 < arguments.window < np.inf:
-        raise ValueError(
-            f"--window must be a positive number of seconds; got {arguments.window:g}."
-        )
-    for name, value in _DEFAULTS.items():
-        if getattr(arguments, name) is None:
-            setattr(arguments, name, value)
-
-
-# -- robots ----------------------------------------------------------------------------
-
-
-def _task(arguments, source, folder):
-    """Read the recording and the model, or identify one."""
-    if arguments.model is not None:
-        return _saved(arguments, source, folder)
-    return _identified(arguments, source, folder)
+    recording, rows = task.recording, task.rows
+    # Saved models have a clock of their own.
+    times = recording.clock()[rows] if timed else None
+    part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
+    return windows_of(task.robots, *part, window=seconds, signals=task.signals)
 
 
 def _saved(arguments, source, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
-    robot = load_identified(_input.path(arguments.model))
+    robot = load_identified(_input.expanded(arguments.model))
     names = robot.joint_names_
     joints = _input.joint_names(arguments.joints)
     if joints and set(joints) != set(names):
@@ -230,7 +147,8 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    _input.check_channels(recording, urdf, gains, source)
+    taken = _input.Taken(recording=recording, urdf=urdf, source=source, gains=gains)
+    taken.check_channels()
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -238,7 +156,7 @@ def _saved(arguments, source, folder):
         recording=recording,
         rows=np.arange(recording.n_samples),
         robots={"simulated": robot},
-        signals=_input.signals(arguments.signals, recording, source),
+        signals=taken.signals(arguments.signals),
         told=f"model: {arguments.model}, effects: {effects or 'none'}",
     )
 
@@ -263,50 +181,31 @@ def _saved_gains(arguments, robot):
 
 def _identified(arguments, source, folder):
     """Identify the first part of every recording, for the rest."""
-    from sklearn_vbjfa import effects
     from sklearn_vbjfa.datasets import load_demo_recording
-    from sklearn_vbjfa.effects import _declared
-    from sklearn_vbjfa.physical import ProjectionError
 
-    friction = _input.names("--friction", arguments.friction, _declared.available())
-    library = arguments.effects
-    if library != "all":
-        library = _input.names("--effects", library, effects.available())
-    cutoff = _input.cutoff(arguments.cutoff)
-    gains = _input.gains(arguments.gain)
-    masses = _input.known_masses(arguments.known_mass, gains)
-    signals, held = None, ()
+    settings, library = _input.settings(arguments), _input.library(arguments.effects)
+    signals = None
     if arguments.recording is None:
-        recording = load_demo_recording()
-        urdf = recording.urdf
+        demo = load_demo_recording()
+        taken = _input.Taken(recording=demo, urdf=demo.urdf, source=source)
     else:
-        taken = _input.taken(arguments, gains, folder)
-        recording, urdf, held = taken.recording, taken.urdf, taken.held
-        _input.check_channels(recording, urdf, gains, source)
-        signals = _input.signals(arguments.signals, recording, source)
-    _input.check_nyquist(cutoff, recording, source)
-    _input.check_gains(gains, masses, urdf)
+        taken = _input.taken(arguments, folder)
+        taken.check_channels()
+        signals = taken.signals(arguments.signals)
+    taken.check(settings)
+    recording = taken.recording
     first, rest = _parts(recording)
-    settings = {
-        "friction": friction,
-        "bodies": arguments.bodies,
-        "cutoff": cutoff,
-        "torque_noise": recording.torque_noise,
-        "gains": "unknown" if gains == "unknown" else None,
-        "known_masses": masses,
-    }
-    part, known = _rows_of(recording, first), {}
-    known |= {"t": recording.clock()[first], "signals": _at(signals, first)}
-    try:
-        robots = _robots(part, str(urdf), library, known, settings)
-    except (ValueError, ProjectionError) as error:
-        raise ValueError(f"{source}: {error}") from error
+    part = _rows_of(recording, first)
+    known = {"t": recording.clock()[first], "signals": _at(signals, first)}
+    settings["torque_noise"] = recording.torque_noise
+    with blaming(source):
+        robots = _robots(part, str(taken.urdf), library, known, settings)
     told = (
         f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
-        f"friction: {', '.join(friction) or 'none'}"
+        f"friction: {', '.join(settings['friction']) or 'none'}"
     )
-    if held:
-        told = f"held at zero: {', '.join(held)}\n{told}"
+    if taken.held:
+        told = f"held at zero: {', '.join(taken.held)}\n{told}"
     if "completed" in robots:
         found = robots["completed"].effects_
         names = recording.joint_names
@@ -368,14 +267,224 @@ def _at(signals, rows):
     return {name: x[rows] for name, x in signals.items()}
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Simulated:
+    """Windows of a recording, simulated."""
+
+    recording: object
+    rows: np.ndarray  # of the recording that the windows are cut from
+    windows: dict  # the same windows of each robot, by its label
+    told: str  # what was identified, some lines
+
+
+# -- what is said ----------------------------------------------------------------------
+
+
+def _scales(windows):
+    """Factors (nv,) to degrees and mm, and these units."""
+    slides = windows.prismatic
+    units = tuple("mm" if sliding else "degrees" for sliding in slides)
+    return np.where(slides, 1e3, 180 / np.pi), units
+
+
+def errors_text(simulated, seconds):
+    """Errors joint by joint, and what became of the windows."""
+    windows = simulated.windows
+    one = next(iter(windows.values()))
+    whole = ~np.any([own.failed for own in windows.values()], axis=0)
+    scale, units = _scales(one)
+    rivals = {"stays": one.staying(), "goes on": one.going_on()}
+    positions, velocities = {"": one.joint_names, "unit": units}, {}
+    velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
+    for label, own in (windows | rivals).items():
+        errors = own.errors[whole] * scale
+        positions[label] = _over_windows(errors, _rms)
+        if label in windows:
+            # Heads differ in blanks where two models are simulated.
+            head = f"median{' ' * list(windows).index(label)}"
+            positions[head] = _over_windows(errors, _median)
+        speeds = own.velocity_errors[whole] * scale
+        velocities[label] = _over_windows(speeds, _rms)
+    which = "all" if whole.all() else f"{whole.sum()} of"
+    lines = [
+        str(simulated.recording),
+        simulated.told,
+        "",
+        f"position error over windows of {seconds:g} s, root mean square",
+        _tabulated(positions),
+        "",
+        "velocity error",
+        _tabulated(velocities),
+        "",
+        f"{which} {whole.size} windows, each from the measured state at its start and "
+        "driven by the",
+        "measured torques. median: of the windows' position errors; stays, goes on: a",
+        "robot that stays where it was, and one that keeps its velocity.",
+    ]
+    for label, own in windows.items():
+        who = f"{label}: " if len(windows) > 1 else ""
+        lines += ["", *_verdict(who, own)]
+        if own.failures:
+            lines.append(who + _failed(simulated, own))
+        if own.run_away.any():
+            lines.append(who + _run_away(simulated, own))
+    return "\n".join(lines)
+
+
+def doubts_of(simulated):
+    """Say what stands against the simulation, a list of str."""
+    # Of two models it is the last one that is handed on; a window that fails is left
+    # out of the errors of both.
+    windows = simulated.windows
+    last = list(windows.values())[-1]
+    failed = [own for own in windows.values() if own.failures]
+    doubts = [f"{_failed_count(own)} failed" for own in failed]
+    if last.run_away.any():
+        doubts.append(f"{_away_count(last)} joints ran away")
+    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
+
+
+def _tabulated(columns):
+    """Write columns of text, the first two of them words, as a table."""
+    from tabulate import tabulate
+
+    return tabulate(
+        list(zip(*columns.values())),
+        headers=[head.strip() for head in columns],
+        disable_numparse=True,
+        colalign=("left", "left", *["right"] * (len(columns) - 2)),
+    )
+
+
+def _over_windows(errors, mean):
+    """Write a mean of errors (n_windows, nv) for each joint, "none" without any."""
+    found = mean(errors) if len(errors) else np.full(errors.shape[1], np.nan)
+    # none is negative
+    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in found]
+
+
+def _rms(errors):
+    return np.sqrt(np.mean(errors**2, axis=0))
+
+
+def _median(errors):
+    return np.median(errors, axis=0)
+
+
+def _verdict(who, windows):
+    """Say whether a model was needed for its errors, lines of a terminal."""
+    told = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
+    told += "errors, Student's t at 5 %"
+    if windows.failed.any():
+        told += "; a window that failed counts as the worst error of these two"
+    return textwrap.wrap(f"{told})", _WIDTH)
+
+
+def _failed(simulated, windows):
+    """Name windows that were not simulated to their end, and why."""
+    why = {one.window: one.message for one in windows.failures}
+    return _listed(simulated, windows, f"{_failed_count(windows)} failed:", why)
+
+
+def _failed_count(windows):
+    return f"{len(windows.failures)} of {windows.n_windows} windows"
+
+
+def _away_count(windows):
+    return f"in {windows.run_away.any(axis=1).sum()} of {windows.n_windows} windows"
+
+
+def _run_away(simulated, windows):
+    """Name windows in which joints ran away."""
+    head = (
+        f"{_away_count(windows)} joints ran away, farther off than stays and goes on "
+    )
+    names, away = np.array(windows.joint_names), windows.run_away
+    found = {k: ", ".join(names[away[k]]) for k in np.flatnonzero(away.any(axis=1))}
+    return _listed(simulated, windows, f"{head}in any:", found)
+
+
+def _listed(simulated, windows, head, said):
+    """Name the first of some windows, number -> what is said of it; count the rest."""
+    first, rest = list(said.items())[:_MOST_NAMED], len(said) - _MOST_NAMED
+    lines = [f"- {_placed(simulated, windows, k)}: {text}" for k, text in first]
+    more = [f"- and {rest} more; see {_TABLE}"] if rest > 0 else []
+    return "\n".join([head, *lines, *more])
+
+
+def _placed(simulated, windows, k):
+    """Say where a window is."""
+    name, begin, end = _place(simulated, windows, k)
+    return f"{name}, {begin:.3f} to {end:.3f} s"
+
+
+def _place(simulated, windows, k):
+    """Return the recording of a window, and its times since the start of that [s]."""
+    recording = simulated.recording
+    row = simulated.rows[windows.starts[k]]
+    label = recording.groups[row]
+    begin = (row - recording.segments[label].start) * recording.dt
+    length = windows.t[k, -1] - windows.t[k, 0]
+    return _name(recording, label), begin, begin + length
+
+
+def _name(recording, label):
+    """Name of one of the recordings; that of the file if it holds a single one."""
+    names = recording.group_names
+    return recording.name if len(names) == 1 else names[label]
+
+
 # -- files -----------------------------------------------------------------------------
 
 
-def _write(files, out):
-    """Write all files or none; each appears complete."""
-    out.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=out, prefix=".writing-") as folder:
-        for name, content in files.items():
-            Path(folder, name).write_bytes(content)
-        for name in files:
-            os.replace(Path(folder, name), out / name)
+def errors_table(simulated):
+    """Return a table with one row per window and joint, as CSV."""
+    windows = simulated.windows
+    one = next(iter(windows.values()))
+    scale, units = _scales(one)
+    stays, goes_on = one.staying().errors * scale, one.going_on().errors * scale
+    file = io.StringIO(newline="")
+    table = csv.writer(file, lineterminator="\n")
+    heads = ["model", "recording", "from_s", "to_s", "joint", "unit"]
+    heads += ["position_error", "velocity_error_per_s", "stays", "goes_on", "failed"]
+    table.writerow(heads)
+    for label, own in windows.items():
+        errors, speeds = own.errors * scale, own.velocity_errors * scale
+        why = {one.window: one.message for one in own.failures}
+        for k in range(own.n_windows):
+            name, begin, end = _place(simulated, own, k)
+            for j, joint in enumerate(own.joint_names):
+                row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
+                numbers = errors[k, j], speeds[k, j], stays[k, j], goes_on[k, j]
+                row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers]
+                table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
+    return file.getvalue()
+
+
+def pictures(simulated):
+    """Draw each recording; name -> PNG file, and what is to be said of the others."""
+    windows = simulated.windows
+    from sklearn_vbjfa.diagnosis import SimulationDisplay
+
+    # Files are drawn, no windows opened.
+    os.environ.setdefault("MPLBACKEND", "Agg")
+    pyplot = importlib.import_module("matplotlib.pyplot")
+    one = next(iter(windows.values()))
+    labels = simulated.recording.groups[simulated.rows[one.starts]]
+    found = {}
+    shown = np.unique(labels)
+    for label in shown[:_MOST_PICTURES]:
+        own = {name: w.select(labels == label) for name, w in windows.items()}
+        display = SimulationDisplay(windows=own).plot()
+        file = io.BytesIO()
+        display.figure_.savefig(file, format="png", dpi=_RESOLUTION)
+        pyplot.close(display.figure_)
+        name = re.sub(r"[^\w-]+", "_", _name(simulated.recording, label))[:60]
+        name = f"{name}.png"
+        if name in found:
+            name = f"{label + 1}_{name}"
+        found[name] = file.getvalue()
+    left = ""
+    if shown.size > _MOST_PICTURES:
+        left = f" (pictures of {_MOST_PICTURES} of {shown.size} recordings)"
+    return found, left

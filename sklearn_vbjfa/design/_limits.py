@@ -164,9 +164,12 @@ class MotionLimits:
         endless |= (low < -_NO_LIMIT) | (high > _NO_LIMIT) | (low == high)
         sliding = np.asarray(is_prismatic(model))
         for j in np.flatnonzero(endless & sliding):
-            raise ValueError(
+            raise MotionRefused(
                 f"The description gives no range of positions of {names[j]}, which "
-                "slides; give limits=MotionLimits(...) with its range in metres."
+                "slides;",
+                {},
+                lacks="position",
+                advice="give limits=MotionLimits(...) with its range in metres.",
             )
         low, high = (
             np.where(endless, -_ONE_TURN, low),
@@ -181,9 +184,10 @@ class MotionLimits:
             )
             raise MotionRefused(
                 f"The description gives no velocity limit of {told}: in brackets, what "
-                "it takes through half of the range in one second. Give "
-                "limits=MotionLimits(...) with velocities.",
+                "it takes through half of the range in one second.",
                 {"velocity": rounded_up(np.where(np.isinf(velocity), half, velocity))},
+                lacks="velocity",
+                advice="Give limits=MotionLimits(...) with velocities.",
             )
         effort = _given(torque, _known(model.effortLimit))
         acceleration = _given(acceleration, np.full(effort.shape, np.inf))
@@ -197,9 +201,11 @@ class MotionLimits:
             wanted = np.maximum(_TO_MOVE * weight, 0.1 * _TO_MOVE * weight.max())
             raise MotionRefused(
                 f"The description gives no torque limit of {told}: in brackets, what "
-                "it takes to hold the robot still in any pose. Give "
-                "limits=MotionLimits(...) with torques above that, or accelerations.",
+                "it takes to hold the robot still in any pose.",
                 {"torque": rounded_up(np.where(np.isinf(effort), wanted, effort))},
+                lacks="torque",
+                advice="Give limits=MotionLimits(...) with torques above that, or "
+                "accelerations.",
             )
         return cls(np.column_stack([low, high]), velocity, acceleration, effort)
 
@@ -281,15 +287,21 @@ class MotionRefused(ValueError):
     ----------
     reason : str
         The message, without a full stop.
+    wrong : str
+        The message, without what to give as an argument.
+    lacks : str
+        The argument that is lacking, if one is: ``"position"``, ``"velocity"``,
+        ``"torque"``.
     options : dict of str to float or tuple of float
         What would do, by the names of arguments: ``"duration"``, ``"start"``,
         ``"velocity"``, ``"torque"``.
     """
 
-    def __init__(self, message, options):
+    def __init__(self, wrong, options, *, lacks="", advice=""):
+        message = f"{wrong} {advice}".strip()
         super().__init__(message)
         self.reason = message.removesuffix(".")
-        self.options = options
+        self.wrong, self.lacks, self.options = wrong, lacks, options
 
 
 def rounded_up(limits):

@@ -8,15 +8,9 @@ import numpy as np
 
 from sklearn_vbjfa.design._criterion import SAME_COLUMNS
 from sklearn_vbjfa.design._design import MARGIN, ROOM
+from sklearn_vbjfa.diagnosis.report import Section, Table, line_figure
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._charts import line_figure
-from sklearn_vbjfa.diagnosis.report._evidence import (
-    Figures,
-    ParameterGroup,
-    Parameters,
-)
-from sklearn_vbjfa.diagnosis.report._render import page as render
-from sklearn_vbjfa.diagnosis.report._sections import Headline, Section, Table
+from sklearn_vbjfa.diagnosis.report import page as render
 from sklearn_vbjfa.effects import resolve
 
 # A limit of which this share is used holds a motion back.
@@ -118,7 +112,7 @@ def _headline(motion, background):
         heading=f"Motion to record next with {background.robot}",
         sentences=(_verdict(motion, background),),
         template="headline",
-        drawn=Headline(
+        drawn=dict(
             colour="good" if motion.within_limits else "bad",
             text=_verdict(motion, background),
             totals=tuple(totals),
@@ -268,7 +262,7 @@ def _margins(motion, background):
         note=f"At ten times the sampling of the design; {100 * MARGIN:g} % of each "
         f"limit are left. {_clearance_text(motion)}",
         template="margins",
-        drawn=joints,
+        drawn={"joints": joints},
     )
 
 
@@ -410,9 +404,7 @@ def _intervals(motion, background):
             summary = f"{better} of {len(known)} become narrower"
         label = "robot" if j is None else words.joint_label(motion.joint_names, j)
         groups.append(
-            ParameterGroup(
-                label=words.capital(label), summary=summary, rows=tuple(rows)
-            )
+            dict(label=words.capital(label), summary=summary, rows=tuple(rows))
         )
     told = "of the robot description"
     if background.found is not None:
@@ -426,7 +418,7 @@ def _intervals(motion, background):
         "and the recordings so far, at most; there are no correlations in the report, "
         f"which make it narrower still. {_noise_text(background)}",
         template="parameters",
-        drawn=Parameters(
+        drawn=dict(
             groups=tuple(groups),
             heads=("parameter", "now (90 %)", "new alone", "with both", "unit", ""),
         )
@@ -458,7 +450,7 @@ def _curves(motion, background):
         heading="The motion",
         note="Torques are those that the model expects.",
         template="motion",
-        drawn=Figures(figures=tuple(found)),
+        drawn={"figures": tuple(found)},
     )
 
 

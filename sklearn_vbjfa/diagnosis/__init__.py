@@ -6,10 +6,11 @@ from sklearn_vbjfa.diagnosis._residual_analysis import (
     analyse_residuals,
 )
 from sklearn_vbjfa.diagnosis.displays._convergence import ConvergenceDisplay
-from sklearn_vbjfa.diagnosis.displays._noise import NoiseDisplay
-from sklearn_vbjfa.diagnosis.displays._parameters import ParameterDisplay
-from sklearn_vbjfa.diagnosis.displays._residuals import ResidualDisplay
-from sklearn_vbjfa.diagnosis.displays._simulation import SimulationDisplay
+from sklearn_vbjfa.diagnosis.displays._recordings import (
+    ResidualDisplay,
+    SimulationDisplay,
+)
+from sklearn_vbjfa.diagnosis.displays._rows import NoiseDisplay, ParameterDisplay
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.robot._windows import (

@@ -8,7 +8,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa.diagnosis.explain import dependences, motion_signals
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._render import text_table
+from sklearn_vbjfa.diagnosis.report import text_table
 from sklearn_vbjfa.diagnosis.search._blocks import correlation_time
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import declared_alone

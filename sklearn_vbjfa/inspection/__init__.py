@@ -1,5 +1,6 @@
 """Channels that contradict the robot: signs, orders, units, delays, zeros."""
 
+from sklearn_vbjfa import _lazily
 from sklearn_vbjfa.inspection._inspect import (
     ChannelFinding,
     inspect_channels,
@@ -14,3 +15,10 @@ __all__ = [
     "inspect_recording",
     "motion_of",
 ]
+
+# For other rooms, and for the tests.
+_MODULES = {
+    "_overview": ("one_speed",),
+    "_rivals": ("ChannelEquations", "channel_signals", "fits_of"),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -12,6 +12,7 @@ from scipy.optimize import linear_sum_assignment
 
 from sklearn_vbjfa.inspection._rivals import (
     FEWEST_ROWS,
+    NOMINAL_SHARE,
     SURE,
     ChannelEquations,
     fits_of,
@@ -29,8 +30,6 @@ _CONTRADICTS = 0.02
 _FOLLOWS = 0.1
 # With a larger relative error the fit is too poor to judge the friction's sign by.
 _WORST_ERROR = 0.3
-# Share of the torque that the nominal model must explain to count as evidence.
-_NOMINAL_SHARE = 0.5
 
 
 def torque_signs(model, names, signals):
@@ -44,10 +43,10 @@ def torque_signs(model, names, signals):
             continue
         # A wrong sign takes stronger evidence than a right one.
         friction = fit.power_t * (fit.friction > _FRICTION_SHARE)
-        rigid = scale_t * (share > _NOMINAL_SHARE)
+        rigid = scale_t * (share > NOMINAL_SHARE)
         against = max(
             fit.power_t * (fit.friction > _CONTRADICTS),
-            scale_t * (share > 0.5 * _NOMINAL_SHARE),
+            scale_t * (share > 0.5 * NOMINAL_SHARE),
         )
         if min(friction, rigid) > -SURE or against > 2.0:
             continue
@@ -127,8 +126,8 @@ class Correction:
     # (nv,) or None: offsets to add to the positions [rad]
     offset: np.ndarray | None = None
     # logarithm of the factor by which the squared errors of these joints fall
-    gain: float
-    gain_t: float  # the same in standard errors
+    gain: float = 0.0
+    gain_t: float = 0.0  # the same in standard errors
 
     def put_right(self, signals):
         """Return the corrected signals."""
@@ -283,7 +282,7 @@ class _Trial:
         equations = ChannelEquations(model, signals)
         self._features = equations.features
         self._known = {ChannelEquations.fit: {}, ChannelEquations.least_errors: {}}
-        fits = self._errors(_correction((), kind="as recorded"))
+        fits = self._errors(Correction(joints=(), kind="as recorded"))
         self._now = total(fits)
         errors = [fit.error[0] for fit in fits.values()]
         self._lost = np.median(errors) > _NO_FIT
@@ -337,7 +336,7 @@ class _Trial:
         # From the mean over all joints to that over the joints concerned.
         share = self._model.nv / max(len(moved), 2)
         least = max(least, _SWAP_GAIN / share)
-        better, better_t = self._gain(_correction(moved, **how), least)
+        better, better_t = self._gain(Correction(joints=moved, **how), least)
         if not (share * better > _SWAP_GAIN and better_t > SURE):
             return None
         return Correction(joints=moved, gain=share * better, gain_t=better_t, **how)
@@ -383,7 +382,7 @@ class _Trial:
         for other in orders:
             if (other == np.arange(other.size)).all():
                 continue
-            tried = _correction((), kind="swapped_joints", order=other)
+            tried = Correction(joints=(), kind="swapped_joints", order=other)
             better, _ = self._gain(tried, best)
             if better > best:
                 best, order = better, other
@@ -411,10 +410,6 @@ class _Trial:
                     )
                 )
         return [c for c in found if c is not None]
-
-
-def _correction(joints, **how):
-    return Correction(joints=joints, gain=0.0, gain_t=0.0, **how)
 
 
 def _exchanged(order, pair):

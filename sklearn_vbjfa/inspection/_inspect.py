@@ -3,9 +3,16 @@
 import numpy as np
 
 from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
-from sklearn_vbjfa.inspection._rivals import channel_signals
-from sklearn_vbjfa.inspection._timing import delays, sample_periods, too_fast
-from sklearn_vbjfa.inspection._units import counts, degrees, gear_factors, velocities
+from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
+from sklearn_vbjfa.inspection._units import (
+    counts,
+    degrees,
+    delays,
+    gear_factors,
+    sample_periods,
+    too_fast,
+    velocities,
+)
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 from sklearn_vbjfa.recording import (
     ChannelFinding,
@@ -17,9 +24,6 @@ from sklearn_vbjfa.recording import (
 )
 
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
-
-# Shorter recordings are skipped [samples].
-MIN_SAMPLES = 64
 
 
 def inspect_recording(recording, model=None):
@@ -124,14 +128,10 @@ def inspect_channels(model, q, tau, dt, groups=None):
     q, tau = _check_arrays(model, q, tau)
     dt = check_dt(dt)
     names = joint_names(model)
-    whole = contiguous_groups(groups, len(q))
-    shuffled = shuffled_rows(names, q, whole, groups)
-    parts = [part for part in whole if part.stop - part.start >= MIN_SAMPLES]
+    shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
+    rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
         return tuple(shuffled)
-    rows = np.concatenate([np.arange(part.start, part.stop) for part in parts])
-    stops = np.cumsum([part.stop - part.start for part in parts])
-    parts = [slice(int(a), int(b)) for a, b in zip(np.r_[0, stops], stops)]
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
     findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)

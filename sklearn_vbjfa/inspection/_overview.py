@@ -5,25 +5,23 @@ depends on the load under several loads: the motion alone tells, with the robot'
 nominal inertias for the loads.
 """
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.inspection._inspect import MIN_SAMPLES
-from sklearn_vbjfa.inspection._rivals import channel_signals
+from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
 from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,
     nominal_parameters,
 )
-from sklearn_vbjfa.recording import contiguous_groups
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 
 # A joint has one speed if this share of its moving time, about the middle, lies in a
-# range of this share of the speed (a tenth of it as a standard deviation), as in the
-# report.
+# range of this share of the speed: speeds that are even in it deviate by a tenth of
+# their mean, and Coulomb friction, which is the line through them at no speed at all,
+# is ten times less certain than the friction at that speed.
 _MIDDLE, _ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # What saturates after a reversal must have done so in either direction several times.
 _FEW_REVERSALS = 10
@@ -98,14 +96,10 @@ def motion_of(recording, model=None):
     ('joint_1', True, ('friction that varies with the load: gravity does not load it',))
     """
     model = load_model(recording.robot_model() if model is None else model)
-    q, tau = recording.q, recording.tau
-    whole = contiguous_groups(recording.groups, len(q))
-    whole = [part for part in whole if part.stop - part.start >= MIN_SAMPLES]
-    if not whole:
+    rows, parts = long_parts(recording.n_samples, recording.groups)
+    if not parts:
         return ()
-    q, tau = (np.concatenate([x[part] for part in whole]) for x in (q, tau))
-    stops = np.cumsum([0, *(part.stop - part.start for part in whole)])
-    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(stops)]
+    q, tau = recording.q[rows], recording.tau[rows]
     signals = channel_signals(q, tau, recording.dt, parts, np.ones(q.shape, dtype=bool))
     if signals is None:
         return ()
@@ -150,6 +144,12 @@ def _loads(model, states):
     return features.matrices(still) @ nominal_parameters(model).ravel()
 
 
+def one_speed(speed):
+    """Return the range of speeds (n,), not empty, if they are one only; else None."""
+    ends = np.quantile(speed, [0.5 - 0.5 * _MIDDLE, 0.5 + 0.5 * _MIDDLE])
+    return ends if ends[1] - ends[0] < _ONE_SPEED * ends.mean() else None
+
+
 def _visible(speeds, reversals, ends, slides, load, torque):
     """Return what the motion of a joint shows and hides, two tuples of str."""
     if not speeds.size:
@@ -159,16 +159,13 @@ def _visible(speeds, reversals, ends, slides, load, torque):
     def put(what, reason):
         (hides if reason else shows).append(f"{what}: {reason}" if reason else what)
 
-    speed = np.abs(speeds)
-    low, high = np.quantile(speed, [0.5 - 0.5 * _MIDDLE, 0.5 + 0.5 * _MIDDLE])
-    one_speed = high - low < _ONE_SPEED * 0.5 * (high + low)
     put(
         "Coulomb friction beside an offset",
         "" if reversals else "it never reverses",
     )
     put(
         "viscous beside Coulomb friction",
-        "it keeps to one speed" if one_speed else "",
+        "" if one_speed(np.abs(speeds)) is None else "it keeps to one speed",
     )
     put(
         "hysteresis and backlash",

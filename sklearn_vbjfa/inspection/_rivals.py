@@ -11,23 +11,31 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.model import nominal_parameters
+from sklearn_vbjfa.recording._recording import contiguous_groups
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._plan import STANDSTILL_SHARE
 from sklearn_vbjfa.robot._states import StateEstimator
 
+# Shorter recordings are skipped [samples].
+MIN_SAMPLES = 64
 # Standard errors that evidence needs.
 SURE = 5.0
+# Share of the torque that the nominal model must explain to count as evidence.
+NOMINAL_SHARE = 0.5
 
 
-def fits_of(equations, signals, joints=None):
+def fits_of(equations, signals):
     """Fit informative joints' torques as recorded, joint -> `ChannelFit`."""
-    # Those of all joints, or of some.
     now = signals.now
     return {
         int(j): equations.fit(j, now[:, [j]])
         for j in np.flatnonzero(signals.informative())
-        if joints is None or j in joints
     }
+
+
+def fits_to(model, signals):
+    """Fit informative joints' torques by the equations of a model."""
+    return fits_of(ChannelEquations(model, signals), signals)
 
 
 def total(fits):
@@ -134,6 +142,16 @@ class ChannelSignals:
             for name in ("states", "sign", "tau", "weight", "block")
         }
         return replace(self, **rows)
+
+
+def long_parts(n, groups):
+    """Rows of the recordings that are long enough, and where each is among them."""
+    parts = contiguous_groups(groups, n)
+    parts = [part for part in parts if part.stop - part.start >= MIN_SAMPLES]
+    rows = [np.arange(part.start, part.stop) for part in parts]
+    stops = np.cumsum([0, *map(len, rows)]).tolist()
+    found = [slice(a, b) for a, b in pairwise(stops)]
+    return np.concatenate([np.zeros(0, dtype=int), *rows]), found
 
 
 def channel_signals(q, tau, dt, parts, usable):
@@ -292,10 +310,8 @@ class ChannelEquations:
     def _moments(self, j, torque, w):
         """Columns of friction (n, 2), and the regression of `fit`."""
         free = self._columns(j)
-        rigid = self._rigid(j) * self._spread[self._support[j]]
-        # The torque may have any unit: the prior is scaled to its size. What inertias
-        # drawn from it cause is the root of the sum of the columns' squares.
-        expected = np.sqrt((w @ rigid**2).sum() / w.sum())
+        # The torque may have any unit: the prior is scaled to its size.
+        rigid, expected = self._drawn(j, w)
         y = torque[:, torque.shape[1] // 2]
         rigid *= _rms(y, w) / max(expected, np.finfo(float).tiny)
         moments = _Moments(free, rigid, torque, w, self._signals.block)
@@ -334,10 +350,11 @@ class ChannelEquations:
             self._at_rest = self._torques(self.features.entries(still))
         return self._at_rest
 
-    def _expected(self, j, w):
-        """Root mean square of the torque by inertias drawn from the prior."""
+    def _drawn(self, j, w):
+        """Columns in units of the prior, and the torque that it expects of them."""
+        # What inertias drawn from it cause is the root of the sum of their squares.
         rigid = self._rigid(j) * self._spread[self._support[j]]
-        return np.sqrt((w @ rigid**2).sum() / w.sum())
+        return rigid, np.sqrt((w @ rigid**2).sum() / w.sum())
 
     def _columns(self, j):
         """Columns of friction, and of other torques beside the links (n, 2 + 6)."""
@@ -357,7 +374,7 @@ class ChannelEquations:
         w = self.weight(j)
         y = self._signals.now[:, [j]]
         nominal = self._nominal[:, j]
-        if _rms(nominal, w) <= _LEAST_NOMINAL * self._expected(j, w):
+        if _rms(nominal, w) <= _LEAST_NOMINAL * self._drawn(j, w)[1]:
             return 0.0, 0.0, 0.0
         friction = self._columns(j)[:, :2]
         q = self._signals.states[:, j]

@@ -17,7 +17,9 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import EffectDiscovery, load_identified
-from sklearn_vbjfa._cli import _close_loop, _stopping, main
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli._close_loop import left_out_lines, write_parameters
+from sklearn_vbjfa._cli._run import STOPS
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
 from sklearn_vbjfa.robot._exports import LeftOut
@@ -245,10 +247,10 @@ def test_a_description_says_how_much_it_goes_without(sizes, expected):
         )
         for k, size in enumerate(sizes)
     ]
-    (line,) = _close_loop._left_out_lines({"robot.urdf": (), "robot.xml": left})
+    (line,) = left_out_lines({"robot.urdf": (), "robot.xml": left})
     assert line.startswith(f"robot.xml has no place for {expected}")
     more = {"robot.urdf": [*left, left[0]], "robot.xml": left}
-    assert [x[:10] for x in _close_loop._left_out_lines(more)] == [
+    assert [x[:10] for x in left_out_lines(more)] == [
         "robot.urdf",
         "robot.xml ",
     ]
@@ -277,7 +279,7 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
     path = tmp_path / "parameters.csv"
     mass = value("a,b:m", 1.0, "kg", "from the description", 2.0, 0.4, 0.75)
     values = mass, value("a:viscous", 0.1 + 0.2, "N m s/rad", "yes")
-    _close_loop._write_parameters(robot, values, path)
+    write_parameters(robot, values, path)
     assert path.read_text().splitlines() == [
         "parameter,value,unit,std,identifiable,known,description,description_std,"
         "learned",
@@ -557,7 +559,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 signal.signal(signal.SIGHUP, signal.SIG_DFL)
 
 from sklearn_vbjfa import EffectDiscovery, load_identified
-from sklearn_vbjfa._cli import _close_loop, main
+from sklearn_vbjfa._cli import main
 
 when, argv = sys.argv[1], sys.argv[2:]
 fit, replace = EffectDiscovery.fit, os.replace
@@ -636,9 +638,9 @@ def test_a_run_that_is_killed_leaves_no_half_a_file(good, urdf):
 
 
 def test_signals_are_left_to_a_program_that_calls_main(capsys):
-    before = [signal.getsignal(number) for number in _stopping._STOPS]
+    before = [signal.getsignal(number) for number in STOPS]
     assert main(["effects"]) == 0
-    assert [signal.getsignal(number) for number in _stopping._STOPS] == before
+    assert [signal.getsignal(number) for number in STOPS] == before
     codes = []
     thread = threading.Thread(target=lambda: codes.append(main(["effects"])))
     thread.start()

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._cli import _joined, main
+from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.design import design_motion
 from tests.command_line.test_close_loop import LINK, URDF
@@ -458,10 +458,15 @@ def test_places_where_nothing_can_be_written(here, capsys):
     assert Path("b.html").read_text() == "mine"
 
 
-def test_lists_may_begin_with_a_minus():
-    assert _joined(["--start", "-1,2", "--dt", "1"]) == ["--start=-1,2", "--dt", "1"]
-    assert _joined(["--start", "-.5,2"]) == ["--start=-.5,2"]
-    assert _joined(["--start", "--dt"]) == ["--start", "--dt"]
+@pytest.mark.parametrize("start", ["-1,2", "-.5,2"])
+def test_lists_may_begin_with_a_minus(start, here, capsys):
+    urdf = ("--urdf", "arm.urdf")
+    line = refusal(capsys, *urdf, "--start", start, "--dt", "-1")
+    assert "--dt must be a positive number" in line
+    assert f"--start {start}" in line or f"--start={start}" in line
+    with pytest.raises(SystemExit):
+        main(["design", *urdf, "--start", "--dt", "1"])
+    assert "--start: expected one argument" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("folder", [".", "new/folder"])

@@ -16,7 +16,9 @@ from sklearn.linear_model import RidgeCV
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa._cli import _close_loop, _exit_codes, _identify, main
+from sklearn_vbjfa._cli import EPILOG, exit_line, main
+from sklearn_vbjfa._cli._close_loop import close, report_doubts
+from sklearn_vbjfa._cli._identify import method_doubts
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.robot import _comparison
 from tests._quick import checkered
@@ -225,9 +227,7 @@ def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
 def test_verdicts_on_a_joint(status, text, report):
     first, *rest = report.joints
     changed = (replace(first, status=status, text=text), *rest)
-    doubts = _exit_codes.of_report(
-        SimpleNamespace(outcome=report.outcome, joints=changed)
-    )
+    doubts = report_doubts(SimpleNamespace(outcome=report.outcome, joints=changed))
     assert doubts == ([f"{first.label}: {text}"] if text else [])
 
 
@@ -235,10 +235,10 @@ def test_verdicts_on_a_joint(status, text, report):
 def report():
     """Report of a recording without fault."""
     arm = load_demo_recording()
-    loop = _close_loop.close(
+    loop = close(
         arm, arm.urdf, friction=("viscous", "coulomb"), effects=(), ceiling=False
     )
-    assert _exit_codes.of_report(loop.report_) == []
+    assert report_doubts(loop.report_) == []
     return loop.report_
 
 
@@ -264,8 +264,8 @@ def test_bodies_that_cannot_be(monkeypatch):
         n_inconsistent=0,
     )
     names = ("shoulder", "elbow")
-    assert _identify._doubts([fine, replace(fine, n_inconsistent=2)], names) == []
-    (doubt,) = _identify._doubts([replace(fine, n_inconsistent=2)], names)
+    assert method_doubts([fine, replace(fine, n_inconsistent=2)], names) == []
+    (doubt,) = method_doubts([replace(fine, n_inconsistent=2)], names)
     assert doubt == "2 bodies are not physically consistent"
 
 
@@ -354,9 +354,9 @@ def test_what_was_written_but_not_said_is_a_doubt(here, capsys, monkeypatch):
 
 
 def test_the_line_names_three_doubts():
-    assert _exit_codes.line(["a."]) == "exit code 3: a"
-    assert _exit_codes.line(["a\n b.", "c"]) == "exit code 3: a b; c"
-    assert _exit_codes.line([*"abcde"]) == "exit code 3: a; b; c; and 2 more"
+    assert exit_line(["a."]) == "exit code 3: a"
+    assert exit_line(["a\n b.", "c"]) == "exit code 3: a b; c"
+    assert exit_line([*"abcde"]) == "exit code 3: a; b; c; and 2 more"
 
 
 @pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects", "datasets"])
@@ -364,7 +364,7 @@ def test_help_tells_them(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])
     assert stop.value.code == 0
-    assert _exit_codes.EPILOG in " ".join(capsys.readouterr().out.split())
+    assert EPILOG in " ".join(capsys.readouterr().out.split())
 
 
 def test_the_guide_tells_them():

@@ -11,9 +11,16 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
-from sklearn_vbjfa import _cli
-from sklearn_vbjfa._cli import _input, main, one_line
+from sklearn_vbjfa._cli import main, one_line, program
+from sklearn_vbjfa._cli._close_loop import write_parameters
+from sklearn_vbjfa._cli._input import (
+    check_folder,
+    check_overwriting,
+    no_formula,
+    sources,
+)
 from tests._quick import checkered
+from tests.hostile._case import URDF
 
 pytest.importorskip("pinocchio")
 
@@ -27,14 +34,37 @@ def out(tmp_path):
     return folder
 
 
+class Refusal(ValueError):
+    """What a reader says of a file, with options that would do."""
+
+    def __init__(self, reason, options=None):
+        super().__init__(reason)
+        self.options = options
+
+
+@pytest.fixture
+def refused(monkeypatch, tmp_path):
+    """Let the reader of recordings end with an exception."""
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(URDF)
+
+    def let(error):
+        def fail(*arguments, **given):
+            raise error
+
+        monkeypatch.setattr("sklearn_vbjfa.datasets.read_recording", fail)
+
+    return let
+
+
 # -- what is overwritten ---------------------------------------------------------------
 
 
 def test_a_folder_of_ones_own_is_written_to_again(out):
     for name in (*OURS, ".DS_Store"):
         (out / name).write_text("")
-    _input.check_overwriting(out, OURS, [])
-    _input.check_overwriting(out / "new", OURS, [])
+    check_overwriting(out, OURS, [])
+    check_overwriting(out / "new", OURS, [])
 
 
 @pytest.mark.parametrize("names", [["notes.txt"], [*OURS, "notes.txt"]])
@@ -42,7 +72,7 @@ def test_files_of_others_are_refused_by_name(out, names):
     for name in names:
         (out / name).write_text("")
     with pytest.raises(ValueError, match=r"out holds notes\.txt, which no run") as told:
-        _input.check_overwriting(out, OURS, [])
+        check_overwriting(out, OURS, [])
     assert "--force" in str(told.value)
     assert told.value.options == {"out": str(out / "report")}
 
@@ -51,15 +81,15 @@ def test_many_files_of_others_are_counted(out):
     for k in range(9):
         (out / f"{k}.txt").write_text("")
     with pytest.raises(ValueError, match=r"holds 0\.txt, 1\.txt, 2\.txt and 6 more,"):
-        _input.check_overwriting(out, OURS, [])
+        check_overwriting(out, OURS, [])
 
 
 def test_pictures_are_ours_where_our_table_is(out):
     (out / "motion.png").write_text("")
     with pytest.raises(ValueError, match=r"motion\.png"):
-        _input.check_overwriting(out, ("simulation.csv",), [], (".png",))
+        check_overwriting(out, ("simulation.csv",), [], (".png",))
     (out / "simulation.csv").write_text("")
-    _input.check_overwriting(out, ("simulation.csv",), [], (".png",))
+    check_overwriting(out, ("simulation.csv",), [], (".png",))
 
 
 @pytest.mark.parametrize("command", ["close-loop", "simulate"])
@@ -88,7 +118,7 @@ def test_an_output_folder_that_is_a_file_names_one_that_works(tmp_path):
         with pytest.raises(
             ValueError, match=r"log\.csv is a file, where --out"
         ) as told:
-            _input.check_folder(tmp_path / "log.csv" / "deeper")
+            check_folder(tmp_path / "log.csv" / "deeper")
         assert told.value.options == {"out": str(tmp_path / name)}
         (tmp_path / name).mkdir()
 
@@ -109,22 +139,31 @@ def test_the_command_that_would_work_replaces_the_option(
     )
 
 
-def test_options_in_a_command():
-    argv = ["inspect", "a b.csv", "--preset=ur", "--gain", "8"]
-    options = {"preset": None, "gains": (8.0, 8.0), "joint_names": ("a", "b")}
-    assert _cli._command(argv, options | {"columns": "q=q {i}"}) == (
-        "python -m sklearn_vbjfa inspect 'a b.csv' --gain 8,8 --joints a,b --columns "
-        "'q=q {i}'"
-    )
-    assert _cli._command(argv, {}) == ""
+@pytest.mark.parametrize(
+    ("options", "command"),
+    [
+        (
+            {"preset": None, "gains": (8.0, 8.0), "joint_names": ("a", "b")}
+            | {"columns": "q=q {i}"},
+            "; this would work: python -m sklearn_vbjfa inspect 'a b.csv' "
+            "--urdf arm.urdf "
+            "--gain 8,8 --joints a,b --columns 'q=q {i}'",
+        ),
+        ({}, ""),
+    ],
+)
+def test_options_in_a_command(options, command, refused, capsys):
+    refused(Refusal("no", options))
+    argv = ["inspect", "a b.csv", "--urdf", "arm.urdf", "--preset=ur", "--gain", "8"]
+    assert main(argv) == 2
+    assert capsys.readouterr().err == f"sklearn-vbjfa: no{command}\n"
 
 
 def test_the_home_folder_is_known(monkeypatch, tmp_path):
     monkeypatch.setenv("HOME", str(tmp_path))
     monkeypatch.setenv("USERPROFILE", str(tmp_path))
-    assert _input.path("~/log.csv") == tmp_path / "log.csv"
-    assert _input.path("a~b") == Path("a~b")
-    assert _input.path("~no_such_user_here/x") == Path("~no_such_user_here/x")
+    there = sources(["~/log.csv", "a~b", "~no_such_user_here/x"])
+    assert there == (tmp_path / "log.csv", Path("a~b"), Path("~no_such_user_here/x"))
 
 
 # -- the end of a process --------------------------------------------------------------
@@ -136,7 +175,7 @@ def test_what_has_done_its_work_ends_in_peace(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["sklearn-vbjfa", "--version"])
     try:
         with pytest.raises(SystemExit):
-            _cli.program()
+            program()
         for number in stops:
             assert signal.getsignal(number) is signal.SIG_IGN
     finally:
@@ -184,15 +223,13 @@ def test_a_full_disk(argv, stream, code, said):
     ],
 )
 def test_no_cell_is_a_formula(cell, expected):
-    assert _input.no_formula(cell) == expected
+    assert no_formula(cell) == expected
 
 
 def test_a_joint_that_is_called_like_a_formula_is_none_in_the_table(tmp_path):
     from types import SimpleNamespace
 
     import numpy as np
-
-    from sklearn_vbjfa._cli import _close_loop
 
     told = {"nominal": np.nan, "before": np.nan, "learned": np.nan, "known": "yes"}
     values = (
@@ -205,7 +242,7 @@ def test_a_joint_that_is_called_like_a_formula_is_none_in_the_table(tmp_path):
         gains_=None,
     )
     path = tmp_path / "parameters.csv"
-    _close_loop._write_parameters(robot, values, path)
+    write_parameters(robot, values, path)
     rows = list(csv.reader(io.StringIO(path.read_text(encoding="utf-8"))))
     assert [row[0] for row in rows[1:]] == ["'=cmd:m", "'=cmd:viscous"]
     assert [float(row[1]) for row in rows[1:]] == [-1.0, 2.0]
@@ -220,12 +257,15 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_a_refusal_is_wrapped_on_a_terminal_and_one_line_elsewhere(monkeypatch):
+def test_a_refusal_is_wrapped_on_a_terminal_and_one_line_elsewhere(
+    monkeypatch, refused
+):
     message = "a word and " * 40
+    refused(ValueError(message.strip()))
     monkeypatch.setenv("COLUMNS", "70")
     for stream, several in ((Terminal(), True), (io.StringIO(), False)):
         monkeypatch.setattr(sys, "stderr", stream)
-        _cli._say(message.strip())
+        assert main(["inspect", "a.csv", "--urdf", "arm.urdf"]) == 2
         lines = stream.getvalue().splitlines()
         assert (len(lines) > 1) == several
         assert all(len(line) <= 70 for line in lines) == several
@@ -344,14 +384,14 @@ def test_a_reader_that_leaves_before_the_help_is_no_error():
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")
 def test_a_library_that_turns_a_stop_into_an_error_of_its_own(monkeypatch, capsys):
-    def run(arguments):
+    def run(names):
         try:
             signal.raise_signal(signal.SIGTERM)
         except BaseException:
             # As compiled modules do while they are imported.
             raise ImportError("a library is missing") from None
 
-    monkeypatch.setattr(_cli, "_effects", run)
+    monkeypatch.setattr("sklearn_vbjfa.effects.resolve", run)
     assert main(["effects"]) == 128 + signal.SIGTERM
     told = "sklearn-vbjfa: stopped (SIGTERM), nothing was written\n"
     assert capsys.readouterr().err == told

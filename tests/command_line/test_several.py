@@ -10,7 +10,8 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa._cli import _input, main
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli._input import default_folder, sources
 from sklearn_vbjfa.datasets import make_robot_recording
 from tests.command_line.test_close_loop import FILES, URDF, write_csv
 
@@ -162,17 +163,17 @@ def test_help_tells_that_there_may_be_several(command, capsys):
     ],
 )
 def test_default_folders(paths, folder, here):
-    found = _input.default_folder(_input.sources(paths))
+    found = default_folder(sources(paths))
     assert str(found) == folder
 
 
 def test_the_working_folder_has_a_name(here, monkeypatch):
     monkeypatch.chdir("runs")
-    found = _input.default_folder(_input.sources(["a.csv", "b.csv"]))
+    found = default_folder(sources(["a.csv", "b.csv"]))
     assert str(found) == "runs-report"
     monkeypatch.chdir(os.sep)
     # The root has none.
-    assert str(_input.default_folder(_input.sources(["a.csv", "b"]))) == "a-report"
+    assert str(default_folder(sources(["a.csv", "b"]))) == "a-report"
 
 
 @pytest.mark.parametrize("position", range(3))

@@ -3,12 +3,13 @@
 import csv
 import re
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier, load_identified
-from sklearn_vbjfa._cli import _simulate, main
+from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.simulation import SimulationError
@@ -416,7 +417,7 @@ def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):
     def full(self, content):
         raise OSError("No space left on device")
 
-    monkeypatch.setattr(_simulate.Path, "write_bytes", full)
+    monkeypatch.setattr(Path, "write_bytes", full)
     assert main(["simulate", str(good), "--model", str(saved)]) == 2
     captured = capsys.readouterr()
     # The numbers are not lost with the files.

@@ -23,7 +23,7 @@ from sklearn_vbjfa.design import (
     page,
     summary,
 )
-from sklearn_vbjfa.diagnosis.report._charts import line_figure
+from sklearn_vbjfa.diagnosis.report import line_figure
 from sklearn_vbjfa.effects import available
 from tests.diagnosis.report.test_page import figures, numbers
 from tests.diagnosis.report.test_report import parsed

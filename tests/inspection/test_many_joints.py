@@ -11,11 +11,12 @@ pytest.importorskip("pinocchio")
 
 import pinocchio as pin
 
-from sklearn_vbjfa.inspection import _geometry, inspect_channels
-from sklearn_vbjfa.inspection._rivals import (
+from sklearn_vbjfa.inspection import (
     ChannelEquations,
+    _geometry,
     channel_signals,
     fits_of,
+    inspect_channels,
 )
 from tests._quick import checkered
 from tests.model._robots import random_tree
@@ -95,7 +96,7 @@ def test_fits_that_are_kept_are_those_made_anew(three_arms):
     ways += [{"kind": "flipped_joint", "sign": sign}]
     ways += [{"kind": "position_zero", "offset": offset}]
     for way in [*ways, *ways[::-1]]:
-        correction = _geometry._correction((), **way)
+        correction = _geometry.Correction(joints=(), **way)
         right = correction.put_right(signals)
         anew = fits_of(ChannelEquations(model, right), right)
         kept = trial._errors(correction)
@@ -114,7 +115,7 @@ def test_fits_that_are_kept_are_those_made_anew(three_arms):
     count = len(known)
     other = offset.copy()
     other[5] = -0.7
-    trial._errors(_geometry._correction((), kind="position_zero", offset=other))
+    trial._errors(_geometry.Correction(joints=(), kind="position_zero", offset=other))
     assert len(known) == count + len(AXES)
 
 

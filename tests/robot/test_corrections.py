@@ -9,7 +9,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa._cli._close_loop import _write_parameters  # noqa: E402
+from sklearn_vbjfa._cli._close_loop import write_parameters  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.diagnosis.explain import parameter_values  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
@@ -239,7 +239,7 @@ def test_a_slider_is_off_by_millimetres(tmp_path):
 
 def test_the_table_of_parameters_has_the_values(robot, tmp_path):
     path = tmp_path / "parameters.csv"
-    _write_parameters(robot, parameter_values(robot), path)
+    write_parameters(robot, parameter_values(robot), path)
     with path.open(newline="", encoding="utf-8") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     tilt, zero, axis, gain = robot.effects_

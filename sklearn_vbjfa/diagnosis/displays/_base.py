@@ -8,9 +8,6 @@ from sklearn.utils.validation import check_is_fitted
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
-# Most rows of one panel; a longer one continues in further axes.
-_MOST_ROWS = 36
-
 
 class Display:
     """A new figure, or the user's axes, and the legend of what is drawn in them."""
@@ -74,69 +71,6 @@ def fitted_robot(estimator):
     if isinstance(estimator, EffectDiscovery):
         return estimator.identifier_
     return estimator if isinstance(estimator, RobotIdentifier) else None
-
-
-def input_names(regressor):
-    """Names of a regressor's inputs, x0, x1, ... where it got none."""
-    names = getattr(regressor, "feature_names_in_", None)
-    if names is None:
-        names = [f"x{j}" for j in range(regressor.n_features_in_)]
-    return tuple(str(name) for name in names)
-
-
-def check_units(units, count, what):
-    """Return a tuple of unit strings, one for each of `count` entries."""
-    found = (units,) if isinstance(units, str) else tuple(units)
-    if len(found) != count or not all(isinstance(unit, str) for unit in found):
-        raise ValueError(
-            f"units must hold {count} strings, one for {what}; got {units!r}."
-        )
-    return found
-
-
-def refuse_units(units, estimator, what):
-    """Refuse units for what a robot knows itself."""
-    if units is not None:
-        raise ValueError(
-            f"units must be None for {type(estimator).__name__}, whose {what}; got "
-            f"{units!r}."
-        )
-
-
-def label_rows(ax, names, *, muted=None):
-    """Write one name a row on the vertical axis, the first on top; muted ones grey."""
-    ax.set_yticks(np.arange(len(names)), names, fontsize="small")
-    ax.set_ylim(len(names) - 0.4, -0.6)
-    ax.grid(axis="y", color="0.92", lw=0.8)
-    ax.set_axisbelow(True)
-    ax.tick_params(axis="y", length=0)
-    if muted is not None:
-        for label, grey in zip(ax.get_yticklabels(), muted):
-            label.set_color("0.55" if grey else "black")
-
-
-def name_width(names):
-    """Width that the longest of some row names takes [inch]."""
-    return 0.075 * max(map(len, names))
-
-
-def split_rows(rows):
-    """Split rows into as few equally long pieces as a new figure needs."""
-    rows = np.asarray(rows)
-    return np.array_split(rows, max(1, -(-rows.size // _MOST_ROWS)))
-
-
-def share_limits(axes, panels):
-    """Give axes whose entries in `panels` are equal the same horizontal limits."""
-    together = {}
-    for ax, panel in zip(axes, panels):
-        together.setdefault(panel, []).append(ax)
-    for group in together.values():
-        # An axis of its own keeps the limits that grow with what is drawn next.
-        if len(group) > 1:
-            limits = np.array([ax.get_xlim() for ax in group])
-            for ax in group:
-                ax.set_xlim(limits.min(), limits.max())
 
 
 def _import_pyplot(display):

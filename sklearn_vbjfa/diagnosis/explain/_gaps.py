@@ -19,6 +19,7 @@ from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
 from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.inspection import one_speed
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._equations import make_motion
 
@@ -301,11 +302,6 @@ def named_beside(effect, chosen, names):
 
 # -- what joints do in no recording ----------------------------------------------------
 
-# A joint has one speed if this share of its moving time, about the middle, lies in a
-# range of this share of the speed: speeds that are even in it deviate by a tenth of
-# their mean, and Coulomb friction, which is the line through them at no speed at all,
-# is ten times less certain than the friction at that speed.
-_MIDDLE, _ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # Rows that show which way a link hangs.
 _POSES = 400
 
@@ -378,8 +374,7 @@ def _one_speed(view, joint, rows):
     speed = np.abs(_velocity(view, joint, rows))
     if not speed.size:
         return None
-    ends = np.quantile(speed, [0.5 - 0.5 * _MIDDLE, 0.5 + 0.5 * _MIDDLE])
-    return ends if ends[1] - ends[0] < _ONE_SPEED * ends.mean() else None
+    return one_speed(speed)
 
 
 def _one_pose(view, joint, rows):

@@ -1,22 +1,28 @@
-"""Sections of a page that show what was measured: figures, parameters, provenance."""
+"""What findings rest on: pictures, parameters, steps, settings, provenance."""
 
 import html
 import importlib.metadata
 import inspect
+import math
 import re
-from dataclasses import dataclass
 
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import Provenance
+from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._charts import (
+from sklearn_vbjfa.diagnosis.report._findings import anchors
+from sklearn_vbjfa.diagnosis.report._limits import interval_text
+from sklearn_vbjfa.diagnosis.report._mathml import mathml
+from sklearn_vbjfa.diagnosis.report._pictures import (
     About,
     Figure,
     effect_figure,
+    residual_picture,
+    time_axis,
     torque_figure,
 )
-from sklearn_vbjfa.diagnosis.report._mathml import mathml
+from sklearn_vbjfa.diagnosis.report._render import Section, Table, table_of
 from sklearn_vbjfa.effects import available
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
@@ -26,6 +32,13 @@ _KNOWN = {
     "from the description": "as described",
     "no": "no",
 }
+_PARAMETER_HEADS = ("parameter", "identified (90 %)", "robot description (90 %)")
+_PARAMETER_HEADS += ("unit", "measured?", "learned")
+_ACTIONS = {
+    "add": "added",
+    "replace": "replaced",
+    "drop": "dropped: improbable beside the others",
+}
 # Share of the largest value of a body that rounding leaves of a zero.
 _ROUNDING = 1e-9
 
@@ -33,11 +46,16 @@ _ROUNDING = 1e-9
 # -- figures ----------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Figures:
-    """Figures of a section."""
-
-    figures: tuple
+def effect_pictures(outcome, verdict):
+    """Draw the effects."""
+    return Section(
+        heading="Effects in the torque",
+        note="What the rest of the completed model leaves of the torque, without and "
+        "with the effect, on all rows in which the joint moves; the parameters are "
+        "those of the files. The errors above are of the untouched part instead.",
+        template="figures",
+        drawn=effect_figures(outcome),
+    )
 
 
 def effect_figures(outcome):
@@ -79,19 +97,7 @@ def effect_figures(outcome):
                 anchor=anchor,
             )
         )
-    return Figures(figures=tuple(found)) if found else None
-
-
-def anchors(outcome):
-    """Return where each effect is drawn or explained on a page, a tuple of str."""
-    # Empty for one that is neither.
-    drawn = outcome.curves.get("effects", ())
-    if not drawn:
-        return ("",) * len(outcome.effects)
-    return tuple(
-        "" if curves is None and effect.effect is None else f"effect-{k}"
-        for k, (effect, curves) in enumerate(zip(outcome.effects, drawn), 1)
-    )
+    return {"figures": tuple(found)} if found else None
 
 
 def _signal_label(curves, joint):
@@ -165,6 +171,17 @@ def documentation_of(name):
     return ""
 
 
+def torques(outcome, verdict):
+    """Draw the torques over time."""
+    return Section(
+        heading="Measured and predicted torque",
+        note="Behind the low-pass of the fit. Both models were fitted to what is not "
+        "shaded.",
+        template="figures",
+        drawn=torque_figures(outcome),
+    )
+
+
 def torque_figures(outcome):
     """Draw the torques of each joint over time; None where they are not known."""
     line = outcome.curves.get("line")
@@ -177,38 +194,30 @@ def torque_figures(outcome):
         joint = words.joint_label(outcome.joint_names, one.joint)
         title, label = f"{words.capital(what)} of {joint}", f"{what} [{unit}]"
         found.append(torque_figure(one, line, title=title, y_label=label))
-    return Figures(figures=tuple(found))
+    return {"figures": tuple(found)}
 
 
 # -- parameters -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class ParameterGroup:
-    """Parameters of a joint: its label, what is known of them, and rows of cells."""
-
-    label: str
-    summary: str
-    rows: tuple
-
-
-@dataclass(frozen=True, kw_only=True)
-class Parameters:
-    """Groups of parameters, and the heads of their cells."""
-
-    groups: tuple
-    heads: tuple = (
-        "parameter",
-        "identified (90 %)",
-        "robot description (90 %)",
-        "unit",
-        "measured?",
-        "learned",
+def parameters(outcome, verdict):
+    """Tabulate the parameters beside the robot description."""
+    return Section(
+        heading="Identified parameters",
+        note="Of the model in the files, fitted to all data. Only with others: torques "
+        "depend on it, but not on it alone; the value agrees with them and with the "
+        "robot description, and but for those is one of many. As "
+        "described: the torques say little beyond the description, whose masses and "
+        "inertias are expected to be off by a fifth or so; learned is the share of "
+        "that variance which the torques took away.",
+        template="parameters",
+        drawn=parameter_groups(outcome),
     )
 
 
 def parameter_groups(outcome):
     """Parameters of each joint beside the robot description; None without any."""
+    # groups: of each joint its label, a summary, and rows of cells.
     by_joint = {}
     for one in outcome.parameters:
         joint = _joint_of(one.name, outcome.joint_names)
@@ -220,13 +229,13 @@ def parameter_groups(outcome):
             "robot" if joint is None else words.joint_label(outcome.joint_names, joint)
         )
         groups.append(
-            ParameterGroup(
+            dict(
                 label=words.capital(label),
                 summary=f"{known} of {len(own)} determined by the recording",
                 rows=tuple(_cells(one, own, outcome, joint) for one in own),
             )
         )
-    return Parameters(groups=tuple(groups)) if groups else None
+    return {"groups": tuple(groups), "heads": _PARAMETER_HEADS} if groups else None
 
 
 def _joint_of(name, names):
@@ -259,11 +268,17 @@ def _cells(one, group, outcome, joint):
 # -- provenance -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True)
-class Files:
-    """Names of files beside the page."""
-
-    files: tuple
+def provenance(outcome, verdict):
+    """Say where the report comes from."""
+    rows = provenance_rows(outcome)
+    given = outcome.provenance
+    return Section(
+        heading="Provenance",
+        table=table_of((), rows),
+        terminal=(),
+        template="provenance",
+        drawn={"files": tuple(given.files)} if given else None,
+    )
 
 
 def provenance_rows(outcome):
@@ -290,3 +305,171 @@ def provenance_rows(outcome):
         ("Warnings", tuple(given.warnings)),
     )
     return tuple(row for row in rows if row[1])
+
+
+# -- residuals and steps -----------------------------------------------------------
+
+
+def residuals(outcome, verdict):
+    """Draw what remains over time."""
+    curves = outcome.curves
+    heading = "Torque residuals"
+    if not {"before", "after", "weight"} <= set(curves):
+        return Section(heading=heading)
+    floor = outcome.floor * outcome.spread
+    found = []
+    for v in verdict.joints:
+        picture = residual_picture(curves, v.joint, floor[v.joint])
+        if picture is not None:
+            unit = outcome.torque_units[v.joint]
+            found.append((v.label, words.number(picture.limit, 2), unit, picture))
+    axis = time_axis(curves)
+    time = "Untouched part in the order of its samples"
+    if axis:
+        time = "Untouched part, one stretch after the other, over time in seconds"
+    return Section(
+        heading=heading,
+        note=f"one standard deviation. {time}; gaps where the joint stands still.",
+        template="residuals",
+        drawn={"pictures": tuple(found), "axis": axis} if found else None,
+    )
+
+
+def steps(outcome, verdict):
+    """Tabulate the steps of the search."""
+    rows = []
+    for i, step in enumerate(outcome.rounds, 1):
+        j = step.joint
+        robot = words.place_label(outcome, step.name, j) == "robot"
+        action = _ACTIONS.get(step.action, step.action)
+        if step.replaced:
+            action = f"replaced {words.effect_label(outcome, step.replaced)}"
+        rivals = [
+            words.effect_at(outcome, t.name, t.joint, t.shape)
+            if robot or t.joint != j
+            else words.effect_label(outcome, t.name, t.shape)
+            for t in step.rivals
+        ]
+        rows.append(
+            (
+                str(i),
+                words.place_label(outcome, step.name, j),
+                words.effect_label(outcome, step.name, step.shape),
+                action,
+                words.odds_text(step.log_odds),
+                words.join(rivals, 4),
+            )
+        )
+    heads = ("no.", "joint", "effect", "step", "odds", "rivals")
+    # A terminal has no room for the way to what was found.
+    table = table_of(heads, rows)
+    return Section(heading="Steps of the search", table=table, terminal=())
+
+
+# -- settings ---------------------------------------------------------------------
+
+
+def settings(outcome, verdict):
+    """Say what was asked for, and how it was done."""
+    given = outcome.settings
+    sentences = (_short(outcome), _split(given), _named(given), _errors(given))
+    versions = [f"{name} {v}" for name, v in given.get("versions", {}).items()]
+    effects = given.get("effects", ())
+    if not isinstance(effects, str):
+        effects = ", ".join(map(str, effects)) or "none"
+    seed = given.get("random_state")
+    rows = (
+        ("Declared model", _declared(outcome.declared)),
+        ("Looked for", effects),
+        ("Signals", ", ".join(given.get("signals", ()))),
+        ("Seed", "" if seed is None else str(seed)),
+        ("Versions", ", ".join(versions)),
+    )
+    sentences = tuple(filter(None, sentences))
+    return Section(
+        heading="Settings",
+        sentences=sentences,
+        table=Table(rows=tuple(row for row in rows if row[1])),
+        terminal=sentences,
+    )
+
+
+def _short(outcome):
+    """Say where the recording is too short for a slow residual."""
+    joints = outcome.settings.get("too_short", ())
+    if not joints:
+        return ""
+    where = words.joint_list(outcome.joint_names, [j for j, _ in joints])
+    times = [seconds for _, seconds in joints]
+    stays = "stays correlated throughout"
+    if math.isfinite(max(times)):
+        up_to = "up to " if len(times) > 1 else ""
+        stays = f"stays correlated for {up_to}{words.number(max(times), 2)} s"
+    return (
+        f"Too short for the residual of {where}, which {stays}: slow effects cannot be "
+        "told from it."
+    )
+
+
+def _split(settings):
+    """Say what was untouched and how the rest was divided."""
+    if "test_size" not in settings:
+        return ""
+    text = f"Untouched: {words.whole_percent(settings['test_size'])} of the motion"
+    if "untouched_stretches" in settings:
+        count = settings["untouched_stretches"]
+        text += f" ({count} {'stretch' if count == 1 else 'stretches'}"
+        text += f", {words.number(settings['untouched_seconds'])} s)"
+        if settings.get("undecided_stretches"):
+            text += ", without what a change of payload falls into"
+    if "n_blocks" in settings:
+        seconds = words.number(settings.get("block_seconds", math.nan))
+        text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
+        text += f"{settings.get('n_folds', '?')} folds"
+    if "correlation_seconds" in settings:
+        seconds = settings["correlation_seconds"]
+        known = math.isfinite(seconds)
+        length = f"for {words.number(seconds, 2)} s" if known else "throughout"
+        text += f"; residual correlated {length}"
+    return f"{text}."
+
+
+def _named(settings):
+    """Say what it takes to be named."""
+    if "search" not in settings:
+        return ""
+    own = settings["search"]
+    sure = words.whole_percent(1.0 - settings["alpha"])
+    worth = words.whole_percent(own["worth"])
+    candidates = words.plural(settings["n_candidates"], "candidate")
+    return (
+        f"Named: probability of {sure} or more among {candidates}, of which "
+        f"{words.number(own['expected'])} is expected before looking; saves >= {worth} "
+        "of squared error on stretches that were not fitted, beyond chance; "
+        f"unexplained: > {ABOVE_FLOOR[0]} x floor."
+    )
+
+
+def _errors(settings):
+    """Say what the intervals are of, and what the model was fitted to in the end."""
+    if "error_seconds" not in settings:
+        return ""
+    return (
+        f"+-: 90 % interval of a parameter; [ ]: {interval_text(settings)}. Files and "
+        "parameters: fitted to all data after the errors were taken, in the same band."
+    )
+
+
+def _declared(declared):
+    """Say what the model had before the search."""
+    parts = [str(declared["robot"])] if declared.get("robot") else []
+    if "friction" in declared:
+        names = ", ".join(map(str, declared["friction"])) or "none"
+        parts.append(f"friction: {names}")
+    if "n_parameters" in declared:
+        parts.append(f"{declared['n_parameters']} parameters")
+    if "cutoff" in declared:
+        cutoff = words.number(declared["cutoff"])
+        known = math.isfinite(declared["cutoff"])
+        parts.append(f"low-pass {cutoff} Hz" if known else "no low-pass")
+    return "; ".join(parts)

@@ -1,25 +1,36 @@
-"""What the figures of a report hold for: their band, and what cannot be known."""
+"""What the figures of a report hold for: their band, and what cannot be known.
+
+Functions with "sentences" in their names return none where there is nothing to say.
+"""
 
 from dataclasses import replace
 
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._render import Section, Table
 from sklearn_vbjfa.effects import Payload
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._gains import HALF_WIDTH, PAYLOAD
 
 # Share of a value that rounding leaves of it.
 _ZERO = 1e-9
 # Masses of which one is less than this share of the other do not agree.
 _OTHER_MASS = 0.5
+_PAYLOAD = (
+    "; a known payload that is picked up or put down in the recording, or between two "
+    "of them, can (--known-mass payload=KG)"
+)
+_NOT_SHOWN = (
+    "This recording does not show the gains of the torque channels relative to one "
+    "another: no two of them feel enough of the same bodies."
+)
 
 # -- the band ---------------------------------------------------------------------
 
 
-def band_sentences(outcome, errors):
+def band_sentences(outcome, verdict):
     """Say what the band of the errors is, why, what lies in it, and what above it."""
-    # errors: mean errors of the verdict.
-    band = outcome.band
+    band, errors = outcome.band, verdict.errors
     if band is None:
         return ()
     return tuple(
@@ -108,10 +119,18 @@ def _above(outcome, errors):
     )
 
 
+def interval_text(settings):
+    """Say what the interval of an error holds."""
+    if "error_seconds" not in settings:
+        return "90 %"
+    seconds = words.number(settings["error_seconds"], 2)
+    return f"90 % of errors over the next {seconds} s of such motion"
+
+
 # -- the projection ---------------------------------------------------------------
 
 
-def projection_sentences(outcome):
+def projection_sentences(outcome, verdict):
     """Say what physically consistent parameters cost, and where that comes from."""
     price = outcome.projection
     if price is None or not price.costs.any():
@@ -156,7 +175,7 @@ def _pushed(one, names):
 # -- masses -----------------------------------------------------------------------
 
 
-def mass_sentences(outcome):
+def mass_sentences(outcome, verdict):
     """Say which masses are not measured, and which are not those of the description."""
     bodies, gains = outcome.bodies, outcome.gains
     if gains is not None and not gains.absolute:
@@ -255,7 +274,16 @@ def _other(bodies):
 # -- recordings -------------------------------------------------------------------
 
 
-def next_sentences(outcome):
+def recording_sentences(outcome, verdict):
+    """Say first what is wrong with recordings, then what their motion leaves open."""
+    return (
+        *contradiction_sentences(outcome),
+        *repeated_sentences(outcome),
+        *motion_sentences(outcome),
+    )
+
+
+def next_sentences(outcome, verdict):
     """Say which error to expect on the next recording, and what that rests on."""
     one = outcome.next_recording
     if one is None or not np.isfinite(one.mean):
@@ -448,3 +476,183 @@ def _where_another(outcome, cause):
     names = words.join([outcome.recordings[k] for k in others], 6, word="or")
     opposite = "the opposite in " if np.isfinite(cause.value) else ""
     return f"{where} (or {opposite}{names})"
+
+
+# -- channels ---------------------------------------------------------------------
+
+
+def doubts(outcome):
+    """Messages on channels that are wrong, so that no result can be trusted."""
+    return [c.message for c in outcome.channels if c.severity == "doubt"]
+
+
+def channels(outcome, verdict):
+    """Say what is wrong with the channels of the recording."""
+    messages = [" ".join(c.message.split()) for c in outcome.channels]
+    # The headline has the first doubt already.
+    first = " ".join("".join(doubts(outcome)[:1]).split())
+    below = [message for message in messages if message != first]
+    return Section(
+        heading="Channels",
+        sentences=tuple(messages),
+        terminal=tuple(f"Channel: {message}" for message in below),
+    )
+
+
+def channel_gains(outcome, verdict):
+    """Tabulate the gains of the torque channels, where they were identified."""
+    found, heading = gain_sentences(outcome), "Gains of the torque channels"
+    if not found:
+        return Section(heading=heading)
+    table = Table(heads=("joint", "gain (90 %)", ""), rows=gain_rows(outcome))
+    return Section(
+        heading=heading,
+        sentences=found,
+        table=table,
+        terminal=(" ".join(found), table),
+    )
+
+
+def gain_sentences(outcome):
+    """Say what the gains are relative to, which are hidden, and what fixes the rest."""
+    gains = outcome.gains
+    if gains is None:
+        return ()
+    if not gains.references:
+        return gain_doubts(outcome)
+    return (_unit_of_gains(outcome, gains), *gain_doubts(outcome))
+
+
+def gain_doubts(outcome):
+    """Say which gains are unknown or hardly credible, and which masses do not help."""
+    gains = outcome.gains
+    if gains is None:
+        return ()
+    told = [] if gains.references else [_NOT_SHOWN]
+    told += [_hidden_gains(outcome, gains), _far(outcome, gains)]
+    told += [_unused(gains, known) for known in gains.common.masses]
+    told.append(_disagreement(gains.common))
+    return tuple(filter(None, told))
+
+
+def gain_rows(outcome):
+    """Cells of each joint: its name, the gain with its interval, and its unit."""
+    gains, names = outcome.gains, outcome.joint_names
+    rows = []
+    for j, gain in enumerate(gains.gain):
+        value = words.with_error(gain, tuple(gains.intervals[:, j]))
+        relative = words.joint_label(names, gains.reference[j])
+        if j in gains.hidden:
+            cells = ("not shown", "")
+        elif gains.absolute:
+            cells = (value, f"per {outcome.torque_units[j]}")
+        elif j in gains.references:
+            cells = ("1", "the unit")
+        else:
+            cells = (value, f"relative to {relative}")
+        rows.append((words.joint_label(names, j), *cells))
+    return tuple(rows)
+
+
+def _unit_of_gains(outcome, gains):
+    """Say in which unit everything is, and on what that rests."""
+    channel = words.joint_list(outcome.joint_names, gains.references)
+    common = gains.common
+    if gains.absolute:
+        masses = [
+            f"{_called(known)} of {words.number(known.mass)} kg"
+            for known in common.masses
+            if known.used
+        ]
+        share = words.percent(HALF_WIDTH * common.std / common.factor)
+        return (
+            f"The common gain rests on {words.join(masses, 4)} (to {share}, 90 %): "
+            "masses are in kg, and torques and friction in N m or N. A channel reads "
+            "its gain times the torque."
+        )
+    several = len(gains.references) > 1
+    return (
+        f"Gains are relative to the channel{'s' * several} of {channel}, from which "
+        "those of the other joints that move the same bodies are known best. The gain "
+        "that all have in common is in every parameter and in no recording without a "
+        "known mass: torques, masses and friction are in units of "
+        f"{'these channels' if several else 'that channel'}."
+    )
+
+
+def _called(known):
+    return "the payload" if known.name == PAYLOAD else f"the mass of {known.name}"
+
+
+def _hidden_gains(outcome, gains):
+    """Name the joints whose gain is not shown."""
+    if not gains.hidden or not gains.references:
+        return ""
+    several = len(gains.hidden) > 1
+    joints = words.joint_list(outcome.joint_names, gains.hidden)
+    return (
+        f"The gain{'s' * several} of {joints} "
+        f"{'are' if several else 'is'} not shown relative to the others: too little of "
+        f"what {'they move' if several else 'it moves'} is felt by another joint. "
+        f"{'Each counts' if several else 'It counts'} as 1."
+    )
+
+
+def _far(outcome, gains):
+    """Name the joints whose gain would take another kind of drive."""
+    if not gains.doubtful:
+        return ""
+    joints = words.joint_list(outcome.joint_names, gains.doubtful)
+    return (
+        f"The gain of {joints} is more than five times from the others': where the "
+        "drives are alike, something that the model lacks (rotor inertia, friction) "
+        "has taken its place."
+    )
+
+
+def _unused(gains, known):
+    """Say why a known mass does not fix the common gain."""
+    what = f"{_called(known)} ({words.number(known.mass)} kg)"
+    what = f"{what[0].upper()}{what[1:]}"
+    if known.used:
+        return ""
+    if len(gains.references) > 1:
+        return (
+            f"{what} cannot fix the gain of channels that share no body with it: "
+            "identify the branches of the robot one by one."
+        )
+    if known.name == PAYLOAD and np.isnan(known.found):
+        return (
+            f"{what} cannot fix the common gain: no change of payload was found. "
+            "Record motion against gravity with and without it."
+        )
+    if known.shown:
+        return (
+            f"{what} cannot fix the common gain: the recording shows it too poorly; "
+            "slow motion against gravity in several poses shows it better."
+        )
+    return (
+        f"{what} cannot fix the common gain: torques show it only together with "
+        f"moments and masses of other bodies{'' if gains.absolute else _PAYLOAD}."
+    )
+
+
+def _disagreement(common):
+    """Say that known masses disagree."""
+    if common.agree:
+        return ""
+    each = [
+        f"{_called(known)} asks for {words.number(known.found / known.mass)}"
+        + (
+            f" +- {words.number(HALF_WIDTH * known.std / known.mass, 2)}"
+            if np.isfinite(known.std)
+            else ""
+        )
+        for known in common.masses
+        if np.isfinite(known.found)
+    ]
+    return (
+        "The known masses disagree by more than chance "
+        f"({words.p_text(common.p_value)}): for the gain of the reference channel, "
+        f"{words.join(each, 4)}. One of them is wrong."
+    )

@@ -1,25 +1,27 @@
-"""Sections of a report as text, as Markdown and as pages; nothing is computed here."""
+"""What a section is, and how it becomes text, Markdown and a page.
+
+A section is made by one function of the outcome and the verdict on it; the list of them
+is in ``_report.py``. Text, Markdown and pages show what it returns; a page draws it by
+the template that it names, ``templates/section.html.j2`` if it has no look of its own.
+"""
 
 import importlib.resources
 import re
 import textwrap
+from dataclasses import dataclass
 from functools import lru_cache
 from itertools import zip_longest
 
 from tabulate import tabulate
 
-from sklearn_vbjfa.diagnosis.report import _charts
-from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH
+from sklearn_vbjfa.diagnosis.report import _pictures
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
-# Frames of the pictures.
-_SIZES = {
-    "width": WIDTH,
-    "height": HEIGHT,
-    "chart_width": _charts.WIDTH,
-    "chart_height": _charts.HEIGHT,
-}
+# The frame of the pictures.
+_SIZE = {"width": _pictures.WIDTH, "height": _pictures.HEIGHT}
+# Entries of a list that a terminal shows as sentences; each further one is a row.
+_SENTENCES = 6
 # How the entries of a list begin.
 _MARKS = ("- ", "? ")
 # Spaces at which no line is broken.
@@ -29,7 +31,66 @@ _UNIT = re.compile(
 )
 
 
-def text(sections):
+@dataclass(frozen=True, kw_only=True)
+class Table:
+    """Rows of cells, each a str or a tuple of str (one a line)."""
+
+    heads: tuple = ()  # empty for none
+    rows: tuple
+    # where on its page the effect of each row leads; empty for nowhere
+    links: tuple = ()
+    # whether all columns but the first and the last are aligned as numbers are
+    numbers: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class Section:
+    """A part of the report."""
+
+    heading: str  # which a terminal does not show
+    sentences: tuple = ()  # paragraphs, or the entries of a list
+    table: Table | None = None  # below them
+    note: str = ""  # small print below that
+    # what a terminal shows; by default the sentences and the table
+    terminal: tuple | None = None
+    # which of ``templates/<template>.html.j2`` draws it on a page
+    template: str = "section"
+    drawn: dict | None = None  # what only that template shows, by name
+
+    def __post_init__(self):
+        if self.terminal is None:
+            shown = (*self.sentences, *([self.table] if self.table else []))
+            object.__setattr__(self, "terminal", shown)
+
+
+def table_of(heads, rows, **more):
+    """Make a table; None without rows."""
+    return Table(heads=heads, rows=tuple(rows), **more) if rows else None
+
+
+def listed(sentences, rows=()):
+    """Show the first entries as sentences, each further one as a row of a table."""
+    further = tuple(rows[_SENTENCES:])
+    return (*sentences[:_SENTENCES], *([Table(rows=further)] if further else ()))
+
+
+def paragraph(heading, sentences_of):
+    """Return a section that is read as one paragraph, except where lists are."""
+    # sentences_of: a function of the outcome and the verdict.
+
+    def section(outcome, verdict):
+        sentences = tuple(sentences_of(outcome, verdict))
+        return Section(
+            heading=heading,
+            sentences=sentences,
+            terminal=(" ".join(sentences),) if sentences else (),
+            template="paragraph",
+        )
+
+    return section
+
+
+def plain_text(sections):
     """Write the sections for a terminal, lists and tables between empty lines."""
     out, follows = "", False
     for section in sections:
@@ -94,25 +155,23 @@ def markdown(sections):
 def page(sections, package=None):
     """Write the sections as a whole page."""
     # package: dotted name of one whose folder ``templates`` has further templates.
-    zooms = any(getattr(section.drawn, "figures", ()) for section in sections)
+    zooms = any("figures" in (section.drawn or ()) for section in sections)
     return _template("page.html.j2", package).render(
         sections=sections,
         zooms=zooms,
         library=_vendored() if zooms else {},
-        **_SIZES,
+        **_SIZE,
     )
 
 
 def fragment(sections):
     """Write the sections as what a page holds, with its style, for notebooks."""
-    return _template("fragment.html.j2").render(
-        sections=sections, zooms=False, **_SIZES
-    )
+    return _template("fragment.html.j2").render(sections=sections, zooms=False, **_SIZE)
 
 
 def figure(drawn):
     """Write a `Figure` alone, without what moves it; `style` draws it."""
-    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZES)
+    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZE)
 
 
 def style():

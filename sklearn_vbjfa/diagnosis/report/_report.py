@@ -7,15 +7,54 @@ import numbers
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sklearn_vbjfa.diagnosis.report import _plain, _render
+from sklearn_vbjfa.diagnosis.report import (
+    _evidence,
+    _findings,
+    _limits,
+    _plain,
+    _render,
+    _verdict,
+)
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._sections import sections
-from sklearn_vbjfa.diagnosis.report._verdict import judge
 
 # Changes when keys of `to_dict` do.
 SCHEMA_VERSION = 9
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
+
+# Functions of the outcome and the verdict on it, each of which returns a section.
+SECTIONS = (
+    _verdict.headline,
+    _verdict.joints,
+    _render.paragraph("Plain terms", _verdict.added),
+    _render.paragraph("Band of the errors", _limits.band_sentences),
+    _render.paragraph("The next recording", _limits.next_sentences),
+    _render.paragraph("Limits of the recordings", _limits.recording_sentences),
+    _render.paragraph("Price of physical consistency", _limits.projection_sentences),
+    _findings.effects,
+    _findings.perhaps,
+    _evidence.effect_pictures,
+    _findings.corrections,
+    _findings.outside,
+    _findings.unexplained,
+    _findings.record_next,
+    _findings.hidden,
+    _limits.channel_gains,
+    _render.paragraph("Masses", _limits.mass_sentences),
+    _limits.channels,
+    _evidence.torques,
+    _evidence.residuals,
+    _evidence.parameters,
+    _evidence.steps,
+    _evidence.settings,
+    _evidence.provenance,
+)
+
+
+def sections(outcome, verdict):
+    """Return the sections that have something to show, in order."""
+    found = [make(outcome, verdict) for make in SECTIONS]
+    return tuple(s for s in found if s.sentences or s.table or s.drawn)
 
 
 class Report:
@@ -53,7 +92,7 @@ class Report:
 
     def __init__(self, outcome):
         self.outcome = outcome
-        self._verdict = judge(outcome)
+        self._verdict = _verdict.judge(outcome)
         self.joints = self._verdict.joints
         self.status = self._verdict.status
         self.headline = self._verdict.headline
@@ -69,7 +108,7 @@ class Report:
         )
 
     def __str__(self):
-        return _render.text(self._sections())
+        return _render.plain_text(self._sections())
 
     def _sections(self):
         return sections(self.outcome, self._verdict)

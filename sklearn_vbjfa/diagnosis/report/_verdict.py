@@ -1,13 +1,14 @@
-"""What an outcome amounts to: the verdict, on the robot and on each joint."""
+"""What an outcome amounts to: the verdict, on the robot and on each joint; errors."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
-from sklearn_vbjfa.diagnosis.report import _remains
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._limits import contradiction
+from sklearn_vbjfa.diagnosis.report._findings import remains_of_joint
+from sklearn_vbjfa.diagnosis.report._limits import contradiction, doubts, interval_text
+from sklearn_vbjfa.diagnosis.report._render import Section, Table
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05
@@ -15,6 +16,18 @@ _WORSE = 1.05
 _NAMED = 2
 # The error of predicting the mean of the untouched torque and no more.
 _MEAN_TORQUE = 1.0
+# Bars end at this many times the error of the middle joint, or one would flatten all.
+_FAR = 8.0
+_COLOURS = {
+    "complete": "good",
+    "nothing": "good",
+    "worse": "bad",
+    "failed": "bad",
+    "no data": "bad",
+    "unsearched": "bad",
+    "doubtful": "bad",
+}
+_JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,11 +95,6 @@ def interval(outcome, key, joint):
     return tuple(float(x) for x in np.asarray(values, dtype=float)[:, joint])
 
 
-def doubts(outcome):
-    """Messages on channels that are wrong, so that no result can be trusted."""
-    return [c.message for c in outcome.channels if c.severity == "doubt"]
-
-
 def _judge_joint(outcome, j):
     status, text = _joint_status(outcome, j)
     return JointVerdict(
@@ -95,7 +103,7 @@ def _judge_joint(outcome, j):
         status=status,
         n_effects=sum(_belongs(e, j) for e in outcome.effects),
         text=text,
-        remains=_remains.of_joint(outcome, j, text),
+        remains=remains_of_joint(outcome, j, text),
     )
 
 
@@ -223,73 +231,12 @@ def _errors_sentence(outcome, errors):
 
 def _headline(outcome, joints, status):
     """Say in a sentence what was found and what is still open."""
-
-    def where(kind):
-        found = [v.joint for v in joints if v.status == kind]
-        return words.joint_list(outcome.joint_names, found), len(found) == 1
-
+    if status in ("doubtful", "no data", "unsearched"):
+        return _unjudged(outcome, joints, status)
+    if status in ("failed", "worse", "unsettled", "unknown"):
+        return _unsure(outcome, joints, status)
     found, count = _found(outcome), len(outcome.effects)
-    if status == "doubtful":
-        first, *more = doubts(outcome)
-        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
-        return (
-            f"Mend the recording first. {first}{others} Until then nothing below can "
-            "be trusted."
-        )
-    if status == "no data":
-        return (
-            "No verdict: no joint moves for long enough in the untouched part; record "
-            "more motion of each joint."
-        )
-    if status == "unsearched":
-        return (
-            f"Nothing was searched: the channels of {where('unsearched')[0]} show too "
-            "little to tell what is missing."
-        )
-    if status == "failed":
-        which, one = where("failed")
-        text = (
-            f"{which} {'is' if one else 'are'} predicted worse than by "
-            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
-            "check the recording."
-        )
-        return f"{found} added, but {text}" if count else words.capital(text)
-    if status == "worse":
-        which, one = where("worse")
-        what = found if count else "What is perhaps missing was"
-        if not count and outcome.added:
-            what = f"{words.capital(plain_words(outcome))} were"
-        declared = any(
-            next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
-        )
-        than = "before" if declared else "with the plain terms alone"
-        return (
-            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
-            f"data worse than {than}: do not trust what was added there."
-        )
-    if status == "unsettled":
-        return (
-            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
-            f"{where('above')[0]} reached the noise floor in the search but not on "
-            "untouched data: record more, or look for what changed."
-        )
-    if status == "unknown":
-        first = "No effect of the library was found; whether one is missing"
-        if count:
-            first = f"{found} missing; whether more is"
-        return (
-            f"{first} cannot be said, as the noise floor of {where('unknown')[0]} is "
-            "unknown."
-        )
-    few, one = where("few")
-    silent = ""
-    if few:
-        verb = "moves" if one else "move"
-        silent = f" {words.capital(few)} {verb} too little for a verdict."
-    left_out, one = where("unsearched")
-    if left_out:
-        verb = "was" if one else "were"
-        silent += f" {words.capital(left_out)} {verb} not searched."
+    silent = _silent(outcome, joints)
     near = "near" if any(v.text.startswith("near") for v in joints) else "at"
     if status == "nothing":
         more = ""
@@ -307,7 +254,7 @@ def _headline(outcome, joints, status):
         )
     if status == "complete":
         return f"{found} missing; what remains is {near} the noise floor.{silent}"
-    which, one = where("unexplained")
+    which, one = _where(outcome, joints, "unexplained")
     first = "Something is missing that has no name"
     if count:
         first = f"{found} missing, but that is not all"
@@ -318,6 +265,85 @@ def _headline(outcome, joints, status):
         f"{which} is above the noise floor and no effect of the library explains "
         f"it.{silent}"
     )
+
+
+def _where(outcome, joints, kind):
+    """Name the joints of a status; whether there is one only."""
+    found = [v.joint for v in joints if v.status == kind]
+    return words.joint_list(outcome.joint_names, found), len(found) == 1
+
+
+def _unjudged(outcome, joints, status):
+    """Say why nothing is judged."""
+    if status == "doubtful":
+        first, *more = doubts(outcome)
+        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
+        return (
+            f"Mend the recording first. {first}{others} Until then nothing below can "
+            "be trusted."
+        )
+    if status == "no data":
+        return (
+            "No verdict: no joint moves for long enough in the untouched part; record "
+            "more motion of each joint."
+        )
+    which, _ = _where(outcome, joints, "unsearched")
+    return (
+        f"Nothing was searched: the channels of {which} show too little to tell what "
+        "is missing."
+    )
+
+
+def _unsure(outcome, joints, status):
+    """Say why the completed model is not to be trusted, or may not be complete."""
+    found, count = _found(outcome), len(outcome.effects)
+    if status == "failed":
+        which, one = _where(outcome, joints, "failed")
+        text = (
+            f"{which} {'is' if one else 'are'} predicted worse than by "
+            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
+            "check the recording."
+        )
+        return f"{found} added, but {text}" if count else words.capital(text)
+    if status == "worse":
+        which, one = _where(outcome, joints, "worse")
+        what = found if count else "What is perhaps missing was"
+        if not count and outcome.added:
+            what = f"{words.capital(plain_words(outcome))} were"
+        declared = any(
+            next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
+        )
+        than = "before" if declared else "with the plain terms alone"
+        return (
+            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
+            f"data worse than {than}: do not trust what was added there."
+        )
+    if status == "unsettled":
+        which, _ = _where(outcome, joints, "above")
+        return (
+            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
+            f"{which} reached the noise floor in the search but not on "
+            "untouched data: record more, or look for what changed."
+        )
+    first = "No effect of the library was found; whether one is missing"
+    if count:
+        first = f"{found} missing; whether more is"
+    which, _ = _where(outcome, joints, "unknown")
+    return f"{first} cannot be said, as the noise floor of {which} is unknown."
+
+
+def _silent(outcome, joints):
+    """Name the joints that nothing is known of; begins with a space, or is empty."""
+    few, one = _where(outcome, joints, "few")
+    silent = ""
+    if few:
+        verb = "moves" if one else "move"
+        silent = f" {words.capital(few)} {verb} too little for a verdict."
+    left_out, one = _where(outcome, joints, "unsearched")
+    if left_out:
+        verb = "was" if one else "were"
+        silent += f" {words.capital(left_out)} {verb} not searched."
+    return silent
 
 
 def plain_words(outcome):
@@ -344,3 +370,170 @@ def _named(outcome, effects):
     if len(effects) > _NAMED:
         named.append(words.plural(len(effects) - _NAMED, "more effect"))
     return words.join(named)
+
+
+# -- sections ---------------------------------------------------------------------
+
+
+def headline(outcome, verdict):
+    """Show the verdict, large, with the mean errors."""
+    errors = verdict.errors
+    band = words.number(outcome.wide_cutoff, 2)
+    totals = [(errors.before, "mean error before")]
+    if outcome.added:
+        totals.append((errors.plain, "with the four plain terms"))
+    totals.append((errors.after, "after, on untouched data"))
+    for value, name in (
+        (errors.wide, f"after, up to {band} Hz"),
+        (errors.floor, "noise floor"),
+    ):
+        if np.isfinite(value):
+            totals.append((value, name))
+    causes = ""
+    if any(v.status == "failed" for v in verdict.joints):
+        causes = (
+            "Likely causes of an error of 100 % or more: wrong sign, order or unit of "
+            "the columns; a coupling between joints that is not in the model; motion "
+            "too slow or too small, so that noise outweighs the torques, or that ends "
+            "at rest."
+        )
+    robot = outcome.declared.get("robot") or "the robot"
+    return Section(
+        heading=f"What the declared model of {robot} lacks",
+        sentences=tuple(filter(None, (verdict.text, causes))),
+        template="headline",
+        drawn=dict(
+            colour=_COLOURS.get(verdict.status, "warn"),
+            text=verdict.headline,
+            totals=tuple((words.percent(value), name) for value, name in totals),
+            causes=causes,
+            files=outcome.provenance.files if outcome.provenance else (),
+        ),
+    )
+
+
+def joints(outcome, verdict):
+    """Tabulate the errors of the joints; a page has bars."""
+    heads = ["untouched\nerror, %", "before"]
+    heads += ["four\nterms"] * bool(outcome.added) + ["after [90 %]"]
+    heads += ["/".join(dict.fromkeys(outcome.torque_units)), "floor"]
+    wide, note = bool(np.isfinite(outcome.wide_cutoff)), ""
+    if wide:
+        band = words.number(outcome.wide_cutoff, 2)
+        fit = words.number(outcome.declared.get("cutoff", np.nan))
+        heads.append(f"to\n{band} Hz")
+        note = (
+            f"; in the band of the fit, up to {fit} Hz. In the wider one, up to {band} "
+            "Hz, nothing was identified"
+        )
+    rows = []
+    for v in verdict.joints:
+        j = v.joint
+        row = [
+            v.label,
+            words.bare_percent(outcome.error_before[j]),
+            *[words.bare_percent(outcome.error_plain[j])] * bool(outcome.added),
+            words.bare_percent(outcome.error_after[j]) + _reach_text(outcome, j),
+            words.number(outcome.error_after[j] * outcome.spread[j], 2),
+            words.bare_percent(outcome.floor[j]),
+        ]
+        row += [words.bare_percent(outcome.wide_after[j])] * wide
+        rows.append((*row, v.text))
+    table = Table(heads=(*heads, ""), rows=tuple(rows), numbers=True)
+    terminal = table
+    if outcome.added:
+        # A line has no room for the error in N m beside a third one in per cent.
+        at = heads.index("after [90 %]") + 1
+        heads, *rows = (
+            (*row[:at], *row[at + 1 :]) for row in (table.heads, *table.rows)
+        )
+        terminal = Table(heads=heads, rows=tuple(rows), numbers=True)
+    return Section(
+        heading="Error of each joint on untouched data",
+        table=table,
+        terminal=(terminal,),
+        note=f"Interval: {interval_text(outcome.settings)}. Root mean square of the "
+        "torque residual on data that was not touched before, over the standard "
+        f"deviation of the torque in the moving time of the whole recording{note}.",
+        template="joints",
+        drawn={"joints": _bars(outcome, verdict.joints)},
+    )
+
+
+def _bars(outcome, joints):
+    """Return each joint's errors as bars; places are per cent of the scale."""
+    # bars: kind, length or None, text beside, whether it is cut; reach: where the
+    # interval of the error after begins and how long it is, or empty.
+    longest = _longest(outcome)
+
+    def place(value):
+        share = 100 * float(np.clip(value / longest, 0.0, 1.0))
+        return share if np.isfinite(share) else None
+
+    def bar(kind, value, text):
+        return kind, place(value), text, bool(value > longest)
+
+    found = []
+    for v in joints:
+        j = v.joint
+        after = outcome.error_after[j]
+        kinds = {"before": outcome.error_before[j]}
+        if outcome.added:
+            kinds["plain"] = outcome.error_plain[j]
+        low, high = interval(outcome, "after", j)
+        note = ""
+        if np.isfinite(after):
+            newtons = words.number(after * outcome.spread[j], 2)
+            note = f"after: {newtons} {outcome.torque_units[j]}"
+        if np.isfinite(after) and np.isfinite(outcome.wide_after[j]):
+            band = words.number(outcome.wide_cutoff, 2)
+            note += f"; up to {band} Hz {words.percent(outcome.wide_after[j])}"
+        known = np.isfinite(low) and np.isfinite(high)
+        text = words.percent(after) + _reach_text(outcome, j)
+        found.append(
+            dict(
+                label=v.label,
+                colour=_JOINT_COLOURS.get(v.status, "warn"),
+                text=v.text,
+                note=note,
+                bars=(
+                    *(bar(kind, x, words.percent(x)) for kind, x in kinds.items()),
+                    bar("after", after, text),
+                ),
+                reach=(place(low), place(high) - place(low)) if known else (),
+                floor=place(outcome.floor[j]),
+            )
+        )
+    return tuple(found)
+
+
+def _longest(outcome):
+    """Error at the end of the bars: a few joints far above the others are cut off."""
+    sizes = np.fmax.reduce([outcome.error_before, outcome.error_after, outcome.floor])
+    ends = np.ravel(outcome.intervals.get("after", []))
+    everything = np.r_[sizes, ends]
+    longest = np.max(everything, where=np.isfinite(everything), initial=0.0)
+    sizes = np.sort(sizes[np.isfinite(sizes) & (sizes > 0)])
+    if sizes.size:
+        longest = min(longest, _FAR * sizes[(sizes.size - 1) // 2])
+    return longest or 1.0
+
+
+def _reach_text(outcome, joint):
+    """Interval of a joint's error after, " [1.0, 1.2]"; empty where there is none."""
+    low, high = interval(outcome, "after", joint)
+    if not (np.isfinite(low) and np.isfinite(high)):
+        return ""
+    return f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
+
+
+def added(outcome, verdict):
+    """Say which plain terms were fitted beyond what was declared."""
+    if not outcome.added:
+        return ()
+    # Not "found": they are fitted on every robot, and nothing was tested.
+    return (
+        f"Added on every joint, as not declared: {plain_words(outcome)}. With "
+        "these the model has the four plain terms that hardly any drive is without; "
+        "they were fitted, not searched for.",
+    )

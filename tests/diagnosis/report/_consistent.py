@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _plain
-from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report import _plain, words
 
 
 def assert_consistent(report):

@@ -1,7 +1,6 @@
 """What reports say of the limits of their figures."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,26 +15,37 @@ from sklearn_vbjfa.diagnosis.explain import (
     ProjectionPrice,
     Pushed,
 )
-from sklearn_vbjfa.diagnosis.report import _limits
-from sklearn_vbjfa.diagnosis.report._limits import (
-    band_sentences,
-    contradiction_sentences,
-    mass_sentences,
-    motion_sentences,
-    projection_sentences,
-)
-from sklearn_vbjfa.diagnosis.report._verdict import judge
+from sklearn_vbjfa.diagnosis.report import judge, sections
 from sklearn_vbjfa.recording import RepeatedMotion
 from sklearn_vbjfa.robot._bodies import Departure
 from sklearn_vbjfa.robot._spreads import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 
+def sentences(heading, outcome):
+    """Sentences of a section of a report."""
+    found = sections(outcome, judge(outcome))
+    own = (section.sentences for section in found if section.heading == heading)
+    return next(own, ())
+
+
+def recordings_of(outcome):
+    return sentences("Limits of the recordings", outcome)
+
+
+def masses_of(outcome):
+    return sentences("Masses", outcome)
+
+
+def price_of(outcome):
+    return sentences("Price of physical consistency", outcome)
+
+
 def with_band(outcome=None, **changes):
     """Sentences on an outcome whose band is another."""
     outcome = make_outcome(nv=2) if outcome is None else outcome
     outcome = replace(outcome, band=replace(outcome.band, **changes))
-    return " ".join(band_sentences(outcome, judge(outcome).errors))
+    return " ".join(sentences("Band of the errors", outcome))
 
 
 def test_band_of_the_motion():
@@ -108,7 +118,6 @@ def test_no_room_for_a_wider_band():
 
 def test_an_unknown_band_is_not_described():
     outcome = make_outcome(nv=2, band=None)
-    assert band_sentences(outcome, judge(outcome).errors) == ()
     assert "Band of the errors" not in Report(outcome).to_html()
 
 
@@ -135,7 +144,7 @@ def test_price_with_body_and_channel():
         deviations=9.0,
     )
     outcome = price(pushed=(body,), channel=2, channel_share=0.88)
-    assert " ".join(projection_sentences(outcome)) == (
+    assert " ".join(price_of(outcome)) == (
         "Bodies that are physically possible cost joint 2 5.1 % of its torque (19.0 to "
         "24.1 %) and joint 3 1.0 % of its torque (8.0 to 9.0 %): forearm (the body of "
         "joint 2) is held at the border (m 12.1 to 8.3 kg). Of that, 88 % goes if the "
@@ -147,7 +156,7 @@ def test_price_with_body_and_channel():
 
 
 def test_price_that_comes_from_nowhere_in_particular():
-    assert projection_sentences(price()) == (
+    assert price_of(price()) == (
         "Bodies that are physically possible cost joint 2 5.1 % of its torque (19.0 to "
         "24.1 %) and joint 3 1.0 % of its torque (8.0 to 9.0 %).",
         "A wrong gain of the torque channel, a wrong geometry or a missing effect "
@@ -156,9 +165,9 @@ def test_price_that_comes_from_nowhere_in_particular():
 
 
 def test_nothing_is_said_where_the_projection_costs_nothing():
-    assert projection_sentences(price(price=np.zeros(3))) == ()
-    assert projection_sentences(price(price=np.full(3, np.nan))) == ()
-    assert projection_sentences(make_outcome(nv=3)) == ()
+    assert price_of(price(price=np.zeros(3))) == ()
+    assert price_of(price(price=np.full(3, np.nan))) == ()
+    assert price_of(make_outcome(nv=3)) == ()
 
 
 def body(name, mass, nominal, known, std=np.inf):
@@ -168,7 +177,7 @@ def body(name, mass, nominal, known, std=np.inf):
 
 
 def masses(*bodies):
-    return " ".join(mass_sentences(make_outcome(nv=3, bodies=bodies)))
+    return " ".join(masses_of(make_outcome(nv=3, bodies=bodies)))
 
 
 def test_masses_that_are_not_measured_are_said_to_be_so():
@@ -210,7 +219,7 @@ def test_measured_masses_are_compared_with_the_description():
 
 
 def test_known_masses_need_no_words():
-    assert mass_sentences(make_outcome(nv=3)) == ()
+    assert masses_of(make_outcome(nv=3)) == ()
     assert masses(body("same", 5.0, 5.1, "yes", std=0.1)) == ""
 
 
@@ -222,7 +231,7 @@ def limit(kind, joint=0, recordings=(0,), low=0.2, high=0.21):
 
 def motion(*limits, recordings=("1",), **changes):
     outcome = make_outcome(nv=3, motion_limits=limits, recordings=recordings, **changes)
-    return " ".join(motion_sentences(outcome))
+    return " ".join(recordings_of(outcome))
 
 
 def test_a_joint_that_never_reverses():
@@ -273,7 +282,7 @@ def contradiction(recording=0, joint=1, together=0.072):
 def contradicted(*found, recordings=("1", "2", "3"), **changes):
     made = Contradictions(found=found, **changes)
     outcome = make_outcome(nv=3, contradictions=made, recordings=recordings)
-    return " ".join(contradiction_sentences(outcome))
+    return " ".join(recordings_of(outcome))
 
 
 def test_two_recordings_contradict_each_other():
@@ -361,19 +370,18 @@ def test_scatter_in_words(name, value, text):
 
 def test_sound_recordings_need_no_words():
     outcome = make_outcome(nv=3, recordings=("1", "2"))
-    assert motion_sentences(outcome) == contradiction_sentences(outcome) == ()
+    assert recordings_of(outcome) == ()
 
 
 def test_repeated_motion_says_where_it_is():
     one = RepeatedMotion(seconds=9.98, count=2.0, recordings=(0, 2))
-    outcome = SimpleNamespace(repeated=(one,), recordings=("a", "b", "c"))
-    (text,) = _limits.repeated_sentences(outcome)
+    outcome = make_outcome(repeated=(one,), recordings=("a", "b", "c"))
+    (text,) = recordings_of(outcome)
     assert "one of 9.98 s, 2 times in recordings a and c. What the" in text
     whole = replace(one, recordings=(0, 1, 2), count=3.0)
-    outcome = SimpleNamespace(repeated=(whole,), recordings=("a", "b", "c"))
-    (text,) = _limits.repeated_sentences(outcome)
+    outcome = make_outcome(repeated=(whole,), recordings=("a", "b", "c"))
+    (text,) = recordings_of(outcome)
     assert "one of 9.98 s, 3 times. What the" in text
-    assert _limits.repeated_sentences(SimpleNamespace(repeated=())) == ()
 
 
 @pytest.mark.parametrize(
@@ -393,21 +401,21 @@ def test_what_the_next_recording_will_show_says_what_that_rests_on(source, said)
         recordings=4,
         source=source,
     )
-    (text,) = _limits.next_sentences(SimpleNamespace(next_recording=one))
+    (text,) = sentences("The next recording", make_outcome(next_recording=one))
     assert text == f"Next recording: expect 5.0 % [3.0, 9.0], {said}."
 
 
 def test_a_departure_names_its_rivals():
     one = Departure(bodies=("j2",), factors=(1.98,), stds=(0.03,), log_odds=9.0)
-    text = _limits._departure(one, 1.0)
+    (text,) = masses_of(make_outcome(departures=(one,)))
     assert text.startswith(
         "The body of j2 (1.98 +- 0.05 times) weighs not as much as in"
     )
     both = Departure(
         bodies=("j2", "j3"), factors=(1.98, 3.0), stds=(0.03, 0.6), log_odds=9.0
     )
-    text = _limits._departure(both, 0.001)
+    size, text = masses_of(make_outcome(departures=(both,), common_size=0.001))
     assert "that of j2 (1.98 +- 0.05 times) or j3 (3.0 +- 1.0 times)" in text
     assert "as much as the other bodies would have it" in text
-    assert "0.001 times what the robot" in _limits._common_size(0.001)
-    assert _limits._common_size(0.9) == ""
+    assert "0.001 times what the robot" in size
+    assert masses_of(make_outcome(common_size=0.9)) == ()

@@ -5,8 +5,7 @@ import xml.etree.ElementTree as ET
 
 import pytest
 
-from sklearn_vbjfa.diagnosis.report import _evidence
-from sklearn_vbjfa.diagnosis.report._mathml import mathml
+from sklearn_vbjfa.diagnosis.report import about_effect, added_torque, mathml
 from sklearn_vbjfa.effects import Effect, resolve
 
 FORMULAS = {effect.name: effect.formula for effect in resolve("all")}
@@ -69,7 +68,7 @@ def test_wide_spaces_are_where_a_line_may_break():
 def test_another_converter_reads_the_same(name):
     """The same symbols in the same order, and as many fractions and scripts."""
     other = pytest.importorskip("docutils.utils.math.latex2mathml")
-    formula = _evidence.added_torque(FORMULAS[name])
+    formula = added_torque(FORMULAS[name])
     found = parts(formula)
     written = str(other.tex2mathml(formula)).replace("&ApplyFunction;", "")
     expected = ET.fromstring(written)
@@ -123,11 +122,11 @@ def test_ones_own_formula_is_shown_as_it_is_where_it_cannot_be_typeset():
 
         name = "bare"
 
-    about = _evidence.about_effect(Own())
+    about = about_effect(Own())
     assert about.formula == (r"<code>\Delta\tau = \oint &lt;b&gt;x&lt;/b&gt;</code>")
     assert about.paragraphs == (
         "Something of one's own.",
         "To see it: the joint moves.",
     )
     assert about.link == ""
-    assert _evidence.about_effect(Bare()).formula == ""
+    assert about_effect(Bare()).formula == ""

@@ -20,10 +20,14 @@ from sklearn_vbjfa.diagnosis.explain import (
     curve_size,
     curves_over,
 )
-from sklearn_vbjfa.diagnosis.report import _charts, _evidence, _render
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._mathml import mathml
-from sklearn_vbjfa.diagnosis.report._sections import _scale
+from sklearn_vbjfa.diagnosis.report import (
+    about_effect,
+    documentation_of,
+    mathml,
+    packed,
+    ticks,
+)
 from sklearn_vbjfa.effects import Ripple, resolve
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report.test_report import parsed
@@ -176,16 +180,19 @@ def test_the_numbers_of_a_picture_are_those_that_were_drawn():
 
 @pytest.mark.parametrize("values", [[0.0, 0.0], [np.nan], [], [1e-30, -1e-30], [1e30]])
 def test_numbers_of_any_size_are_packed(values):
-    packed = _charts.packed(values)
-    found = np.frombuffer(base64.b64decode(packed["y"]), "<i2").astype(float)
+    found = packed(values)
+    scale, found = (
+        found["scale"],
+        np.frombuffer(base64.b64decode(found["y"]), "<i2").astype(float),
+    )
     found[found == -32768] = np.nan
-    np.testing.assert_allclose(found * packed["scale"], values, rtol=1e-4)
+    np.testing.assert_allclose(found * scale, values, rtol=1e-4)
 
 
 @pytest.mark.parametrize("low", [-7.3, 0.0, 1e-6, 3e5, -1e-9])
 @pytest.mark.parametrize("length", [1e-8, 0.37, 9.0, 1e6])
 def test_ticks_are_round_and_inside(low, length):
-    values = np.array([value for value, _ in _charts.ticks(low, low + length)])
+    values = np.array([value for value, _ in ticks(low, low + length)])
     assert 1 <= values.size <= 6
     slack = 1e-6 * length
     assert low - slack <= values[0]
@@ -246,9 +253,15 @@ def test_parameters_stand_beside_those_of_the_description():
 
 
 def test_a_parameter_belongs_to_the_joint_of_the_longest_name():
-    assert _evidence._joint_of("a:b:m", ("a", "a:b")) == 1
-    assert _evidence._joint_of("a:m", ("a", "a:b")) == 0
-    assert _evidence._joint_of("base_tilt:roll", ("a", "b")) is None
+    one = made(nv=1).parameters[0]
+    names = ("a:m", "a:b:m", "a:b:mc", "base_tilt:roll")
+    own = tuple(replace(one, name=name) for name in names)
+    html = Report(made(nv=2, names=("a", "a:b"), parameters=own)).to_html()
+    text = html[html.index("<h2>Identified parameters</h2>") :]
+    groups = re.findall(r"<b>(.*?)</b>.*?</details>", text, re.DOTALL)
+    rows = [part.count("<tr><td>") for part in text.split("<details")[1:4]]
+    assert groups[:3] == ["Joint 1 (a)", "Joint 2 (a:b)", "Robot"]
+    assert rows == [1, 2, 1]
 
 
 @pytest.mark.parametrize("report", ["to_html", "_repr_html_"])
@@ -317,8 +330,8 @@ def test_pictures_are_there_without_the_library_and_without_matplotlib(monkeypat
 def test_a_page_stays_small(nv, n_effects):
     html = Report(made(nv=nv, n_effects=n_effects)).to_html()
     assert len(html.encode("utf-8")) < 3_000_000
-    library = _render._vendored()
-    assert sum(map(len, library.values())) < 1_500_000
+    bare = Report(made(nv=nv, n_effects=n_effects))._repr_html_()
+    assert len(html) - len(bare) < 1_500_000
 
 
 def test_one_bad_joint_does_not_flatten_the_bars():
@@ -327,14 +340,16 @@ def test_one_bad_joint_does_not_flatten_the_bars():
     bad = after.copy()
     bad[4] = 3.0
     one = replace(outcome, error_before=bad, error_after=bad, floor=after, intervals={})
-    assert _scale(one) == pytest.approx(0.16)
     html = Report(one).to_html()
+    # the scale ends at eight times the error of the middle joint
+    assert html.count('fill after" style="width:12.5%"') == 5
     assert html.count('fill before cut"') == 1
     assert "jagged" in html
     # alike errors fill the scale
     alike = replace(one, error_before=after, error_after=after)
-    assert _scale(alike) == pytest.approx(0.02)
-    assert "jagged" not in Report(alike).to_html()
+    html = Report(alike).to_html()
+    assert html.count('fill after" style="width:100.0%"') == 6
+    assert "jagged" not in html
 
 
 @pytest.mark.parametrize("given", [[], ["Homepage, https://h.org"]])
@@ -345,7 +360,7 @@ def test_no_documentation_no_link(given, monkeypatch):
 
     metadata = importlib.metadata
     monkeypatch.setattr(metadata, "metadata", lambda name: Metadata())
-    assert _evidence.documentation_of("ripple") == ""
+    assert documentation_of("ripple") == ""
 
 
 def test_effects_link_to_their_documentation(monkeypatch):
@@ -356,14 +371,14 @@ def test_effects_link_to_their_documentation(monkeypatch):
     metadata = importlib.metadata
     monkeypatch.setattr(metadata, "metadata", lambda name: Metadata())
     address = "https://docs.example.org/effects/ripple.html"
-    assert _evidence.documentation_of("ripple") == address
-    assert _evidence.documentation_of("my_own_effect") == ""
+    assert documentation_of("ripple") == address
+    assert documentation_of("my_own_effect") == ""
     assert f'<a href="{address}">' in Report(made(n_effects=3)).to_html()
 
 
 def test_what_a_class_says_is_shown_without_markup():
     for effect in resolve("all"):
-        about = _evidence.about_effect(effect)
+        about = about_effect(effect)
         assert len(about.paragraphs) >= 2
         assert not any("`" in text or "]_" in text for text in about.paragraphs)
         assert not any("Parameters" in text for text in about.paragraphs)

@@ -8,7 +8,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import Ceiling, Map
-from sklearn_vbjfa.diagnosis.report._pictures import HEIGHT, WIDTH, map_picture
+from sklearn_vbjfa.diagnosis.report import HEIGHT, WIDTH, map_picture
 from tests.diagnosis.report._outcomes import make_outcome
 
 NAN = float("nan")
@@ -169,7 +169,7 @@ def test_a_function_of_speed_and_load_has_its_picture():
 def test_cells_of_a_map_lie_where_their_signals_are():
     picture = map_picture(drawn())
     assert picture.limit == pytest.approx(np.quantile([1.0, 2.0, 0.5], 0.95))
-    cells = {path: (sign, opacity) for sign, opacity, path in picture.measured}
+    cells = {one.path: (one.kind, one.opacity) for one in picture.measured}
     width, height = WIDTH / 2, HEIGHT / 2
 
     def cell(column, row):

@@ -9,11 +9,15 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import Hidden
-from sklearn_vbjfa.diagnosis.report import _render
+from sklearn_vbjfa.diagnosis.report import (
+    WIDTH,
+    judge,
+    plain_text,
+    residual_picture,
+    sections,
+    time_axis,
+)
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
-from sklearn_vbjfa.diagnosis.report._sections import sections
-from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, available
 from sklearn_vbjfa.effects._ranges import OutsideRange
@@ -89,7 +93,7 @@ def test_six_effects_take_about_forty_lines_and_further_ones_a_line_each():
     few, many = (make_outcome(effects=effects[:count]) for count in (6, 12))
     shown = sections(few, judge(few))
     for section in shown:
-        lines = _render.text((section,)).splitlines()
+        lines = plain_text((section,)).splitlines()
         assert len(lines) <= LINES.get(section.heading, 1), section.heading
     assert set(LINES) <= {section.heading for section in shown}
     few, many = (str(Report(outcome)).splitlines() for outcome in (few, many))
@@ -501,17 +505,18 @@ def test_residuals_are_drawn_over_time_with_the_gaps_between_recordings(count):
         "seconds": seconds,
     }
     picture = residual_picture(curves, 0, 0.1)
-    assert picture.kind == ("line" if count < 360 else "area")
-    pieces = picture.after.split("M")[1:]
+    after = picture.shapes[-1]
+    assert after.kind == ("line after" if count < WIDTH else "area after")
+    pieces = after.path.split("M")[1:]
     assert len(pieces) == 2
     x = [
         [float(point.split()[0]) for point in re.split("[LZ]", piece) if point]
         for piece in pieces
     ]
     assert min(x[0]) == 0
-    assert max(x[0]) < 0.26 * 360
-    assert min(x[1]) > 0.74 * 360
-    assert 359 < max(x[1]) <= 360
+    assert max(x[0]) < 0.26 * WIDTH
+    assert min(x[1]) > 0.74 * WIDTH
+    assert WIDTH - 1 < max(x[1]) <= WIDTH
 
 
 def test_page_escapes_what_it_is_given():

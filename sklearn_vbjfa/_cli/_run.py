@@ -1,0 +1,254 @@
+"""One run of a command: read, compute, write and print; signals, streams, exit code.
+
+A signal ends a run like an exception, so that files are written completely or not at
+all. Nothing is imported here but the standard library: it has to be in place before
+what takes its time to import.
+"""
+
+import contextlib
+import importlib
+import os
+import shutil
+import signal
+import sys
+import tempfile
+import textwrap
+import threading
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+
+# -- the skeleton of every command -----------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Done:
+    """What a command has found."""
+
+    text: str  # printed
+    doubts: tuple = ()  # what stands against using it
+    folder: Path | None = None  # where its files go
+    files: tuple = ()  # their names
+    # writes them to a folder, given the warnings; returns lines to print behind `text`
+    write: object = None
+    left: str = ""  # what is said of files that are not written
+
+
+def run(arguments):
+    """Run the command that arguments name."""
+    # A command sets its doubts before it prints: the reader of its output may leave.
+    module, _, name = arguments.run.partition(":")
+    command = getattr(importlib.import_module(f"sklearn_vbjfa._cli.{module}"), name)
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("always")
+        done = command(arguments, Path(folder))
+        arguments.doubts = [*done.doubts, *_doubts_of(caught)]
+        lines = [] if done.write is None else _write(arguments, done, caught)
+    print("\n".join([done.text, *(wrapped(line, sys.stdout) for line in lines)]))
+    clear_progress()
+    for text in _told(caught):
+        say(wrapped(f"note: {text}", sys.stderr))
+
+
+def _write(arguments, done, caught):
+    """Write all files or none, each complete; return what is to be said of them."""
+    try:
+        with undisturbed():
+            done.folder.mkdir(parents=True, exist_ok=True)
+            with tempfile.TemporaryDirectory(
+                dir=done.folder, prefix=".writing-"
+            ) as folder:
+                lines = done.write(Path(folder), _told(caught))
+                for name in done.files:
+                    os.replace(Path(folder, name), done.folder / name)
+            arguments.written = True
+    except OSError:
+        print(done.text)
+        raise
+    names = ", ".join(str(done.folder / name) for name in done.files)
+    return [*lines, f"written: {names}{done.left}"]
+
+
+@contextlib.contextmanager
+def blaming(source):
+    """Name what was read in a refusal: the options are valid, so it is at fault."""
+    from sklearn_vbjfa.physical import ProjectionError
+
+    try:
+        yield
+    except (ValueError, ProjectionError) as error:
+        raise ValueError(f"{source}: {error}") from error
+
+
+def _told(caught):
+    """Texts of the warnings that concern a user, each once, a tuple of str."""
+    from sklearn.exceptions import ConvergenceWarning
+
+    # Convergence of the rivals does not concern the user; the data do.
+    return tuple(
+        dict.fromkeys(
+            " ".join(str(warning.message).split())
+            for warning in caught
+            if issubclass(warning.category, UserWarning)
+            and warning.category is not ConvergenceWarning
+        )
+    )
+
+
+# -- exit codes and the doubts that decide between them --------------------------------
+
+# Nothing stands against using the result; nothing was done; done with a stated doubt.
+USABLE, REFUSED, DOUBTFUL = 0, 2, 3
+
+# What is shown below the help of every command.
+EPILOG = (
+    "exit code: 0 if the result can be used; 2 if nothing was done, and one line on "
+    "stderr says why; 3 if it was done with a doubt that is stated: something was left "
+    "out, failed, could not be judged, or is not to be trusted; 128 plus the number of "
+    "a signal that ended the run, 130 for an interrupt"
+)
+
+# Doubts that the last line names; all of them are in what was printed before.
+_NAMED = 3
+
+
+def exit_line(doubts):
+    """Say in a line why the exit code is what it is."""
+    named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]
+    more = len(doubts) - len(named)
+    return f"exit code {DOUBTFUL}: {'; '.join(named)}" + (
+        f"; and {more} more" if more else ""
+    )
+
+
+def _doubts_of(caught):
+    """Texts of the warnings that state a doubt, each once, a list of str."""
+    from sklearn_vbjfa.model import DoubtWarning
+
+    texts = [
+        str(one.message) for one in caught if issubclass(one.category, DoubtWarning)
+    ]
+    return list(dict.fromkeys(texts))
+
+
+# -- terminals -------------------------------------------------------------------------
+
+
+def say(text):
+    """Print to stderr; what nobody can read is no error of its own."""
+    with contextlib.suppress(OSError):
+        print(text, file=sys.stderr, flush=True)
+
+
+def wrapped(text, stream):
+    """Return a text wrapped to the width of a terminal; as it is for other streams."""
+    if stream is None or not stream.isatty():
+        return text
+    width = shutil.get_terminal_size().columns
+    return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
+
+
+def show_progress(text):
+    """Show on a terminal what takes its time."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print(f"\r\033[K{text} ...", end="", file=sys.stderr, flush=True)
+
+
+def clear_progress():
+    """Take away from a terminal what was shown of the progress."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        print("\r\033[K", end="", file=sys.stderr, flush=True)
+
+
+# -- signals and streams ---------------------------------------------------------------
+
+# Of these, SIGINT raises KeyboardInterrupt already; Windows has no SIGHUP.
+STOPS = [
+    getattr(signal, name)
+    for name in ("SIGINT", "SIGTERM", "SIGHUP")
+    if hasattr(signal, name)
+]
+
+
+class Stopped(BaseException):
+    """The process was asked to end by a signal, whose number is given."""
+
+    def __init__(self, number):
+        super().__init__(signal.Signals(number).name)
+        self.number = int(number)
+
+
+@contextlib.contextmanager
+def _handlers(handle):
+    """Handle all stop signals by a function; possible in the main thread only."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    # A signal that is ignored, as under nohup, stays ignored.
+    before = {
+        number: signal.getsignal(number)
+        for number in STOPS
+        if signal.getsignal(number) is not signal.SIG_IGN
+    }
+    for number in before:
+        signal.signal(number, handle)
+    try:
+        yield
+    finally:
+        for number, old in before.items():
+            signal.signal(number, old)
+
+
+# Signals that came since a run began.
+_CAME = []
+
+
+def _stop(number, frame):
+    _CAME.append(number)
+    raise Stopped(number)
+
+
+def stopped_by():
+    """Return the number of the signal that has stopped the run, or None."""
+    # Compiled modules may turn the exception into an error of their own.
+    return _CAME[0] if _CAME else None
+
+
+def stoppable():
+    """Let signals end a run like an exception, so that it tidies up."""
+    _CAME.clear()
+    return _handlers(_stop)
+
+
+def ignore_stops():
+    """Let a process that has done its work end in peace."""
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+
+
+@contextlib.contextmanager
+def undisturbed():
+    """Postpone signals until a few files are written."""
+    waiting = []
+    with _handlers(lambda number, frame: waiting.append(number)):
+        yield
+    if waiting:
+        signal.raise_signal(waiting[0])
+
+
+def open_streams():
+    """Give the process the standard streams that it was started without."""
+    # Otherwise the next file that is opened would take the place of one, and its
+    # messages would go there.
+    for number in range(3):
+        try:
+            os.fstat(number)
+        except OSError:
+            # The lowest number that is free, which is this one.
+            os.open(os.devnull, os.O_RDWR)
+    for name in ("stdout", "stderr"):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))

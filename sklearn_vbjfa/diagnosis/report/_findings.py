@@ -1,0 +1,539 @@
+"""What was found, what it asks for, and what is still open."""
+
+import math
+from dataclasses import dataclass
+
+from sklearn_vbjfa.diagnosis.report import _plain
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._pictures import map_picture
+from sklearn_vbjfa.diagnosis.report._render import Section, listed, table_of
+from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
+from sklearn_vbjfa.robot._ranges import held_text
+
+# A share below this is hardly worth an effect.
+_LITTLE = 0.1
+# Fewer signals are named if they explain this share of what more explain.
+_MOST = 0.8
+_FORMS = (
+    "a function of speed and load",
+    "a function of its own state and history",
+    "the motion of other joints",
+)
+_WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
+# A speed below this share of the fastest is that of a reversal.
+_SLOW = 0.1
+# An end that is this small a share of the other is zero.
+_ZERO = 1e-3
+_UNITS = {"position": ("rad", "m"), "speed": ("rad/s", "m/s"), "load": ("N m", "N")}
+
+# -- effects ----------------------------------------------------------------------
+
+
+def effects(outcome, verdict):
+    """Tabulate the effects that were found."""
+    sentences, short, rows = [], [], []
+    for e in outcome.effects:
+        joint, label, rivals = _called(outcome, e)
+        if _plain.in_model(outcome, e):
+            first, parameters = _plain.statement(outcome, e), _plain.value_cells(e)
+        else:
+            parameters = words.parameter_text(e)
+            first = ", ".join([f"{joint}: {label}", *parameters])
+        gain, odds = words.whole_percent(e.evidence.gain), words.odds_text(e.log_odds)
+        evidence = f"saves {gain}, odds {odds}"
+        told = [f"- {first}", evidence]
+        if rivals:
+            told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
+        known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
+        told += known
+        sentences.append("; ".join(told))
+        short.append((f"- {joint}", label, evidence))
+        gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
+        cannot = words.join(rivals, len(rivals), "or")
+        rows.append((joint, label, (*parameters, *known), gain, odds, cannot))
+    heads = ("joint", "effect", "parameters (90 %)", "squared error saved", "odds")
+    shown = anchors(outcome)
+    links = tuple(f"#{anchor}" if anchor else "" for anchor in shown)
+    return Section(
+        heading="Effects that were missing",
+        table=table_of((*heads, "cannot be told from"), rows, links=links),
+        terminal=listed(sentences, short),
+    )
+
+
+def _called(outcome, effect):
+    """Return where an effect is, what to call it, and what cannot be told from it."""
+    return (
+        words.place_label(outcome, effect.name, effect.joint),
+        words.effect_label(outcome, effect.name, effect.parameters),
+        [words.other_label(outcome, rival, effect.name) for rival in effect.rivals],
+    )
+
+
+def perhaps(outcome, verdict):
+    """Say what is more probable than not and has no name."""
+    rows, told = [], []
+    for e in outcome.perhaps:
+        joint, label, rivals = _called(outcome, e)
+        probability = words.probability_text(e.probability)
+        cell = tuple(words.parameter_text(e))
+        cannot = words.join(rivals, len(rivals), "or")
+        rows.append((joint, label, cell, probability, e.doubt, cannot))
+        why = "" if e.doubt == UNDECIDED else f"; {e.doubt}"
+        told.append(f"- {joint}: perhaps {label}, probability {probability}{why}")
+    heads = ("joint", "effect", "parameters (90 %)", "probability", "why no name")
+    return Section(
+        heading="Perhaps",
+        table=table_of((*heads, "cannot be told from"), rows),
+        note="Part of the completed model: leaving them out would predict no better."
+        if rows
+        else "",
+        terminal=tuple(told),
+    )
+
+
+def corrections(outcome, verdict):
+    """Say what to mend on the robot, in the program that reads it, or in its files."""
+    own = [e for e in outcome.effects if _plain.in_model(outcome, e)]
+    remedies = {(one.name, one.joint): one.text for one in _plain.remedies(outcome)}
+    told = []
+    for e in own:
+        said = [_plain.statement(outcome, e), remedies.pop((e.name, e.joint), "")]
+        told.append(". ".join(map(words.capital, filter(None, said))))
+    # The others were declared.
+    told += map(words.capital, remedies.values())
+    todo = [one.text for one in _plain.remedies(outcome)]
+    rows = [
+        (
+            *_called(outcome, e)[:2],
+            _plain.value_cells(e),
+            tuple(words.parameter_text(e)),
+        )
+        for e in own
+    ]
+    return Section(
+        heading="What to correct",
+        sentences=tuple(f"{text}." for text in told),
+        table=table_of(("where", "what", "value (90 %)", "in SI units"), rows),
+        note="The completed model has all of it: it takes positions and torques as "
+        "they were recorded."
+        if told
+        else "",
+        terminal=(f"To correct: {'; '.join(todo)}.",) if todo else (),
+    )
+
+
+def outside(outcome, verdict):
+    """Say where the untouched part leaves what effects were fitted on."""
+    sentences = _outside_sentences(outcome)
+    title = "Outside the range of the fit"
+    held = held_text(outcome.outside, lambda name: words.effect_label(outcome, name))
+    return Section(
+        heading=f"{title}, on untouched data",
+        sentences=(*sentences, *([f"{held}."] if held else [])),
+        terminal=listed([f"{title}: {sentence}." for sentence in sentences]),
+    )
+
+
+def anchors(outcome):
+    """Return where each effect is drawn or explained on a page, a tuple of str."""
+    # Empty for one that is neither.
+    drawn = outcome.curves.get("effects", ())
+    if not drawn:
+        return ("",) * len(outcome.effects)
+    return tuple(
+        "" if curves is None and effect.effect is None else f"effect-{k}"
+        for k, (effect, curves) in enumerate(zip(outcome.effects, drawn), 1)
+    )
+
+
+def _range_text(outcome, joint, quantity, pair):
+    """Write a range with its unit, "-1.2 to 1.3 rad"."""
+    unit = _UNITS[quantity][int(outcome.torque_units[joint] == "N")]
+    width = max(map(abs, pair))
+    low, high = (words.number(0.0 if abs(x) < _ZERO * width else x) for x in pair)
+    if quantity == "speed" and pair[0] < _SLOW * pair[1]:
+        return f"up to {high} {unit}"
+    return f"{low} to {high} {unit}"
+
+
+def _one_way(known):
+    """Say which way a joint moved; empty if both ways."""
+    low, high = known.direction
+    if low >= 0:
+        return "forward motion only"
+    return "backward motion only" if high <= 0 else ""
+
+
+def _known_for(outcome, effect):
+    """Say for which motion an effect is known; empty where it does not matter."""
+    known = effect.ranges
+    if known is None:
+        return ""
+    told = [
+        f"{_WHERE[quantity]} of "
+        f"{_range_text(outcome, effect.joint, quantity, getattr(known, quantity))}"
+        for quantity in known.depends
+        if quantity in _UNITS
+        if getattr(known, quantity)[0] <= getattr(known, quantity)[1]
+    ]
+    if "direction" in known.depends:
+        told += filter(None, [_one_way(known)])
+    return f"fitted on {words.join(told)}" if told else ""
+
+
+def _outside_sentences(outcome):
+    """Say where the untouched part leaves what effects were fitted on."""
+    found = []
+    for one in outcome.outside:
+        labels = [words.effect_label(outcome, name) for name in one.names]
+        if one.quantity == "direction":
+            way = "forward" if one.reached > 0 else "backward"
+            what = f"moves {way}, fitted on the other direction only"
+        else:
+            fitted = _range_text(outcome, one.joint, one.quantity, one.fitted)
+            reached = words.number(one.reached)
+            what = f"{one.quantity} reaches {reached}, fitted on {fitted}"
+        found.append(
+            f"{words.joint_label(outcome.joint_names, one.joint)}: {what} "
+            f"({words.percent(one.share)} of the rows; {words.join(labels)})"
+        )
+    return tuple(found)
+
+
+def _afterwards(effect):
+    """Say what an effect of time is taken to do after the recording; else empty."""
+    known = effect.afterwards
+    if known is None:
+        return ""
+    when = f"after {words.number(known.seconds)} s"
+    left = [
+        words.with_error(value, known.intervals.get(name), effect.units.get(name, ""))
+        for name, value in known.left.items()
+    ]
+    return f"{when} it {known.how}" + (f" from {words.join(left)}" if left else "")
+
+
+# -- what remains -----------------------------------------------------------------
+
+
+def unexplained(outcome, verdict):
+    """Say what remains on joints above their noise floor."""
+    names = outcome.joint_names
+    order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
+    sentences, short = [], []
+    for group in _unexplained_groups(outcome, order):
+        first = group[0]
+        joints = words.joint_list(names, [u.joint for u in group])
+        shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
+        share = f"{' to '.join(dict.fromkeys([shares[0], shares[-1]]))} of the torque"
+        share += " has no name" if first.floor > 0 else " remains, noise floor unknown"
+        all_of_it, strongest = _of_the_rest(outcome, group)
+        sentences.append(f"{joints}: {share}; {all_of_it}")
+        short.append((f"? {joints}", share, strongest))
+    pictures = _maps(outcome)
+    return Section(
+        heading="Unexplained",
+        sentences=tuple(sentences),
+        note=_ceiling_note(outcome),
+        terminal=listed([f"? {sentence}" for sentence in sentences], short),
+        template="unexplained",
+        drawn={"pictures": pictures} if pictures else None,
+    )
+
+
+def _of_the_rest(outcome, group):
+    """Say what is known of the rest of some joints, and the same in a few words."""
+    alike = [remains(outcome, u.joint) for u in group]
+    first = group[0]
+    if alike[0] is not None:
+        return (
+            _statement(alike, first.floor),
+            _short_statement(alike),
+        )
+    signals = [
+        f"{words.signal_label(s.signal, outcome.joint_names, first.joint)} "
+        f"({words.whole_percent(s.share)})"
+        for s in first.signals
+    ]
+    if not signals:
+        return ("it varies with no single signal",) * 2
+    return f"varies with {words.join(signals, 3)}", f"varies with {signals[0]}"
+
+
+def _unexplained_groups(outcome, unexplained):
+    """Put joints together of which the same is said, but for sizes."""
+    groups = {}
+    for u in unexplained:
+        found = remains(outcome, u.joint)
+        if found is None:
+            said = u.joint if u.signals else None
+        else:
+            said = u.joint if found.kind == "form" else (found.kind, found.share > 0)
+        groups.setdefault((u.floor > 0, said), []).append(u)
+    return groups.values()
+
+
+def _ceiling_note(outcome):
+    """Say what a share of what remains is, for a page."""
+    if not outcome.ceiling:
+        return ""
+    on = "blocks of time that they were not fitted to"
+    if not all(math.isnan(c.across[-1]) for c in outcome.ceiling):
+        on += ", and on other recordings within the speeds and loads fitted"
+    return (
+        "What remains is the squared residual of the completed model in the search "
+        f"part; shares are what boosted trees explain of it on {on}."
+    )
+
+
+def _maps(outcome):
+    """Draw what remains over speed and load, of joints of which these explain it."""
+    found = []
+    for joint, drawn in outcome.curves.get("maps", {}).items():
+        if _has_picture(remains(outcome, joint)):
+            picture = map_picture(drawn)
+            unit = outcome.torque_units[joint]
+            speed = "m/s" if unit == "N" else "rad/s"
+            found.append(
+                (
+                    words.joint_label(outcome.joint_names, joint),
+                    f"full colour: +-{words.number(picture.limit, 2)} {unit}",
+                    f"speed {_range(drawn.speed)} {speed}",
+                    f"load {_range(drawn.load)} {unit}",
+                    picture,
+                )
+            )
+    return tuple(found)
+
+
+def _range(ends):
+    return " to ".join(words.number(end, 2) for end in ends)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Remains:
+    """What remains of a joint's residual."""
+
+    # whether a function explains it, one does within a recording only, or none does
+    kind: str
+    source: int  # fewest signals that do, as an index of a `Ceiling`'s shares
+    share: float  # share of the squared residual that they explain
+
+
+def remains(outcome, joint):
+    """Return what remains of a joint above its floor; None if it is not known."""
+    own = next((c for c in outcome.ceiling if c.joint == joint), None)
+    if own is None or math.isnan(own.share[-1]):
+        # Too short to be judged.
+        return None
+    kind, shares = "form", own.share
+    if shares[-1] < _LITTLE:
+        again = not math.isnan(own.across[-1]) and own.within[-1] >= _LITTLE
+        kind = "recording" if again else "nothing"
+        shares = own.within if again else shares
+    source = next(k for k, x in enumerate(shares) if x >= _MOST * shares[-1])
+    return Remains(kind=kind, source=source, share=shares[source])
+
+
+def _has_picture(found):
+    """Whether a map over speed and load shows what remains."""
+    return found is not None and found.kind == "form" and found.source == 0
+
+
+def _statement(alike, floor):
+    """Say in a sentence what remains."""
+    # alike: `Remains` of joints of which the same is said; one alone if it is a form.
+    # floor: noise floor of one of them, nan if unknown.
+    first = alike[0]
+    if first.kind == "form":
+        return (
+            f"{_FORMS[first.source]} explains {words.whole_percent(first.share)} of "
+            "what remains: no effect of the library has that form"
+        )
+    shares = sorted(found.share for found in alike)
+    if first.kind == "recording":
+        ends = dict.fromkeys(words.whole_percent(x) for x in (shares[0], shares[-1]))
+        return (
+            f"{' to '.join(ends)} of what remains repeats within a recording, nothing "
+            "in the next one: temperature, or what else changed in between"
+        )
+    repeats = "does not repeat" if shares[-1] == 0 else "hardly repeats"
+    if floor > 0:
+        return f"what remains {repeats}: temperature, unmeasured load, or noise"
+    return f"what remains {repeats}; whether it is noise is not known"
+
+
+def _short_statement(alike):
+    """Say the same in a few words, for a row of a table."""
+    first = alike[0]
+    if first.kind == "form":
+        return f"{_FORMS[first.source]} ({words.whole_percent(first.share)})"
+    if first.kind == "recording":
+        return "repeats within a recording only"
+    return "does not repeat" if first.share == 0 else "hardly repeats"
+
+
+def remains_of_joint(outcome, joint, text):
+    """Return the statement on a joint, `text` for one that has no ceiling."""
+    found = remains(outcome, joint)
+    if found is None:
+        return text
+    floor = next(u.floor for u in outcome.unexplained if u.joint == joint)
+    return _statement([found], floor)
+
+
+def _record_again(outcome):
+    """Return what to record where what remains does not repeat, joints by advice."""
+    advice = words.record_for_signal("time")
+    found = [u.joint for u in outcome.unexplained if _changes(outcome, u)]
+    return {advice: found} if found else {}
+
+
+def _changes(outcome, rest):
+    """Whether what remains of a joint is there, and changes with time."""
+    found = remains(outcome, rest.joint)
+    if found is None or found.kind == "form":
+        return False
+    return found.kind == "recording" or rest.floor > 0
+
+
+# -- what to record ---------------------------------------------------------------
+
+
+def record_next(outcome, verdict):
+    """Say what to record next, what matters most first, without repetition."""
+    wanted = _record_again(outcome)
+    for rest in outcome.unexplained:
+        for signal in rest.signals:
+            advice = words.record_for_signal(signal.signal)
+            wanted.setdefault(advice, []).append(rest.joint)
+    for effect in outcome.effects:
+        for name in (effect.name, *effect.rivals) if effect.rivals else ():
+            where = wanted.setdefault(words.record_for(outcome, name), [])
+            where += _own_joint(outcome, effect)
+    for h in outcome.hidden:
+        if h.reason == "excitation":
+            advice = words.record_for(outcome, h.name) or h.remedy
+            wanted.setdefault(advice, []).extend(_own_joint(outcome, h))
+    found = []
+    for advice, joints in wanted.items():
+        where = words.joint_list(outcome.joint_names, joints)
+        if advice:
+            found.append(f"{advice} ({where})" if where else advice)
+    return Section(
+        heading="Record next",
+        sentences=tuple(found),
+        terminal=(f"Record next: {words.join(found, len(found))}.",) if found else (),
+    )
+
+
+def _own_joint(outcome, effect):
+    """Joint of an effect, in a list; an empty one for what belongs to none."""
+    found = outcome.library.get(effect.name)
+    return [] if found is not None and found.scope == "robot" else [effect.joint]
+
+
+def hidden(outcome, verdict):
+    """Say what could not be looked for, in a sentence for each reason."""
+    sentences = list(_model_sentences(outcome))
+    rest = [h for h in outcome.hidden if not _is_of_model(outcome, h)]
+    for reason, title, because in (
+        ("excitation", "This recording cannot show", ""),
+        ("signal", "Not looked for:", "; {}"),
+        ("span", "No motion can show", ": what is fitted anyway does the same"),
+    ):
+        own = [h for h in rest if h.reason == reason]
+        of_model = _model_parts(outcome, reason) if reason == "span" else []
+        if not (own or of_model):
+            continue
+        by_effect = {}
+        for h in own:
+            by_effect.setdefault(h.name, []).append(h.joint)
+        parts = [
+            f"{words.effect_label(outcome, name)} "
+            f"({words.joint_list(outcome.joint_names, joints)})"
+            for name, joints in by_effect.items()
+        ]
+        parts = [*of_model, *parts]
+        because = because.format(words.join(sorted({h.remedy for h in own}), 2))
+        sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
+    sentences += _together_sentences(outcome, rest)
+    return Section(heading="Not visible in this recording", sentences=tuple(sentences))
+
+
+def _is_of_model(outcome, hidden):
+    """Whether what is hidden is an effect of the robot model."""
+    known = outcome.library.get(hidden.name)
+    return known is not None and known.in_model
+
+
+def _model_sentences(outcome):
+    """Say which effects of the robot model could not be seen, a tuple of sentences."""
+    # Those that no motion can show are reported elsewhere: `_model_parts`.
+    groups = {}
+    for one in outcome.hidden:
+        if _is_of_model(outcome, one) and one.reason != "span":
+            # Partners are several, one for each joint.
+            why = "" if one.reason == "together" else one.remedy
+            groups.setdefault((one.reason, one.name, why), []).append(one)
+    return tuple(
+        _unseen(outcome, reason, name, why, own)
+        for (reason, name, why), own in groups.items()
+    )
+
+
+def _model_parts(outcome, reason):
+    """Name the effects of the robot model that are hidden for a reason, a list."""
+    groups = {}
+    for one in outcome.hidden:
+        if _is_of_model(outcome, one) and one.reason == reason:
+            groups.setdefault(one.name, []).append(one)
+    return [_what(outcome, name, own) for name, own in groups.items()]
+
+
+def _unseen(outcome, reason, name, why, own):
+    """Say why one effect could not be seen on some joints."""
+    what = words.capital(_what(outcome, name, own))
+    if reason == "signal":
+        return f"{what} could not be looked for: {why}."
+    if reason == "together":
+        partners = dict.fromkeys(
+            words.other_label(outcome, one.remedy, name) for one in own
+        )
+        return (
+            f"{what} can be seen only together with {words.join(partners, 4)}: one of "
+            "them stands for both."
+        )
+    needed = f": that takes {why}" if why else ""
+    return f"{what} cannot be seen in this recording{needed}."
+
+
+def _what(outcome, name, own):
+    """Name an effect on some joints as the subject of a sentence."""
+    joints = [one.joint for one in own]
+    where = words.joint_list(outcome.joint_names, joints)
+    subject = outcome.library[name].subject
+    if subject:
+        return subject[len(set(joints)) > 1].format(where)
+    label = words.effect_label(outcome, name)
+    if words.place_label(outcome, name, joints[0]) == "robot":
+        return label
+    return f"{label} on {where}"
+
+
+def _together_sentences(outcome, hidden):
+    """Say which other effects show only together with another one; a list."""
+    found = {}
+    for one in hidden:
+        if one.reason == "together":
+            key = (one.name, words.other_label(outcome, one.remedy, one.name))
+            found.setdefault(key, []).append(one.joint)
+    parts = [
+        f"{words.effect_label(outcome, name)} "
+        f"({words.joint_list(outcome.joint_names, joints)}) with {partner}"
+        for (name, partner), joints in found.items()
+    ]
+    if not parts:
+        return []
+    return [f"Visible only together: {words.join(parts, len(parts))}."]

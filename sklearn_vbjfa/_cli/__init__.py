@@ -49,8 +49,7 @@ DURATION, PERIOD = 20.0, 0.01
 
 # What a recording may be, for the help.
 _RECORDING = (
-    "CSV (also .gz, .bz2, .xz), Excel, parquet, npz, npy or MATLAB file with columns "
-    "q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
+    "TABLES file with columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
     "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
     "of a LeRobot data set; - for standard input"
 )
@@ -354,10 +353,13 @@ def _parser():
 
 def _add(commands, name, *, run, arguments="", own=None, **told):
     """Add a command with its arguments to a parser."""
+    from sklearn_vbjfa.recording import formats
+
     command, defaults = commands.add_parser(name, **told), {}
     for argument in arguments.split():
         given = _ARGUMENTS[argument] | (own or {}).get(argument, {})
         default = given.pop("default", None)
+        given["help"] = given["help"].replace("TABLES", formats.TABLES)
         action = command.add_argument(argument, **given)
         if default is not None:
             defaults[action.dest] = default

@@ -49,7 +49,8 @@ DURATION, PERIOD = 20.0, 0.01
 
 # What a recording may be, for the help.
 _RECORDING = (
-    "TABLES file with columns q1..qn [rad or m], tau1..taun [N m or N] and, optionally, t [s], segment, and "
+    "TABLES file with columns q1..qn [rad or m], tau1..taun [N m or N] and, "
+    "optionally, t [s], segment, and "
     "signals such as a temperature; a bag of ROS 1 or 2, MCAP; the folder of a bag or "
     "of a LeRobot data set; - for standard input"
 )

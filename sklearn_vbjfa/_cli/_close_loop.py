@@ -68,7 +68,7 @@ def run(arguments):
     from sklearn_vbjfa import effects
     from sklearn_vbjfa.diagnosis import Report
     from sklearn_vbjfa.diagnosis.explain._findings import Provenance
-    from sklearn_vbjfa.effects import _declared
+    from sklearn_vbjfa.effects import declarable
     from sklearn_vbjfa.physical import ProjectionError
 
     files, urdf = _input.sources(arguments.recording), _input.path(arguments.urdf)
@@ -78,7 +78,7 @@ def run(arguments):
     _input.check_folder(out)
     if not arguments.force:
         _input.check_overwriting(out, _FILES, (*files, urdf))
-    friction = _input.names("--friction", arguments.friction, _declared.available())
+    friction = _input.names("--friction", arguments.friction, declarable())
     library = arguments.effects
     if library != "all":
         library = _input.names("--effects", library, effects.available())

@@ -155,10 +155,10 @@ def _own(arguments, folder):
     """Read a recording of one's own."""
     from sklearn_vbjfa import RobotIdentifier
     from sklearn_vbjfa.datasets._catalogue import Protocol
-    from sklearn_vbjfa.effects import _declared
+    from sklearn_vbjfa.effects import declarable
 
     source = _input.named(_input.sources(arguments.recording))
-    friction = _input.names("--friction", arguments.friction, _declared.available())
+    friction = _input.names("--friction", arguments.friction, declarable())
     cutoff = _input.cutoff(arguments.cutoff)
     gains = _input.gains(arguments.gain)
     taken = _input.taken(arguments, gains, folder)

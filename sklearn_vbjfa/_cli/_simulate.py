@@ -279,10 +279,10 @@ def _identified(arguments, source, folder):
     """Identify the first part of every recording, for the rest."""
     from sklearn_vbjfa import effects
     from sklearn_vbjfa.datasets import load_demo_recording
-    from sklearn_vbjfa.effects import _declared
+    from sklearn_vbjfa.effects import declarable
     from sklearn_vbjfa.physical import ProjectionError
 
-    friction = _input.names("--friction", arguments.friction, _declared.available())
+    friction = _input.names("--friction", arguments.friction, declarable())
     library = arguments.effects
     if library != "all":
         library = _input.names("--effects", library, effects.available())

@@ -10,8 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import qr
 
-from sklearn_vbjfa.effects._base import Motion
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import Motion, Rest
 from sklearn_vbjfa.model._loading import is_prismatic
 
 # Step of positions [rad or m]; velocities and accelerations take steps of one, by which

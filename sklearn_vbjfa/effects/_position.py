@@ -43,10 +43,15 @@ class Offset(JointEffect):
     seen_over = "position"
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
+    joint_parameter = "offset"
 
-    def column(self, v, a, rest=None):
-        """Return ones; see `JointEffect.column`."""
-        return np.ones_like(v)
+    def law(self, maths):
+        """One; see `Effect.law`."""
+        return lambda state: (1.0,)
+
+    def simulated(self, terms, c):
+        """Add a constant; see `Effect.simulated`."""
+        terms.constant[self.joint] += c
 
 
 class Spring(Effect):
@@ -87,11 +92,23 @@ class Spring(Effect):
     seen_over = "position"
     visible = "a wide range of positions"
     record = "a wide range of positions"
+    no_urdf = "URDF has no spring"
 
-    def columns(self, motion):
-        """Position and one; see `Effect.columns`."""
-        q = motion.q[:, [self.joint]]
-        return np.hstack([q, np.ones_like(q)])
+    def law(self, maths):
+        """Position and one; see `Effect.law`."""
+        j = self.joint
+        return lambda state: (state.q[j], 1.0)
+
+    def simulated(self, terms, k, c):
+        """Add a spring and a constant; see `Effect.simulated`."""
+        terms.add("spring", self.joint, k)
+        terms.constant[self.joint] += c
+
+    def to_mjcf(self, joints, k, c):
+        """Its stiffness and a constant; see `Effect.to_mjcf`."""
+        joints.spring[self.joint] += k
+        joints.constant[self.joint] += c
+        return (), ""
 
     def parameters(self, coef):
         """Stiffness and position at rest; see `Effect.parameters`."""
@@ -161,6 +178,7 @@ class Counterbalance(Effect):
     seen_over = "position"
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
+    no_place = "a torque that is no linear function of the position"
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
         super().__init__(joint)
@@ -221,16 +239,30 @@ class Counterbalance(Effect):
             return "a prismatic joint has no angle"
         return super().applies(motion)
 
-    def columns(self, motion):
-        """Force times lever arm, or harmonics and one; see `Effect.columns`."""
+    def law(self, maths):
+        """Force times lever arm, or harmonics and one; see `Effect.law`."""
         self.check()
-        q = motion.q[:, [self.joint]]
+        j, ratio, angle = self.joint, self.ratio, self.angle
+        cos, sin, sqrt = maths.cos, maths.sin, maths.sqrt
+
+        def linkage(state):
+            x = state.q[j] - angle
+            s = sin(x)
+            return s / sqrt(1 + ratio**2 - 2 * ratio * cos(x)), s
+
+        def harmonics(state):
+            q = state.q[j]
+            return cos(q), sin(q), cos(2 * q), sin(2 * q), 1.0
+
+        return linkage if self.form == "linkage" else harmonics
+
+    def simulated(self, terms, *coef):
+        """Of either form, a function of the position; see `Effect.simulated`."""
         if self.form == "linkage":
-            x = q - self.angle
-            length = np.sqrt(1 + self.ratio**2 - 2 * self.ratio * np.cos(x))
-            return np.hstack([np.sin(x) / length, np.sin(x)])
-        harmonics = [np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]
-        return np.hstack([*harmonics, np.ones_like(q)])
+            terms.add("linkage", self.joint, *coef, self.ratio, self.angle)
+        else:
+            terms.add("harmonics", self.joint, *coef[:-1])
+            terms.constant[self.joint] += coef[-1]
 
     def shapes(self, motion):
         """Linkages all around the joint, and the harmonics."""
@@ -285,15 +317,25 @@ class Ripple(Effect):
     seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
+    no_place = "a torque that is no linear function of the position"
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)
         self.period = period
 
-    def columns(self, motion):
-        """Cosine and sine; see `Effect.columns`."""
-        angle = 2 * np.pi / self.period * motion.q[:, [self.joint]]
-        return np.hstack([np.cos(angle), np.sin(angle)])
+    def law(self, maths):
+        """Cosine and sine; see `Effect.law`."""
+        j, waves, cos, sin = self.joint, 2 * np.pi / self.period, maths.cos, maths.sin
+
+        def torque(state):
+            angle = waves * state.q[j]
+            return cos(angle), sin(angle)
+
+        return torque
+
+    def simulated(self, terms, c, s):
+        """Add a function of the position; see `Effect.simulated`."""
+        terms.add("ripple", self.joint, c, s, 2 * np.pi / self.period)
 
     def shapes(self, motion):
         """Periods that the motion crosses and the low-pass lets through."""

@@ -24,8 +24,7 @@ from sklearn_vbjfa.robot._output_error import (
 )
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
-from sklearn_vbjfa.simulation._closed_loop import simulate_controlled
-from sklearn_vbjfa.simulation._simulate import SimulationError
+from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
 
 _MOST_ROUNDS = 20
 # A step is halved so many times at most.

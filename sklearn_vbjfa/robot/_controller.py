@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.simulation._controller import PositionController
+from sklearn_vbjfa.simulation import PositionController
 
 
 def check_reference(controller, reference, y, dt):

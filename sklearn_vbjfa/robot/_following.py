@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.effects._follower import ChainJoint, Follower
+from sklearn_vbjfa.effects import ChainJoint, Follower
 from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._mjcf import FollowingJoint
 

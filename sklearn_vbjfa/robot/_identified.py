@@ -4,7 +4,7 @@ from sklearn_vbjfa.robot import _model_file
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._prediction import PredictsTorques, predictor_of
 from sklearn_vbjfa.robot._written import mjcf_of, urdf_of
-from sklearn_vbjfa.simulation._stepper import Stepper, causal
+from sklearn_vbjfa.simulation import Stepper, causal
 
 
 def torque_model(robot):

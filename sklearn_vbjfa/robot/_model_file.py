@@ -10,10 +10,14 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._whole_files import write_whole
-from sklearn_vbjfa.effects import EffectRange, resolve
-from sklearn_vbjfa.effects._base import SPEED, Effect
-from sklearn_vbjfa.effects._follower import Follower
-from sklearn_vbjfa.effects._library import available
+from sklearn_vbjfa.effects import (
+    SPEED,
+    Effect,
+    EffectRange,
+    Follower,
+    available,
+    resolve,
+)
 from sklearn_vbjfa.model._description_text import in_order
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names, load_text
 from sklearn_vbjfa.robot._column_powers import ColumnPowers

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.effects._ranges import outside, own_motions
+from sklearn_vbjfa.effects import outside, own_motions
 from sklearn_vbjfa.model._loading import is_prismatic, joint_names
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.recording._columns import (
@@ -37,8 +37,7 @@ from sklearn_vbjfa.robot._ranges import (
 from sklearn_vbjfa.robot._recording_checks import check_widths
 from sklearn_vbjfa.robot._states import fit_states, smooth_to
 from sklearn_vbjfa.robot._time_effects import beyond_text, effect_of_time
-from sklearn_vbjfa.simulation._simulate import simulate
-from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+from sklearn_vbjfa.simulation import Load, TorqueModel, simulate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import Rest
 from sklearn_vbjfa.recording._recording import Recording
 
 # Periods of the cut-off at each end in which the smoother sees one side only, ...

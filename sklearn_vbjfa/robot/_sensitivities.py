@@ -26,12 +26,10 @@ from itertools import compress
 
 import numpy as np
 
-from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.effects._ranges import own_motions
+from sklearn_vbjfa.effects import declared_columns, own_motions
 from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
-from sklearn_vbjfa.simulation._dynamics import with_bodies
-from sklearn_vbjfa.simulation._terms import CHANNELS, LEFT_OUT
+from sklearn_vbjfa.simulation import with_bodies
 
 # Differences are taken over this share of a joint's range, top speed and acceleration.
 _SHARE = 1e-6
@@ -92,7 +90,7 @@ def held_parameters(predictor):
     """
     held = [np.zeros(predictor.features.n_parameters_, dtype=bool)]
     for effect in predictor.effects:
-        out = effect.in_model or isinstance(effect, tuple(LEFT_OUT))
+        out = effect.in_model or bool(effect.not_simulated)
         held.append(np.full(len(effect.coefficients), out))
     return np.concatenate(held)
 
@@ -116,11 +114,12 @@ def _beside_bodies(predictor, recording, states):
     features, nv = predictor.features, predictor.features.n_joints_
     _, v, a = np.split(states, 3, axis=1)
     own = predictor.bodies(predictor.theta)[:, 10:]
-    columns = _friction.columns(features.friction_, v, a)
+    columns = declared_columns(features.friction_, v, a)
     torque = np.einsum("njk,jk->nj", columns, own)
     # Effects whose torque depends on the state alone.
-    out = (*CHANNELS, *LEFT_OUT)
-    moving = [not (e.in_model or isinstance(e, out)) for e in predictor.effects]
+    moving = [
+        not (e.in_model or e.in_channel or e.not_simulated) for e in predictor.effects
+    ]
     if any(moving):
         known = {"theta": predictor.load}
         motion = motion_of(recording, states, predictor.held_plan, features, **known)

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import TORQUE
+from sklearn_vbjfa.effects import TORQUE
 
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3

@@ -15,7 +15,7 @@ from sklearn_vbjfa.model._loading import is_prismatic
 from sklearn_vbjfa.recording._columns import torques_in_order
 from sklearn_vbjfa.recording._recording import check_dt
 from sklearn_vbjfa.robot._prediction import predictor_of
-from sklearn_vbjfa.simulation._simulate import SimulationError
+from sklearn_vbjfa.simulation import SimulationError
 
 # Level of the one-sided test by which an error is clearly smaller than another.
 _CLEARLY = 0.05

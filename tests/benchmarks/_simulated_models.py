@@ -20,7 +20,7 @@ def torque_model(model, *, bodies=None, friction=None, effects=None, dt=None):
         Sample period [s].
     """
     from sklearn_vbjfa.model._loading import nominal_parameters
-    from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+    from sklearn_vbjfa.simulation import Load, TorqueModel
 
     friction, effects = friction or {}, effects or {}
     if bodies is None:
@@ -62,7 +62,7 @@ def torques(robot, q, v, a, t=None):
     t : ndarray of shape (n,), default=None
         Time [s]; multiples of the robot's period by default.
     """
-    from sklearn_vbjfa.effects._base import Motion
+    from sklearn_vbjfa.effects import Motion
     from sklearn_vbjfa.model._regressor import TreeRegressor
 
     rigid = TreeRegressor(robot.model).torques(q, v, a, robot.bodies)
@@ -89,7 +89,7 @@ def torques(robot, q, v, a, t=None):
 
 def simulated(robot, tau, q0, v0, t=None):
     """States (n, 3 nv) of a `TorqueModel` by the package."""
-    from sklearn_vbjfa.simulation._simulate import simulate
+    from sklearn_vbjfa.simulation import simulate
 
     return np.asarray(simulate(robot, tau, q0, v0, t))
 

@@ -30,7 +30,7 @@ from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import fetch_emps
 from sklearn_vbjfa.effects import AsymmetricFriction, Spring, Stribeck
 from sklearn_vbjfa.robot._identified import torque_model
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate
 
 SKIPPED = 20  # rows
 REPEATS = 4

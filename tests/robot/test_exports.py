@@ -38,7 +38,7 @@ from sklearn_vbjfa.robot._exports import (  # noqa: E402
     in_line,
     to_mjcf,
 )
-from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
+from sklearn_vbjfa.simulation import TorqueModel  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 from tests.model.test_mjcf import assert_same, rigid  # noqa: E402

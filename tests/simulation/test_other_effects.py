@@ -13,7 +13,7 @@ from sklearn_vbjfa.effects import (
     Spring,
     Viscous,
 )
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate
 from tests.simulation._machines import Arm, pendulum, slider, wheel
 
 

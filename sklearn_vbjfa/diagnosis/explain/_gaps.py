@@ -13,7 +13,7 @@ from sklearn_vbjfa.diagnosis.explain._findings import (
 )
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
-from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.robot._equations import make_motion
 
 # A joint whose residual is this far above its noise floor has something unexplained:

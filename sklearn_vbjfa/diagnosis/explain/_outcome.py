@@ -30,8 +30,7 @@ from sklearn_vbjfa.diagnosis.explain._motion import motion_limits
 from sklearn_vbjfa.diagnosis.explain._next_recording import next_recording
 from sklearn_vbjfa.diagnosis.explain._whitening import memory_seconds
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
-from sklearn_vbjfa.effects import resolve
-from sklearn_vbjfa.effects._declared import available as plain_terms
+from sklearn_vbjfa.effects import declarable, resolve
 from sklearn_vbjfa.model._loading import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import corrections_of
 from sklearn_vbjfa.robot._known import body_masses
@@ -97,7 +96,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         enough=judgement.enough,
         intervals=judgement.intervals,
         floor=relative_floor,
-        library={e.name: e for e in (*resolve(plain_terms()), *search.library)},
+        library={e.name: e for e in (*resolve(declarable()), *search.library)},
         settings=_settings(search, judgement, asked),
         band=judgement.band,
         projection=judgement.price,

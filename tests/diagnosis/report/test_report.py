@@ -15,8 +15,7 @@ from sklearn_vbjfa.diagnosis.report._pictures import residual_picture, time_axis
 from sklearn_vbjfa.diagnosis.report._sections import sections
 from sklearn_vbjfa.diagnosis.report._verdict import judge
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
-from sklearn_vbjfa.effects import Coulomb, Effect, available
-from sklearn_vbjfa.effects._ranges import OutsideRange
+from sklearn_vbjfa.effects import Coulomb, Effect, OutsideRange, available
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
     finding,

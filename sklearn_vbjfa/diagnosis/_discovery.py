@@ -343,7 +343,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             part = split.searched(whole)
             self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
             if set(declarable()) - set(self.declared_.features_.friction_):
-                self.plain_ = _fitted(self._with_declarable(), part)
+                self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             repetition = find_repetition(whole.q, whole.t, whole.segments)
             if not repetition:

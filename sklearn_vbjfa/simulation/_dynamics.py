@@ -9,6 +9,7 @@ from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._regressor import describe
 from sklearn_vbjfa.simulation._terms import (
     MOST_SIGNS,
+    Table,
     TermTable,
     add_terms,
     load_size,
@@ -243,22 +244,22 @@ class ForwardDynamics:
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
         """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
+        state = M, h, ML, hL, tau, q, v, mode, stuck
+        if self.compiled is None:
+            return self._solved_plain(*state, dry)
         table = self._table
-        if dry is not None and dry.any():
+        if dry is not None:
             lines = table.lines.copy()
             lines[2] += dry
-            table = table._replace(lines=lines)
-        state = M, h, ML, hL, tau, q, v, mode, stuck, table
-        if self.compiled is None:
-            return self._solved_plain(*state)
+            table = Table(table.of_load, lines, *table[2:])
         out = np.empty((5, q.size))
-        return out, self.compiled.accelerate(*state, self._found[0], out)
+        return out, self.compiled.accelerate(*state, table, self._found[0], out)
 
-    def _solved_plain(self, M, h, ML, hL, tau, q, v, mode, stuck, table):
+    def _solved_plain(self, M, h, ML, hL, tau, q, v, mode, stuck, dry):
         terms, none = self.terms, np.zeros(v.size)
-        viscous, placed, dry, load_dry, *load_ends = table.lines
-        smooth, load_smooth = viscous * v, None
-        by_position, by_velocity = none, viscous
+        dry = terms.dry if dry is None else terms.dry + dry
+        placed, smooth, load_smooth = terms.constant, terms.viscous * v, None
+        by_position, by_velocity = none, terms.viscous
         if not self._plain:
             # A coupling need not take energy: its work is counted with the drives'.
             placed = placed + terms.coupling @ v
@@ -271,23 +272,23 @@ class ForwardDynamics:
         A = M + terms.inertia if self._asymmetric else M
         rhs = tau - h - placed - smooth - dry * mode
         limit = dry
-        if table.of_load:
-            size = load_dry * mode
+        if self._table.of_load:
+            size = terms.load_dry * mode
             if load_smooth is not None:
                 size = size + load_smooth
-            constant, slope = load_size(ML @ self.a + hL, *load_ends)
+            constant, slope = load_size(ML @ self.a + hL, *terms.load_ends)
             for _ in range(MOST_SIGNS):
                 way = size * slope
                 known = rhs - way * hL - size * constant
                 a = _solve(A + way[:, None] * ML, known, stuck)
                 L = ML @ a + hL
                 supposed = constant + slope * L
-                constant, slope = load_size(L, *load_ends)
+                constant, slope = load_size(L, *terms.load_ends)
                 pressed = constant + slope * L
                 if (pressed == supposed).all():
                     break
             rhs = rhs - size * pressed
-            limit = dry + load_dry * pressed
+            limit = dry + terms.load_dry * pressed
             if load_smooth is not None:
                 by_velocity = by_velocity + load_by_velocity * pressed
         else:

@@ -110,6 +110,9 @@ class TermTable:
         kinds, joints, numbers = zip(*self._rows) if self._rows else ((), (), ())
         self.kinds, self.joints = np.array(kinds, dtype=int), np.array(joints, int)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, _WIDTH + 2)
+        # (2, nv): lowest and highest load that friction over the load follows.
+        ends = [self._load_ends.get(j, _ENDLESS) for j in range(nv)]
+        self.load_ends = np.transpose(ends)
         # Joints with a memory of where they turned, and with a bend in their torque.
         self.remembers, self.bends = np.zeros((2, nv), dtype=bool)
         self.remembers[self._joints_of(_REMEMBERING)] = True
@@ -173,8 +176,7 @@ class TermTable:
         for k in np.flatnonzero(np.isin(self.kinds, _REMEMBERING)):
             memory[k, 0] = q[self.joints[k]]
             memory[k, 1] = memory[k, 0] if self.kinds[k] == _BACKLASH else 0.0
-        ends = [self._load_ends.get(j, _ENDLESS) for j in range(self.dry.size)]
-        lines = self.viscous, self.constant, self.dry, self.load_dry, *zip(*ends)
+        lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
         return Table(
             of_load=self.of_load,
             lines=np.array(lines),

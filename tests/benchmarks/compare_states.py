@@ -444,7 +444,7 @@ def difference(one, other, metric):
         squares = [float(x @ metric @ x) for x in (change, size)]
         return float(np.sqrt(max(squares[0], 0.0) / squares[1]))
     norm = np.linalg.norm(size)
-    return float(np.linalg.norm(change) / norm) if norm else float(np.abs(change).max())
+    return float(np.linalg.norm(change) / norm) if norm else float(np.abs(change).max(initial=0))
 
 
 def same_line(one, other):

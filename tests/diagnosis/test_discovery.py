@@ -550,7 +550,7 @@ def test_declared_effects_stay():
     assert loop.effects_[0].parameters["k"] == pytest.approx(4.0, rel=0.05)
 
 
-def test_declared_effects_with_a_shape_stay_beside_the_declarable():
+def test_declared_effects_with_a_shape_stay_beside_the_plain_terms():
     torque = ARM.torque(joint_2=lambda r: 0.6 * np.cos(20 * r.q[:, 1]))
     robot = ARM.robot(effects=(effects.Ripple(1, period=np.pi / 10),))
     loop = ARM.discover(torque, PLAIN, robot=robot)

@@ -24,9 +24,8 @@ VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 
 # What an effect's torque is said by, and what is said of it elsewhere.
 _TORQUE = frozenset({"law", "column", "columns"})
-_OF_TORQUE = frozenset(
-    {"law", "simulated", "to_mjcf", "not_simulated", "no_place", "no_urdf", "in_urdf"}
-) | {"reads_torque", "joint_parameter"}
+_OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "reads_torque"})
+_OF_TORQUE |= {"joint_parameter", "mjcf", "in_files", "no_place", "no_urdf", "no_mjcf"}
 
 
 class Effect(TransformerMixin, BaseEstimator):
@@ -127,15 +126,20 @@ class Effect(TransformerMixin, BaseEstimator):
         a search counts its evidence by slow changes alone.
     afterwards : str
         What a `slow` effect is taken to do after the last time of the fit.
+    terms : tuple of (str, str, ...)
+        What it is in a simulation: kinds of terms that the simulation knows, each with
+        the coefficients and shape parameters that it is made of. Empty, it is simulated
+        by its own columns, which is slower and leaves out what depends on other rows.
     not_simulated : str
         Why a simulation goes without it; empty for all that can be simulated.
-    no_place : str
-        Why URDF and MJCF have no place for it, beside what `to_mjcf` finds; empty says
-        that it is an effect of the user's own.
-    no_urdf : str
-        The same for URDF alone, where MJCF has a place.
-    in_urdf : bool
-        Whether a URDF has it.
+    mjcf : tuple of (str, str, ...)
+        What of it an MJCF file has: "constant", "spring", "ref" or "tendons", each with
+        the coefficients that go there.
+    in_files : tuple of {"urdf", "mjcf"}
+        Files that have all of it in another way.
+    no_place, no_urdf, no_mjcf : str
+        Why files have no place for the rest of it, either of them, URDF or MJCF;
+        empty says that it is an effect of the user's own.
 
     Examples
     --------
@@ -190,17 +194,20 @@ class Effect(TransformerMixin, BaseEstimator):
     slow = False
     afterwards = ""
     # In simulations and in files of other programs.
+    terms = ()
     not_simulated = ""
+    mjcf = ()
+    in_files = ()
     no_place = ""
     no_urdf = ""
-    in_urdf = False
+    no_mjcf = ""
     # Kinds. True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False
     # "robot" for an effect that belongs to no joint; its joint is the first.
     scope = "joint"
     # True for an effect whose value is part of the robot model; see `ModelEffect`.
     in_model = False
-    # True for one of what is read of a torque; see `ChannelEffect`.
+    # True for one of what is read of a torque; see `_channels`.
     in_channel = False
     # True for one that changes the last body's `inertial` parameters at an `instant`.
     in_last_body = False
@@ -289,40 +296,27 @@ class Effect(TransformerMixin, BaseEstimator):
             column[:] = values
         return out
 
-    def simulated(self, terms, *coef):
-        """Enter it into the forward dynamics of a robot.
+    def simulated(self, table, *coef):
+        """Enter it into the forward dynamics of a robot; by default its `terms`.
 
         Parameters
         ----------
-        terms : TermTable
-            Takes what a simulation knows: see `sklearn_vbjfa.simulation`.
+        table : TermTable
+            Takes what a simulation knows; see `sklearn_vbjfa.simulation`.
         *coef : float
             Coefficients.
 
         Returns
         -------
-        object
-            `NotImplemented`, the default, if it is to be simulated by its own columns,
-            which is slower and leaves out what depends on other rows.
+        bool
+            Whether it is entered; False if it is to be simulated by its own columns.
         """
-        return NotImplemented
-
-    def to_mjcf(self, joints, *coef):
-        """Enter it into the joints of an MJCF file.
-
-        Parameters
-        ----------
-        joints : MjcfJoints
-            Takes what the format knows of joints.
-        *coef : float
-            Coefficients, of an effect in the model its values.
-
-        Returns
-        -------
-        (sequence of float, str)
-            Coefficients of what has no place, and why; by default all of it.
-        """
-        return coef, self.no_place
+        known = dict(zip(self.coefficients, coef))
+        done = bool(self.terms)
+        for kind, *names in self.terms:
+            numbers = [known[n] if n in known else getattr(self, n) for n in names]
+            done &= table.add(kind, self.joint, *numbers)
+        return done
 
     def one_by_one(self):
         """Return a function that computes the columns row by row.

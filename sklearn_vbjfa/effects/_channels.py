@@ -73,37 +73,16 @@ def smooth(x, dt, time_constant):
     return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
-class ChannelEffect(Effect):
-    """An effect on what is read of a torque: the robot itself has none.
-
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint whose channel it is, from zero.
-    """
+class _Channel(Effect):
+    """An effect on what is read of a torque, which the robot itself has not."""
 
     in_channel = True
 
     def taken_back(self, coef, torque, t):
-        """Take it out of a recorded torque.
-
-        Parameters
-        ----------
-        coef : array-like of shape (1,)
-            Coefficient.
-        torque : ndarray of shape (n,)
-            What the channel of its joint read [N m or N].
-        t : ndarray of shape (n,)
-            Times [s].
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Torque at the joint.
-        """
-        # A filter reads y = x + B x for the torque x; taken back by the first terms of
-        # the series of its inverse, x = y - B y + B^2 y: that restores what the filter
-        # lets through without blowing up the noise above.
+        """Take it out of what the channel of its joint read, (n,) at times t (n,)."""
+        # It reads y = x + B x for the torque x; taken back by the first terms of the
+        # series of its inverse, x = y - B y + B^2 y: that restores what a filter lets
+        # through without blowing up the noise above.
         once = self._change(coef, torque, t)
         twice = self._change(coef, once, t)
         return torque + (twice - once)
@@ -117,7 +96,7 @@ class ChannelEffect(Effect):
         return self.columns(motion) @ coef
 
 
-class Delay(ChannelEffect):
+class Delay(_Channel):
     """The torque signal lags behind the positions.
 
     The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
@@ -238,7 +217,7 @@ class Delay(ChannelEffect):
         return lag
 
     def taken_back(self, coef, torque, t):
-        """Read it later, or earlier; see `ChannelEffect.taken_back`."""
+        """Read it later, or earlier; see `_Channel.taken_back`."""
         return np.interp(t + coef[0], t, torque)
 
     def shapes(self, motion):
@@ -250,7 +229,7 @@ class Delay(ChannelEffect):
         return {"delay": float(coef[0])}
 
 
-class TorqueFilter(ChannelEffect):
+class TorqueFilter(_Channel):
     """The torque passed a filter that the positions did not pass, or the reverse.
 
     The column is (F tau - tau) / T for a filter F of the time constant T that acts on

@@ -56,15 +56,12 @@ class RotorInertia(JointEffect):
     visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
     joint_parameter = "rotor_inertia"
+    terms = (("armature", "Ir"),)
 
     def law(self, maths):
         """Acceleration; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.a[j],)
-
-    def simulated(self, terms, Ir):
-        """Add to the inertia of the joint; see `Effect.simulated`."""
-        terms.armature[self.joint] += Ir
 
 
 class Coupling(Effect):
@@ -107,6 +104,7 @@ class Coupling(Effect):
     visible = "the other joint reverses while this one moves"
     record = "each joint moving alone"
     no_urdf = "URDF has no friction or inertia between joints"
+    mjcf = (("tendons", "Fvm", "Fcm", "Iam"),)
 
     def __init__(self, joint=0, other=1, of="other"):
         super().__init__(joint)
@@ -156,20 +154,15 @@ class Coupling(Effect):
             )
         return super().columns(motion)
 
-    def simulated(self, terms, Fvm, Fcm, Iam):
+    def simulated(self, table, Fvm, Fcm, Iam):
         """Friction and inertia between joints; see `Effect.simulated`."""
         j, k, own = self.joint, self.other, self.own_share
-        terms.coupling[j, [k, j]] += Fvm, own * Fvm
-        terms.inertia[j, [k, j]] += Iam, own * Iam
+        table.coupling[j, [k, j]] += Fvm, own * Fvm
+        table.inertia[j, [k, j]] += Iam, own * Iam
         # The sign turns over the speeds at which both joints may be standing: friction
         # of a sum of speeds does not hold one joint alone.
-        slow = terms.slow(k) + abs(own) * terms.slow(j)
-        terms.add("coupled_dry", j, Fcm, k, own, max(slow, _SLOW))
-
-    def to_mjcf(self, joints, *coef):
-        """Enter it among the tendons; see `Effect.to_mjcf`."""
-        joints.couplings.append((self, np.array(coef)))
-        return (), ""
+        slow = table.slow(k) + abs(own) * table.slow(j)
+        return table.add("coupled_dry", j, Fcm, k, own, max(slow, _SLOW))
 
     def shapes(self, motion):
         """All other joints, alone and together with this one."""

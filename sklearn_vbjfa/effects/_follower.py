@@ -94,7 +94,7 @@ class Follower(Effect):
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
     visible = "the joint that leads moves"
     whole_robot = True
-    in_urdf = True
+    in_files = ("urdf", "mjcf")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
         super().__init__(joint)
@@ -144,10 +144,6 @@ class Follower(Effect):
                 torque = moment + _skew(lever) @ force
             out[:, link.joint] += link.rate * np.einsum("ni,nik->nk", axis, torque)
         return out
-
-    def to_mjcf(self, joints, *coef):
-        """Leave nothing, the file has a body for it; see `Effect.to_mjcf`."""
-        return (), ""
 
     def shapes(self, motion):
         """Nothing is searched: the description says which joints follow."""

@@ -57,15 +57,12 @@ class Viscous(JointEffect):
     visible = "motion at several speeds"
     record = "motion at several speeds"
     joint_parameter = "viscous"
+    terms = (("viscous", "Fv"),)
 
     def law(self, maths):
         """Velocity; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.v[j],)
-
-    def simulated(self, terms, Fv):
-        """Viscous friction; see `Effect.simulated`."""
-        terms.add("viscous", self.joint, Fv)
 
 
 class Coulomb(_Smoothed, JointEffect):
@@ -108,18 +105,12 @@ class Coulomb(_Smoothed, JointEffect):
     visible = "the joint reverses"
     record = "many reversals"
     joint_parameter = "coulomb"
+    terms = (("coulomb", "Fc", "smoothing"),)
 
     def law(self, maths):
         """Sign of the velocity; see `Effect.law`."""
         j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
         return lambda state: (sign(state.v[j], state.a[j]),)
-
-    def simulated(self, terms, Fc):
-        """Dry friction, or smooth; see `Effect.simulated`."""
-        if self.smoothing > 0:
-            terms.add("tanh", self.joint, Fc, self.smoothing)
-        else:
-            terms.dry[self.joint] += Fc
 
 
 class AsymmetricFriction(Effect):
@@ -162,6 +153,10 @@ class AsymmetricFriction(Effect):
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
     no_urdf = "friction in URDF is the same in both directions"
+    no_mjcf = "damping in MJCF is the same in both directions"
+    # Half the difference of dry friction is a constant, at rest as well.
+    terms = (("constant", "dFc"), ("absolute", "dFv"))
+    mjcf = (("constant", "dFc"),)
 
     def law(self, maths):
         """Even functions of the velocity; see `Effect.law`."""
@@ -171,16 +166,6 @@ class AsymmetricFriction(Effect):
         if maths.rest is not None:
             return lambda state: (1.0, abs(state.v[j]))
         return lambda state: (1.0 * (state.v[j] != 0), abs(state.v[j]))
-
-    def simulated(self, terms, dFc, dFv):
-        """Add a constant and smooth friction; see `Effect.simulated`."""
-        terms.constant[self.joint] += dFc
-        terms.add("absolute", self.joint, dFv)
-
-    def to_mjcf(self, joints, dFc, dFv):
-        """Half the difference of dry friction is a constant; see `Effect.to_mjcf`."""
-        joints.constant[self.joint] += dFc
-        return (0.0, dFv), "damping in MJCF is the same in both directions"
 
 
 class Stribeck(Effect):
@@ -225,6 +210,7 @@ class Stribeck(Effect):
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
     no_place = "friction that falls with speed"
+    terms = (("stribeck", "Fs", "vs", "k"),)
 
     def __init__(self, joint=0, vs=0.1, k=1):
         super().__init__(joint)
@@ -241,10 +227,6 @@ class Stribeck(Effect):
             return (exp(-(abs(v / vs) ** k)) * sign(v, state.a[j]),)
 
         return torque
-
-    def simulated(self, terms, Fs):
-        """Dry friction that falls with speed; see `Effect.simulated`."""
-        terms.add("stribeck", self.joint, Fs, self.vs, self.k)
 
     def shapes(self, motion):
         """Speeds up to two thirds of the fastest, both exponents."""
@@ -292,23 +274,16 @@ class ViscousQuadratic(Effect):
     visible = "slow and fast motion"
     record = "slow and fast motion"
     no_place = "friction with the square of speed"
+    no_mjcf = (
+        'friction with the square of speed; MuJoCo 4 takes it as damping="{damping:.6g}'
+        ' {F2:.6g}" of the joint, which older versions do not read'
+    )
+    terms = (("quadratic", "F2"),)
 
     def law(self, maths):
         """Signed square of the velocity; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.v[j] * abs(state.v[j]),)
-
-    def simulated(self, terms, F2):
-        """Smooth friction; see `Effect.simulated`."""
-        terms.add("quadratic", self.joint, F2)
-
-    def to_mjcf(self, joints, F2):
-        """Tell what newer programs could hold of it; see `Effect.to_mjcf`."""
-        damping = joints.damping[self.joint]
-        return (F2,), (
-            f'{self.no_place}; MuJoCo 4 takes it as damping="{damping:.6g} {F2:.6g}" '
-            "of the joint, which older versions do not read"
-        )
 
 
 class LoadFriction(_Smoothed):
@@ -355,12 +330,9 @@ class LoadFriction(_Smoothed):
     record = "reversals at two loads"
     reads_torque = False
     no_place = "friction in proportion to the load"
+    terms = (("load_friction", "mu", "smoothing"),)
 
     def law(self, maths):
         """Load against the motion; see `Effect.law`."""
         j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
         return lambda state: (abs(state.load[j]) * sign(state.v[j], state.a[j]),)
-
-    def simulated(self, terms, mu):
-        """Friction over the load; see `Effect.simulated`."""
-        return terms.add_over_load(self.joint, mu, self.smoothing)

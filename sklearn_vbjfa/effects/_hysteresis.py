@@ -91,6 +91,7 @@ class Presliding(Effect):
     visible = "many reversals"
     record = "many reversals"
     no_place = "friction with a memory of where the joint came from"
+    terms = (("presliding", "Fp", "displacement"),)
 
     def __init__(self, joint=0, displacement=0.01):
         super().__init__(joint)
@@ -126,10 +127,6 @@ class Presliding(Effect):
             return (z,)
 
         return torque
-
-    def simulated(self, terms, Fp):
-        """Smooth friction with a memory; see `Effect.simulated`."""
-        terms.add("presliding", self.joint, Fp, self.displacement)
 
     def shapes(self, motion):
         """Displacements up to an eighth of the range."""
@@ -179,6 +176,7 @@ class Backlash(Effect):
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
     no_place = "play with a memory of where the joint came from"
+    terms = (("backlash", "k", "width"), ("constant", "c"))
 
     def __init__(self, joint=0, width=0.01):
         super().__init__(joint)
@@ -208,11 +206,6 @@ class Backlash(Effect):
             return p, 1.0
 
         return torque
-
-    def simulated(self, terms, k, c):
-        """Add a spring with a memory, and a constant; see `Effect.simulated`."""
-        terms.add("backlash", self.joint, k, 0.5 * self.width)
-        terms.constant[self.joint] += c
 
     def shapes(self, motion):
         """Widths up to a quarter of the range."""

@@ -216,6 +216,7 @@ class BaseTilt(ModelEffect):
         "degrees"
     )
     no_urdf = "the base of the file is level"
+    in_files = ("mjcf",)
     mjcf_note = "The base is not level: gravity is turned in its frame."
     subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
@@ -260,10 +261,6 @@ class BaseTilt(ModelEffect):
         """Return the turns by roll and by pitch, two matrices (3, 3)."""
         first, second = cross_axes(_nearest(gravity))
         return rotation(self.roll * first), rotation(self.pitch * second)
-
-    def to_mjcf(self, joints, *values):
-        """Leave nothing, gravity of the file is turned; see `Effect.to_mjcf`."""
-        return (), ""
 
     def columns(self, motion):
         """Differentiate by roll and pitch, (n, nv, 2); see `Effect.columns`."""
@@ -321,6 +318,7 @@ class JointZero(ModelEffect):
     name = "joint_zero"
     told = "{joint}: the encoder's zero is off by {zero} {unit}"
     no_urdf = "zeros of the file are those of the description"
+    mjcf = (("ref", "zero"),)
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
@@ -345,11 +343,6 @@ class JointZero(ModelEffect):
     def correct(self, robot):
         """Move the joint's zero; see `ModelEffect.correct`."""
         robot.move_zero(self.joint, self.zero)
-
-    def to_mjcf(self, joints, zero):
-        """Tell the encoder's zero; see `Effect.to_mjcf`."""
-        joints.ref[self.joint] += zero
-        return (), ""
 
     def columns(self, motion):
         """Differentiate by the zero, (n, nv, 1); see `Effect.columns`."""
@@ -402,7 +395,7 @@ class JointAxis(ModelEffect):
         "{joint}: the axis is turned by {about_x} degrees about the {first} and "
         "{about_y} degrees about the {second} of its frame"
     )
-    in_urdf = True
+    in_files = ("urdf", "mjcf")
     subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (
@@ -432,10 +425,6 @@ class JointAxis(ModelEffect):
         robot.turn(
             self.joint, rotation(self.values @ cross_axes(robot.axis(self.joint)))
         )
-
-    def to_mjcf(self, joints, *values):
-        """Leave nothing, the axis of the file is turned; see `Effect.to_mjcf`."""
-        return (), ""
 
     def columns(self, motion):
         """Differentiate by both turns, (n, nv, 2); see `Effect.columns`."""
@@ -492,6 +481,7 @@ class TorqueGain(ModelEffect):
     name = "torque_gain"
     told = "{joint}: the torque channel reads {gain}"
     no_urdf = "torques of the file are the true ones"
+    in_files = ("mjcf",)
     subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
@@ -535,10 +525,6 @@ class TorqueGain(ModelEffect):
         if motion.n_joints == 1:
             return "the only joint: a common gain is in every parameter"
         return Effect.applies(self, motion)
-
-    def to_mjcf(self, joints, *values):
-        """Leave nothing, motors of the file have the gain; see `Effect.to_mjcf`."""
-        return (), ""
 
     def columns(self, motion):
         """Torque of the model on the joint (n, 1); see `Effect.columns`.

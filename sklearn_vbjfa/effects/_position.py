@@ -44,14 +44,11 @@ class Offset(JointEffect):
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
     joint_parameter = "offset"
+    terms = (("constant", "c"),)
 
     def law(self, maths):
         """One; see `Effect.law`."""
         return lambda state: (1.0,)
-
-    def simulated(self, terms, c):
-        """Add a constant; see `Effect.simulated`."""
-        terms.constant[self.joint] += c
 
 
 class Spring(Effect):
@@ -93,22 +90,12 @@ class Spring(Effect):
     visible = "a wide range of positions"
     record = "a wide range of positions"
     no_urdf = "URDF has no spring"
+    terms = mjcf = (("spring", "k"), ("constant", "c"))
 
     def law(self, maths):
         """Position and one; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.q[j], 1.0)
-
-    def simulated(self, terms, k, c):
-        """Add a spring and a constant; see `Effect.simulated`."""
-        terms.add("spring", self.joint, k)
-        terms.constant[self.joint] += c
-
-    def to_mjcf(self, joints, k, c):
-        """Its stiffness and a constant; see `Effect.to_mjcf`."""
-        joints.spring[self.joint] += k
-        joints.constant[self.joint] += c
-        return (), ""
 
     def parameters(self, coef):
         """Stiffness and position at rest; see `Effect.parameters`."""
@@ -199,6 +186,13 @@ class Counterbalance(Effect):
         return ("Fr", "krL") if self.form == "linkage" else ("a", "b", "c", "d", "e")
 
     @property
+    def terms(self):
+        """Terms of the form; see `Effect`."""
+        if self.form == "linkage":
+            return (("linkage", "Fr", "krL", "ratio", "angle"),)
+        return (("harmonics", "a", "b", "c", "d"), ("constant", "e"))
+
+    @property
     def units(self):
         """Units of the coefficients of the form; see `Effect`."""
         return (TORQUE,) * len(self.coefficients)
@@ -256,14 +250,6 @@ class Counterbalance(Effect):
 
         return linkage if self.form == "linkage" else harmonics
 
-    def simulated(self, terms, *coef):
-        """Of either form, a function of the position; see `Effect.simulated`."""
-        if self.form == "linkage":
-            terms.add("linkage", self.joint, *coef, self.ratio, self.angle)
-        else:
-            terms.add("harmonics", self.joint, *coef[:-1])
-            terms.constant[self.joint] += coef[-1]
-
     def shapes(self, motion):
         """Linkages all around the joint, and the harmonics."""
         linkages = [
@@ -317,6 +303,7 @@ class Ripple(Effect):
     seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
+    terms = (("ripple", "c", "s", "period"),)
     no_place = "a torque that is no linear function of the position"
 
     def __init__(self, joint=0, period=0.1):
@@ -332,10 +319,6 @@ class Ripple(Effect):
             return cos(angle), sin(angle)
 
         return torque
-
-    def simulated(self, terms, c, s):
-        """Add a function of the position; see `Effect.simulated`."""
-        terms.add("ripple", self.joint, c, s, 2 * np.pi / self.period)
 
     def shapes(self, motion):
         """Periods that the motion crosses and the low-pass lets through."""

@@ -123,15 +123,15 @@ class Drift(_Varied):
         exp, constant = maths.exp, self.time_constant
         return lambda state: exp(-state.known_t / constant)
 
-    def simulated(self, terms, D):
+    def simulated(self, table, D):
         """Add friction or a torque that fades; see `Effect.simulated`."""
-        since, constant = terms.since, self.time_constant
+        since, constant = table.since, self.time_constant
 
         def level(t, signals):
             known = t if since is None else max(t, since)
             return D * math.exp(-known / constant)
 
-        terms.add_level(self.joint, self.of, level)
+        return table.add_level(self.joint, self.of, level)
 
     def later(self, coef, t):
         """D exp(-t / T); see `Effect.later`."""
@@ -290,13 +290,13 @@ class Signal(_Varied):
             )
         return super().columns(motion)
 
-    def simulated(self, terms, k):
+    def simulated(self, table, k):
         """Add friction or a torque that varies; see `Effect.simulated`."""
 
         def level(t, signals):
             return k * (signals(self.signal, t) - self.reference)
 
-        terms.add_level(self.joint, self.of, level)
+        return table.add_level(self.joint, self.of, level)
 
     def shapes(self, motion):
         """All signals that vary, and all that may vary with them."""
@@ -400,9 +400,10 @@ class Payload(Effect):
         """
         return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
-    def simulated(self, terms, *coef):
+    def simulated(self, table, *coef):
         """Change the last body; see `Effect.simulated`."""
-        terms.payloads.append((float(self.instant), self.inertial(coef)))
+        table.payloads.append((float(self.instant), self.inertial(coef)))
+        return True
 
     def at(self, coef):
         """Linearise the inertia at the centre of mass that was found."""

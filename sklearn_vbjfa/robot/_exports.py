@@ -311,7 +311,7 @@ def _left_of_urdf(account):
         "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
     )
     for effect, coef in account.uses:
-        if effect.joint_parameter or effect.in_urdf:
+        if effect.joint_parameter or "urdf" in effect.in_files:
             continue
         if effect.in_model:
             coef = effect.values - effect.idle
@@ -323,14 +323,25 @@ def _left_of_urdf(account):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class MjcfJoints:
-    """What effects enter into the joints of an MJCF file; see `Effect.to_mjcf`."""
+class _Joints:
+    """What effects enter into the joints of an MJCF file; see `Effect`."""
 
-    damping: np.ndarray  # (nv,): viscous friction, which is not to be changed
+    damping: np.ndarray  # (nv,): viscous friction
     constant: np.ndarray  # (nv,): constant torque
     spring: np.ndarray  # (nv,): stiffness about the zero of the position
     ref: np.ndarray  # (nv,): what encoders read at the zero of the description
     couplings: list  # pairs of a `Coupling` and its coefficients
+
+    def take(self, effect, coef):
+        """Take what the file has of an effect; return coefficients that are left."""
+        left = dict(coef)
+        for place, *names in effect.mjcf:
+            own = [left.pop(name) for name in names]
+            if place == "tendons":
+                self.couplings.append((effect, np.array(own)))
+            else:
+                getattr(self, place)[effect.joint] += own[0]
+        return left
 
 
 def _mjcf_dynamics(account):
@@ -339,7 +350,7 @@ def _mjcf_dynamics(account):
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    joints = MjcfJoints(
+    joints = _Joints(
         damping=damping,
         constant=account.total("offset"),
         spring=np.zeros(nv),
@@ -347,13 +358,17 @@ def _mjcf_dynamics(account):
         couplings=[],
     )
     for effect, coef in account.uses:
-        if effect.joint_parameter:
-            continue  # in the sums
+        # In the sums; in the model, in the gains, or a body of its own.
+        if effect.joint_parameter or "mjcf" in effect.in_files:
+            continue
         if effect.in_model:
             coef = effect.values - effect.idle
-        left, reason = effect.to_mjcf(joints, *map(float, coef))
-        if len(left):
-            account.leave_effect(effect, left, reason or _OWN)
+        left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
+        if left:
+            told = effect.no_mjcf.format(damping=damping[effect.joint], **left)
+            reason = told or effect.no_place or _OWN
+            rest = [left.get(name, 0.0) for name in effect.coefficients]
+            account.leave_effect(effect, rest, reason)
     constant, spring, ref = joints.constant, joints.spring, joints.ref
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)

@@ -31,6 +31,9 @@ _DRY = _STRIBECK, _LEVEL_DRY
 _BENT = _ABSOLUTE, _TANH, _LOAD_TANH
 _REMEMBERING = _PRESLIDING, _BACKLASH
 _FRICTION = (*_DRY, *_BENT, _QUADRATIC, _PRESLIDING, _VISCOUS)
+# What needs no table, and dry friction, which does where its sign is smoothed.
+_LINES = ("constant", "dry", "load_dry", "armature")
+_SMOOTHED = {"coulomb": ("dry", "tanh"), "load_friction": ("load_dry", "load_tanh")}
 # What changes with time, and the kind of its term.
 _LEVELS = {"offset": "level", "coulomb": "level_dry", "viscous": "viscous"}
 # Parameters of a term in the table; the two behind them are its ends.
@@ -103,7 +106,7 @@ class TermTable:
                 continue
             effect.check()
             self._ends = _ends(held)
-            if effect.simulated(self, *map(float, coef)) is NotImplemented:
+            if not effect.simulated(self, *map(float, coef)):
                 others.append((effect, np.asarray(coef), held))
         self.payloads.sort(key=lambda pair: pair[0])
         self.others = OtherEffects(robot, others, known or {}) if others else None
@@ -128,24 +131,31 @@ class TermTable:
     # -- what effects call -------------------------------------------------------------
 
     def add(self, name, joint, *numbers):
-        """Add a term of a kind of `KINDS`, its size first; see `add_terms`."""
-        left = (0.0,) * (_WIDTH - len(numbers))
-        self._rows.append((KINDS[name], joint, (*numbers, *left, *self._ends)))
+        """Add a term, its size first, and return whether that can be done."""
+        # name: one of `KINDS`, see `add_terms`, or what needs no table.
+        if name in _LINES:
+            getattr(self, name)[joint] += numbers[0]
+        elif name in _SMOOTHED:
+            return self._add_dry(*_SMOOTHED[name], joint, *numbers)
+        else:
+            left = (0.0,) * (_WIDTH - len(numbers))
+            self._rows.append((KINDS[name], joint, (*numbers, *left, *self._ends)))
+        return True
+
+    def _add_dry(self, sharp, smooth, joint, size, smoothing):
+        """Add dry friction, with a sign or a smoothed one."""
+        if sharp == "load_dry":
+            # All friction of a joint over the load is held within the same ends.
+            if self._load_ends.setdefault(joint, self._ends) != self._ends:
+                return False
+        if smoothing > 0:
+            return self.add(smooth, joint, size, smoothing)
+        return self.add(sharp, joint, size)
 
     def add_level(self, joint, of, level):
         """Add what changes with time: its size is level(t, signals)."""
         self._levels[len(self._rows)] = level
-        self.add(_LEVELS[of], joint)
-
-    def add_over_load(self, joint, size, smoothing):
-        """Add friction over the load, if all of the joint is held within equal ends."""
-        if self._load_ends.setdefault(joint, self._ends) != self._ends:
-            return NotImplemented
-        if smoothing > 0:
-            self.add("load_tanh", joint, size, smoothing)
-        else:
-            self.load_dry[joint] += size
-        return None
+        return self.add(_LEVELS[of], joint)
 
     def slow(self, joint):
         """Speed at or below which a joint may be standing."""
@@ -257,9 +267,10 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             slope -= size * ratio * s * s / (square * length)
             by_position[j] += moves_x * slope
         elif kind == _RIPPLE:
-            c, s = math.cos(row[2] * x), math.sin(row[2] * x)
+            waves = 2.0 * math.pi / row[2]
+            c, s = math.cos(waves * x), math.sin(waves * x)
             placed[j] += size * c + row[1] * s
-            by_position[j] += moves_x * row[2] * (row[1] * c - size * s)
+            by_position[j] += moves_x * waves * (row[1] * c - size * s)
         elif kind == _PRESLIDING:
             gone = q[j] - memory[i][0]
             way = 1.0 if gone > 0 else -1.0
@@ -267,7 +278,8 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             smooth[j] += size * (way + left)
             by_position[j] += size * abs(left) / row[1]
         elif kind == _BACKLASH:
-            p = max(min(memory[i][1], x + row[1]), x - row[1])
+            half = 0.5 * row[1]
+            p = max(min(memory[i][1], x + half), x - half)
             placed[j] += size * p
             if p != memory[i][1]:
                 by_position[j] += moves_x * size
@@ -299,7 +311,7 @@ def remember(kinds, joints, numbers, memory, q):
             memory[i][1] = way + left
             memory[i][0] = q[j]
         elif kind == _BACKLASH:
-            half, low, high = numbers[i][1], numbers[i][_LOW], numbers[i][_HIGH]
+            half, low, high = 0.5 * numbers[i][1], numbers[i][_LOW], numbers[i][_HIGH]
             x = min(max(q[j], low), high)
             memory[i][1] = max(min(memory[i][1], x + half), x - half)
             memory[i][0] = q[j]

@@ -9,6 +9,7 @@ from sklearn_vbjfa.simulation._controller import PositionController
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics, with_bodies
 from sklearn_vbjfa.simulation._integrate import Integrator
 from sklearn_vbjfa.simulation._simulate import (
+    Recorded,
     SimulationError,
     simulate,
     simulate_controlled,

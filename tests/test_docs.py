@@ -158,7 +158,7 @@ def constants_of_the_loop():
         _problem,
         _refine,
     )
-    from sklearn_vbjfa.effects import _base
+    from sklearn_vbjfa.effects import FAST
     from sklearn_vbjfa.robot import _joint_moments
 
     own = sklearn_vbjfa.diagnosis.SearchSettings()
@@ -199,7 +199,7 @@ def constants_of_the_loop():
         f"{_blocks._CORRELATION_TIMES:g} times as long as the residual of the declared",
         f"{few} to {many} blocks are aimed at, and {_blocks.FEWEST} are the fewest",
         f"above {varies:g} times the floor if it varies with any, above {any_case:g} t",
-        f"({100 * _base._FAST:g} % of its speeds are slower)",
+        f"({100 * FAST:g} % of its speeds are slower)",
         f"hold the true value in {200 * intervals._UPPER_END - 100:g} % of cases",
         f"its residuals between {_joint_moments._BLOCKS} blocks of time",
         f"holds the error over the next {intervals.NEXT_SECONDS:g} s",
@@ -226,13 +226,8 @@ def test_numbers_of_the_loop_are_those_of_the_code():
 
 
 def test_shapes_in_the_guide_are_those_that_are_tried():
-    from sklearn_vbjfa.effects import (
-        _channels,
-        _friction,
-        _hysteresis,
-        _position,
-        _time,
-    )
+    from sklearn_vbjfa.effects import _channels, _friction, _hysteresis, _position
+    from sklearn_vbjfa.recording._reader import _time
 
     degrees = [
         round(math.degrees(x), 9) for x in (_position._SHORTEST, _position._LONGEST)

@@ -17,15 +17,12 @@ from sklearn_vbjfa import effects
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import curves_over
 from sklearn_vbjfa.diagnosis.report import effect_figure
-from sklearn_vbjfa.effects import Motion
-from sklearn_vbjfa.effects._in_model import cross_axes, rotation
-from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.effects import Motion, closure, cross_axes, rotation
 from sklearn_vbjfa.model import CorrectedModel
 from sklearn_vbjfa.robot import RigidBodyFeatures
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
-from sklearn_vbjfa.simulation import TorqueModel
-from sklearn_vbjfa.simulation._stepper import why_left_out
+from sklearn_vbjfa.simulation import TorqueModel, why_left_out
 
 DURATION, DT = 40.0, 0.01
 # Noise of the pictures, as a share of the effect's root mean square.

@@ -129,9 +129,9 @@ def taken(arguments, folder, *, assumed=None):
 
 def settings(arguments):
     """Return what is to be identified, settings of `RobotIdentifier`."""
-    from sklearn_vbjfa.effects import _declared
+    from sklearn_vbjfa.effects import declarable
 
-    known, factors = _declared.available(), gains(arguments.gain)
+    known, factors = declarable(), gains(arguments.gain)
     masses = getattr(arguments, "known_mass", ())
     return {
         "friction": names("--friction", arguments.friction, known),

@@ -11,8 +11,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.effects._base import Motion
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import Motion, Rest
 from sklearn_vbjfa.model import is_prismatic
 
 # Step of positions [rad or m]; velocities and accelerations take steps of one, by which

@@ -21,8 +21,7 @@ from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import search
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
-from sklearn_vbjfa.effects import JointEffect, TorqueGain, resolve
-from sklearn_vbjfa.effects._declared import available as plain_terms
+from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
 from sklearn_vbjfa.inspection import inspect_channels
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
@@ -344,7 +343,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
             part = split.searched(whole)
             self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
-            if set(plain_terms()) - set(self.declared_.features_.friction_):
+            if set(declarable()) - set(self.declared_.features_.friction_):
                 self.plain_ = _fitted(self._with_plain_terms(), part)
             begins = tuple(whole.t[rows.start] for rows in whole.segments)
             repetition = find_repetition(whole.q, whole.t, whole.segments)
@@ -469,7 +468,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Return the declared model with the four plain terms, not fitted."""
         # Those that are declared as effects of single joints would be there twice.
         effects = tuple(e for e in self.identifier.effects if not _is_plain(e))
-        asked = {"friction": plain_terms(), "effects": effects}
+        asked = {"friction": declarable(), "effects": effects}
         return clone(self.identifier).set_params(**asked)
 
     def _with(self, effects):
@@ -557,7 +556,7 @@ def _asked_again(identifier):
 
 def _is_plain(effect):
     """Whether an effect of one joint is a plain term, with no shape of its own."""
-    plain = isinstance(effect, JointEffect) and effect.name in plain_terms()
+    plain = isinstance(effect, JointEffect) and effect.name in declarable()
     return plain and not any(effect.shape().values())
 
 

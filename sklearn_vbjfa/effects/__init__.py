@@ -1,8 +1,24 @@
-"""Effects that a rigid-body model may lack, each a small transformer."""
+"""Effects that a rigid-body model may lack, each a small transformer.
 
-from sklearn_vbjfa.effects._base import Effect, JointEffect, Motion
-from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
+Names that are not in ``__all__`` are for other rooms of the package and for tests.
+"""
+
+from sklearn_vbjfa.effects._base import (
+    POSITION,
+    SPEED,
+    TORQUE,
+    Effect,
+    JointEffect,
+)
+from sklearn_vbjfa.effects._channels import (
+    Delay,
+    Jerk,
+    TorqueFilter,
+    low_pass,
+    smooth,
+)
 from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
+from sklearn_vbjfa.effects._follower import ChainJoint, Follower
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
@@ -11,19 +27,42 @@ from sklearn_vbjfa.effects._friction import (
     Viscous,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
+from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding, dahl, play
 from sklearn_vbjfa.effects._in_model import (
     BaseTilt,
     JointAxis,
     JointZero,
     ModelEffect,
     TorqueGain,
+    cross_axes,
+    rotation,
+    turned_by,
+    without_rounding,
 )
-from sklearn_vbjfa.effects._library import available, resolve
+from sklearn_vbjfa.effects._library import (
+    available,
+    check_declared,
+    closure,
+    declarable,
+    declared_columns,
+    declared_nonnegative,
+    declared_unit,
+    resolve,
+)
+from sklearn_vbjfa.effects._motion import FAST, Floats, Motion, Rest, State, mean_sign
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
-from sklearn_vbjfa.effects._ranges import EffectRange
-from sklearn_vbjfa.effects._signals import Signal
-from sklearn_vbjfa.effects._time import Drift, Payload
+from sklearn_vbjfa.effects._ranges import (
+    CURVED,
+    HELD,
+    OUTLIERS,
+    ROUNDING,
+    STRAIGHT,
+    EffectRange,
+    OutsideRange,
+    outside,
+    own_motions,
+)
+from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 __all__ = [
     "AsymmetricFriction",

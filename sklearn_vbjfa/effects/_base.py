@@ -2,144 +2,40 @@
 
 import functools
 import itertools
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
 from numbers import Integral, Real
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.effects._rest import Rest, mean_sign
+from sklearn_vbjfa.effects._motion import (
+    AllJoints,
+    Arrays,
+    Motion,
+    every_joint,
+    rows_of,
+)
 
-# Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
-_FAST = 0.995
 # Units for a revolute and for a prismatic joint.
 TORQUE, STIFFNESS = ("N m", "N"), ("N m/rad", "N/m")
 POSITION, SPEED, TIME = ("rad", "m"), ("rad/s", "m/s"), ("s", "s")
 VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Motion:
-    """Signals of one or several recordings, all at the full sample rate.
-
-    Attributes
-    ----------
-    q, v, a : ndarray of shape (n, nv)
-        Positions [rad or m], velocities, accelerations.
-    t : ndarray of shape (n,) or None
-        Time [s], rising over all recordings.
-    load : ndarray of shape (n, nv) or None
-        Torques of the rigid bodies alone, without friction [N m or N].
-    torque : ndarray of shape (n, nv) or None
-        Torques of the whole model [N m or N].
-    parts : tuple of slice
-        Recordings; nothing is remembered across their borders.
-    prismatic : ndarray of shape (nv,), bool
-        Which joints slide.
-    rigid : callable or None
-        (q, v, a) -> torques (n, nv) of the rigid bodies.
-    last_body : callable or None
-        () -> regressor of the last body's inertial parameters, (n, nv, 10).
-    derivatives : object or None
-        Derivatives of the rigid bodies' torques by the robot's geometry; see
-        `ModelEffect`.
-    bandwidth : float
-        Highest frequency [Hz] that will be looked at.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are left out here; None takes
-        the first rows of all parts.
-    rest : Rest or None
-        What to take for the sign of the velocity of a joint that may be standing; None
-        takes the sign itself, as a fit does, whose equations are masked there.
-    since : float or None
-        First time of the fit [s]: before it an effect of time is as it was then. None
-        if that is not known, or this is the fit.
-    signals : mapping of str to ndarray of shape (n,)
-        What was recorded beside the motion (a temperature, a voltage), by name, in
-        units of its own.
-    """
-
-    q: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    t: np.ndarray | None = None
-    load: np.ndarray | None = None
-    torque: np.ndarray | None = None
-    parts: tuple = ()
-    prismatic: np.ndarray | None = None
-    rigid: Callable | None = None
-    last_body: Callable | None = None
-    derivatives: object | None = None
-    bandwidth: float = np.inf
-    begins: tuple | None = None
-    rest: Rest | None = None
-    since: float | None = None
-    signals: Mapping = field(default_factory=dict)
-    _speeds: dict = field(default_factory=dict, repr=False)
-
-    def __post_init__(self):
-        if not self.parts:
-            object.__setattr__(self, "parts", (slice(0, self.q.shape[0]),))
-        if self.prismatic is None:
-            object.__setattr__(self, "prismatic", np.zeros(self.q.shape[1], bool))
-
-    @property
-    def n_joints(self):
-        """Number of joints."""
-        return self.q.shape[1]
-
-    @property
-    def later(self):
-        """When recordings begin [s], but for the first."""
-        starts = self.begins
-        if starts is None:
-            starts = [self.t[part.start] for part in self.parts]
-        return np.asarray(starts[1:], dtype=float)
-
-    def speed(self, joint):
-        """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
-        if joint not in self._speeds:
-            self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), _FAST))
-        return self._speeds[joint]
-
-    def sign(self, joint, smoothing=0.0):
-        """Sign of a joint's velocity (n, 1), tanh(v / smoothing) where one is given.
-
-        Where `rest` is known this is its mean; see `Rest`.
-        """
-        rest = None if self.rest is None else self.rest.pick(joint)
-        return mean_sign(self.v[:, [joint]], self.a[:, [joint]], rest, smoothing)
-
-    def range(self, joint):
-        """Range of a joint's positions [rad or m]."""
-        return float(np.ptp(self.q[:, joint]))
-
-    def known_time(self):
-        """Time of each row (n,) [s], at the earliest the first one of the fit."""
-        return self.t if self.since is None else np.maximum(self.t, self.since)
-
-    def duration(self):
-        """Return the time from the first to the last sample [s]."""
-        return float(np.ptp(self.t))
-
-    def derivative(self, signal):
-        """Differentiate columns (n, ...) in time, recording by recording."""
-        out = np.zeros_like(signal)
-        for part in self.parts:
-            if part.stop - part.start > 2:
-                out[part] = np.gradient(signal[part], self.t[part], axis=0)
-        return out
+# What an effect's torque is said by, and what is said of it elsewhere.
+_TORQUE = frozenset({"law", "column", "columns"})
+_OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "reads_torque"})
+_OF_TORQUE |= {"joint_parameter", "mjcf", "in_files", "no_place", "no_urdf", "no_mjcf"}
 
 
 class Effect(TransformerMixin, BaseEstimator):
     """Something that adds torque to a joint, linear in its coefficients.
 
     A class of its own is all that a new effect needs: `name`, the coefficients'
-    `coefficients` and `units`, `columns`, and `shapes` if there is anything to search.
-    Whatever else is said about an effect elsewhere (its label in a report, what to
-    record next, whether a robot may declare it) is read off its class.
+    `coefficients` and `units`, its torque as `law` or as `columns`, and `shapes` if
+    there is anything to search. Whatever else is said about an effect elsewhere (its
+    label in a report, what to record next, what it is in a simulation or in a file of
+    another program) is read off its class, and has a default that works.
     Instances go into ``EffectDiscovery(effects=[...])`` and
     ``RobotIdentifier(effects=[...])`` like those of the library.
 
@@ -230,6 +126,20 @@ class Effect(TransformerMixin, BaseEstimator):
         a search counts its evidence by slow changes alone.
     afterwards : str
         What a `slow` effect is taken to do after the last time of the fit.
+    terms : tuple of (str, str, ...)
+        What it is in a simulation: kinds of terms that the simulation knows, each with
+        the coefficients and shape parameters that it is made of. Empty, it is simulated
+        by its own columns, which is slower and leaves out what depends on other rows.
+    not_simulated : str
+        Why a simulation goes without it; empty for all that can be simulated.
+    mjcf : tuple of (str, str, ...)
+        What of it an MJCF file has: "constant", "spring", "ref" or "tendons", each with
+        the coefficients that go there.
+    in_files : tuple of {"urdf", "mjcf"}
+        Files that have all of it in another way.
+    no_place, no_urdf, no_mjcf : str
+        Why files have no place for the rest of it, either of them, URDF or MJCF;
+        empty says that it is an effect of the user's own.
 
     Examples
     --------
@@ -246,43 +156,72 @@ class Effect(TransformerMixin, BaseEstimator):
     array([[8.]])
     """
 
+    # What every effect says.
     name = ""
-    label = ""
-    formula = ""
     coefficients = ()
     units = ()
+    # In words: reports, guide and pictures.
+    label = ""
+    formula = ""
     named_units = ()
-    shape_units = ()
+    visible = "the joint moves"
+    record = ""
+    seen_over = ""
+    with_motion = False
+    # What its columns are made from, and where predictions follow them.
+    needs = ()
+    memory = "none"
+    depends = ()
+    bounded = False
+    curved = False
+    # What a search knows of it, beside others.
     contains = ()
     holds = ()
-    needs = ()
+    nonnegative = ()
+    apart = ()
+    # Of effects with equal columns the one with the lowest gives its name to all.
+    precedence = 0
+    # Shape parameters: what is not linear.
+    shape_units = ()
     continuous = ()
     neutral = ()
     cyclic = ()
     jumping = ()
     partners = ()
-    apart = ()
     tangent = ()
     positive = ()
-    nonnegative = ()
-    depends = ()
-    bounded = False
-    curved = False
-    seen_over = ""
-    with_motion = False
-    memory = "none"
-    visible = "the joint moves"
-    record = ""
+    # Change with time.
     slow = False
     afterwards = ""
-    # True for an effect that acts on all joints: columns of shape (n, nv, k).
+    # In simulations and in files of other programs.
+    terms = ()
+    not_simulated = ""
+    mjcf = ()
+    in_files = ()
+    no_place = ""
+    no_urdf = ""
+    no_mjcf = ""
+    # Kinds. True for an effect that acts on all joints: columns of shape (n, nv, k).
     whole_robot = False
     # "robot" for an effect that belongs to no joint; its joint is the first.
     scope = "joint"
     # True for an effect whose value is part of the robot model; see `ModelEffect`.
     in_model = False
-    # Of effects with equal columns the one with the lowest gives its name to all.
-    precedence = 0
+    # True for one of what is read of a torque; see `_channels`.
+    in_channel = False
+    # True for one that changes the last body's `inertial` parameters at an `instant`.
+    in_last_body = False
+    # False for one that needs the load, and not the torque of the whole model.
+    reads_torque = True
+    # Name of the joint parameter of files, and declared friction, that it adds to.
+    joint_parameter = ""
+
+    def __init_subclass__(cls, **kwargs):
+        super().__init_subclass__(**kwargs)
+        # With a torque of its own nothing holds that a base says of another torque.
+        if not _TORQUE.isdisjoint(vars(cls)):
+            for said in _OF_TORQUE - vars(cls).keys():
+                setattr(cls, said, vars(Effect)[said])
 
     def __init__(self, joint=0):
         self.joint = joint
@@ -311,8 +250,30 @@ class Effect(TransformerMixin, BaseEstimator):
 
     # -- what a new effect says ---------------------------------------------------
 
+    def law(self, maths):
+        """Return its torques as a function of a state, once for floats and arrays.
+
+        Where `columns` say more than this, such as a memory, both are defined, and
+        agree.
+
+        Parameters
+        ----------
+        maths : Arrays or Floats
+            Has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint, smoothing=0.0)``,
+            which returns a function of a joint's velocity and acceleration.
+
+        Returns
+        -------
+        callable or None
+            `State` -> tuple with one value for each coefficient. The signals of a
+            state are by joint, such as ``state.q[joint]``: arrays (n,) in a recording,
+            floats where torques are asked for state by state. None, the default, for
+            an effect that defines `columns` alone.
+        """
+        return None
+
     def columns(self, motion):
-        """Compute the columns.
+        """Compute the columns; by default those of the `law`.
 
         Parameters
         ----------
@@ -324,7 +285,38 @@ class Effect(TransformerMixin, BaseEstimator):
         ndarray of shape (n, k)
             One column for each coefficient; (n, nv, k) for a `whole_robot` effect.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define columns(motion).")
+        law = self.law(Arrays(motion.rest))
+        if law is None:
+            raise NotImplementedError(
+                f"{type(self).__name__} must define columns(motion)."
+            )
+        found = law(rows_of(motion))
+        out = np.empty((motion.q.shape[0], len(found)))
+        for column, values in zip(out.T, found):
+            column[:] = values
+        return out
+
+    def simulated(self, table, *coef):
+        """Enter it into the forward dynamics of a robot; by default its `terms`.
+
+        Parameters
+        ----------
+        table : TermTable
+            Takes what a simulation knows; see `sklearn_vbjfa.simulation`.
+        *coef : float
+            Coefficients.
+
+        Returns
+        -------
+        bool
+            Whether it is entered; False if it is to be simulated by its own columns.
+        """
+        known = dict(zip(self.coefficients, coef))
+        done = bool(self.terms)
+        for kind, *names in self.terms:
+            numbers = [known[n] if n in known else getattr(self, n) for n in names]
+            done &= table.add(kind, self.joint, *numbers)
+        return done
 
     def one_by_one(self):
         """Return a function that computes the columns row by row.
@@ -619,7 +611,7 @@ class JointEffect(Effect):
     """
 
     def column(self, v, a, rest=None):
-        """Compute the column of each joint.
+        """Compute the column of each joint; by default that of the `law`.
 
         Parameters
         ----------
@@ -633,7 +625,13 @@ class JointEffect(Effect):
         ndarray of shape (n, nv)
             One column for each joint.
         """
-        raise NotImplementedError(f"{type(self).__name__} must define column(v, a).")
+        law = self.law(AllJoints(rest))
+        if law is None:
+            raise NotImplementedError(
+                f"{type(self).__name__} must define column(v, a)."
+            )
+        (found,) = law(every_joint(v, a))
+        return np.array(np.broadcast_to(found, np.shape(v)))
 
     def columns(self, motion):
         """Compute the column of the effect's own joint; see `Effect.columns`."""

@@ -1,5 +1,7 @@
 """Effects of the channels: positions and torques that passed different filters."""
 
+import math
+from collections import deque
 from numbers import Real
 
 import numpy as np
@@ -7,6 +9,7 @@ import scipy
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import TIME, Effect
+from sklearn_vbjfa.effects._motion import Motion
 
 # Delays to try [s].
 _DELAYS = (0.001, 0.002, 0.004, 0.008, 0.016, 0.03)
@@ -42,6 +45,24 @@ def low_pass(x, dt, time_constant):
     )[0]
 
 
+def _low_pass_by_rows(time_constant):
+    """Return a function (x, dt) -> `low_pass` of the values x until now."""
+    before = y = None
+
+    def filtered(x, dt):
+        nonlocal before, y
+        if y is None:
+            y = x
+        else:
+            left = math.exp(-dt / time_constant)
+            mean = time_constant / dt * (1 - left)
+            y = left * y + (1 - mean) * x + (mean - left) * before
+        before = x
+        return y
+
+    return filtered
+
+
 def smooth(x, dt, time_constant):
     """Average a signal (n,) with normal weights of a standard deviation [s]."""
     # Beyond its ends the signal keeps its first and last value.
@@ -52,7 +73,30 @@ def smooth(x, dt, time_constant):
     return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
-class Delay(Effect):
+class _Channel(Effect):
+    """An effect on what is read of a torque, which the robot itself has not."""
+
+    in_channel = True
+
+    def taken_back(self, coef, torque, t):
+        """Take it out of what the channel of its joint read, (n,) at times t (n,)."""
+        # It reads y = x + B x for the torque x; taken back by the first terms of the
+        # series of its inverse, x = y - B y + B^2 y: that restores what a filter lets
+        # through without blowing up the noise above.
+        once = self._change(coef, torque, t)
+        twice = self._change(coef, once, t)
+        return torque + (twice - once)
+
+    def _change(self, coef, torque, t):
+        """Return what it adds to torques (n,) of its joint."""
+        whole = np.zeros((t.size, self.joint + 1))
+        whole[:, self.joint] = torque
+        rest = np.zeros_like(whole)
+        motion = Motion(q=rest, v=rest, a=rest, t=t, load=whole, torque=whole)
+        return self.columns(motion) @ coef
+
+
+class Delay(_Channel):
     """The torque signal lags behind the positions.
 
     The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
@@ -93,6 +137,7 @@ class Delay(Effect):
     continuous = ("delay",)
     visible = "fast changes of the torque"
     record = "fast changes of the torque"
+    no_place = "the torque channel is late; it is no property of the robot"
 
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
@@ -149,6 +194,32 @@ class Delay(Effect):
             out[part] = (lagged - torque[part]) / self.delay
         return out[:, None]
 
+    def law(self, maths):
+        """Torque between past states, along straight lines; see `Effect.law`."""
+        j, delay = self.joint, self.delay
+        times, torques = deque(), deque()
+
+        def lag(state):
+            t, torque = state.t, state.torque[j]
+            times.append(t)
+            torques.append(torque)
+            asked = t - delay
+            while len(times) > 2 and times[1] <= asked:
+                times.popleft()
+                torques.popleft()
+            if len(times) < 2 or asked <= times[0]:
+                lagged = torques[0]
+            else:
+                slope = (torques[1] - torques[0]) / (times[1] - times[0])
+                lagged = torques[0] + slope * (asked - times[0])
+            return ((lagged - torque) / delay,)
+
+        return lag
+
+    def taken_back(self, coef, torque, t):
+        """Read it later, or earlier; see `_Channel.taken_back`."""
+        return np.interp(t + coef[0], t, torque)
+
     def shapes(self, motion):
         """Delays up to 30 ms, of either signal."""
         return [{"delay": way * d} for d in _DELAYS for way in (1, -1)]
@@ -158,7 +229,7 @@ class Delay(Effect):
         return {"delay": float(coef[0])}
 
 
-class TorqueFilter(Effect):
+class TorqueFilter(_Channel):
     """The torque passed a filter that the positions did not pass, or the reverse.
 
     The column is (F tau - tau) / T for a filter F of the time constant T that acts on
@@ -223,6 +294,7 @@ class TorqueFilter(Effect):
     nonnegative = ("time_constant_estimate",)
     visible = "changes of the torque as fast as the filter"
     record = "fast changes of the torque, both channels unfiltered"
+    no_place = "a channel's filter; it is no property of the robot"
 
     def __init__(self, joint=0, kind="lag", of="torque", time_constant=0.01):
         super().__init__(joint)
@@ -293,6 +365,21 @@ class TorqueFilter(Effect):
                 change = _FILTERS[self.kind](change, dt, T) - 2 * change
             out[part] = change / T
         return out[:, None]
+
+    def law(self, maths):
+        """Low-pass of the first order, or its inverse; see `Effect.law`."""
+        j, constant = self.joint, self.time_constant
+        first, second = _low_pass_by_rows(constant), _low_pass_by_rows(constant)
+        backwards = self.of == "position"
+
+        def change(state):
+            torque, dt = state.torque[j], state.dt
+            changed = first(torque, dt) - torque
+            if backwards:
+                changed = second(changed, dt) - 2 * changed
+            return (changed / constant,)
+
+        return change
 
     def shapes(self, motion):
         """Time constants around what the low-pass lets through."""
@@ -365,6 +452,8 @@ class Jerk(Effect):
     memory = "future"
     visible = "fast changes of the acceleration"
     record = "fast changes of the acceleration"
+    not_simulated = "it stands for a lag of a channel or for flexibility"
+    no_place = "a torque in proportion to the third derivative of the position"
 
     @classmethod
     def describe(cls, shape, joint_label):

@@ -12,8 +12,11 @@ from sklearn_vbjfa.effects._base import (
     Effect,
     JointEffect,
 )
-from sklearn_vbjfa.effects._rest import mean_sign
 
+# Of w, what the own joint's speed counts, beside the other's.
+_OWN_SHARE = {"other": 0.0, "sum": 1.0, "difference": -1.0}
+# In a simulation the sign of w turns over at least this speed [rad/s or m/s].
+_SLOW = 1e-3
 # Compliance of the finite difference: deflections of this share of the positions'
 # spread, small enough to be linear and large enough for the rounding.
 _DEFLECTION = 1e-4
@@ -52,10 +55,13 @@ class RotorInertia(JointEffect):
     seen_over = "acceleration"
     visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
+    joint_parameter = "rotor_inertia"
+    terms = (("armature", "Ir"),)
 
-    def column(self, v, a, rest=None):
-        """Acceleration; see `JointEffect.column`."""
-        return a
+    def law(self, maths):
+        """Acceleration; see `Effect.law`."""
+        j = self.joint
+        return lambda state: (state.a[j],)
 
 
 class Coupling(Effect):
@@ -97,6 +103,8 @@ class Coupling(Effect):
     contains = ("coulomb", "viscous")
     visible = "the other joint reverses while this one moves"
     record = "each joint moving alone"
+    no_urdf = "URDF has no friction or inertia between joints"
+    mjcf = (("tendons", "Fvm", "Fcm", "Iam"),)
 
     def __init__(self, joint=0, other=1, of="other"):
         super().__init__(joint)
@@ -119,30 +127,49 @@ class Coupling(Effect):
             return "there is only one joint"
         return super().applies(motion)
 
+    @property
+    def own_share(self):
+        """What its own joint's speed counts in w, beside the other's."""
+        if self.of not in _OWN_SHARE:
+            raise ValueError(f"of must be one of {list(_OWN_SHARE)}; got {self.of!r}.")
+        return _OWN_SHARE[self.of]
+
+    def law(self, maths):
+        """Speed, its sign, acceleration; see `Effect.law`."""
+        j, k, own = self.joint, self.other, self.own_share
+        sign = maths.sign(k) if self.of == "other" else maths.sign(k, j)
+
+        def torque(state):
+            w, dw = state.v[k] + own * state.v[j], state.a[k] + own * state.a[j]
+            return w, sign(w, dw), dw
+
+        return torque
+
     def columns(self, motion):
-        """Speed, its sign, acceleration; see `Effect.columns`."""
-        factor = {"other": 0.0, "sum": 1.0, "difference": -1.0}
-        if self.of not in factor:
-            raise ValueError(f"of must be one of {list(factor)}; got {self.of!r}.")
+        """Those of its law, of two joints that are there; see `Effect.columns`."""
         if self.other == self.joint or not 0 <= self.other < motion.n_joints:
             raise ValueError(
                 "other of coupling must be another joint, 0 to "
                 f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
             )
-        j, k = [self.joint], [self.other]
-        w = motion.v[:, k] + factor[self.of] * motion.v[:, j]
-        dw = motion.a[:, k] + factor[self.of] * motion.a[:, j]
-        rest = motion.rest
-        if rest is not None:
-            rest = rest.pick(self.other, *([] if self.of == "other" else j))
-        return np.hstack([w, mean_sign(w, dw, rest), dw])
+        return super().columns(motion)
+
+    def simulated(self, table, Fvm, Fcm, Iam):
+        """Friction and inertia between joints; see `Effect.simulated`."""
+        j, k, own = self.joint, self.other, self.own_share
+        table.coupling[j, [k, j]] += Fvm, own * Fvm
+        table.inertia[j, [k, j]] += Iam, own * Iam
+        # The sign turns over the speeds at which both joints may be standing: friction
+        # of a sum of speeds does not hold one joint alone.
+        slow = table.slow(k) + abs(own) * table.slow(j)
+        return table.add("coupled_dry", j, Fcm, k, own, max(slow, _SLOW))
 
     def shapes(self, motion):
         """All other joints, alone and together with this one."""
         return [
             {"other": other, "of": of}
             for other in range(motion.n_joints)
-            for of in ("other", "sum", "difference")
+            for of in _OWN_SHARE
             if other != self.joint
             and (
                 of == "other" or motion.prismatic[other] == motion.prismatic[self.joint]
@@ -190,6 +217,10 @@ class Elastic(Effect):
     memory = "future"
     visible = "motion near a tenth of the elastic mode's frequency and above"
     record = "fast motion near the elastic mode"
+    not_simulated = (
+        "a first-order correction of the torque, which has no forward dynamics"
+    )
+    no_place = "elasticity between motor and link, which would be a joint more"
     whole_robot = True
 
     def applies(self, motion):

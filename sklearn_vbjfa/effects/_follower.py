@@ -94,6 +94,7 @@ class Follower(Effect):
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
     visible = "the joint that leads moves"
     whole_robot = True
+    in_files = ("urdf", "mjcf")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
         super().__init__(joint)

@@ -1,9 +1,6 @@
 """Friction that depends on velocity and load."""
 
-import numpy as np
-
 from sklearn_vbjfa.effects._base import SPEED, TORQUE, VISCOSITY, Effect, JointEffect
-from sklearn_vbjfa.effects._rest import mean_sign
 
 # Smoothing and Stribeck speeds to try, as shares of the joint's fastest speed.
 _SMOOTHINGS = (0.0, 0.02, 0.05, 0.1, 0.2)
@@ -59,10 +56,13 @@ class Viscous(JointEffect):
     seen_over = "speed"
     visible = "motion at several speeds"
     record = "motion at several speeds"
+    joint_parameter = "viscous"
+    terms = (("viscous", "Fv"),)
 
-    def column(self, v, a, rest=None):
-        """Velocity; see `JointEffect.column`."""
-        return v
+    def law(self, maths):
+        """Velocity; see `Effect.law`."""
+        j = self.joint
+        return lambda state: (state.v[j],)
 
 
 class Coulomb(_Smoothed, JointEffect):
@@ -104,10 +104,13 @@ class Coulomb(_Smoothed, JointEffect):
     seen_over = "speed"
     visible = "the joint reverses"
     record = "many reversals"
+    joint_parameter = "coulomb"
+    terms = (("coulomb", "Fc", "smoothing"),)
 
-    def column(self, v, a, rest=None):
-        """Sign of the velocity; see `JointEffect.column`."""
-        return mean_sign(v, a, rest, self.smoothing)
+    def law(self, maths):
+        """Sign of the velocity; see `Effect.law`."""
+        j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
+        return lambda state: (sign(state.v[j], state.a[j]),)
 
 
 class AsymmetricFriction(Effect):
@@ -149,14 +152,20 @@ class AsymmetricFriction(Effect):
     seen_over = "speed"
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
+    no_urdf = "friction in URDF is the same in both directions"
+    no_mjcf = "damping in MJCF is the same in both directions"
+    # Half the difference of dry friction is a constant, at rest as well.
+    terms = (("constant", "dFc"), ("absolute", "dFv"))
+    mjcf = (("constant", "dFc"),)
 
-    def columns(self, motion):
-        """Even functions of the velocity; see `Effect.columns`."""
-        v = motion.v[:, [self.joint]]
+    def law(self, maths):
+        """Even functions of the velocity; see `Effect.law`."""
+        j = self.joint
         # At rest friction is anywhere between its values of the two directions, whose
         # mean is the same constant as in motion.
-        moves = np.abs(np.sign(v)) if motion.rest is None else np.ones_like(v)
-        return np.hstack([moves, np.abs(v)])
+        if maths.rest is not None:
+            return lambda state: (1.0, abs(state.v[j]))
+        return lambda state: (1.0 * (state.v[j] != 0), abs(state.v[j]))
 
 
 class Stribeck(Effect):
@@ -200,16 +209,24 @@ class Stribeck(Effect):
     seen_over = "speed"
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
+    no_place = "friction that falls with speed"
+    terms = (("stribeck", "Fs", "vs", "k"),)
 
     def __init__(self, joint=0, vs=0.1, k=1):
         super().__init__(joint)
         self.vs = vs
         self.k = k
 
-    def columns(self, motion):
-        """Friction of unit size at low speed; see `Effect.columns`."""
-        v = motion.v[:, [self.joint]]
-        return np.exp(-(np.abs(v / self.vs) ** self.k)) * motion.sign(self.joint)
+    def law(self, maths):
+        """Friction of unit size at low speed; see `Effect.law`."""
+        j, vs, k = self.joint, self.vs, self.k
+        exp, sign = maths.exp, maths.sign(j)
+
+        def torque(state):
+            v = state.v[j]
+            return (exp(-(abs(v / vs) ** k)) * sign(v, state.a[j]),)
+
+        return torque
 
     def shapes(self, motion):
         """Speeds up to two thirds of the fastest, both exponents."""
@@ -256,11 +273,17 @@ class ViscousQuadratic(Effect):
     seen_over = "speed"
     visible = "slow and fast motion"
     record = "slow and fast motion"
+    no_place = "friction with the square of speed"
+    no_mjcf = (
+        'friction with the square of speed; MuJoCo 4 takes it as damping="{damping:.6g}'
+        ' {F2:.6g}" of the joint, which older versions do not read'
+    )
+    terms = (("quadratic", "F2"),)
 
-    def columns(self, motion):
-        """Signed square of the velocity; see `Effect.columns`."""
-        v = motion.v[:, [self.joint]]
-        return v * np.abs(v)
+    def law(self, maths):
+        """Signed square of the velocity; see `Effect.law`."""
+        j = self.joint
+        return lambda state: (state.v[j] * abs(state.v[j]),)
 
 
 class LoadFriction(_Smoothed):
@@ -305,8 +328,11 @@ class LoadFriction(_Smoothed):
     with_motion = True
     visible = "reversals under different loads"
     record = "reversals at two loads"
+    reads_torque = False
+    no_place = "friction in proportion to the load"
+    terms = (("load_friction", "mu", "smoothing"),)
 
-    def columns(self, motion):
-        """Load against the motion; see `Effect.columns`."""
-        sign = motion.sign(self.joint, self.smoothing)
-        return np.abs(motion.load[:, [self.joint]]) * sign
+    def law(self, maths):
+        """Load against the motion; see `Effect.law`."""
+        j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
+        return lambda state: (abs(state.load[j]) * sign(state.v[j], state.a[j]),)

@@ -90,6 +90,8 @@ class Presliding(Effect):
     memory = "past"
     visible = "many reversals"
     record = "many reversals"
+    no_place = "friction with a memory of where the joint came from"
+    terms = (("presliding", "Fp", "displacement"),)
 
     def __init__(self, joint=0, displacement=0.01):
         super().__init__(joint)
@@ -100,6 +102,31 @@ class Presliding(Effect):
         q = motion.q[:, self.joint]
         z = [dahl(q[part], self.displacement) for part in motion.parts]
         return np.concatenate(z)[:, None]
+
+    def law(self, maths):
+        """Dahl's bristle from the last turning point on; see `Effect.law`."""
+        j, displacement, exp = self.joint, self.displacement, maths.exp
+        # Last position and state, those of the last turning point, and the way since.
+        last = z = turned = begin = None
+        way = 0.0
+
+        def torque(state):
+            nonlocal last, z, turned, begin, way
+            q = state.q[j]
+            if last is None:
+                last = turned = q
+                z = begin = 0.0
+                return (0.0,)
+            step = q - last
+            if step:
+                new = 1.0 if step > 0 else -1.0
+                if new != way:
+                    turned, begin, way = last, z, new
+                decay = exp(-abs(q - turned) / displacement)
+                z, last = way + (begin - way) * decay, q
+            return (z,)
+
+        return torque
 
     def shapes(self, motion):
         """Displacements up to an eighth of the range."""
@@ -148,6 +175,8 @@ class Backlash(Effect):
     seen_over = "position"
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
+    no_place = "play with a memory of where the joint came from"
+    terms = (("backlash", "k", "width"), ("constant", "c"))
 
     def __init__(self, joint=0, width=0.01):
         super().__init__(joint)
@@ -158,6 +187,25 @@ class Backlash(Effect):
         q = motion.q[:, self.joint]
         p = np.concatenate([play(q[part], self.width) for part in motion.parts])
         return np.column_stack([p, np.ones_like(p)])
+
+    def law(self, maths):
+        """Follow the position at half the width, and one; see `Effect.law`."""
+        j, half = self.joint, 0.5 * self.width
+        last = p = None
+
+        def torque(state):
+            nonlocal last, p
+            q = state.q[j]
+            if p is None:
+                p = q
+            elif q > last:
+                p = max(p, q - half)
+            elif q < last:
+                p = min(p, q + half)
+            last = q
+            return p, 1.0
+
+        return torque
 
     def shapes(self, motion):
         """Widths up to a quarter of the range."""

@@ -88,12 +88,20 @@ class ModelEffect(Effect):
     subject : tuple of str
         What it is about in a sentence, with a place for the joint and one for several;
         empty: its label.
+    told : str
+        What was found, in a sentence with places for ``{joint}``, for the values by
+        name in plain units, and for what an axis is turned about, ``{first}`` and
+        ``{second}``; empty lists the values behind the label.
+    mjcf_note : str
+        What a reader of an MJCF file has to know of it.
     """
 
     in_model = True
     needs = ("load",)
     idle = ()
     subject = ()
+    told = ""
+    mjcf_note = ""
 
     @property
     def values(self):
@@ -203,6 +211,13 @@ class BaseTilt(ModelEffect):
     """
 
     name = "base_tilt"
+    told = (
+        "the base is not level: gravity is turned by roll {roll} and pitch {pitch} "
+        "degrees"
+    )
+    no_urdf = "the base of the file is level"
+    in_files = ("mjcf",)
+    mjcf_note = "The base is not level: gravity is turned in its frame."
     subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
     formula = (
@@ -301,6 +316,9 @@ class JointZero(ModelEffect):
     """
 
     name = "joint_zero"
+    told = "{joint}: the encoder's zero is off by {zero} {unit}"
+    no_urdf = "zeros of the file are those of the description"
+    mjcf = (("ref", "zero"),)
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
@@ -373,6 +391,11 @@ class JointAxis(ModelEffect):
     """
 
     name = "joint_axis"
+    told = (
+        "{joint}: the axis is turned by {about_x} degrees about the {first} and "
+        "{about_y} degrees about the {second} of its frame"
+    )
+    in_files = ("urdf", "mjcf")
     subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (
@@ -456,6 +479,9 @@ class TorqueGain(ModelEffect):
     """
 
     name = "torque_gain"
+    told = "{joint}: the torque channel reads {gain}"
+    no_urdf = "torques of the file are the true ones"
+    in_files = ("mjcf",)
     subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"

@@ -1,8 +1,9 @@
-"""The library of effects by name."""
+"""The library of effects by name, and those that a robot declares by name."""
 
+import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import Effect, JointEffect
 from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
 from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
@@ -16,8 +17,7 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding
 from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
-from sklearn_vbjfa.effects._signals import Signal
-from sklearn_vbjfa.effects._time import Drift, Payload
+from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 _LIBRARY = {
     effect.name: effect
@@ -132,3 +132,47 @@ def _one(effect):
         "effects must hold names of the library, classes or instances of Effect; got "
         f"{effect!r}."
     )
+
+
+# -- effects that a robot declares by name: one column on every joint -----------------
+#
+# They are the effects of the library that are a `JointEffect`, so that name, column,
+# unit and sign of a declared coefficient are those of what a search would find.
+
+_DECLARED = {e.name: e for e in resolve("all") if isinstance(e, JointEffect)}
+
+
+def declarable():
+    """Names of the effects that can be declared, tuple of str."""
+    return tuple(_DECLARED)
+
+
+def check_declared(friction):
+    """Return the names as a tuple, refusing unknown and repeated ones."""
+    names = (friction,) if isinstance(friction, str) else tuple(friction)
+    unknown = [name for name in names if name not in _DECLARED]
+    if unknown:
+        raise ValueError(
+            f"Unknown friction column(s) {unknown}; expected some of {list(_DECLARED)}."
+        )
+    if len(set(names)) < len(names):
+        raise ValueError(f"friction names a column twice: {list(names)}.")
+    return names
+
+
+def declared_columns(names, v, a, rest=None):
+    """Columns of all joints, (n, nv, len(names)); signs are means with a `Rest`."""
+    if not names:
+        return np.zeros((*np.shape(v), 0))
+    return np.stack([_DECLARED[name].column(v, a, rest) for name in names], axis=-1)
+
+
+def declared_unit(name, prismatic):
+    """Return the unit of the coefficient on a revolute or prismatic joint."""
+    (units,) = _DECLARED[name].units
+    return units[int(bool(prismatic))]
+
+
+def declared_nonnegative(name):
+    """Whether physics asks for a coefficient that is not negative."""
+    return bool(_DECLARED[name].nonnegative)

@@ -43,10 +43,12 @@ class Offset(JointEffect):
     seen_over = "position"
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
+    joint_parameter = "offset"
+    terms = (("constant", "c"),)
 
-    def column(self, v, a, rest=None):
-        """Return ones; see `JointEffect.column`."""
-        return np.ones_like(v)
+    def law(self, maths):
+        """One; see `Effect.law`."""
+        return lambda state: (1.0,)
 
 
 class Spring(Effect):
@@ -87,11 +89,13 @@ class Spring(Effect):
     seen_over = "position"
     visible = "a wide range of positions"
     record = "a wide range of positions"
+    no_urdf = "URDF has no spring"
+    terms = mjcf = (("spring", "k"), ("constant", "c"))
 
-    def columns(self, motion):
-        """Position and one; see `Effect.columns`."""
-        q = motion.q[:, [self.joint]]
-        return np.hstack([q, np.ones_like(q)])
+    def law(self, maths):
+        """Position and one; see `Effect.law`."""
+        j = self.joint
+        return lambda state: (state.q[j], 1.0)
 
     def parameters(self, coef):
         """Stiffness and position at rest; see `Effect.parameters`."""
@@ -161,6 +165,7 @@ class Counterbalance(Effect):
     seen_over = "position"
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
+    no_place = "a torque that is no linear function of the position"
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
         super().__init__(joint)
@@ -179,6 +184,13 @@ class Counterbalance(Effect):
     def coefficients(self):
         """Symbols of the coefficients of the form; see `Effect`."""
         return ("Fr", "krL") if self.form == "linkage" else ("a", "b", "c", "d", "e")
+
+    @property
+    def terms(self):
+        """Terms of the form; see `Effect`."""
+        if self.form == "linkage":
+            return (("linkage", "Fr", "krL", "ratio", "angle"),)
+        return (("harmonics", "a", "b", "c", "d"), ("constant", "e"))
 
     @property
     def units(self):
@@ -221,16 +233,22 @@ class Counterbalance(Effect):
             return "a prismatic joint has no angle"
         return super().applies(motion)
 
-    def columns(self, motion):
-        """Force times lever arm, or harmonics and one; see `Effect.columns`."""
+    def law(self, maths):
+        """Force times lever arm, or harmonics and one; see `Effect.law`."""
         self.check()
-        q = motion.q[:, [self.joint]]
-        if self.form == "linkage":
-            x = q - self.angle
-            length = np.sqrt(1 + self.ratio**2 - 2 * self.ratio * np.cos(x))
-            return np.hstack([np.sin(x) / length, np.sin(x)])
-        harmonics = [np.cos(q), np.sin(q), np.cos(2 * q), np.sin(2 * q)]
-        return np.hstack([*harmonics, np.ones_like(q)])
+        j, ratio, angle = self.joint, self.ratio, self.angle
+        cos, sin, sqrt = maths.cos, maths.sin, maths.sqrt
+
+        def linkage(state):
+            x = state.q[j] - angle
+            s = sin(x)
+            return s / sqrt(1 + ratio**2 - 2 * ratio * cos(x)), s
+
+        def harmonics(state):
+            q = state.q[j]
+            return cos(q), sin(q), cos(2 * q), sin(2 * q), 1.0
+
+        return linkage if self.form == "linkage" else harmonics
 
     def shapes(self, motion):
         """Linkages all around the joint, and the harmonics."""
@@ -285,15 +303,22 @@ class Ripple(Effect):
     seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
+    terms = (("ripple", "c", "s", "period"),)
+    no_place = "a torque that is no linear function of the position"
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)
         self.period = period
 
-    def columns(self, motion):
-        """Cosine and sine; see `Effect.columns`."""
-        angle = 2 * np.pi / self.period * motion.q[:, [self.joint]]
-        return np.hstack([np.cos(angle), np.sin(angle)])
+    def law(self, maths):
+        """Cosine and sine; see `Effect.law`."""
+        j, waves, cos, sin = self.joint, 2 * np.pi / self.period, maths.cos, maths.sin
+
+        def torque(state):
+            angle = waves * state.q[j]
+            return cos(angle), sin(angle)
+
+        return torque
 
     def shapes(self, motion):
         """Periods that the motion crosses and the low-pass lets through."""

@@ -12,16 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._lowpass import decimate
-from sklearn_vbjfa.robot._output_error import (
-    TOLERANCE,
-    Refined,
-    SimulationCriteria,
-)
+from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
-from sklearn_vbjfa.simulation._closed_loop import simulate_controlled
+from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
 from sklearn_vbjfa.simulation._controller import PositionController
-from sklearn_vbjfa.simulation._simulate import SimulationError
 
 _MOST_ROUNDS = 20
 # A step is halved so many times at most.

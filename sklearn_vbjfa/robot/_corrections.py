@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.effects._in_model import cross_axes
+from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain, cross_axes
 from sklearn_vbjfa.model import (
     CorrectedModel,
     import_pinocchio,

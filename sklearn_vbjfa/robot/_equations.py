@@ -18,9 +18,7 @@ from sklearn_vbjfa._core._lowpass import (
     decimate,
     filter_weight,
 )
-from sklearn_vbjfa.effects import Motion
-from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.effects._ranges import own_motions
+from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
@@ -113,7 +111,7 @@ def make_motion(
         inertial = np.ascontiguousarray(parameters[:, :10])
         q, v, a = np.split(states, 3, axis=1)
         load = features.torques(q, v, a, inertial)
-        friction = _friction.columns(features.friction_, v, a, rest)
+        friction = declared_columns(features.friction_, v, a, rest)
         torque = load + np.einsum("njk,jk->nj", friction, parameters[:, 10:])
 
         derivatives = features.derivatives(q, v, a, inertial)

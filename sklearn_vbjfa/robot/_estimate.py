@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
-from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects import declared_nonnegative
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
 from sklearn_vbjfa.regression import (
@@ -433,7 +433,7 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
         j * per_joint + 10 + k
         for j in range(model.nv)
         for k, name in enumerate(friction)
-        if _friction.nonnegative(name)
+        if declared_nonnegative(name)
     ]
     settings = {
         "metric": (metric, None),

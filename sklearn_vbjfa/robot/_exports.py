@@ -9,65 +9,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    Backlash,
-    BaseTilt,
-    Coulomb,
-    Counterbalance,
-    Coupling,
-    Delay,
-    Drift,
-    Elastic,
-    Jerk,
-    JointAxis,
-    JointZero,
-    LoadFriction,
-    Offset,
-    Payload,
-    Presliding,
-    Ripple,
-    RotorInertia,
-    Signal,
-    Spring,
-    Stribeck,
-    TorqueFilter,
-    TorqueGain,
-    Viscous,
-    ViscousQuadratic,
-)
-from sklearn_vbjfa.effects._follower import Follower
 from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
-# Effects that have the column of a declared friction, whose coefficients add up.
-_PLAIN = {
-    Viscous: "viscous",
-    Coulomb: "coulomb",
-    Offset: "offset",
-    RotorInertia: "rotor_inertia",
-}
-# Why effects have a place in neither format.
-_NOWHERE = {
-    Stribeck: "friction that falls with speed",
-    ViscousQuadratic: "friction with the square of speed",
-    LoadFriction: "friction in proportion to the load",
-    Presliding: "friction with a memory of where the joint came from",
-    Backlash: "play with a memory of where the joint came from",
-    Counterbalance: "a torque that is no linear function of the position",
-    Ripple: "a torque that is no linear function of the position",
-    Elastic: "elasticity between motor and link, which would be a joint more",
-    Delay: "the torque channel is late; it is no property of the robot",
-    TorqueFilter: "a channel's filter; it is no property of the robot",
-    Jerk: "a torque in proportion to the third derivative of the position",
-    Signal: "varies with a recorded signal; the file has what holds at its reference",
-    Drift: "fades with time; the file has what remains when warm",
-    Payload: "a change at an instant; the file has the robot before it",
-}
+# Why effects have no place that say nothing of it.
 _OWN = "an effect of the user's own"
+_NO_PART = "it is no part of the description"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -182,8 +132,8 @@ def _notes_of_mjcf(robot, dynamics):
         "times the torque (gainprm of its motor is the inverse)."
         for j in np.flatnonzero(dynamics.gain != 1)
     ]
-    if any(isinstance(effect, BaseTilt) for effect in robot.effects):
-        told.append("The base is not level: gravity is turned in its frame.")
+    notes = (effect.mjcf_note for effect in robot.effects if effect.in_model)
+    told += filter(None, dict.fromkeys(notes))
     if dynamics.constant.any() or dynamics.slope.any():
         told.append(
             "Constant torques, and springs without a stable rest, are biases of the "
@@ -252,7 +202,7 @@ class _Account:
             at = self.robot.friction_names.index(name)
             return np.sqrt(self._powers.friction[joint, at])
         for effect, own in zip(self.robot.effects, self._powers.effects):
-            if _PLAIN.get(type(effect)) == name and effect.joint == joint:
+            if effect.joint_parameter == name and effect.joint == joint:
                 return np.sqrt(own[joint, 0, 0])
         return np.nan
 
@@ -262,7 +212,7 @@ class _Account:
         if name in self.robot.friction_names:
             total += self.robot.friction[:, self.robot.friction_names.index(name)]
         for effect, coef in self.uses:
-            if _PLAIN.get(type(effect)) == name:
+            if effect.joint_parameter == name:
                 total[effect.joint] += coef[0]
         return total
 
@@ -283,7 +233,8 @@ class _Account:
     def _leave_smoothing(self):
         """List what dry friction with a rounded sign lacks of the sharp one."""
         for effect, coef in self.uses:
-            if type(effect) is Coulomb and effect.smoothing > 0 and coef[0] != 0:
+            own = effect.joint_parameter == "coulomb"
+            if own and effect.smoothing > 0 and coef[0] != 0:
                 # (1 - x)^2 <= 1 - x^2 for x = tanh(abs(v) / smoothing)
                 share = self._column_size_of(effect)
                 most = abs(coef[0]) * np.sqrt(max(1.0 - share, 0.0))
@@ -322,27 +273,37 @@ def _left_of_urdf(account):
         "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
     )
     for effect, coef in account.uses:
-        if type(effect) in _PLAIN or isinstance(effect, (JointAxis, Follower)):
+        if effect.joint_parameter or "urdf" in effect.in_files:
             continue
         if effect.in_model:
-            reason = _NO_URDF.get(type(effect), "it is no part of the description")
-            account.leave_effect(effect, effect.values - effect.idle, reason)
-        else:
-            reason = _NO_URDF.get(type(effect)) or _NOWHERE.get(type(effect), _OWN)
-            account.leave_effect(effect, coef, reason)
-
-
-_NO_URDF = {
-    Spring: "URDF has no spring",
-    AsymmetricFriction: "friction in URDF is the same in both directions",
-    Coupling: "URDF has no friction or inertia between joints",
-    BaseTilt: "the base of the file is level",
-    JointZero: "zeros of the file are those of the description",
-    TorqueGain: "torques of the file are the true ones",
-}
+            coef = effect.values - effect.idle
+        usual = _NO_PART if effect.in_model else _OWN
+        account.leave_effect(effect, coef, effect.no_urdf or effect.no_place or usual)
 
 
 # -- MJCF ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Joints:
+    """What effects enter into the joints of an MJCF file; see `Effect`."""
+
+    damping: np.ndarray  # (nv,): viscous friction
+    constant: np.ndarray  # (nv,): constant torque
+    spring: np.ndarray  # (nv,): stiffness about the zero of the position
+    ref: np.ndarray  # (nv,): what encoders read at the zero of the description
+    couplings: list  # pairs of a `Coupling` and its coefficients
+
+    def take(self, effect, coef):
+        """Take what the file has of an effect; return coefficients that are left."""
+        left = dict(coef)
+        for place, *names in effect.mjcf:
+            own = [left.pop(name) for name in names]
+            if place == "tendons":
+                self.couplings.append((effect, np.array(own)))
+            else:
+                getattr(self, place)[effect.joint] += own[0]
+        return left
 
 
 def _mjcf_dynamics(account):
@@ -351,35 +312,29 @@ def _mjcf_dynamics(account):
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    constant, spring, ref = account.total("offset"), np.zeros(nv), np.zeros(nv)
-    couplings = []
+    joints = _Joints(
+        damping=damping,
+        constant=account.total("offset"),
+        spring=np.zeros(nv),
+        ref=np.zeros(nv),
+        couplings=[],
+    )
     for effect, coef in account.uses:
-        kind = type(effect)
-        if kind in _PLAIN or kind in (BaseTilt, JointAxis, TorqueGain, Follower):
-            continue  # in the sums, in the model, in the gains, bodies of their own
-        if kind is JointZero:
-            ref[effect.joint] += effect.zero
-        elif kind is Spring:
-            spring[effect.joint] += coef[0]
-            constant[effect.joint] += coef[1]
-        elif kind is AsymmetricFriction:
-            # Half the difference of dry friction is a constant in both directions.
-            constant[effect.joint] += coef[0]
-            account.leave_effect(
-                effect, [0.0, coef[1]], "damping in MJCF is the same in both directions"
-            )
-        elif kind is Coupling:
-            couplings.append((effect, np.asarray(coef, dtype=float)))
-        elif effect.in_model:
-            account.leave_effect(effect, effect.values - effect.idle, _OWN)
-        else:
-            reason = _NOWHERE.get(kind, _OWN)
-            if kind is ViscousQuadratic:
-                reason += _quadratic(damping[effect.joint], coef[0])
-            account.leave_effect(effect, coef, reason)
+        # In the sums; in the model, in the gains, or a body of its own.
+        if effect.joint_parameter or "mjcf" in effect.in_files:
+            continue
+        if effect.in_model:
+            coef = effect.values - effect.idle
+        left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
+        if left:
+            told = effect.no_mjcf.format(damping=damping[effect.joint], **left)
+            reason = told or effect.no_place or _OWN
+            rest = [left.get(name, 0.0) for name in effect.coefficients]
+            account.leave_effect(effect, rest, reason)
+    constant, spring, ref = joints.constant, joints.spring, joints.ref
     stable = spring > 0
     springref = np.where(stable, -constant / np.where(stable, spring, 1.0), 0.0)
-    joined = as_tendons(couplings, damping, armature, in_line(robot.model))
+    joined = as_tendons(joints.couplings, damping, armature, in_line(robot.model))
     for effect, rest in joined.left:
         account.leave_effect(effect, rest, _one_sided(effect, rest))
     return JointDynamics(
@@ -393,14 +348,6 @@ def _mjcf_dynamics(account):
         slope=np.where(stable, 0.0, spring),
         gain=robot.gains,
         tendons=joined.tendons,
-    )
-
-
-def _quadratic(damping, F2):
-    """Tell what newer programs could hold of friction with the square of speed."""
-    return (
-        f'; MuJoCo 4 takes it as damping="{damping:.6g} {F2:.6g}" of the joint, which '
-        "older versions do not read"
     )
 
 
@@ -427,10 +374,6 @@ class Coupled:
     armature: np.ndarray
     tendons: tuple
     left: list  # (3,): what is left of each coupling's coefficients
-
-
-# Of w, in units of the own joint's speed, beside the other's.
-_OWN_SHARE = {"other": 0.0, "sum": 1.0, "difference": -1.0}
 
 
 def in_line(model):
@@ -479,7 +422,7 @@ def as_tendons(couplings, damping, armature, lined):
                 taken[number][1] = part
     damping, armature = damping.copy(), armature.copy()
     for number, (effect, _) in enumerate(couplings):
-        own = _OWN_SHARE[effect.of] * taken[number]
+        own = effect.own_share * taken[number]
         damping[effect.joint] += own[0]
         armature[effect.joint] += own[2]
     tendons = []
@@ -543,9 +486,7 @@ def _mutual(couplings, how):
         parts, need = [], []
         for own, total in zip((first, second), sums):
             mine = [(number, one * (value / total)) for number, one in own]
-            given = sum(
-                _OWN_SHARE[couplings[number][0].of] * part for number, part in mine
-            )
+            given = sum(couplings[number][0].own_share * part for number, part in mine)
             parts += mine
             need.append(abs(value) - given)
         links.append(

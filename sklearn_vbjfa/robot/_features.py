@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects import check_declared, declared_columns, declared_unit
 from sklearn_vbjfa.effects._follower import ChainJoint, Follower
 from sklearn_vbjfa.model import (
     CorrectedModel,
@@ -133,7 +133,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self.model_ = self.nominal_ = folded.model
         self.followers_ = folded.followers
         self.gains_ = np.ones(self.model_.nv)
-        self.friction_ = _friction.check_names(self.friction)
+        self.friction_ = check_declared(self.friction)
         self.n_joints_ = self.model_.nv
         per_joint = len(INERTIAL_NAMES) + len(self.friction_)
         self.n_parameters_ = self.n_joints_ * per_joint
@@ -143,7 +143,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-            units += [_friction.unit(column, prismatic) for column in self.friction_]
+            units += [declared_unit(column, prismatic) for column in self.friction_]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._set_regressor()
@@ -227,7 +227,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
         self._regressor(q, v, a, out=Phi)
         diagonal = np.arange(nv)
-        Phi[:, diagonal, diagonal, 10:] = _friction.columns(self.friction_, v, a, rest)
+        Phi[:, diagonal, diagonal, 10:] = declared_columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
 
     def entries(self, X, rest=None):
@@ -250,7 +250,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         out = np.empty((self._n_entries, X.shape[0]))
         self._regressor.entries(q, v, a, self._places[:, :, :10], out)
         diagonal = np.arange(nv)
-        columns = _friction.columns(self.friction_, v, a, rest)
+        columns = declared_columns(self.friction_, v, a, rest)
         out[self._places[diagonal, diagonal, 10:]] = columns.transpose(1, 2, 0)
         return out
 

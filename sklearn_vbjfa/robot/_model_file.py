@@ -13,10 +13,14 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._whole_files import write_whole
-from sklearn_vbjfa.effects import EffectRange, resolve
-from sklearn_vbjfa.effects._base import SPEED, Effect
-from sklearn_vbjfa.effects._follower import Follower
-from sklearn_vbjfa.effects._library import available
+from sklearn_vbjfa.effects import (
+    SPEED,
+    Effect,
+    EffectRange,
+    Follower,
+    available,
+    resolve,
+)
 from sklearn_vbjfa.model._loading import joint_names, load_text
 from sklearn_vbjfa.model._trees import in_order, is_prismatic
 from sklearn_vbjfa.recording._table import quoted

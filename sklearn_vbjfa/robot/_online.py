@@ -8,7 +8,7 @@ one symmetric rank-one update per joint, however long the memory.
 import numpy as np
 from scipy.linalg import blas
 
-from sklearn_vbjfa.effects import _declared as _friction
+from sklearn_vbjfa.effects import declared_columns
 from sklearn_vbjfa.robot._equations import RegressorRows
 from sklearn_vbjfa.robot._features import refuse_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
@@ -112,7 +112,7 @@ class OnlineMoments:
         nv = self._n.size
         q, v, a = x[:nv], x[nv : 2 * nv], x[2 * nv :]
         self._bodies[:] = self._one(q, v, a)
-        columns = _friction.columns(self._features.friction_, v[None], a[None])
+        columns = declared_columns(self._features.friction_, v[None], a[None])
         diagonal = np.arange(nv)
         self._Phi.reshape(nv, nv, -1)[diagonal, diagonal, 10:] = columns[0]
         self._Phi[self._zero] = 0.0

@@ -25,7 +25,7 @@ from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.robot._sensitivities import held_parameters, propagate, slopes
 from sklearn_vbjfa.robot._states import SAMPLES_FOR_NOISE
 from sklearn_vbjfa.robot._windows import tell_once
-from sklearn_vbjfa.simulation._simulate import SimulationError, simulate
+from sklearn_vbjfa.simulation import SimulationError, simulate
 
 # A window is so many times as long as the slowest joint takes to forget a velocity.
 _FORGETS = 5.0

@@ -9,8 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import Effect, resolve
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import Effect, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._estimate import from_moments

@@ -7,9 +7,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import EffectRange, resolve
-from sklearn_vbjfa.effects._base import POSITION, SPEED, TORQUE
-from sklearn_vbjfa.effects._ranges import OUTLIERS, ROUNDING, STRAIGHT
+from sklearn_vbjfa.effects import (
+    OUTLIERS,
+    POSITION,
+    ROUNDING,
+    SPEED,
+    STRAIGHT,
+    TORQUE,
+    EffectRange,
+    resolve,
+)
 
 _UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}
 _WAYS = ("forward motion", "backward motion")

@@ -7,8 +7,8 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects._motion import Rest
 from sklearn_vbjfa.effects._ranges import outside, own_motions
-from sklearn_vbjfa.effects._rest import Rest
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,

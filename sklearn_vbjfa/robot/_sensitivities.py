@@ -20,12 +20,10 @@ from itertools import compress
 
 import numpy as np
 
-from sklearn_vbjfa.effects import _declared as _friction
-from sklearn_vbjfa.effects._ranges import own_motions
+from sklearn_vbjfa.effects import declared_columns, own_motions
 from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
-from sklearn_vbjfa.simulation._dynamics import with_bodies
-from sklearn_vbjfa.simulation._terms import CHANNELS, LEFT_OUT
+from sklearn_vbjfa.simulation import with_bodies
 
 # Differences are taken over this share of a joint's range, top speed and acceleration.
 _SHARE = 1e-6
@@ -74,7 +72,7 @@ def held_parameters(predictor):
     # Values of effects in the model, and effects that a simulation leaves out.
     held = [np.zeros(predictor.features_.n_parameters_, dtype=bool)]
     for effect in predictor.effects_:
-        out = effect.in_model or isinstance(effect, tuple(LEFT_OUT))
+        out = effect.in_model or bool(effect.not_simulated)
         held.append(np.full(len(effect.coefficients), out))
     return np.concatenate(held)
 
@@ -98,11 +96,12 @@ def _beside_bodies(predictor, recording, states):
     features, nv = predictor.features_, predictor.features_.n_joints_
     _, v, a = np.split(states, 3, axis=1)
     own = predictor.bodies(predictor.theta_)[:, 10:]
-    columns = _friction.columns(features.friction_, v, a)
+    columns = declared_columns(features.friction_, v, a)
     torque = np.einsum("njk,jk->nj", columns, own)
     # Effects whose torque depends on the state alone.
-    out = (*CHANNELS, *LEFT_OUT)
-    moving = [not (e.in_model or isinstance(e, out)) for e in predictor.effects_]
+    moving = [
+        not (e.in_model or e.in_channel or e.not_simulated) for e in predictor.effects_
+    ]
     if any(moving):
         known = {"theta": predictor.load}
         motion = motion_of(recording, states, predictor.held_plan, features, **known)

@@ -16,7 +16,7 @@ from math import comb
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects._hysteresis import dahl
+from sklearn_vbjfa.effects import dahl
 
 _ORDER = 5
 # The median of abs(x) is 0.6745 standard deviations of a normal variable, and the

@@ -13,7 +13,7 @@ from scipy import special
 
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
-from sklearn_vbjfa.simulation._simulate import SimulationError
+from sklearn_vbjfa.simulation import SimulationError
 
 # Level of the one-sided test by which an error is clearly smaller than another.
 _CLEARLY = 0.05

@@ -1,11 +1,20 @@
 """Identified robots in motion: forward dynamics, and torques one state at a time.
 
 Everything here takes a `TorqueModel`, which is what an identification leaves when data
-and estimator are put away.
+and estimator are put away. Names that are not in ``__all__`` are for other rooms of the
+package and for tests.
 """
 
 from sklearn_vbjfa.simulation._controller import PositionController
-from sklearn_vbjfa.simulation._simulate import SimulationError
+from sklearn_vbjfa.simulation._dynamics import ForwardDynamics, with_bodies
+from sklearn_vbjfa.simulation._integrate import Integrator
+from sklearn_vbjfa.simulation._simulate import (
+    Recorded,
+    SimulationError,
+    simulate,
+    simulate_controlled,
+)
+from sklearn_vbjfa.simulation._stepper import Stepper, causal, why_left_out
 from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
 __all__ = ["Load", "PositionController", "SimulationError", "TorqueModel"]

@@ -6,11 +6,15 @@ import numpy as np
 from scipy.linalg import lapack
 
 from sklearn_vbjfa.model import describe, import_pinocchio
-from sklearn_vbjfa.simulation import _steps
-from sklearn_vbjfa.simulation._terms import Terms, add_terms, remember
+from sklearn_vbjfa.simulation._terms import (
+    MOST_SIGNS,
+    Table,
+    TermTable,
+    add_terms,
+    load_size,
+    remember,
+)
 
-# Times that it is found anew how friction follows the loads.
-_MOST_SIGNS = 8
 # Times that other effects are linearised anew, up to this change of accelerations.
 _MOST_TANGENTS, _SETTLED = 20, 1e-11
 
@@ -19,12 +23,12 @@ _MOST_TANGENTS, _SETTLED = 20, 1e-11
 def compiled():
     """Return the module of compiled functions; None without Numba."""
     try:
-        from sklearn_vbjfa.simulation import _compiled_dynamics
+        from sklearn_vbjfa.simulation import _compiled
     except ImportError as error:
         if error.name != "numba":
             raise
         return None
-    return _compiled_dynamics
+    return _compiled
 
 
 def with_bodies(model, bodies, armature=None):
@@ -64,14 +68,13 @@ class ForwardDynamics:
     # that sticks, whose acceleration is zero, or that has none. signals: (name, t) ->
     # value of what was recorded beside the motion; power: of all torques that need not
     # dissipate [W], such as of drives and springs; mass (nv, nv): rotors included;
-    # has_dry (nv,): joints that can stick; steps: module with the arithmetic of a step,
-    # compiled where Numba is installed.
+    # compiled: module of compiled functions, None without Numba.
 
     def __init__(self, robot, signals=None):
         pin = import_pinocchio()
         self._pin, self._signals = pin, signals
         known = {} if signals is None else signals.at(0.0)
-        self.terms = terms = Terms.of(robot, known)
+        self.terms = terms = TermTable(robot, known)
         self.n_joints = robot.n_joints
         every = [(-np.inf, robot.bodies)]
         for instant, change in terms.payloads:
@@ -96,23 +99,13 @@ class ForwardDynamics:
         if terms.of_load or terms.others is not None:
             self._load_model = with_bodies(robot.model, self._load_bodies)
             self._load_data = self._load_model.createData()
-        self._fast = compiled()
-        self.steps = _steps if self._fast is None else self._fast
+        self.compiled = compiled()
         self._found = np.zeros((5, self.n_joints))
         self.power, self.mass, self._time = 0.0, None, 0.0
-        self._of_load = terms.of_load
         self._remembers = bool(terms.remembers.any())
         self._asymmetric = bool(terms.inertia.any())
-        self._numbers = terms.numbers.copy()
-        self._memory = np.zeros((terms.kinds.size, 2))
         self._plain = not (terms.kinds.size or terms.coupling.any())
-        self.has_dry = (terms.dry != 0) | (terms.load_dry != 0)
-        self.has_dry[terms.joints[terms.dry_terms()]] = True
-        if terms.others is not None:
-            self.has_dry |= terms.others.jumps
-        # Plain Python reads lists faster than arrays.
-        self._kinds, self._joints = terms.kinds.tolist(), terms.joints.tolist()
-        self._rows = self._numbers.tolist()
+        self.start(np.zeros(self.n_joints))
 
     # -- what changes with time and with what was done before --------------------------
 
@@ -128,27 +121,17 @@ class ForwardDynamics:
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
-        terms = self.terms
-        self._memory = terms.memory(q)
-        if self._fast is None:
-            self._memory = self._memory.tolist()
-        self._table = (
-            self._of_load,
-            terms.lines,
-            terms.inertia,
-            terms.coupling,
-            terms.kinds,
-            terms.joints,
-            self._numbers,
-            self._memory,
-        )
+        self._table = table = self.terms.table(q)
+        self._own = table.kinds, table.joints, table.numbers, table.memory
+        if self.compiled is None:
+            # Plain Python reads lists faster than arrays.
+            self._own = tuple(one.tolist() for one in self._own)
 
     def set_time(self, t):
         """Set torques that change with time to what they are at t [s]."""
         self._time = t
         if self.terms.is_timed:
-            rows = self._rows if self._fast is None else self._numbers
-            self.terms.set_levels(rows, t, self._signals)
+            self.terms.set_levels(self._own[2], t, self._signals)
 
     def set_bodies(self, t):
         """Set the bodies to what they are at t [s]."""
@@ -165,12 +148,10 @@ class ForwardDynamics:
         """Move memory on to positions q (nv,), to which no joint turned round."""
         if not self._remembers:
             return
-        if self._fast is not None:
-            own = self.terms.kinds, self.terms.joints, self._numbers, self._memory
-            self._fast.remember(*own, q)
+        if self.compiled is not None:
+            self.compiled.remember(*self._own, q)
         else:
-            own = self._kinds, self._joints, self._rows, self._memory
-            remember(*own, q.tolist())
+            remember(*self._own, q.tolist())
 
     # -- what was found last -----------------------------------------------------------
 
@@ -229,14 +210,14 @@ class ForwardDynamics:
     @property
     def is_compiled(self):
         """Whether `explicit_step` can be used: Numba, and no torques of other code."""
-        return self._fast is not None and not self.changes
+        return self.compiled is not None and not self.changes
 
     def explicit_step(self, q, v, a, power, *step):
         """Do a compiled step; (q, v, work, (a, power), error) at its end."""
-        # Arguments are those of `explicit_step` in `_compiled_dynamics`, but the robot.
-        own = *step, *self._robot, *self._table
+        # Arguments are those of `explicit_step` in `_compiled`, but the robot.
+        own = *step, *self._robot, self._table
         q, v, work, self.power, error, self._found, self.mass = (
-            self._fast.explicit_step(q, v, a, power, *own)
+            self.compiled.explicit_step(q, v, a, power, *own)
         )
         return q, v, work, (self._found[0], self.power), error
 
@@ -262,51 +243,46 @@ class ForwardDynamics:
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
         """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
-        terms = self.terms
-        lines = terms.lines
-        if dry is not None and dry.any():
-            lines = lines.copy()
-            lines[2] += dry
-        if self._fast is None:
-            return self._solved_plain(q, v, tau, mode, stuck, M, h, ML, hL, lines)
-        out = np.empty((5, q.size))
         state = M, h, ML, hL, tau, q, v, mode, stuck
-        of_load, _, *table = self._table
-        found = self._found[0], out
-        power = self._fast.accelerate(*state, of_load, lines, *table, *found)
-        return out, power
+        if self.compiled is None:
+            return self._solved_plain(*state, dry)
+        table = self._table
+        if dry is not None:
+            lines = table.lines.copy()
+            lines[2] += dry
+            table = Table(table.of_load, lines, *table[2:])
+        out = np.empty((5, q.size))
+        return out, self.compiled.accelerate(*state, table, self._found[0], out)
 
-    def _solved_plain(self, q, v, tau, mode, stuck, M, h, ML, hL, lines):
-        terms = self.terms
-        dry, none = lines[2], np.zeros(v.size)
-        placed, smooth = terms.constant, terms.viscous * v
-        load_smooth = None
+    def _solved_plain(self, M, h, ML, hL, tau, q, v, mode, stuck, dry):
+        terms, none = self.terms, np.zeros(v.size)
+        dry = terms.dry if dry is None else terms.dry + dry
+        placed, smooth, load_smooth = terms.constant, terms.viscous * v, None
         by_position, by_velocity = none, terms.viscous
         if not self._plain:
             # A coupling need not take energy: its work is counted with the drives'.
             placed = placed + terms.coupling @ v
             by_velocity = by_velocity + terms.coupling.diagonal()
-            lists = [placed, smooth, dry, none, by_position, by_velocity, none]
-            lists = [values.tolist() for values in lists]
-            table = self._kinds, self._joints, self._rows, self._memory
-            add_terms(*table, q.tolist(), v.tolist(), *lists)
-            placed, smooth, dry, load_smooth, *slopes = map(np.array, lists)
+            sums = [placed, smooth, dry, none, by_position, by_velocity, none]
+            sums = [values.tolist() for values in sums]
+            add_terms(*self._own, q.tolist(), v.tolist(), sums)
+            placed, smooth, dry, load_smooth, *slopes = map(np.array, sums)
             by_position, by_velocity, load_by_velocity = slopes
         A = M + terms.inertia if self._asymmetric else M
         rhs = tau - h - placed - smooth - dry * mode
         limit = dry
-        if self._of_load:
+        if self._table.of_load:
             size = terms.load_dry * mode
             if load_smooth is not None:
                 size = size + load_smooth
-            constant, slope = _steps.load_size(ML @ self.a + hL, *terms.load_ends)
-            for _ in range(_MOST_SIGNS):
+            constant, slope = load_size(ML @ self.a + hL, *terms.load_ends)
+            for _ in range(MOST_SIGNS):
                 way = size * slope
                 known = rhs - way * hL - size * constant
                 a = _solve(A + way[:, None] * ML, known, stuck)
                 L = ML @ a + hL
                 supposed = constant + slope * L
-                constant, slope = _steps.load_size(L, *terms.load_ends)
+                constant, slope = load_size(L, *terms.load_ends)
                 pressed = constant + slope * L
                 if (pressed == supposed).all():
                     break

@@ -15,6 +15,7 @@ Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
         + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
+import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -58,6 +59,7 @@ _SHORTEST, _MOST_STEPS = 1e-12, 20_000
 MOST_STOPS = 20
 # Beyond what holds a joint by this share it breaks loose, which is found to this share.
 _HOLDS, _LOOSE = 1e-9, 1e-6
+_TINY = float(np.finfo(float).tiny)
 # Most steps in search of one event, and most changes of joints between sticking and
 # sliding at one instant.
 _MOST_TRIES, _MOST_PIVOTS = 12, 100
@@ -90,14 +92,15 @@ class Integrator:
 
     def __init__(self, dynamics, q, v, tau, t):
         self._dynamics = dynamics
+        self._steps = dynamics.compiled or sys.modules[__name__]
         nv = q.size
         self.q, self.v = q.copy(), v.copy()
         self.work, self.steps = 0.0, 0
-        self._mode = np.where(dynamics.has_dry, np.sign(v), 0.0)
+        self._mode = np.where(dynamics.terms.has_dry, np.sign(v), 0.0)
         self._stuck = np.zeros(nv, dtype=bool)
         # Joints whose turns are events.
         terms = dynamics.terms
-        self._watched = dynamics.has_dry | terms.remembers | terms.bends
+        self._watched = terms.has_dry | terms.remembers | terms.bends
         self._way = np.sign(v)
         self._fast = np.maximum(np.abs(v), SLOWEST)
         self._exact = _TOLERANCE * self._fast
@@ -129,7 +132,7 @@ class Integrator:
         # Computers & Operations Research 21(5), 1994,
         # doi:10.1016/0305-0548(94)90106-6).
         own = self._dynamics
-        at_rest = own.has_dry & ((self.v == 0) | self._stuck)
+        at_rest = own.terms.has_dry & ((self.v == 0) | self._stuck)
         self.v[at_rest] = 0.0
         self._mode[at_rest] = 0.0
         self._stuck[:] = at_rest
@@ -151,7 +154,7 @@ class Integrator:
         own = self._dynamics
         self._slope = slope
         self._begin = _End(0.0, self.v, slope[0], own.needed, own.limit)
-        self._way = own.steps.directions(self.v, slope[0])
+        self._way = self._steps.directions(self.v, slope[0])
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`."""
@@ -185,7 +188,7 @@ class Integrator:
         # There is no result where the error is too large: the next step is shorter.
         own, asked = self._dynamics, h
         slopes = own.by_position, own.by_velocity
-        stiff = own.steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
+        stiff = self._steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
         method = self._implicit if stiff else self._explicit
         before, after, known = self._begin, None, None
         for tries in range(1, _MOST_TRIES + 1):
@@ -237,7 +240,7 @@ class Integrator:
         self._stops += turned
         self._stops_often = True
         # Once in a sample period: what is held does not turn again.
-        held = turned & self._dynamics.has_dry & (self._stops == MOST_STOPS + 1)
+        held = turned & self._dynamics.terms.has_dry & (self._stops == MOST_STOPS + 1)
         if held.any():
             self.held += held
             self.held_since = float(np.fmin(self.held_since, self._time))
@@ -263,7 +266,7 @@ class Integrator:
         v = v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
         work = sixth * (p1 + 2.0 * (p2 + p3) + p4)
         slope = evaluate(q, v, end, h)
-        error = own.steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
+        error = self._steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
         return q, v, work, slope, float(error)
 
     def _implicit(self, tau, rate, h):
@@ -306,7 +309,7 @@ class Integrator:
         own, stuck = self._dynamics, self._stuck
         if self._stops_often:
             stuck = stuck & (self._stops <= MOST_STOPS)
-        return own.steps.past_events(
+        return self._steps.past_events(
             self._watched,
             self._way,
             v,
@@ -347,3 +350,38 @@ def _root(v0, v1, a0, a1):
         else:
             low = middle
     return high
+
+
+# -- arithmetic of a step: plain NumPy, which Numba compiles where it is installed -----
+
+
+def step_error(h, a1, a4, a5, fast, tolerance):
+    """Error of such a step in units of what is allowed; nan where it is none."""
+    # a1, a4, a5 (nv,): accelerations at its beginning, its last slope, and at its end;
+    # fast (nv,): fastest speeds.
+    allowed = tolerance * np.maximum(fast, h * np.abs(a1))
+    return (h / 6.0) * np.max(np.abs(a4 - a5) / allowed)
+
+
+def is_stiff(h, mass, by_position, by_velocity, stuck, most):
+    """Whether friction or springs would keep an explicit step of length h short."""
+    inertia = np.abs(np.diag(mass))
+    free = np.where(stuck, 0.0, 1.0 / inertia)
+    rate = np.max(np.abs(by_velocity) * free)
+    return h * max(rate, np.sqrt(np.max(np.abs(by_position) * free))) > most
+
+
+def directions(v, a):
+    """Ways that joints go (nv,): signs of velocities, or of accelerations at rest."""
+    return np.where(v != 0.0, np.sign(v), np.sign(a))
+
+
+def past_events(watched, way, v, exact, stuck, needed, limit, holds, loose):
+    """How far joints are past an event, in units of what they may be, (nv,)."""
+    # Those that slide turn round; exact (nv,): velocities that count as zero. Those
+    # that stick break loose beyond `holds` times the limit of their friction; an excess
+    # of `loose` times the limit counts as none. Negative before the event, -inf for
+    # joints without any.
+    out = np.where(watched & ~stuck, -way * v / exact, -np.inf)
+    excess = (np.abs(needed) - holds * limit) / np.maximum(loose * limit, _TINY)
+    return np.where(stuck, excess, out)

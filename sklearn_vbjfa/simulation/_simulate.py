@@ -5,7 +5,6 @@ import warnings
 import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning, is_prismatic
-from sklearn_vbjfa.simulation._channels import true_torques
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from sklearn_vbjfa.simulation._integrate import (
     MOST_STOPS,
@@ -13,7 +12,6 @@ from sklearn_vbjfa.simulation._integrate import (
     Diverged,
     Integrator,
 )
-from sklearn_vbjfa.simulation._terms import LEFT_OUT
 
 # Time stamps may differ from whole periods by this share of one.
 _JITTER = 0.01
@@ -80,7 +78,7 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     dynamics = ForwardDynamics(robot, signals)
     _tell_left_out(robot, dynamics)
     _check_inertia(robot, dynamics, q0)
-    torque = true_torques(robot, tau, t)
+    torque = robot.true_torques(tau, t)
     states = _run(robot, dynamics, torque, q0, v0, t)
     _tell_limits(robot, states, t)
     return states
@@ -179,9 +177,7 @@ class _Energy:
 
     def _reason(self):
         """Say where energy can come from."""
-        terms = self._dynamics.terms
-        driving = (terms.viscous < 0) | (terms.dry < 0) | (terms.load_dry < 0)
-        driving[terms.joints[terms.is_friction & (terms.numbers[:, 0] < 0)]] = True
+        driving = self._dynamics.terms.drives()
         names = [n for n, bad in zip(self._robot.joint_names, driving) if bad]
         if names:
             return (
@@ -190,6 +186,55 @@ class _Energy:
                 "it stands for something else"
             )
         return "the steps of the integration do not follow so fast a motion"
+
+
+# -- under a controller ----------------------------------------------------------------
+
+
+def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
+    """Simulate a robot whose torques a controller sets and then holds."""
+    # control: (row, q, v) -> torques (nv,) as the channels read them, row being 3.5
+    # between rows 3 and 4; updates: how often in a sample period. Returns states (n, 3
+    # nv), torques (n, nv).
+    n, nv = t.size, robot.n_joints
+    dynamics = ForwardDynamics(robot, Recorded(signals or {}, t))
+    states, tau = np.empty((n, 3 * nv)), np.empty((n, nv))
+    drive = control(0.0, q0, v0)
+    with np.errstate(all="ignore"):
+        dynamics.set_bodies(t[0])
+        motion = Integrator(dynamics, q0, v0, drive / robot.gains, t[0])
+        for i in range(n):
+            for part in range(updates):
+                own = control(i + part / updates, motion.q, motion.v)
+                drive = own / robot.gains
+                length = 0.0 if i + 1 == n else (t[i + 1] - t[i]) / updates
+                time = t[i] + part * length
+                dynamics.set_bodies(time)
+                motion.settle(drive)
+                if part == 0:
+                    tau[i] = own
+                    states[i] = np.concatenate([motion.q, motion.v, motion.a])
+                if i + 1 == n:
+                    break
+                _advance_held(robot, motion, drive, length, time, i)
+    tell_held(robot, motion, stacklevel=3)
+    return states, tau
+
+
+def _advance_held(robot, motion, drive, length, time, row):
+    """Go on under torques that are held, saying where that fails."""
+    try:
+        motion.advance(drive, drive, length)
+    except Diverged as found:
+        time += found.time
+        raise SimulationError(
+            f"The controlled robot diverges at t = {time:.6g} s (row {row}), joint "
+            f"{robot.joint_names[found.joint]}: with these gains the loop is not "
+            "stable. Check their units and signs, that the reference is the commanded "
+            "position, and the period of the controller, which may be shorter than "
+            "that of the recording.",
+            time,
+        ) from None
 
 
 # -- what is asked ---------------------------------------------------------------------
@@ -335,11 +380,7 @@ def _check_inertia(robot, dynamics, q0):
 def _tell_left_out(robot, dynamics):
     """Warn of effects that a simulation does not have."""
     names, others = robot.joint_names, dynamics.terms.others
-    left = [
-        (effect, LEFT_OUT[type(effect)])
-        for effect in robot.effects
-        if type(effect) in LEFT_OUT
-    ]
+    left = [(e, e.not_simulated) for e in robot.effects if e.not_simulated]
     left += [] if others is None else others.left_out
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]

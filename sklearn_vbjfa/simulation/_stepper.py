@@ -5,9 +5,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.effects import Drift, LoadFriction, Motion, Payload, Signal, Stribeck
+from sklearn_vbjfa.effects import (
+    HELD,
+    Floats,
+    Motion,
+    State,
+    declarable,
+)
 from sklearn_vbjfa.model import TreeRegressor, import_pinocchio, is_prismatic
-from sklearn_vbjfa.simulation._laws import Row, held_columns, law_of, sign_of
 
 # Parameters of a body that are off by more than this, beside its largest, when they
 # have been written as mass, centre and inertia, are no solid body's.
@@ -27,9 +32,7 @@ def why_left_out(effect):
     """Say why an effect cannot be computed state by state; empty if it can."""
     if effect.memory == "future":
         return "it depends on the motion after the state"
-    if effect.memory == "none" or law_of(effect, None) is not None:
-        return ""
-    if effect.one_by_one() is None:
+    if effect.law(Floats(None)) is None and effect.one_by_one() is None:
         return "it depends on the motion before the state, and has no one_by_one"
     return ""
 
@@ -98,29 +101,26 @@ class Stepper:
             _check_applies(model, effect)
         self._timed = any("time" in effect.needs for effect in own)
         self._signals = {name for effect in own for name in effect.recorded}
-        self._payloads = [one for one in pairs if type(one[0]) is Payload]
-        self._pairs = [one for one in pairs if type(one[0]) is not Payload]
+        self._payloads = [one for one in pairs if one[0].in_last_body]
+        self._pairs = [one for one in pairs if not one[0].in_last_body]
         self._needs_load = any("load" in effect.needs for effect in own)
         self._needs_torque = any(
-            "load" in effect.needs and type(effect) is not LoadFriction
-            for effect in own
+            "load" in effect.needs and effect.reads_torque for effect in own
         )
-        self._friction = _JointFriction(model.friction_names, model.friction)
+        maths = self._maths = Floats(model.rest)
+        signs = [maths.sign(j) for j in range(self._nv)]
+        self._friction = _JointFriction(model.friction_names, model.friction, signs)
         self._rigid = _Rigid(model, model.bodies, self._payloads)
         self._load_friction = self._load_rigid = self._load_whole = None
         if self._needs_load:
             load = model.load
-            self._load_friction = _JointFriction(model.friction_names, load.friction)
+            self._load_friction = _JointFriction(
+                model.friction_names, load.friction, signs
+            )
             self._load_rigid = _Rigid(model, load.bodies)
             if self._payloads:
                 self._load_whole = _Rigid(model, load.bodies, self._payloads, 1)
-        self._row = Row()
-        signs = self._friction.needs_signs or any(map(_needs_sign, own))
-        rest = model.rest
-        self._signs = [
-            sign_of(None if rest is None else rest.pick(j)) for j in range(self._nv)
-        ]
-        self._with_signs = signs
+        self._row = State()
         self._gains = np.asarray(model.gains, dtype=float)
         self.reset()
 
@@ -129,13 +129,13 @@ class Stepper:
         self._n, self._last = 0, None
         self._plain, self._of_load = [], []
         for effect, coefs, own, held in self._pairs:
-            columns = held_columns(self._columns_of(effect), held)
+            columns = _held(self._columns_of(effect), held)
             one = _Term(columns, effect, coefs.tolist(), own.tolist())
             (self._of_load if "load" in effect.needs else self._plain).append(one)
 
     def _columns_of(self, effect):
-        """Return a function of a `Row` to the columns of an effect."""
-        law = law_of(effect, self._model.rest)
+        """Return a function of a `State` to the columns of an effect."""
+        law = effect.law(self._maths)
         if law is not None:
             return law
         return _ByMotion(self._model, effect, self._needs_load)
@@ -184,10 +184,6 @@ class Stepper:
         # Last of the checks: a state that was refused leaves no trace.
         if self._timed:
             self._tell_time(t)
-        if self._with_signs:
-            row.signs = [
-                sign(*speeds) for sign, *speeds in zip(self._signs, row.v, row.a)
-            ]
         self._n += 1
         torque = self._rigid(q, v, a, row)
         self._friction(torque, row)
@@ -289,11 +285,30 @@ def _of_load(model):
     return [np.asarray(own, dtype=float) for own in model.load.coefficients]
 
 
-def _needs_sign(effect):
-    """Whether an effect of the library takes the sign of its joint from the row."""
-    return type(effect) is Stribeck or (
-        type(effect) in {Drift, Signal} and effect.of == "coulomb"
-    )
+def _held(columns, held):
+    """Return columns of a `State` in which an `EffectRange` holds the signals."""
+    if held is None:
+        return columns
+    for quantity, name in HELD.items():
+        ends = held.ends(quantity)
+        if np.isfinite(ends).any():
+            columns = _holding(columns, name, held.joint, *ends)
+    return columns
+
+
+def _holding(columns, name, j, low, high):
+    """Return the same columns with a signal of joint j between two ends."""
+
+    def held(row):
+        signal = getattr(row, name)
+        value = signal[j]
+        signal[j] = min(max(value, low), high)
+        found = columns(row)
+        # Others see it as it is.
+        signal[j] = value
+        return found
+
+    return held
 
 
 class _Term:
@@ -328,32 +343,24 @@ _product = float.__mul__
 class _JointFriction:
     """Declared friction of all joints."""
 
-    def __init__(self, names, coefficients):
-        known = {name: _column(names, coefficients, name) for name in _DECLARED}
-        unknown = set(names) - set(_DECLARED)
+    def __init__(self, names, coefficients, signs):
+        known = declarable()
+        unknown = set(names) - set(known)
         if unknown:
             raise ValueError(
                 f"friction_names holds {sorted(unknown)}, which cannot be stepped."
             )
-        self._rows = list(zip(*known.values()))
-        self.needs_signs = "coulomb" in names
+        table = dict(zip(names, np.asarray(coefficients, dtype=float).T.tolist()))
+        none = [0.0] * len(signs)
+        rows = [table.get(name, none) for name in known]
+        self._rows = list(zip(*rows, signs))
 
     def __call__(self, torque, row):
         """Add the friction of a row to a torque."""
-        signs = row.signs or row.v
-        for j, (viscous, coulomb, offset, rotor) in enumerate(self._rows):
-            torque[j] += (
-                viscous * row.v[j] + coulomb * signs[j] + offset + rotor * row.a[j]
-            )
-
-
-_DECLARED = ("viscous", "coulomb", "offset", "rotor_inertia")
-
-
-def _column(names, coefficients, name):
-    if name not in names:
-        return [0.0] * len(coefficients)
-    return np.asarray(coefficients, float)[:, list(names).index(name)].tolist()
+        v, a = row.v, row.a
+        for j, (viscous, coulomb, offset, rotor, sign) in enumerate(self._rows):
+            own = viscous * v[j] + offset + rotor * a[j]
+            torque[j] += own + coulomb * sign(v[j], a[j]) if coulomb else own
 
 
 class _Rigid:

@@ -10,53 +10,40 @@ accelerations. The library's effects are a table of numbers for one scalar funct
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from sklearn_vbjfa.effects import (
-    AsymmetricFriction,
-    Backlash,
-    Coulomb,
-    Counterbalance,
-    Coupling,
-    Delay,
-    Drift,
-    Elastic,
-    Jerk,
-    LoadFriction,
+    HELD,
     Motion,
-    Offset,
-    Payload,
-    Presliding,
-    Ripple,
-    RotorInertia,
-    Signal,
-    Spring,
-    Stribeck,
-    TorqueFilter,
-    Viscous,
-    ViscousQuadratic,
+    own_motions,
 )
-from sklearn_vbjfa.effects._ranges import HELD, own_motions
 from sklearn_vbjfa.model import is_prismatic
 
-# Kinds of terms in the table.
-_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = 0, 1, 2, 3, 4
-_HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = 5, 6, 7, 8, 9
-_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = 10, 11, 12, 13, 14
-_FRICTION = (_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH, _PRESLIDING)
-_FRICTION += (_LEVEL_DRY, _VISCOUS)
+# Kinds of terms in the table, by the names that effects enter them with.
+_NAMES = ("stribeck", "quadratic", "absolute", "tanh", "load_tanh")
+_NAMES += ("harmonics", "linkage", "ripple", "presliding", "backlash")
+_NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
+KINDS = {name: kind for kind, name in enumerate(_NAMES)}
+_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = range(5)
+_HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = range(5, 10)
+_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(10, 15)
+_DRY = _STRIBECK, _LEVEL_DRY
+_BENT = _ABSOLUTE, _TANH, _LOAD_TANH
+_REMEMBERING = _PRESLIDING, _BACKLASH
+_FRICTION = (*_DRY, *_BENT, _QUADRATIC, _PRESLIDING, _VISCOUS)
+# What needs no table, and dry friction, which does where its sign is smoothed.
+_LINES = ("constant", "dry", "load_dry", "armature")
+_SMOOTHED = {"coulomb": ("dry", "tanh"), "load_friction": ("load_dry", "load_tanh")}
+# What changes with time, and the kind of its term.
+_LEVELS = {"offset": "level", "coulomb": "level_dry", "viscous": "viscous"}
 # Parameters of a term in the table; the two behind them are its ends.
 _WIDTH = 4
+_LOW, _HIGH = _WIDTH, _WIDTH + 1
 _ENDLESS = (-math.inf, math.inf)
-# Torques of the channels, before the robot; and what a simulation cannot do.
-CHANNELS = (Delay, TorqueFilter)
-LEFT_OUT = {
-    Elastic: "a first-order correction of the torque, which has no forward dynamics",
-    Jerk: "it stands for a lag of a channel or for flexibility",
-}
-# Below this speed the sign of a coupled speed turns, where no other is known.
-_SLOW = 1e-3
+# Times that it is found anew how friction follows the loads.
+MOST_SIGNS = 8
 # What other effects depend on is seen on so many rows, so far apart in time [s]. Their
 # torque jumps if that between these speeds on both sides of zero is at least this share
 # of that between -1 and 1.
@@ -65,77 +52,50 @@ _ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
 _SLOPE = 1e-3
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Terms:
-    """Friction and effects of a robot, as numbers."""
+class Table(NamedTuple):
+    """Friction and effects of a robot as numbers, which compiled code takes."""
 
-    # (nv,): what needs no table; load_dry is over the load
-    viscous: np.ndarray
-    constant: np.ndarray
-    dry: np.ndarray
-    load_dry: np.ndarray
-    # (2, nv): lowest and highest load that friction over the load follows
-    load_ends: np.ndarray
-    armature: np.ndarray
-    # (nv, nv): torque of joint (row) by acceleration of joint (column), beside rigid
-    # bodies and rotors
+    of_load: bool  # whether friction depends on the load
+    # (6, nv): what needs no table: viscous friction, constant torque, dry friction,
+    # that over the load, and the lowest and highest load that it follows
+    lines: np.ndarray
+    # (nv, nv): torque of joint (row) by acceleration and by velocity of joint (column),
+    # beside rigid bodies, rotors and viscous friction
     inertia: np.ndarray
-    # (nv, nv): torque of joint (row) by velocity of joint (column), beside `viscous`
     coupling: np.ndarray
-    # (n_terms,): the table: laws, and the joints that they act on
+    # (n_terms,): laws, and the joints that they act on
     kinds: np.ndarray
     joints: np.ndarray
     # (n_terms, 6): parameters of each law, and the ends between which it follows its
     # joint's position or velocity, whichever it is a law of
     numbers: np.ndarray
-    # sizes of terms that change with time or a signal: (t, signals) -> float
-    levels: tuple
-    leveled: tuple  # their places in the table
-    others: object  # effects that are not in the table
-    payloads: tuple  # instants [s], and what the last body's parameters (10,) change by
-    remembers: np.ndarray  # (nv,): joints with a memory of where they turned
-    bends: np.ndarray  # (nv,): joints whose torque has a bend where they turn
+    # (n_terms, 2): position at which a term was last looked at, and its state there
+    memory: np.ndarray
 
-    @property
-    def of_load(self):
-        """Whether friction depends on the load."""
-        return bool(self.load_dry.any() or (self.kinds == _LOAD_TANH).any())
 
-    @property
-    def is_friction(self):
-        """Which terms of the table are friction, ndarray of bool."""
-        return np.isin(self.kinds, _FRICTION)
+class TermTable:
+    """Friction and effects of a robot as terms, which the effects enter themselves."""
 
-    @property
-    def lines(self):
-        """What needs no table, ndarray (6, nv)."""
-        return self._lines
+    # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
+    # over the load; inertia, coupling (nv, nv): see `Table`; payloads: instants [s],
+    # and what the last body's parameters (10,) change by; since: first time of the
+    # fit [s]; others: `OtherEffects`, or None.
 
-    def __post_init__(self):
-        lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
-        object.__setattr__(self, "_lines", np.array(lines))
-
-    def dry_terms(self):
-        """Return which terms of the table are dry friction, ndarray of bool."""
-        return np.isin(self.kinds, (_STRIBECK, _LEVEL_DRY))
-
-    @property
-    def is_timed(self):
-        """Whether anything changes with time or a signal."""
-        return bool(self.leveled)
-
-    @classmethod
-    def of(cls, robot, known=None):
-        """Sort the friction and effects of a `TorqueModel`."""
+    def __init__(self, robot, known=None):
         # known: values of recorded signals, one of each.
         nv = robot.n_joints
-        made = _Table(nv, None if robot.rest is None else robot.rest.speed, robot.since)
+        self._rest, self.since = robot.rest, robot.since
+        self.viscous, self.constant, self.dry = np.zeros((3, nv))
+        self.load_dry, self.armature = np.zeros((2, nv))
+        self.inertia, self.coupling = np.zeros((2, nv, nv))
+        self._load_ends, self._ends = {}, _ENDLESS
+        self._rows, self._levels, self.payloads, others = [], {}, [], []
         declared = dict(zip(robot.friction_names, robot.friction.T))
         for name, add in (
-            ("viscous", made.viscous),
-            ("coulomb", made.dry),
-            ("offset", made.constant),
-            ("rotor_inertia", made.armature),
+            ("viscous", self.viscous),
+            ("coulomb", self.dry),
+            ("offset", self.constant),
+            ("rotor_inertia", self.armature),
         ):
             add += declared.pop(name, 0.0)
         if declared:
@@ -143,94 +103,107 @@ class Terms:
                 f"friction holds {', '.join(declared)}, which cannot be simulated; "
                 "give it in effects."
             )
-        others = []
-        every = zip(robot.effects, robot.coefficients, robot.held, strict=True)
-        for effect, coef, held in every:
-            if effect.in_model or isinstance(effect, (*CHANNELS, *LEFT_OUT)):
+        for effect, coef, held in robot.own_effects():
+            if effect.in_channel or effect.not_simulated:
                 continue
-            if not made.take(effect, coef, held):
+            effect.check()
+            self._ends = _ends(held)
+            if not effect.simulated(self, *map(float, coef)):
                 others.append((effect, np.asarray(coef), held))
-        return made.finished(
-            OtherEffects(robot, others, known or {}) if others else None
-        )
+        self.payloads.sort(key=lambda pair: pair[0])
+        self.others = OtherEffects(robot, others, known or {}) if others else None
+        kinds, joints, numbers = zip(*self._rows) if self._rows else ((), (), ())
+        self.kinds, self.joints = np.array(kinds, dtype=int), np.array(joints, int)
+        self._numbers = np.array(numbers, dtype=float).reshape(-1, _WIDTH + 2)
+        # (2, nv): lowest and highest load that friction over the load follows.
+        ends = [self._load_ends.get(j, _ENDLESS) for j in range(nv)]
+        self.load_ends = np.transpose(ends)
+        # Joints with a memory of where they turned, and with a bend in their torque.
+        self.remembers, self.bends = np.zeros((2, nv), dtype=bool)
+        self.remembers[self._joints_of(_REMEMBERING)] = True
+        self.bends[self._joints_of(_BENT)] = True
+        self.has_dry = (self.dry != 0) | (self.load_dry != 0)
+        self.has_dry[self._joints_of(_DRY)] = True
+        if self.others is not None:
+            self.has_dry |= self.others.jumps
 
-    def memory(self, q):
-        """Start the memory of joints at positions q (nv,): (n_terms, 2)."""
-        out = np.zeros((self.kinds.size, 2))
-        for k in np.flatnonzero(np.isin(self.kinds, (_PRESLIDING, _BACKLASH))):
-            out[k, 0] = q[self.joints[k]]
-            out[k, 1] = q[self.joints[k]] if self.kinds[k] == _BACKLASH else 0.0
+    def _joints_of(self, kinds):
+        return self.joints[np.isin(self.kinds, kinds)]
+
+    # -- what effects call -------------------------------------------------------------
+
+    def add(self, name, joint, *numbers):
+        """Add a term, its size first, and return whether that can be done."""
+        # name: one of `KINDS`, see `add_terms`, or what needs no table.
+        if name in _LINES:
+            getattr(self, name)[joint] += numbers[0]
+        elif name in _SMOOTHED:
+            return self._add_dry(*_SMOOTHED[name], joint, *numbers)
+        else:
+            left = (0.0,) * (_WIDTH - len(numbers))
+            self._rows.append((KINDS[name], joint, (*numbers, *left, *self._ends)))
+        return True
+
+    def _add_dry(self, sharp, smooth, joint, size, smoothing):
+        """Add dry friction, with a sign or a smoothed one."""
+        if sharp == "load_dry":
+            # All friction of a joint over the load is held within the same ends.
+            if self._load_ends.setdefault(joint, self._ends) != self._ends:
+                return False
+        if smoothing > 0:
+            return self.add(smooth, joint, size, smoothing)
+        return self.add(sharp, joint, size)
+
+    def add_level(self, joint, of, level):
+        """Add what changes with time: its size is level(t, signals)."""
+        self._levels[len(self._rows)] = level
+        return self.add(_LEVELS[of], joint)
+
+    def slow(self, joint):
+        """Speed at or below which a joint may be standing."""
+        return 0.0 if self._rest is None else self._rest.speed[joint]
+
+    # -- what a simulation asks --------------------------------------------------------
+
+    @property
+    def of_load(self):
+        """Whether friction depends on the load."""
+        return bool(self.load_dry.any() or (self.kinds == _LOAD_TANH).any())
+
+    @property
+    def is_timed(self):
+        """Whether anything changes with time or a signal."""
+        return bool(self._levels)
+
+    def drives(self):
+        """Joints whose friction has a negative coefficient, ndarray (nv,) of bool."""
+        out = (self.viscous < 0) | (self.dry < 0) | (self.load_dry < 0)
+        is_friction = np.isin(self.kinds, _FRICTION)
+        out[self.joints[is_friction & (self._numbers[:, 0] < 0)]] = True
         return out
+
+    def table(self, q):
+        """Return the `Table` at the start of a motion, at rest at positions q (nv,)."""
+        memory = np.zeros((self.kinds.size, 2))
+        for k in np.flatnonzero(np.isin(self.kinds, _REMEMBERING)):
+            memory[k, 0] = q[self.joints[k]]
+            memory[k, 1] = memory[k, 0] if self.kinds[k] == _BACKLASH else 0.0
+        lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
+        return Table(
+            of_load=self.of_load,
+            lines=np.array(lines),
+            inertia=self.inertia,
+            coupling=self.coupling,
+            kinds=self.kinds,
+            joints=self.joints,
+            numbers=self._numbers.copy(),
+            memory=memory,
+        )
 
     def set_levels(self, rows, t, signals):
         """Write the present sizes of terms that change with time into rows."""
-        for k, level in zip(self.leveled, self.levels):
+        for k, level in self._levels.items():
             rows[k][0] = level(t, signals)
-
-
-class _Table:
-    """Collects the terms of a robot."""
-
-    def __init__(self, nv, slow, since):
-        self.viscous, self.constant, self.dry = np.zeros((3, nv))
-        self.load_dry, self.armature = np.zeros((2, nv))
-        self.load_ends, self.ends = {}, _ENDLESS
-        self.inertia, self.coupling = np.zeros((2, nv, nv))
-        self.rows, self.levels, self.leveled, self.payloads = [], [], [], []
-        self.slow, self.since = slow, since
-
-    def add(self, kind, joint, *numbers):
-        left = (0.0,) * (_WIDTH - len(numbers))
-        self.rows.append((kind, joint, (*numbers, *left, *self.ends)))
-
-    def add_level(self, joint, of, level):
-        """Add a torque, dry or viscous friction whose size changes with time."""
-        kind = {"offset": _LEVEL, "coulomb": _LEVEL_DRY, "viscous": _VISCOUS}[of]
-        self.leveled.append(len(self.rows))
-        self.levels.append(level)
-        self.add(kind, joint)
-
-    def take(self, effect, coef, held):
-        """Take an effect of the library, in an `EffectRange`; False if it is none."""
-        # Nor is friction over the load, if that of the joint is held within other ends.
-        found = _LAWS.get(type(effect))
-        if found is None:
-            return False
-        effect.check()
-        self.ends = _ends(held)
-        if found is _load_friction:
-            ends = self.load_ends.setdefault(effect.joint, self.ends)
-            if ends != self.ends:
-                return False
-        found(self, effect, effect.joint, *map(float, coef))
-        return True
-
-    def finished(self, others):
-        kinds, joints, numbers = zip(*self.rows) if self.rows else ((), (), ())
-        kinds, joints = np.array(kinds, dtype=int), np.array(joints, dtype=int)
-        remembers, bends = np.zeros((2, self.dry.size), dtype=bool)
-        remembers[joints[np.isin(kinds, (_PRESLIDING, _BACKLASH))]] = True
-        bends[joints[np.isin(kinds, (_ABSOLUTE, _TANH, _LOAD_TANH))]] = True
-        every = [self.load_ends.get(j, _ENDLESS) for j in range(self.dry.size)]
-        return Terms(
-            viscous=self.viscous,
-            constant=self.constant,
-            dry=self.dry,
-            load_dry=self.load_dry,
-            load_ends=np.transpose(every),
-            armature=self.armature,
-            inertia=self.inertia,
-            coupling=self.coupling,
-            kinds=kinds,
-            joints=joints,
-            numbers=np.array(numbers, dtype=float).reshape(-1, _WIDTH + 2),
-            levels=tuple(self.levels),
-            leveled=tuple(self.leveled),
-            others=others,
-            payloads=tuple(sorted(self.payloads, key=lambda pair: pair[0])),
-            remembers=remembers,
-            bends=bends,
-        )
 
 
 def _ends(held):
@@ -242,187 +215,51 @@ def _ends(held):
     return _ENDLESS
 
 
-# -- effects of the library ------------------------------------------------------------
-
-
-def _viscous(table, effect, j, Fv):
-    table.add(_VISCOUS, j, Fv)
-
-
-def _coulomb(table, effect, j, Fc):
-    if effect.smoothing > 0:
-        table.add(_TANH, j, Fc, effect.smoothing)
-    else:
-        table.dry[j] += Fc
-
-
-def _asymmetric(table, effect, j, dFc, dFv):
-    # At rest friction is between its values of both directions: their mean remains.
-    table.constant[j] += dFc
-    table.add(_ABSOLUTE, j, dFv)
-
-
-def _stribeck(table, effect, j, Fs):
-    table.add(_STRIBECK, j, Fs, effect.vs, effect.k)
-
-
-def _quadratic(table, effect, j, F2):
-    table.add(_QUADRATIC, j, F2)
-
-
-def _load_friction(table, effect, j, mu):
-    if effect.smoothing > 0:
-        table.add(_LOAD_TANH, j, mu, effect.smoothing)
-    else:
-        table.load_dry[j] += mu
-
-
-def _presliding(table, effect, j, Fp):
-    table.add(_PRESLIDING, j, Fp, effect.displacement)
-
-
-def _backlash(table, effect, j, k, c):
-    table.constant[j] += c
-    table.add(_BACKLASH, j, k, 0.5 * effect.width)
-
-
-def _offset(table, effect, j, c):
-    table.constant[j] += c
-
-
-def _spring(table, effect, j, k, c):
-    table.add(_SPRING, j, k)
-    table.constant[j] += c
-
-
-def _counterbalance(table, effect, j, *coef):
-    if effect.form == "linkage":
-        table.add(_LINKAGE, j, *coef, effect.ratio, effect.angle)
-    else:
-        *harmonics, constant = coef
-        table.constant[j] += constant
-        table.add(_HARMONICS, j, *harmonics)
-
-
-def _ripple(table, effect, j, c, s):
-    table.add(_RIPPLE, j, c, s, 2 * math.pi / effect.period)
-
-
-def _rotor(table, effect, j, Ir):
-    table.armature[j] += Ir
-
-
-def _coupling(table, effect, j, Fvm, Fcm, Iam):
-    k = effect.other
-    own = {"other": 0.0, "sum": 1.0, "difference": -1.0}[effect.of]
-    table.coupling[j, k] += Fvm
-    table.coupling[j, j] += own * Fvm
-    table.inertia[j, k] += Iam
-    table.inertia[j, j] += own * Iam
-    # The sign turns over the speeds at which both joints may be standing: friction of
-    # a sum of speeds does not hold one joint alone.
-    slow = _SLOW if table.slow is None else table.slow[k] + abs(own) * table.slow[j]
-    table.add(_COUPLED_DRY, j, Fcm, k, own, max(slow, _SLOW))
-
-
-def _drift(table, effect, j, D):
-    since, T = table.since, effect.time_constant
-
-    def level(t, signals):
-        return D * math.exp(-(t if since is None else max(t, since)) / T)
-
-    table.add_level(j, effect.of, level)
-
-
-def _signal(table, effect, j, k):
-    def level(t, signals):
-        return k * (signals(effect.signal, t) - effect.reference)
-
-    table.add_level(j, effect.of, level)
-
-
-def _payload(table, effect, j, *coef):
-    table.payloads.append((float(effect.instant), effect.inertial(coef)))
-
-
-_LAWS = {
-    Viscous: _viscous,
-    Coulomb: _coulomb,
-    AsymmetricFriction: _asymmetric,
-    Stribeck: _stribeck,
-    ViscousQuadratic: _quadratic,
-    LoadFriction: _load_friction,
-    Presliding: _presliding,
-    Backlash: _backlash,
-    Offset: _offset,
-    Spring: _spring,
-    Counterbalance: _counterbalance,
-    Ripple: _ripple,
-    RotorInertia: _rotor,
-    Coupling: _coupling,
-    Drift: _drift,
-    Signal: _signal,
-    Payload: _payload,
-}
-
-
 # -- the table, one state at a time ----------------------------------------------------
 
 
-def add_terms(
-    kinds,
-    joints,
-    numbers,
-    memory,
-    q,
-    v,
-    placed,
-    smooth,
-    dry,
-    load_smooth,
-    by_position,
-    by_velocity,
-    load_by_velocity,
-):
-    """Add the torques of a table of terms (kinds, joints, numbers) at one state."""
-    # Beyond its ends a term is as it is there. memory (n_terms, 2): position at which
-    # each term was last looked at, and its state there; the joint has not turned since.
-    # Added to, all (nv,): placed, what depends on position and time alone or couples
-    # joints, and may do work; smooth friction; the size of dry friction; smooth
-    # friction over the load; and the derivatives of smooth torques by the joint's own
-    # position and velocity, and of load_smooth.
+def add_terms(kinds, joints, numbers, memory, q, v, out):
+    """Add the torques of a table of terms at one state."""
+    # Beyond its ends a term is as it is there. No joint has turned since its memory.
+    # out (7, nv), added to: what depends on position and time alone or couples joints,
+    # and may do work; smooth friction; the size of dry friction; smooth friction over
+    # the load; and the derivatives of smooth torques by the joint's own position and
+    # velocity, and of friction over the load.
+    placed, smooth, dry, load_smooth = out[0], out[1], out[2], out[3]
+    by_position, by_velocity, load_by_velocity = out[4], out[5], out[6]
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
         row = numbers[i]
         size = row[0]
-        x, u = min(max(q[j], row[4]), row[5]), min(max(v[j], row[4]), row[5])
+        x, u = min(max(q[j], row[_LOW]), row[_HIGH]), v[j]
+        u = min(max(u, row[_LOW]), row[_HIGH])
         # Derivatives by what is beyond its ends are zero.
         moves_x = 1.0 if x == q[j] else 0.0
         moves_u = 1.0 if u == v[j] else 0.0
-        if kind == 0:  # Stribeck
+        if kind == _STRIBECK:
             r = abs(v[j]) / row[1]
             dry[j] += size * math.exp(-r if row[2] == 1 else -r * r)
-        elif kind == 1:  # quadratic
+        elif kind == _QUADRATIC:
             smooth[j] += size * u * abs(u)
             by_velocity[j] += moves_u * 2.0 * size * abs(u)
-        elif kind == 2:  # absolute
+        elif kind == _ABSOLUTE:
             smooth[j] += size * abs(u)
             by_velocity[j] += moves_u * size * (1.0 if v[j] > 0 else -1.0)
-        elif kind == 3:  # tanh
+        elif kind == _TANH:
             s = math.tanh(v[j] / row[1])
             smooth[j] += size * s
             by_velocity[j] += size * (1.0 - s * s) / row[1]
-        elif kind == 4:  # tanh, over the load
+        elif kind == _LOAD_TANH:
             s = math.tanh(v[j] / row[1])
             load_smooth[j] += size * s
             load_by_velocity[j] += size * (1.0 - s * s) / row[1]
-        elif kind == 5:  # two harmonics
+        elif kind == _HARMONICS:
             c, s = math.cos(x), math.sin(x)
             c2, s2 = c * c - s * s, 2.0 * s * c
             placed[j] += size * c + row[1] * s + row[2] * c2 + row[3] * s2
             slope = row[1] * c - size * s + 2.0 * (row[3] * c2 - row[2] * s2)
             by_position[j] += moves_x * slope
-        elif kind == 6:  # linkage
+        elif kind == _LINKAGE:
             ratio = row[2]
             c, s = math.cos(x - row[3]), math.sin(x - row[3])
             square = 1.0 + ratio * ratio - 2.0 * ratio * c
@@ -431,34 +268,36 @@ def add_terms(
             slope = (size / length + row[1]) * c
             slope -= size * ratio * s * s / (square * length)
             by_position[j] += moves_x * slope
-        elif kind == 7:  # ripple
-            c, s = math.cos(row[2] * x), math.sin(row[2] * x)
+        elif kind == _RIPPLE:
+            waves = 2.0 * math.pi / row[2]
+            c, s = math.cos(waves * x), math.sin(waves * x)
             placed[j] += size * c + row[1] * s
-            by_position[j] += moves_x * row[2] * (row[1] * c - size * s)
-        elif kind == 8:  # presliding
+            by_position[j] += moves_x * waves * (row[1] * c - size * s)
+        elif kind == _PRESLIDING:
             gone = q[j] - memory[i][0]
             way = 1.0 if gone > 0 else -1.0
             left = (memory[i][1] - way) * math.exp(-abs(gone) / row[1])
             smooth[j] += size * (way + left)
             by_position[j] += size * abs(left) / row[1]
-        elif kind == 9:  # backlash
-            p = max(min(memory[i][1], x + row[1]), x - row[1])
+        elif kind == _BACKLASH:
+            half = 0.5 * row[1]
+            p = max(min(memory[i][1], x + half), x - half)
             placed[j] += size * p
             if p != memory[i][1]:
                 by_position[j] += moves_x * size
-        elif kind == 10:  # dry friction of a coupled speed
+        elif kind == _COUPLED_DRY:
             w = v[int(row[1])] + row[2] * v[j]
             placed[j] += size * max(min(w / row[3], 1.0), -1.0)
             if abs(w) < row[3]:
                 by_velocity[j] += abs(row[2]) * size / row[3]
-        elif kind == 11:  # a torque that changes with time
+        elif kind == _LEVEL:
             placed[j] += size
-        elif kind == 12:  # dry friction that changes with time
+        elif kind == _LEVEL_DRY:
             dry[j] += size
-        elif kind == 13:  # viscous, which may change with time
+        elif kind == _VISCOUS:
             smooth[j] += size * u
             by_velocity[j] += moves_u * size
-        elif kind == 14:  # spring
+        elif kind == _SPRING:
             placed[j] += size * x
             by_position[j] += moves_x * size
 
@@ -467,17 +306,25 @@ def remember(kinds, joints, numbers, memory, q):
     """Move the memory of a table on to positions q; no joint turned on the way."""
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
-        if kind == 8:
+        if kind == _PRESLIDING:
             gone = q[j] - memory[i][0]
             way = 1.0 if gone > 0 else -1.0
             left = (memory[i][1] - way) * math.exp(-abs(gone) / numbers[i][1])
             memory[i][1] = way + left
             memory[i][0] = q[j]
-        elif kind == 9:
-            half, low, high = numbers[i][1], numbers[i][4], numbers[i][5]
+        elif kind == _BACKLASH:
+            half, low, high = 0.5 * numbers[i][1], numbers[i][_LOW], numbers[i][_HIGH]
             x = min(max(q[j], low), high)
             memory[i][1] = max(min(memory[i][1], x + half), x - half)
             memory[i][0] = q[j]
+
+
+def load_size(L, low, high):
+    """Sizes of loads L (nv,) that ends hold, as constants and slopes by the loads."""
+    held = np.minimum(np.maximum(L, low), high)
+    inside = held == L
+    constant = np.where(inside, 0.0, np.abs(held))
+    return constant, np.where(inside, np.sign(L), 0.0)
 
 
 class OtherEffects:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import Rest
 from sklearn_vbjfa.model import joint_names
 
 if TYPE_CHECKING:
@@ -95,3 +95,17 @@ class TorqueModel:
     def joint_names(self):
         """Names of the joints, tuple of str."""
         return joint_names(self.model)
+
+    def true_torques(self, tau, t):
+        """Turn measured torques (n, nv) at times t (n,) into those at the joints."""
+        out = tau / self.gains
+        for effect, coef in zip(self.effects, self.coefficients):
+            if effect.in_channel and t.size > 1:
+                j = effect.joint
+                out[:, j] = effect.taken_back(coef, out[:, j], t)
+        return out
+
+    def own_effects(self):
+        """Effects that are not in the model, with coefficients and what holds them."""
+        every = zip(self.effects, self.coefficients, self.held, strict=True)
+        return [one for one in every if not one[0].in_model]

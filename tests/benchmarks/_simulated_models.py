@@ -89,7 +89,7 @@ def torques(robot, q, v, a, t=None):
 
 def simulated(robot, tau, q0, v0, t=None):
     """States (n, 3 nv) of a `TorqueModel` by the package."""
-    from sklearn_vbjfa.simulation._simulate import simulate
+    from sklearn_vbjfa.simulation import simulate
 
     return np.asarray(simulate(robot, tau, q0, v0, t))
 

@@ -40,7 +40,7 @@ from sklearn_vbjfa.model import (  # noqa: E402
 )
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf  # noqa: E402
-from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
+from sklearn_vbjfa.simulation import TorqueModel  # noqa: E402
 from tests.model._mujoco import drive_torques  # noqa: E402
 from tests.model._robots import random_body  # noqa: E402
 

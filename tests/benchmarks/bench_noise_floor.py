@@ -127,7 +127,7 @@ def simulate(robot, seed, friction, noise):
     clean = recording.tau_clean
     if extra:
         # on every joint, in place of a sign that turns at once
-        from sklearn_vbjfa.effects._hysteresis import dahl
+        from sklearn_vbjfa.effects import dahl
 
         for j, size in enumerate(recording.friction["coulomb"]):
             q, v = recording.states[:, j], recording.states[:, model.nv + j]

@@ -83,7 +83,7 @@ def _moves(kind, model, rng):
 
 def _dry_friction(q, v, kind, rng):
     """Dry friction of unit size of one joint, at rest anywhere in its band."""
-    from sklearn_vbjfa.effects._hysteresis import dahl
+    from sklearn_vbjfa.effects import dahl
 
     moves = v != 0
     unit = np.sign(v) if kind == "sign" else dahl(q, DISPLACEMENT)

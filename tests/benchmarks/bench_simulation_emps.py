@@ -19,17 +19,12 @@ from dataclasses import replace
 
 import numpy as np
 from _report import fixed, parser, publish, rst_table
-from bench_protocol_emps import (
-    FITTED,
-    JUDGED,
-    authors_least_squares,
-    authors_states,
-)
+from bench_protocol_emps import FITTED, JUDGED, authors_least_squares, authors_states
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import fetch_emps
 from sklearn_vbjfa.effects import AsymmetricFriction, Spring, Stribeck
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate
 
 SKIPPED = 20  # rows
 REPEATS = 4

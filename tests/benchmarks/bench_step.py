@@ -13,7 +13,7 @@ import numpy as np
 from _report import add_root_to_path, parser, publish, rst_table
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.simulation._stepper import Stepper
+from sklearn_vbjfa.simulation import Stepper
 
 JOINTS = (1, 6, 7, 12)
 HEADERS = [

@@ -444,12 +444,8 @@ def difference(one, other, metric):
     if metric is not None:
         squares = [float(x @ metric @ x) for x in (change, size)]
         return float(np.sqrt(max(squares[0], 0.0) / squares[1]))
-    norm = np.linalg.norm(size)
-    return (
-        float(np.linalg.norm(change) / norm)
-        if norm
-        else float(np.abs(change).max(initial=0.0))
-    )
+    norm, most = np.linalg.norm(size), np.abs(change).max(initial=0.0)
+    return float(np.linalg.norm(change) / norm if norm else most)
 
 
 def same_line(one, other):

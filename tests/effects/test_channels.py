@@ -8,8 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Motion
-from sklearn_vbjfa.effects._channels import low_pass, smooth
+from sklearn_vbjfa.effects import Motion, low_pass, smooth
 
 DT = 0.002
 T = DT * np.arange(4000)

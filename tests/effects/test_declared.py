@@ -5,8 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import JointEffect, Motion, _declared
-from sklearn_vbjfa.effects._rest import Rest
+from sklearn_vbjfa.effects import JointEffect, Motion, Rest
 from tests.effects._arms import motion
 
 T, X = motion(2, duration=6.0, seed=3)
@@ -16,7 +15,7 @@ REST = Rest(speed=np.array([0.3, 0.1]), time=np.full(2, 0.1), noise=np.full(2, 0
 
 def test_four_effects_can_be_declared():
     names = ("viscous", "coulomb", "offset", "rotor_inertia")
-    assert _declared.available() == names
+    assert effects.declarable() == names
     for effect in effects.resolve():
         assert isinstance(effect, JointEffect) == (effect.name in names)
 
@@ -24,8 +23,8 @@ def test_four_effects_can_be_declared():
 @pytest.mark.parametrize("rest", [None, REST])
 @pytest.mark.parametrize("joint", [0, 1])
 def test_columns_are_those_of_the_effects(joint, rest):
-    names = _declared.available()
-    columns = _declared.columns(names, V, A, rest)
+    names = effects.declarable()
+    columns = effects.declared_columns(names, V, A, rest)
     assert columns.shape == (*V.shape, len(names))
     signals = Motion(q=Q, v=V, a=A, rest=rest)
     for k, effect in enumerate(effects.resolve(names)):
@@ -34,16 +33,16 @@ def test_columns_are_those_of_the_effects(joint, rest):
 
 
 def test_nothing_declared_is_no_column():
-    assert _declared.columns((), V, A).shape == (*V.shape, 0)
+    assert effects.declared_columns((), V, A).shape == (*V.shape, 0)
 
 
 def test_units_and_signs_are_those_of_the_effects():
-    for effect in effects.resolve(_declared.available()):
+    for effect in effects.resolve(effects.declarable()):
         ((revolute, prismatic),) = effect.units
-        assert _declared.unit(effect.name, False) == revolute
-        assert _declared.unit(effect.name, True) == prismatic
-        assert _declared.nonnegative(effect.name) == bool(effect.nonnegative)
-    assert not _declared.nonnegative("offset")
+        assert effects.declared_unit(effect.name, False) == revolute
+        assert effects.declared_unit(effect.name, True) == prismatic
+        assert effects.declared_nonnegative(effect.name) == bool(effect.nonnegative)
+    assert not effects.declared_nonnegative("offset")
 
 
 @pytest.mark.parametrize(
@@ -56,11 +55,11 @@ def test_units_and_signs_are_those_of_the_effects():
 )
 def test_other_names_are_refused(names, message):
     with pytest.raises(ValueError, match=message):
-        _declared.check_names(names)
+        effects.check_declared(names)
 
 
 def test_one_name_is_a_tuple_of_one():
-    assert _declared.check_names("coulomb") == ("coulomb",)
+    assert effects.check_declared("coulomb") == ("coulomb",)
 
 
 def test_a_column_must_be_defined():

@@ -11,8 +11,7 @@ from sklearn.base import clone
 from sklearn.pipeline import make_union
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Effect, Motion
-from sklearn_vbjfa.effects._hysteresis import dahl, play
+from sklearn_vbjfa.effects import Effect, Motion, dahl, play
 from tests.effects._arms import (
     Derivatives,
     arm,

@@ -12,14 +12,12 @@ from sklearn.base import clone
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa.effects import (  # noqa: E402  # noqa: E402
     BaseTilt,
     JointAxis,
     JointZero,
     Motion,
     TorqueGain,
-)
-from sklearn_vbjfa.effects._in_model import (  # noqa: E402
     cross_axes,
     rotation,
     turned_by,

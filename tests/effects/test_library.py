@@ -3,7 +3,7 @@
 import pytest
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.effects import closure
 
 
 def plain_label(joint):

@@ -7,8 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import EffectRange
-from sklearn_vbjfa.effects._ranges import CURVED, STRAIGHT, OutsideRange, outside
+from sklearn_vbjfa.effects import CURVED, STRAIGHT, EffectRange, OutsideRange, outside
 from tests.effects.test_effects import NAMES, V, library_effect, signals
 
 NAN = float("nan")

@@ -5,8 +5,7 @@ import pytest
 from scipy.special import erf
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Motion
-from sklearn_vbjfa.effects._rest import Rest, mean_sign
+from sklearn_vbjfa.effects import Motion, Rest, mean_sign
 
 V = np.linspace(-0.3, 0.3, 61)[:, None]
 

@@ -6,11 +6,13 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 import pytest
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import (
+    RobotIdentifier,
+    effects,
+    load_identified,
+)
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     BaseTilt,
     Coulomb,
@@ -30,18 +32,20 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Viscous,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot._exports import (  # noqa: E402
+from sklearn_vbjfa.physical import min_eigenvalue
+from sklearn_vbjfa.robot._exports import (
     LeftOut,
     as_tendons,
     in_line,
     to_mjcf,
 )
-from sklearn_vbjfa.robot._spreads import ColumnPowers  # noqa: E402
-from sklearn_vbjfa.simulation._torque_model import TorqueModel  # noqa: E402
-from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
-from tests.model._robots import random_tree  # noqa: E402
-from tests.model.test_mjcf import assert_same, rigid  # noqa: E402
+from sklearn_vbjfa.robot._spreads import ColumnPowers
+from sklearn_vbjfa.simulation import TorqueModel
+from tests.model._mujoco import drive_torques, moving_states
+from tests.model._robots import random_tree
+from tests.model.test_mjcf import assert_same, rigid
+
+pin = pytest.importorskip("pinocchio")
 
 
 def robot_of(uses, seed=0, nv=4, friction=(), axes=("RX", "RY", "RZ")):

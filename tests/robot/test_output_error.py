@@ -28,9 +28,11 @@ from sklearn_vbjfa.robot._output_error import (  # noqa: E402
 )
 from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
 from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
-from sklearn_vbjfa.simulation import PositionController  # noqa: E402
-from sklearn_vbjfa.simulation._closed_loop import simulate_controlled  # noqa: E402
-from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
+from sklearn_vbjfa.simulation import (  # noqa: E402
+    PositionController,
+    simulate,
+    simulate_controlled,
+)
 from tests._quick import one_in  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 

@@ -23,9 +23,7 @@ from sklearn_vbjfa.effects import (
     TorqueFilter,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation._channels import true_torques
-from sklearn_vbjfa.simulation._dynamics import with_bodies
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.simulation._machines import random_machine, wheel
 
 pin = pytest.importorskip("pinocchio")
@@ -125,7 +123,7 @@ def test_channels_are_taken_back(effect):
     size = effect.delay if isinstance(effect, Delay) else effect.time_constant
     read = gain * measured(effect, np.array([size]), x, t)
     robot = wheel(effects=[(effect, [size])], gains=np.array([gain]), dt=0.001)
-    back = true_torques(robot, read[:, None], t)[:, 0]
+    back = robot.true_torques(read[:, None], t)[:, 0]
     inner = slice(100, -100)
     order = 2 * (2 * np.pi * 2.0 * 0.004) ** 3
     assert np.abs(back - x)[inner].max() < 2 * order

@@ -8,8 +8,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Elastic, Jerk, Ripple, Signal, Spring
-from sklearn_vbjfa.simulation import SimulationError
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import SimulationError, simulate
 from tests.simulation._machines import Arm, machine, pendulum, point, slider, wheel
 
 TAU = np.zeros((20, 2))

@@ -6,8 +6,7 @@ import pytest
 from scipy.special import ellipj, ellipk
 
 from sklearn_vbjfa.effects import Payload, RotorInertia, Spring
-from sklearn_vbjfa.simulation._dynamics import with_bodies
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.model._robots import random_body
 from tests.model._trees import random_placement
 from tests.simulation._machines import (

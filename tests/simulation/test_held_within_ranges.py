@@ -19,9 +19,11 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     ViscousQuadratic,
 )
 from sklearn_vbjfa.robot._sensitivities import slopes  # noqa: E402
-from sklearn_vbjfa.simulation import _dynamics  # noqa: E402
-from sklearn_vbjfa.simulation._simulate import simulate  # noqa: E402
-from sklearn_vbjfa.simulation._stepper import Stepper  # noqa: E402
+from sklearn_vbjfa.simulation import (  # noqa: E402
+    Stepper,
+    _dynamics,
+    simulate,
+)
 from tests.simulation._machines import slider  # noqa: E402
 from tests.simulation._random_robots import (  # noqa: E402
     DT,

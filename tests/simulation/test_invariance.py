@@ -18,9 +18,7 @@ from sklearn_vbjfa.effects import (
     Stribeck,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation import _dynamics, _integrate
-from sklearn_vbjfa.simulation._integrate import Integrator
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import Integrator, _dynamics, _integrate, simulate
 from tests.simulation._machines import Arm, machine, random_machine
 
 FRICTION = {"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4], "offset": [0.1, 0.0]}

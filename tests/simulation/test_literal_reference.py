@@ -21,7 +21,7 @@ from sklearn_vbjfa.effects import (
     Stribeck,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate
 from tests.simulation._literal import Law, follow
 from tests.simulation._machines import Arm
 

@@ -1,4 +1,7 @@
-"""Effects of a user, which the simulator knows by their columns alone."""
+"""Effects of a user, which the simulator knows by their columns alone.
+
+What a class says of its torque anew takes back what its base says of it elsewhere.
+"""
 
 import numpy as np
 import pytest
@@ -13,32 +16,44 @@ from sklearn_vbjfa.effects import (
     Spring,
     Viscous,
 )
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate
 from tests.simulation._machines import Arm, pendulum, slider, wheel
 
 
 class OwnSpring(Spring):
     """A spring that the library does not know."""
 
+    law = Spring.law
+
 
 class OwnRotor(RotorInertia):
     """A rotor that the library does not know."""
+
+    law = RotorInertia.law
 
 
 class OwnCoulomb(Coulomb):
     """Dry friction that the library does not know."""
 
+    law = Coulomb.law
+
 
 class OwnLoadFriction(LoadFriction):
     """Friction over the load that the library does not know."""
+
+    law = LoadFriction.law
 
 
 class OwnSignal(Signal):
     """A signal that the library does not know."""
 
+    law = Signal.law
+
 
 class OwnMemory(Presliding):
     """Hysteresis that the library does not know."""
+
+    columns = Presliding.columns
 
 
 class Everywhere(Effect):

@@ -7,8 +7,7 @@ import pinocchio as pin
 import pytest
 
 from sklearn_vbjfa.effects import Coulomb, LoadFriction, Stribeck
-from sklearn_vbjfa.simulation._dynamics import with_bodies
-from sklearn_vbjfa.simulation._simulate import simulate
+from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.simulation._machines import pendulum, random_machine, wheel
 
 

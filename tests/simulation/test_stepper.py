@@ -13,7 +13,7 @@ from hypothesis import strategies as st  # noqa: E402
 
 from sklearn_vbjfa import effects  # noqa: E402
 from sklearn_vbjfa.effects import Backlash, Effect, Presliding  # noqa: E402
-from sklearn_vbjfa.simulation._stepper import Stepper  # noqa: E402
+from sklearn_vbjfa.simulation import Stepper  # noqa: E402
 from tests.simulation._random_robots import (  # noqa: E402
     DT,
     random_motion,

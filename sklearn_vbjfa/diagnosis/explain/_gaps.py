@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.explain._evidence import (
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST
 from sklearn_vbjfa.diagnosis.search._found import Found
-from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.effects import closure
 from sklearn_vbjfa.inspection import one_speed
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._equations import make_motion

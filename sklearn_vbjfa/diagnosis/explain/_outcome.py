@@ -41,8 +41,7 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 from sklearn_vbjfa.diagnosis.explain._judgement import ProjectionPrice
 from sklearn_vbjfa.diagnosis.search._found import Evidence
 from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
-from sklearn_vbjfa.effects import EffectRange, resolve
-from sklearn_vbjfa.effects._declared import available as plain_terms
+from sklearn_vbjfa.effects import EffectRange, declarable, resolve
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
 from sklearn_vbjfa.robot._gains import ChannelGains
@@ -269,7 +268,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
         enough=judgement.enough,
         intervals=judgement.intervals,
         floor=relative_floor,
-        library={e.name: e for e in (*resolve(plain_terms()), *search.library)},
+        library={e.name: e for e in (*resolve(declarable()), *search.library)},
         settings=_settings(search, judgement, asked),
         band=judgement.band,
         projection=judgement.price,

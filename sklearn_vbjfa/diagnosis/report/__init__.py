@@ -1,7 +1,7 @@
 """What was found, as text, Markdown, HTML and JSON."""
 
 from sklearn_vbjfa import _lazily
-from sklearn_vbjfa.diagnosis.report import _words as words  # noqa: F401
+from sklearn_vbjfa.diagnosis.report import _words as words
 
 # For the command line, the design of motions, the pages of effects and the tests, like
 # `words`; users get `sklearn_vbjfa.diagnosis.Report`.

@@ -52,24 +52,15 @@ def statement(outcome, effect):
     """Say what was found of the robot model, in a sentence without a full stop."""
     values = plain_values(effect)
     joint = words.joint_label(outcome.joint_names, effect.joint)
-    if effect.name == BaseTilt.name:
-        roll, pitch = (_text(values[key]) for key in ("roll", "pitch"))
-        return (
-            f"the base is not level: gravity is turned by roll {roll} and pitch "
-            f"{pitch} degrees"
-        )
-    if effect.name == JointZero.name:
-        off = values["zero"]
-        return f"{joint}: the encoder's zero is off by {_text(off)} {off.unit}"
-    if effect.name == JointAxis.name:
-        turns = [_text(values[key]) for key in ("about_x", "about_y")]
+    told = outcome.library[effect.name].told
+    if told:
         first, second = _about(outcome, effect)
-        return (
-            f"{joint}: the axis is turned by {turns[0]} degrees about the {first} and "
-            f"{turns[1]} degrees about the {second} of its frame"
-        )
-    if effect.name == TorqueGain.name:
-        return f"{joint}: the torque channel reads {_too_much(values['gain'])}"
+        texts = {
+            name: _too_much(one) if name == "gain" else _text(one)
+            for name, one in values.items()
+        }
+        unit = next(iter(values.values())).unit
+        return told.format(joint=joint, first=first, second=second, unit=unit, **texts)
     # One of a user's own.
     label = words.effect_label(outcome, effect.name, effect.parameters)
     parts = [f"{name} = {_text(one)} {one.unit}" for name, one in values.items()]

@@ -21,7 +21,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.diagnosis.search._view import variants
-from sklearn_vbjfa.effects._library import closure
+from sklearn_vbjfa.effects import closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 3

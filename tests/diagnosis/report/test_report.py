@@ -19,8 +19,7 @@ from sklearn_vbjfa.diagnosis.report import (
 )
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.search._posterior import SMALL
-from sklearn_vbjfa.effects import Coulomb, Effect, available
-from sklearn_vbjfa.effects._ranges import OutsideRange
+from sklearn_vbjfa.effects import Coulomb, Effect, OutsideRange, available
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
     finding,

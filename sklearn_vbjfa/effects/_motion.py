@@ -1,0 +1,327 @@
+"""The motion that laws of effects are functions of: of a recording, and of one state.
+
+A law is written once, for floats and for arrays: `Arrays` and `Floats` have the
+functions that it is made of, `State` the signals by joint.
+"""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+from scipy.special import erf
+
+# Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
+FAST = 0.995
+# An interval of speeds below this share of the noise, or of a smoothing, is none.
+_NARROW = 1e-3
+_TINY = float(np.finfo(float).tiny)
+_LOG_2 = math.log(2.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Rest:
+    """What is known of the speed of joints that may be standing."""
+
+    # The sign of a velocity is its mean over what the true velocity may be, s(v, a) =
+    # E[sign(v + u + e)], u ~ U(-w, w), e ~ N(0, sigma^2), w = v_s / (1 + |a| T / v_s).
+    # Without u this is erf(v / (sqrt(2) sigma)). Below the speed v_s a joint may be
+    # sticking, and friction may have any value of its band. A joint that turns round
+    # passes those speeds without standing: with the acceleration a it changes its speed
+    # by abs(a) T in the time T, and the more times v_s that is, the narrower is the
+    # interval.
+
+    # (nv,): v_s, at or below which a joint may be standing [rad/s or m/s]
+    speed: np.ndarray
+    # (nv,): T, for which a joint stands at least [s]: the fastest period; 0 if unknown
+    time: np.ndarray
+    noise: np.ndarray  # (nv,): sigma, of the velocities [rad/s or m/s]
+
+    def pick(self, *joints):
+        """Return what holds for a joint, or for the sum of the speeds of several."""
+        own = list(joints)
+        return Rest(
+            speed=self.speed[own].sum(keepdims=True),
+            time=self.time[own].max(keepdims=True),
+            noise=np.sqrt((self.noise[own] ** 2).sum(keepdims=True)),
+        )
+
+    def sign(self, v, a, smoothing=0.0):
+        """Mean sign of velocities (n, nv) with accelerations (n, nv)."""
+        # That of tanh(v / smoothing) where a speed is given.
+        passed = np.abs(a) * self.time
+        # vs / (1 + passed / vs), and zero where vs is
+        width = self.speed**2 / np.maximum(self.speed + passed, _TINY)
+        mean = _mean_sign if not smoothing > 0 else _mean_tanh(smoothing)
+        columns = [mean(*column) for column in zip(v.T, width.T, self.noise)]
+        return np.column_stack(columns)
+
+
+def _mean_sign(v, width, noise):
+    """Mean sign of one joint's velocities (n,), see `Rest`."""
+    if not noise > 0:
+        # Where the interval is empty this is the sign.
+        inside = np.abs(v) < width
+        return np.divide(v, width, out=np.sign(v), where=inside)
+    plain = erf(v / (np.sqrt(2) * noise))
+    # An interval that is narrow beside the noise changes nothing, and a difference of
+    # its ends would be one of rounding.
+    wide = width > _NARROW * noise
+    w = np.where(wide, width, 1.0)
+    spread = (_mean_size(v + w, noise) - _mean_size(v - w, noise)) / (2 * w)
+    return np.where(wide, spread, plain)
+
+
+def _mean_size(v, noise):
+    """Mean of abs(v + e) for normal e, whose derivative is the mean sign."""
+    x = v / (np.sqrt(2) * noise)
+    return v * erf(x) + noise * np.sqrt(2 / np.pi) * np.exp(-(x**2))
+
+
+def _mean_tanh(smoothing):
+    """Return the mean of tanh(v / smoothing) in place of that of the sign."""
+
+    def mean(v, width, noise):
+        # tanh(v / s) has the slope of a mean sign under noise of sqrt(2 / pi) s: the
+        # noise of the velocity adds to it as variances do.
+        s = np.sqrt(smoothing**2 + 0.5 * np.pi * noise**2)
+        wide = width > _NARROW * s
+        w = np.where(wide, width, 1.0)
+        spread = s * (_log_cosh((v + w) / s) - _log_cosh((v - w) / s)) / (2 * w)
+        return np.where(wide, spread, np.tanh(v / s))
+
+    return mean
+
+
+def _log_cosh(x):
+    x = np.abs(x)
+    return x + np.log1p(np.exp(-2 * x)) - np.log(2)
+
+
+def mean_sign(v, a, rest, smoothing=0.0):
+    """Sign of velocities (n, nv), or tanh; its mean where a `Rest` is given."""
+    if rest is not None:
+        return rest.sign(v, a, smoothing)
+    return np.tanh(v / smoothing) if smoothing > 0 else np.sign(v)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Motion:
+    """Signals of one or several recordings, all at the full sample rate.
+
+    Attributes
+    ----------
+    q, v, a : ndarray of shape (n, nv)
+        Positions [rad or m], velocities, accelerations.
+    t : ndarray of shape (n,) or None
+        Time [s], rising over all recordings.
+    load : ndarray of shape (n, nv) or None
+        Torques of the rigid bodies alone, without friction [N m or N].
+    torque : ndarray of shape (n, nv) or None
+        Torques of the whole model [N m or N].
+    parts : tuple of slice
+        Recordings; nothing is remembered across their borders.
+    prismatic : ndarray of shape (nv,), bool
+        Which joints slide.
+    rigid : callable or None
+        (q, v, a) -> torques (n, nv) of the rigid bodies.
+    last_body : callable or None
+        () -> regressor of the last body's inertial parameters, (n, nv, 10).
+    derivatives : object or None
+        Derivatives of the rigid bodies' torques by the robot's geometry; see
+        `ModelEffect`.
+    bandwidth : float
+        Highest frequency [Hz] that will be looked at.
+    begins : tuple of float or None
+        When recordings begin [s], if their first rows are left out here; None takes
+        the first rows of all parts.
+    rest : Rest or None
+        What to take for the sign of the velocity of a joint that may be standing; None
+        takes the sign itself, as a fit does, whose equations are masked there.
+    since : float or None
+        First time of the fit [s]: before it an effect of time is as it was then. None
+        if that is not known, or this is the fit.
+    signals : mapping of str to ndarray of shape (n,)
+        What was recorded beside the motion (a temperature, a voltage), by name, in
+        units of its own.
+    """
+
+    q: np.ndarray
+    v: np.ndarray
+    a: np.ndarray
+    t: np.ndarray | None = None
+    load: np.ndarray | None = None
+    torque: np.ndarray | None = None
+    parts: tuple = ()
+    prismatic: np.ndarray | None = None
+    rigid: Callable | None = None
+    last_body: Callable | None = None
+    derivatives: object | None = None
+    bandwidth: float = np.inf
+    begins: tuple | None = None
+    rest: Rest | None = None
+    since: float | None = None
+    signals: Mapping = field(default_factory=dict)
+    _speeds: dict = field(default_factory=dict, repr=False)
+
+    def __post_init__(self):
+        if not self.parts:
+            object.__setattr__(self, "parts", (slice(0, self.q.shape[0]),))
+        if self.prismatic is None:
+            object.__setattr__(self, "prismatic", np.zeros(self.q.shape[1], bool))
+
+    @property
+    def n_joints(self):
+        """Number of joints."""
+        return self.q.shape[1]
+
+    @property
+    def later(self):
+        """When recordings begin [s], but for the first."""
+        starts = self.begins
+        if starts is None:
+            starts = [self.t[part.start] for part in self.parts]
+        return np.asarray(starts[1:], dtype=float)
+
+    def speed(self, joint):
+        """Fastest speed of a joint, outliers aside [rad/s or m/s]."""
+        if joint not in self._speeds:
+            self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), FAST))
+        return self._speeds[joint]
+
+    def sign(self, joint, smoothing=0.0):
+        """Sign of a joint's velocity (n, 1), tanh(v / smoothing) where one is given.
+
+        Where `rest` is known this is its mean; see `Rest`.
+        """
+        rest = None if self.rest is None else self.rest.pick(joint)
+        return mean_sign(self.v[:, [joint]], self.a[:, [joint]], rest, smoothing)
+
+    def range(self, joint):
+        """Range of a joint's positions [rad or m]."""
+        return float(np.ptp(self.q[:, joint]))
+
+    def known_time(self):
+        """Time of each row (n,) [s], at the earliest the first one of the fit."""
+        return self.t if self.since is None else np.maximum(self.t, self.since)
+
+    def duration(self):
+        """Return the time from the first to the last sample [s]."""
+        return float(np.ptp(self.t))
+
+    def derivative(self, signal):
+        """Differentiate columns (n, ...) in time, recording by recording."""
+        out = np.zeros_like(signal)
+        for part in self.parts:
+            if part.stop - part.start > 2:
+                out[part] = np.gradient(signal[part], self.t[part], axis=0)
+        return out
+
+
+# -- what laws are made of -------------------------------------------------------------
+
+
+class Arrays:
+    """Functions of signals (n,) of a recording; see `Effect.law`."""
+
+    exp, cos, sin, sqrt = np.exp, np.cos, np.sin, np.sqrt
+
+    def __init__(self, rest):
+        self.rest = rest
+
+    def sign(self, *joints, smoothing=0.0):
+        """Return (v, a) -> mean sign of the speed of a joint, or of a sum of speeds."""
+        rest = None if self.rest is None else self.rest.pick(*joints)
+        return lambda v, a: mean_sign(v[:, None], a[:, None], rest, smoothing)[:, 0]
+
+
+class AllJoints(Arrays):
+    """The same of signals (n, nv) of all joints at once."""
+
+    def sign(self, *joints, smoothing=0.0):
+        """Return (v, a) -> mean signs of the speeds of all joints."""
+        return lambda v, a: mean_sign(v, a, self.rest, smoothing)
+
+
+class Floats:
+    """The same of the numbers of one state, whose velocities have no noise."""
+
+    exp, cos, sin, sqrt = math.exp, math.cos, math.sin, math.sqrt
+
+    def __init__(self, rest):
+        self.rest = rest
+
+    def sign(self, *joints, smoothing=0.0) -> Callable:
+        """Return (v, a) -> mean sign of a speed, as `Arrays.sign`."""
+        rest = None if self.rest is None else self.rest.pick(*joints)
+        speed = 0.0 if rest is None else float(rest.speed[0])
+        time = 0.0 if rest is None else float(rest.time[0])
+        square = speed * speed
+
+        def sign(v, a):
+            width = square / max(speed + abs(a) * time, _TINY)
+            if -width < v < width:
+                return v / width
+            return 1.0 if v > 0 else -1.0 if v < 0 else v
+
+        def smoothed(v, a):
+            width = square / max(speed + abs(a) * time, _TINY)
+            if not width > _NARROW * smoothing:
+                return math.tanh(v / smoothing)
+            ends = _log_cosh_of((v + width) / smoothing)
+            ends -= _log_cosh_of((v - width) / smoothing)
+            return smoothing * ends / (2 * width)
+
+        return smoothed if smoothing > 0 else sign
+
+
+def _log_cosh_of(x):
+    x = abs(x)
+    return x + math.log1p(math.exp(-2 * x)) - _LOG_2
+
+
+@dataclass(slots=True)
+class State:
+    """One state: floats by joint; or, of `rows_of`, signals (n,) by joint."""
+
+    q: list = field(default_factory=list)
+    v: list = field(default_factory=list)
+    a: list = field(default_factory=list)
+    # [s]; known_t is not earlier than the fit
+    t: float | None = None
+    known_t: float | None = None
+    dt: float | None = None  # time since the state before [s]; None for the first
+    # torques of the rigid bodies and of the whole model for effects of the load
+    load: list | None = None
+    torque: list | None = None
+    signals: dict = field(default_factory=dict)  # what is recorded beside the motion
+
+
+def rows_of(motion):
+    """Return the signals of a `Motion` as those of a `State`."""
+    load, torque = motion.load, motion.torque
+    return State(
+        q=motion.q.T,
+        v=motion.v.T,
+        a=motion.a.T,
+        t=motion.t,
+        known_t=None if motion.t is None else motion.known_time(),
+        load=None if load is None else load.T,
+        torque=None if torque is None else torque.T,
+        signals=motion.signals,
+    )
+
+
+class _Each:
+    """Signals (n, nv) of all joints, whichever is asked for."""
+
+    def __init__(self, values):
+        self._values = values
+
+    def __getitem__(self, joint):
+        return self._values
+
+
+def every_joint(v, a):
+    """Return velocities and accelerations (n, nv) as a `State` of every joint."""
+    return State(v=_Each(v), a=_Each(a))

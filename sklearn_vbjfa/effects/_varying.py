@@ -1,0 +1,443 @@
+"""Effects that vary with time, or with what was recorded beside the motion."""
+
+import math
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, Effect
+from sklearn_vbjfa.effects._friction import Coulomb, Viscous
+
+# What may vary: in words, and the units of its coefficient.
+_VARIED = {
+    "coulomb": (Coulomb.label, TORQUE),
+    "offset": ("offset", TORQUE),
+    "viscous": (Viscous.label, VISCOSITY),
+}
+# Time constants to try, as shares of the recording's length.
+_CONSTANTS = (0.1, 0.2, 0.4, 0.8, 3.0)
+# Number of instants to try.
+_INSTANTS = 24
+# Distance of a payload's centre of mass from the last body's frame [m].
+_FARTHEST = 1.0
+
+
+class _Varied(Effect):
+    """Friction or offset times a function of time or of a signal."""
+
+    contains = ("offset", "coulomb", "viscous")
+
+    @property
+    def with_motion(self):
+        """Whether what varies is a friction; see `Effect.with_motion`."""
+        return self.of != "offset"
+
+    def _factor(self, maths):
+        """Return what it is multiplied with, a function of a `State`."""
+        raise NotImplementedError
+
+    def _words_and_units(self):
+        """Words and units of what varies, refusing what cannot vary."""
+        if self.of not in _VARIED:
+            raise ValueError(f"of must be one of {list(_VARIED)}; got {self.of!r}.")
+        return _VARIED[self.of]
+
+    def law(self, maths):
+        """Sign of the velocity, one or the velocity, varied; see `Effect.law`."""
+        self._words_and_units()
+        j, factor, sign = self.joint, self._factor(maths), maths.sign(self.joint)
+        return {
+            "coulomb": lambda state: (factor(state) * sign(state.v[j], state.a[j]),),
+            "offset": lambda state: (factor(state),),
+            "viscous": lambda state: (factor(state) * state.v[j],),
+        }[self.of]
+
+
+class Drift(_Varied):
+    """Friction or offset that changes while the robot warms up.
+
+    tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
+    gauge warmer [1]_. What remains when warm is left to `Offset`, `Coulomb` and
+    `Viscous`.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    of : {"coulomb", "offset", "viscous"}, default="coulomb"
+        What drifts.
+    time_constant : float, default=100.0
+        T [s] of the decay, which starts at t = 0.
+
+    Notes
+    -----
+    After the last time of the fit it goes on fading, towards what remains when warm;
+    before the first one it is as it was then, and does not grow.
+
+    References
+    ----------
+    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
+       modeling and identification of load and temperature effects", J. Dyn. Sys.,
+       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Drift
+    >>> drift = Drift(of="offset", time_constant=1.0).fit([[0, 0, 0]])
+    >>> drift.transform([[0, 0, 0], [0, 0, 0]], t=[0.0, 1.0]).ravel().round(3)
+    array([1.   , 0.368])
+    """
+
+    name = "drift"
+    label = "drift with time"
+    formula = (
+        r"D\,e^{-t / \mathrm{time\_constant}} f, \quad"
+        r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
+    )
+    coefficients = ("D",)
+    units = (TORQUE,)
+    shape_units = (("time_constant", TIME),)
+    needs = ("time",)
+    continuous = ("time_constant",)
+    positive = ("time_constant",)
+    slow = True
+    afterwards = "fades on"
+    seen_over = "time"
+    visible = "the same motion early and late"
+    record = "the same motion cold and warm"
+    no_place = "fades with time; the file has what remains when warm"
+
+    def __init__(self, joint=0, of="coulomb", time_constant=100.0):
+        super().__init__(joint)
+        self.of = of
+        self.time_constant = time_constant
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say what drifts; see `Effect.describe`."""
+        of = shape.get("of")
+        label, _ = _VARIED.get(of, (of, ""))
+        return f"drift of the {label} with time" if of else cls.label
+
+    def _factor(self, maths):
+        """Decay with time."""
+        exp, constant = maths.exp, self.time_constant
+        return lambda state: exp(-state.known_t / constant)
+
+    def simulated(self, table, D):
+        """Add friction or a torque that fades; see `Effect.simulated`."""
+        since, constant = table.since, self.time_constant
+
+        def level(t, signals):
+            known = t if since is None else max(t, since)
+            return D * math.exp(-known / constant)
+
+        return table.add_level(self.joint, self.of, level)
+
+    def later(self, coef, t):
+        """D exp(-t / T); see `Effect.later`."""
+        return {"D": float(coef[0] * np.exp(-t / self.time_constant))}
+
+    def shapes(self, motion):
+        """Time constants from a tenth to three times the recording."""
+        length = motion.duration()
+        return [
+            {"of": of, "time_constant": s * length}
+            for of in _VARIED
+            for s in _CONSTANTS
+        ]
+
+    def parameter_units(self, prismatic=False):
+        """Units; see `Effect.parameter_units`."""
+        _, units = self._words_and_units()
+        return super().parameter_units(prismatic) | {"D": units[bool(prismatic)]}
+
+
+class Signal(_Varied):
+    """Friction or offset that varies with a recorded signal.
+
+    tau = k (s - reference) times 1, sign(v) or v: s is a column that was recorded
+    beside the motion, such as the temperature of a gear [1]_, the supply voltage, a
+    load cell, or the state of a tool. To first order, whatever the law: what there is
+    at the reference is left to `Offset`, `Coulomb` and `Viscous`.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    signal : str, default=""
+        Name of the recorded column s. A search tries all columns that it is given.
+    of : {"coulomb", "offset", "viscous"}, default="coulomb"
+        What varies.
+    reference : float, default=0.0
+        Value of the signal, in its own unit, around which it varies. A search takes the
+        mean over the recording; it is not tuned.
+
+    Notes
+    -----
+    It shows where the signal takes several values in like motion. It is hidden where
+    the signal only rises or falls, as then a drift with time explains as much, and
+    where it follows the state of the joint.
+
+    References
+    ----------
+    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
+       modeling and identification of load and temperature effects", J. Dyn. Sys.,
+       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Signal
+    >>> warm = Signal(signal="temperature", of="viscous", reference=30.0)
+    >>> X = [[0.0, 2.0, 0.0], [0.0, 2.0, 0.0]]
+    >>> warm.fit(X).transform(X, signals={"temperature": [30.0, 35.0]}).ravel()
+    array([ 0., 10.])
+    """
+
+    name = "signal"
+    label = "variation with a recorded signal"
+    formula = (
+        r"k\,(s - \mathrm{reference})\,f, \quad"
+        r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
+    )
+    coefficients = ("k",)
+    needs = ("signals",)
+    apart = ("signal", "of")
+    seen_over = "signal"
+    visible = "the same motion at several values of the signal, which rises and falls"
+    record = "the same motion at several values of the signal, in mixed order"
+    no_place = "varies with a recorded signal; the file has what holds at its reference"
+
+    def __init__(self, joint=0, signal="", of="coulomb", reference=0.0):
+        super().__init__(joint)
+        self.signal = signal
+        self.of = of
+        self.reference = reference
+
+    @property
+    def units(self):
+        """Units of k, for a revolute and for a prismatic joint."""
+        _, units = self._words_and_units()
+        of = self.signal or "the signal"
+        return (tuple(f"{unit} per unit of {of}" for unit in units),)
+
+    @property
+    def trend(self):
+        """Whether the signal alone is a torque; see `Effect.trend`."""
+        return self.of == "offset"
+
+    @property
+    def recorded(self):
+        """The signal, if it is set; see `Effect.recorded`."""
+        return (self.signal,) if self.signal else ()
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        """Say what varies with which signal; see `Effect.describe`."""
+        signal, of = shape.get("signal"), shape.get("of")
+        if not signal:
+            return cls.label
+        if of not in _VARIED:
+            return f"variation with {signal}"
+        return f"{_VARIED[of][0]} that varies with {signal}"
+
+    def told_beside(self, other):
+        """Name the signal, and what varies if that differs; see `Effect`."""
+        told = f"{self.name}: {self.signal}"
+        alike = isinstance(other, Signal) and other.of == self.of
+        return told if alike else f"{told}, {self.of}"
+
+    def key(self):
+        """Tell two uses of the effect apart; see `Effect.key`.
+
+        With another reference it is the same but for the plainer effect.
+        """
+        return (self.name, self.joint, (("of", self.of), ("signal", self.signal)))
+
+    def check(self):
+        """Refuse what cannot vary; see `Effect.check`."""
+        super().check()
+        self._words_and_units()
+
+    def applies(self, motion):
+        """Say which signal is missing; see `Effect.applies`.
+
+        That of a recording without signals is no reason to record some.
+        """
+        if not self.signal:
+            return "" if motion.signals else "no signals were recorded beside it"
+        if self.signal in motion.signals:
+            return ""
+        return (
+            f"needs the recorded signal {self.signal!r}; give it in signals, one value "
+            "per row, or as a column of X"
+        )
+
+    def _factor(self, maths):
+        """Distance of the signal from its reference."""
+        name, reference = self.signal, self.reference
+        return lambda state: state.signals[name] - reference
+
+    # Its columns look for the signal first.
+    law = _Varied.law
+
+    def columns(self, motion):
+        """Those of its law, with a signal that is there; see `Effect.columns`."""
+        self._words_and_units()
+        if self.signal not in motion.signals:
+            raise ValueError(
+                f"signal must name a recorded signal; got {self.signal!r}, expected "
+                f"one of {', '.join(motion.signals) or '(none is there)'}."
+            )
+        return super().columns(motion)
+
+    def simulated(self, table, k):
+        """Add friction or a torque that varies; see `Effect.simulated`."""
+
+        def level(t, signals):
+            return k * (signals(self.signal, t) - self.reference)
+
+        return table.add_level(self.joint, self.of, level)
+
+    def shapes(self, motion):
+        """All signals that vary, and all that may vary with them."""
+        return [
+            {"signal": name, "of": of, "reference": float(np.mean(values))}
+            for name, values in motion.signals.items()
+            if np.ptp(values) > 0
+            for of in _VARIED
+        ]
+
+
+class Payload(Effect):
+    """The last body's mass and first moments change at an instant.
+
+    tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
+    of the last body's regressor: something was picked up, put down or lost [1]_. It
+    counts as a ball at its centre of mass c = dmc / dm, of inertia dm (c'c 1 - c c') +
+    d 1 in the body's frame: the first part follows from the mass and the moments, to
+    first order around `centre`; d, that of the ball itself, is a coefficient.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Last joint, from zero; all joints feel it.
+    instant : float, default=0.0
+        Time of the change [s].
+    centre : tuple of three floats, default=(0.0, 0.0, 0.0)
+        Centre of mass [m] in the last body's frame around which the inertia is
+        linearised.
+
+    Notes
+    -----
+    It is not there before the instant, and stays after the last time of the fit.
+
+    References
+    ----------
+    .. [1] W. Khalil, M. Gautier, P. Lemoine, "Identification of the payload inertial
+       parameters of industrial manipulators", ICRA, 2007.
+       :doi:`10.1109/ROBOT.2007.364241`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Payload
+    >>> Payload(instant=12.0).parameters([0.5, 0.0, 0.1, 0.0, 0.0])["dm"]
+    0.5
+    """
+
+    name = "payload"
+    label = "change of payload"
+    formula = (
+        r"\Phi_n(q, v, a)\,\Delta\pi(dm, dmc_x, dmc_y, dmc_z, d) \quad"
+        r" \text{for}\ t \ge \mathrm{instant}"
+    )
+    coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
+    units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
+    shape_units = (("instant", TIME),)
+    needs = ("time",)
+    continuous = ("instant",)
+    jumping = ("instant",)
+    tangent = ("centre",)
+    slow = True
+    afterwards = "stays"
+    seen_over = "time"
+    visible = "motion against gravity before and after the change"
+    record = "motion against gravity with and without payload"
+    no_place = "a change at an instant; the file has the robot before it"
+    whole_robot = True
+    in_last_body = True
+
+    def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
+        super().__init__(joint)
+        self.instant = instant
+        self.centre = centre
+
+    def applies(self, motion):
+        """Only the last joint carries a payload; see `Effect.applies`."""
+        if self.joint != motion.n_joints - 1:
+            return "only the last body carries a payload"
+        if motion.last_body is None:
+            return "needs the rigid-body dynamics"
+        return super().applies(motion)
+
+    def columns(self, motion):
+        """Regressor of the last body after the instant; see `Effect.columns`."""
+        after = motion.t >= self.instant
+        columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
+        return columns * after[:, None, None]
+
+    def inertial(self, coef):
+        """Return what the last body's inertial parameters change by, ndarray (10,).
+
+        Parameters
+        ----------
+        coef : array-like of shape (5,)
+            Coefficients.
+
+        Returns
+        -------
+        ndarray of shape (10,)
+            Changes of m, mc_x, ..., I_zz [kg, kg m, kg m^2].
+        """
+        return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
+
+    def simulated(self, table, *coef):
+        """Change the last body; see `Effect.simulated`."""
+        table.payloads.append((float(self.instant), self.inertial(coef)))
+        return True
+
+    def at(self, coef):
+        """Linearise the inertia at the centre of mass that was found."""
+        mass, *moments = coef[:4]
+        centre = np.array(moments) / mass if mass else np.zeros(3)
+        # Farther out it is no payload: mass and moments are hardly known.
+        if not np.linalg.norm(centre) <= _FARTHEST:
+            return self
+        return Payload(self.joint, self.instant, tuple(map(float, centre)))
+
+    def shapes(self, motion):
+        """Instants all over the recording."""
+        t = motion.t
+        starts = motion.later
+        shares = np.linspace(t[0], t[-1], _INSTANTS + 2)[1:-1]
+        # Between two recordings all instants are one: the start of the second.
+        border = np.searchsorted(t, starts)
+        taken = np.isin(np.searchsorted(t, shares), border)
+        instants = np.unique(np.concatenate([shares[~taken], starts]))
+        return [{"instant": float(s)} for s in instants]
+
+
+def _ball(c):
+    """Inertial parameters (10, 5) by mass, first moments and own inertia of a ball."""
+    # The inertia (s's 1 - s s') / m of a point is homogeneous in mass m and moments
+    # s, so that its tangent at s = m c passes through zero.
+    one = np.eye(3)
+    out = np.zeros((10, 5))
+    out[:4, :4] = np.eye(4)
+    slopes = [np.outer(c, c) - (c @ c) * one]
+    slopes += [
+        2 * c[k] * one - np.outer(one[k], c) - np.outer(c, one[k]) for k in range(3)
+    ]
+    for column, slope in enumerate([*slopes, one]):
+        # Ixx, Ixy, Iyy, Ixz, Iyz, Izz
+        out[4:, column] = slope[[0, 0, 1, 0, 1, 2], [0, 1, 1, 2, 2, 2]]
+    return out

@@ -1,0 +1,369 @@
+"""Bodies, friction and accelerations at one state, compiled by Numba.
+
+Numba is optional; `sklearn_vbjfa.simulation._dynamics` does the same in NumPy. The laws
+of friction are those of `sklearn_vbjfa.simulation._terms` themselves; bodies are what
+Pinocchio computes as well (`crba` and `nonLinearEffects`): vectors are in the axes of
+the base, and moments about the origin of the joint that a branch begins with, so that
+the inertia of composite bodies is a sum.
+"""
+
+import math
+
+import numba
+import numpy as np
+
+from sklearn_vbjfa.model._compiled import (
+    axpy,
+    combine,
+    compiled,
+    cross,
+    dot,
+    turn,
+    vector,
+)
+from sklearn_vbjfa.simulation import _integrate, _terms
+
+# Rows of what is known of a body: its axes, origin, angular velocity and acceleration,
+# acceleration of the origin less gravity, its joint's screw (angular and linear), force
+# and moment of all that it carries, and their mass, first moments and inertia.
+_AXES, _ORIGIN, _SPEED, _GAIN, _FIELD = 0, 9, 12, 15, 18
+_ANGULAR, _LINEAR, _FORCE, _MOMENT = 21, 24, 27, 30
+_MASS, _FIRST, _INERTIA = 33, 34, 37
+_STATE = 46
+
+
+# The machine code is kept on disk: only the first use after an installation takes the
+# seconds of the compilation.
+_compiled = numba.njit(nogil=True, cache=True, error_model="numpy")
+_add_terms = _compiled(_terms.add_terms)
+remember = _compiled(_terms.remember)
+step_error = _compiled(_integrate.step_error)
+is_stiff = _compiled(_integrate.is_stiff)
+load_size = _compiled(_terms.load_size)
+directions = _compiled(_integrate.directions)
+past_events = _compiled(_integrate.past_events)
+
+
+@compiled
+def _get(state, at):
+    """Return three numbers from a place on."""
+    return state[at], state[at + 1], state[at + 2]
+
+
+@compiled
+def _put(state, at, x):
+    """Write three numbers from a place on."""
+    state[at], state[at + 1], state[at + 2] = x[0], x[1], x[2]
+
+
+@compiled
+def _add(state, at, x):
+    """Add three numbers from a place on."""
+    state[at] += x[0]
+    state[at + 1] += x[1]
+    state[at + 2] += x[2]
+
+
+@compiled
+def _scaled(a, x):
+    """Return a x."""
+    return a * x[0], a * x[1], a * x[2]
+
+
+@compiled
+def _rows(body, x):
+    """Inertia of a body (10,) about its joint times a vector in its own axes."""
+    xx, xy, yy, xz, yz, zz = body[4], body[5], body[6], body[7], body[8], body[9]
+    return (
+        xx * x[0] + xy * x[1] + xz * x[2],
+        xy * x[0] + yy * x[1] + yz * x[2],
+        xz * x[0] + yz * x[1] + zz * x[2],
+    )
+
+
+@compiled
+def bodies_at(q, v, tree, bodies, armature, M, h):
+    """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
+    # bodies (nv, 10); armature (nv,): rotor inertias [kg m^2 or kg], which M includes;
+    # h: torques at rest of the accelerations, gravity included.
+    nv = q.size
+    state = np.zeros((nv, _STATE))
+    for j in range(nv):
+        own, body, parent = state[j], bodies[j], tree.parents[j]
+        turns, slides = tree.turns[j], tree.slides[j]
+        if parent >= 0:
+            above = state[parent]
+            e1, e2, e3 = _get(above, 0), _get(above, 3), _get(above, 6)
+            p, w = _get(above, _ORIGIN), _get(above, _SPEED)
+            dw, field = _get(above, _GAIN), _get(above, _FIELD)
+        else:
+            e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
+            p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
+            dw, field = vector(tree.base_angular), (0.0, 0.0, 0.0)
+        x = combine(vector(tree.frames[j, 0]), e1, e2, e3)
+        y = combine(vector(tree.frames[j, 1]), e1, e2, e3)
+        z = combine(vector(tree.frames[j, 2]), e1, e2, e3)
+        direction = vector(tree.axes[j])
+        axis = combine(direction, x, y, z)
+        if turns != 0.0:
+            angle = turns * q[j]
+            rows = turn(direction, math.cos(angle), math.sin(angle))
+            x, y, z = (
+                combine(rows[0], x, y, z),
+                combine(rows[1], x, y, z),
+                combine(rows[2], x, y, z),
+            )
+        offset = combine(vector(tree.offsets[j]), e1, e2, e3)
+        offset = axpy(slides * q[j], axis, offset)
+        p = axpy(1.0, p, offset)
+        across = cross(w, axis)
+        field = axpy(1.0, field, vector(tree.base[j]))
+        field = axpy(1.0, cross(w, cross(w, offset)), field)
+        field = axpy(1.0, cross(dw, offset), field)
+        field = axpy(2.0 * slides * v[j], across, field)
+        w = axpy(turns * v[j], axis, w)
+        dw = axpy(turns * v[j], across, dw)
+        _put(own, 0, x)
+        _put(own, 3, y)
+        _put(own, 6, z)
+        _put(own, _ORIGIN, p)
+        _put(own, _SPEED, w)
+        _put(own, _GAIN, dw)
+        _put(own, _FIELD, field)
+        angular = _scaled(turns, axis)
+        _put(own, _ANGULAR, angular)
+        _put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
+        # The body's own force and moment.
+        mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
+        force = axpy(mass, field, cross(w, cross(w, first)))
+        force = axpy(1.0, cross(dw, first), force)
+        w_own = dot(x, w), dot(y, w), dot(z, w)
+        dw_own = dot(x, dw), dot(y, dw), dot(z, dw)
+        spun = axpy(1.0, cross(w_own, _rows(body, w_own)), _rows(body, dw_own))
+        moment = axpy(1.0, cross(first, field), combine(spun, x, y, z))
+        _put(own, _FORCE, force)
+        _put(own, _MOMENT, axpy(1.0, cross(p, force), moment))
+        # Its mass, first moments and inertia about the common origin.
+        own[_MASS] = mass
+        _put(own, _FIRST, axpy(mass, p, first))
+        tx = combine((body[4], body[5], body[7]), x, y, z)
+        ty = combine((body[5], body[6], body[8]), x, y, z)
+        tz = combine((body[7], body[8], body[9]), x, y, z)
+        trace = mass * dot(p, p) + 2.0 * dot(p, first)
+        for r in range(3):
+            for c in range(3):
+                value = x[r] * tx[c] + y[r] * ty[c] + z[r] * tz[c]
+                value -= mass * p[r] * p[c] + p[r] * first[c] + first[r] * p[c]
+                own[_INERTIA + 3 * r + c] = value
+            own[_INERTIA + 4 * r] += trace
+    M[:] = 0.0
+    for j in range(nv - 1, -1, -1):
+        own, parent = state[j], tree.parents[j]
+        angular, linear = _get(own, _ANGULAR), _get(own, _LINEAR)
+        first = _get(own, _FIRST)
+        h[j] = dot(angular, _get(own, _MOMENT)) + dot(linear, _get(own, _FORCE))
+        # Momentum of all that the joint carries, at its unit velocity.
+        momentum = axpy(own[_MASS], linear, cross(angular, first))
+        spin = (
+            dot(_get(own, _INERTIA), angular),
+            dot(_get(own, _INERTIA + 3), angular),
+            dot(_get(own, _INERTIA + 6), angular),
+        )
+        spin = axpy(1.0, spin, cross(first, linear))
+        i = j
+        while i >= 0:
+            other = state[i]
+            value = dot(_get(other, _ANGULAR), spin)
+            value += dot(_get(other, _LINEAR), momentum)
+            M[i, j] = value
+            M[j, i] = value
+            i = tree.parents[i]
+        M[j, j] += armature[j]
+        if parent >= 0:
+            for k in range(_FORCE, _STATE):
+                state[parent, k] += own[k]
+
+
+@_compiled
+def _eliminate(A, b):
+    """Solve A x = b in place by elimination with row exchanges; x is in b."""
+    n = b.size
+    for k in range(n):
+        best = k
+        for i in range(k + 1, n):
+            if abs(A[i, k]) > abs(A[best, k]):
+                best = i
+        if best != k:
+            for c in range(n):
+                A[k, c], A[best, c] = A[best, c], A[k, c]
+            b[k], b[best] = b[best], b[k]
+        inverse = 1.0 / A[k, k]
+        for i in range(k + 1, n):
+            factor = A[i, k] * inverse
+            if factor != 0.0:
+                for c in range(k + 1, n):
+                    A[i, c] -= factor * A[k, c]
+                b[i] -= factor * b[k]
+    for k in range(n - 1, -1, -1):
+        for c in range(k + 1, n):
+            b[k] -= A[k, c] * b[c]
+        b[k] /= A[k, k]
+
+
+@_compiled
+def _hold(A, b, stuck):
+    """Replace the equations of joints that stick by that of no acceleration."""
+    n = b.size
+    for j in range(n):
+        if stuck[j]:
+            # Its column as well: rounding would set the joint in motion.
+            for c in range(n):
+                A[j, c] = A[c, j] = 0.0
+            A[j, j] = 1.0
+            b[j] = 0.0
+
+
+@_compiled
+def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
+    """Accelerations at one state, see `ForwardDynamics.accelerate`; power [W]."""
+    # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
+    # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
+    # joints that stick; table: `Table`; before (nv,): accelerations found before; out
+    # (5, nv), written: accelerations, needed dry friction, its limit, derivatives by
+    # position and velocity. The power is that of torques that do not dissipate.
+    nv = q.size
+    lines, inertia, coupling = table.lines, table.inertia, table.coupling
+    sums = np.zeros((7, nv))
+    placed, smooth, dry, load_smooth = sums[0], sums[1], sums[2], sums[3]
+    by_position, by_velocity, load_by_velocity = sums[4], sums[5], sums[6]
+    for i in range(nv):
+        placed[i], smooth[i] = lines[1, i], lines[0, i] * v[i]
+        dry[i], by_velocity[i] = lines[2, i], lines[0, i] + coupling[i, i]
+        for j in range(nv):
+            placed[i] += coupling[i, j] * v[j]
+    _add_terms(table.kinds, table.joints, table.numbers, table.memory, q, v, sums)
+    A, rhs = np.empty((nv, nv)), np.empty(nv)
+    for i in range(nv):
+        rhs[i] = tau[i] - h[i] - placed[i] - smooth[i] - dry[i] * mode[i]
+        for j in range(nv):
+            A[i, j] = M[i, j] + inertia[i, j]
+    a = rhs.copy()
+    limit = dry
+    if table.of_load:
+        L, size = hL.copy(), np.empty(nv)
+        for i in range(nv):
+            for j in range(nv):
+                L[i] += ML[i, j] * before[j]
+            size[i] = lines[3, i] * mode[i] + load_smooth[i]
+        constant, slope = load_size(L, lines[4], lines[5])
+        pressed = constant + slope * L
+        for _ in range(_terms.MOST_SIGNS):
+            B = A.copy()
+            for i in range(nv):
+                way = size[i] * slope[i]
+                for j in range(nv):
+                    B[i, j] += way * ML[i, j]
+                a[i] = rhs[i] - way * hL[i] - size[i] * constant[i]
+            _hold(B, a, stuck)
+            _eliminate(B, a)
+            for i in range(nv):
+                L[i] = hL[i]
+                for j in range(nv):
+                    L[i] += ML[i, j] * a[j]
+            supposed = constant + slope * L
+            constant, slope = load_size(L, lines[4], lines[5])
+            pressed = constant + slope * L
+            if (pressed == supposed).all():
+                break
+        for i in range(nv):
+            rhs[i] -= size[i] * pressed[i]
+            limit[i] += lines[3, i] * pressed[i]
+            by_velocity[i] += load_by_velocity[i] * pressed[i]
+    else:
+        B = A.copy()
+        _hold(B, a, stuck)
+        _eliminate(B, a)
+    for i in range(nv):
+        if stuck[i]:
+            # What rounding leaves would be a motion.
+            a[i] = 0.0
+    power = 0.0
+    for i in range(nv):
+        needed, moved = rhs[i], tau[i] - placed[i]
+        for j in range(nv):
+            needed -= A[i, j] * a[j]
+            moved -= inertia[i, j] * a[j]
+        out[0, i], out[1, i], out[2, i] = a[i], needed, limit[i]
+        out[3, i], out[4, i] = by_position[i], by_velocity[i]
+        power += moved * v[i]
+    return power
+
+
+@_compiled
+def explicit_step(
+    q,
+    v,
+    a,
+    power,
+    tau,
+    rate,
+    h,
+    mode,
+    stuck,
+    fast,
+    tolerance,
+    tree,
+    bodies,
+    armature,
+    loaded,
+    table,
+):
+    """Runge-Kutta step of order four, its error by one of order three."""
+    # q, v, a, power: at the beginning; tau, rate (nv,): torques there, and what they
+    # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
+    # units of which `tolerance` is; loaded (nv, 10): bodies that load the joints; the
+    # rest as `bodies_at` and `accelerate`.
+    # Returns q, v at the end, the work of torques that do not dissipate [J], power,
+    # error in units of what is allowed, what `accelerate` writes (5, nv), and M there.
+    nv = q.size
+    M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
+    effects, load = np.empty(nv), np.empty(nv)
+    none = np.zeros(nv)
+    found = np.empty((5, 5, nv))
+    speeds, powers = np.empty((5, nv)), np.empty(5)
+    speeds[0], powers[0] = v, power
+    found[0, 0] = a
+    new_q, new_v = q, v
+    for k in range(1, 5):
+        # Stages in the middle, in the middle, at the end; and the end itself.
+        step = 0.5 * h if k < 3 else h
+        if k < 4:
+            new_q = q + step * speeds[k - 1]
+            new_v = v + step * found[k - 1, 0]
+        else:
+            sixth = h / 6.0
+            new_q = q + sixth * (speeds[0] + 2.0 * (speeds[1] + speeds[2]) + speeds[3])
+            new_v = v + sixth * (
+                found[0, 0] + 2.0 * (found[1, 0] + found[2, 0]) + found[3, 0]
+            )
+        bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
+        if table.of_load:
+            bodies_at(new_q, new_v, tree, loaded, none, ML, load)
+        powers[k] = accelerate(
+            M,
+            effects,
+            ML,
+            load,
+            tau + step * rate,
+            new_q,
+            new_v,
+            mode,
+            stuck,
+            table,
+            before,
+            found[k],
+        )
+        before, speeds[k] = found[k, 0], new_v
+    work = (powers[0] + 2.0 * (powers[1] + powers[2]) + powers[3]) * h / 6.0
+    error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
+    return new_q, new_v, work, powers[4], error, found[4].copy(), M

@@ -1,0 +1,163 @@
+"""One law an effect: its columns are what steps, simulations and files have of it."""
+
+import warnings
+
+import numpy as np
+import pytest
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier, effects, load_identified  # noqa: E402
+from sklearn_vbjfa.effects import Motion  # noqa: E402
+from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+from sklearn_vbjfa.robot._exports import to_mjcf  # noqa: E402
+from sklearn_vbjfa.simulation import (  # noqa: E402
+    ForwardDynamics,
+    Recorded,
+    Stepper,
+)
+from tests.model._mujoco import drive_torques  # noqa: E402
+from tests.simulation._machines import machine, point  # noqa: E402
+from tests.simulation._random_robots import (  # noqa: E402
+    DT,
+    random_motion,
+    random_predictor,
+    without,
+)
+
+LIBRARY = effects.available()
+NV = 3
+
+
+def two_rows(rng, way):
+    """Two states without accelerations, between which no joint turns or rests."""
+    v = way * rng.choice([-1.0, 1.0], size=NV) * rng.uniform(2.0, 4.0, size=NV)
+    q = rng.normal(size=NV) + 0.37 * np.outer([0.0, 1.0], v)
+    return np.hstack([q, [v, v], np.zeros((2, NV))])
+
+
+@pytest.mark.parametrize("way", [1, -1])
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("name", LIBRARY)
+def test_columns_are_steps_and_dynamics(name, seed, way):
+    """Accelerations under some torques are those with which columns give them back."""
+    rng = np.random.default_rng([seed, LIBRARY.index(name)])
+    predictor = random_predictor(rng, NV, [name])
+    (effect,) = predictor.effects
+    if effect.in_channel or effect.not_simulated:
+        # Of the dynamics it is no part.
+        bare = without(predictor, [0])
+    else:
+        bare = predictor
+    X, t = two_rows(rng, way), np.array([0.9, 0.9 + DT])
+    signals = {own: rng.normal(size=2) for own in effect.recorded}
+    model, tau = bare.torque_model(), 5.0 * rng.normal(size=NV)
+    dynamics = ForwardDynamics(model, Recorded(signals, t))
+    assert dynamics.terms.others is None
+    dynamics.start(X[0, :NV])
+    dynamics.set_bodies(t[1])
+    dynamics.set_time(t[1])
+    q, v, _ = np.split(X[1], 3)
+    a = dynamics.accelerate(q, v, tau / model.gains, np.sign(v), np.zeros(NV, bool))
+    X[1, 2 * NV :] = a
+    known = signals if bare is predictor else {}
+    expected = bare.torques(bare.ask(X, t=t, signals=known))[1]
+    np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9 * np.abs(tau).max())
+    if effect.memory != "future":
+        expected = predictor.torques(predictor.ask(X, t=t, signals=signals))
+        stepper = Stepper(predictor.torque_model())
+        for k, x in enumerate(X):
+            now = {own: values[k] for own, values in signals.items()}
+            found = stepper.step(*np.split(x, 3), t[k], now)
+            np.testing.assert_allclose(found, expected[k], rtol=1e-10, atol=1e-10)
+
+
+@pytest.mark.parametrize("name", LIBRARY)
+def test_torques_after_saving(name, simulated, tmp_path):
+    """What a saved robot predicts and steps is what the fitted one predicts."""
+    (effect,) = effects.resolve(name)
+    nv = simulated.q.shape[1]
+    n = 600
+    if name == "payload":
+        effect.set_params(joint=nv - 1, instant=2.0)
+    if name == "signal":
+        effect.set_params(signal="warmth")
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, effects=[effect])
+    signals = {"warmth": np.sin(np.arange(n))} if effect.recorded else None
+    t = simulated.dt * np.arange(n)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)
+        robot.fit(simulated.q[:n], simulated.tau[:n], t=t, signals=signals)
+        path = tmp_path / "robot.json"
+        robot.save(path)
+        loaded = load_identified(path)
+        X = random_motion(np.random.default_rng(0), nv, 60)
+        own = None if signals is None else {"warmth": np.arange(60.0)}
+        t = simulated.dt * np.arange(60)
+        expected = robot.predict(X, t=t, signals=own)
+        np.testing.assert_array_equal(loaded.predict(X, t=t, signals=own), expected)
+    if effect.memory == "future":
+        assert [one.name for one in loaded.left_out_] == [name]
+        return
+    for k, x in enumerate(X):
+        now = None if own is None else {"warmth": own["warmth"][k]}
+        found = loaded.step(*np.split(x, 3), t=t[k], signals=now)
+        np.testing.assert_allclose(found, expected[k], rtol=1e-9, atol=1e-9)
+
+
+def alone(effect, coef):
+    """Two joints with friction and an effect, and its torque in a motion."""
+    model = pin.Model()
+    for j, joint in enumerate((pin.JointModelRY(), pin.JointModelRZ())):
+        model.addJoint(j, joint, pin.SE3.Identity(), f"joint_{j}")
+    bodies = [point(1.0 + j, (0.1, 0.2, 0.3), inertia=0.1) for j in range(2)]
+    friction = {"viscous": 0.5, "coulomb": 0.4, "rotor_inertia": 0.3}
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(40, 6))
+    X[np.abs(X) < 0.1] = 0.5
+    motion = Motion(q=X[:, :2], v=X[:, 2:4], a=X[:, 4:])
+    torque = np.zeros((40, 2))
+    torque[:, effect.joint] = effect.columns(motion) @ coef
+    bare = machine(model, bodies, friction)
+    return bare, machine(model, bodies, friction, [(effect, coef)]), X, torque
+
+
+OF_STATE = [
+    name
+    for name, effect in zip(LIBRARY, effects.resolve())
+    if not (effect.needs or effect.whole_robot or effect.in_model)
+]
+
+
+@pytest.mark.parametrize("name", OF_STATE)
+def test_mujoco_has_an_effect_or_is_said_to_lack_it(name, tmp_path):
+    pytest.importorskip("mujoco")
+    (effect,) = effects.resolve(name)
+    coef = 0.2 * (1.0 + np.arange(len(effect.coefficients)))
+    bare, robot, X, torque = alone(effect, coef)
+    smallest = min_eigenvalue(robot.bodies)
+    found = []
+    for k, one in enumerate((bare, robot)):
+        left = to_mjcf(tmp_path / f"{k}.xml", one, smallest)
+        found.append(drive_torques(tmp_path / f"{k}.xml", X))
+    added = found[1] - found[0]
+    if not left:
+        np.testing.assert_allclose(added, torque, rtol=0, atol=1e-9)
+        return
+    assert [(one.name, one.joint) for one in left] == [(name, effect.joint)]
+    assert "user's own" not in left[0].reason
+    # What is there is a part of it: without its coefficient, that of the rest.
+    parts = {
+        name: column * own
+        for name, column, own in zip(
+            effect.coefficients,
+            effect.columns(Motion(q=X[:, :2], v=X[:, 2:4], a=X[:, 4:])).T,
+            coef,
+        )
+    }
+    there = [parts[own] for place, *names in effect.mjcf for own in names]
+    if "tendons" in dict.fromkeys(place for place, *_ in effect.mjcf):
+        there = []  # One joint alone feels it.
+    expected = np.zeros_like(torque)
+    expected[:, effect.joint] = sum(there) if there else 0.0
+    np.testing.assert_allclose(added, expected, rtol=0, atol=1e-9)

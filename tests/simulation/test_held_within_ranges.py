@@ -75,7 +75,7 @@ def held(predictor, **ends):
     own = (range_of(effect, **ends) for effect in predictor.effects_)
     declared = nv * len(predictor.features_.friction_) * [unknown]
     plan = replace(predictor.plan, standstill=np.full(nv, -1.0))
-    return replace(predictor, plan=plan, ranges=(*declared, *own))
+    return replace(predictor, plan=plan, effect_ranges_=(*declared, *own))
 
 
 def with_effect(rng, effect, coef):
@@ -84,7 +84,7 @@ def with_effect(rng, effect, coef):
     return replace(
         predictor,
         plan=replace(predictor.plan, effects=(effect,)),
-        theta=np.r_[predictor.theta_, coef],
+        theta_=np.r_[predictor.theta_, coef],
         load=np.r_[predictor.load, () if "load" in effect.needs else coef],
     )
 
@@ -274,7 +274,7 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
     size = np.abs(tau).max()
     assert last > 5
     assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
-    beyond = np.abs(own - torques(replace(predictor, ranges=()), X))[:last].max()
+    beyond = np.abs(own - torques(replace(predictor, effect_ranges_=()), X))[:last].max()
     if name in BOUNDED:
         assert np.ptp(X[:last, predictor.effects_[0].joint]) > 0.45
         assert beyond == 0.0

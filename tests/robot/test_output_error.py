@@ -82,7 +82,7 @@ def sensitivities(robot, states, tau, rows=60):
     predictor, windows = windows_of(robot, states, tau, rows)
 
     def positions(theta, starts=windows.start):
-        made = run_windows(replace(predictor, theta=theta), windows, starts)
+        made = run_windows(replace(predictor, theta_=theta), windows, starts)
         return made[:, :, : predictor.features_.n_joints_]
 
     made = run_windows(predictor, windows, windows.start)

@@ -152,6 +152,6 @@ def without(predictor, left_out):
     return replace(
         predictor,
         plan=replace(predictor.plan, effects=tuple(effects)),
-        theta=np.concatenate(theta),
+        theta_=np.concatenate(theta),
         load=np.concatenate(load),
     )

@@ -136,7 +136,7 @@ def test_a_prediction_is_the_torque_at_the_end(effect, coef, share, law):
     ends = np.quantile(own, [0.3, 0.7])
     own = held(free, **{quantity: tuple(ends)})
     ends = widened(*ends, share)
-    bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
+    bare = replace(own, theta_=np.r_[own.theta_[: -len(coef)], np.zeros(len(coef))])
     alone = torques(own, X) - torques(bare, X)
     expected = law(values, ends, np.sign(X[:, 4]))
     assert_allclose(alone[:, 1], expected, rtol=0, atol=1e-11)
@@ -181,7 +181,7 @@ def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
     own, X = held(with_effect(rng, effect, coef)), random_motion(rng, 3)
     X[:, 1] *= 20.0
     assert np.mean((X[:, 1] < -0.25) | (X[:, 1] > 0.3)) > 0.9
-    bare = replace(own, theta=np.r_[own.theta[: -len(coef)], np.zeros(len(coef))])
+    bare = replace(own, theta_=np.r_[own.theta_[: -len(coef)], np.zeros(len(coef))])
     for answer in (torques, stepped):
         alone = answer(own, X) - answer(bare, X)
         assert_allclose(alone[:, 1], law(X[:, 1]), rtol=0, atol=1e-10)
@@ -194,11 +194,11 @@ def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
     both = replace(
         free,
         plan=replace(free.plan, effects=(Spring(1), Ripple(1, period=0.4))),
-        theta=np.r_[free.theta, 0.6, 0.0],
+        theta_=np.r_[free.theta_, 0.6, 0.0],
         load=np.r_[free.load, 0.6, 0.0],
     )
     own = held(both)
-    bare = replace(own, theta=np.r_[own.theta[:-4], np.zeros(4)])
+    bare = replace(own, theta_=np.r_[own.theta_[:-4], np.zeros(4)])
     found, without = (slopes(one, own.ask(X).recording, X) for one in (own, bare))
     q = X[:, 1]
     low, high = widened(-0.2, 0.25, 0.2)

@@ -201,7 +201,7 @@ def with_effects(rng, own, nv=3):
     made = replace(
         predictor,
         plan=replace(predictor.plan, effects=(*predictor.effects_, *own)),
-        theta=np.r_[predictor.theta_, rng.normal(size=widths)],
+        theta_=np.r_[predictor.theta_, rng.normal(size=widths)],
         load=np.r_[predictor.load, rng.normal(size=plain)],
     )
     if made.plan.timed:

@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import resolve
+from sklearn_vbjfa.effects import Motion, resolve
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._plan import Plan
 from sklearn_vbjfa.robot._spreads import Spread
@@ -67,7 +67,9 @@ def random_effect(name, rng, nv, prismatic, length):
     effect.set_params(joint=joint)
     if nv == 1 and name in {"coupling", "torque_gain"}:
         return None
-    if name == "counterbalance" and prismatic[joint]:
+    still = np.zeros((1, nv))
+    motion = Motion(q=still, v=still, a=still, prismatic=np.array(prismatic))
+    if "prismatic" in effect.applies(motion):
         return None
     return effect.set_params(**random_shape(effect, rng, nv, length))
 

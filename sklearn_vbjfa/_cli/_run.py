@@ -139,8 +139,9 @@ def _doubts_of(caught):
 
 def say(text):
     """Print to stderr; what nobody can read is no error of its own."""
-    with contextlib.suppress(OSError):
-        print(text, file=sys.stderr, flush=True)
+    if sys.stderr is not None:
+        with contextlib.suppress(OSError):
+            print(text, file=sys.stderr, flush=True)
 
 
 def wrapped(text, stream):

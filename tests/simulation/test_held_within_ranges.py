@@ -274,7 +274,9 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
     size = np.abs(tau).max()
     assert last > 5
     assert_allclose(own[:last], tau[:last], rtol=0, atol=1e-9 * size)
-    beyond = np.abs(own - torques(replace(predictor, effect_ranges_=()), X))[:last].max()
+    beyond = np.abs(own - torques(replace(predictor, effect_ranges_=()), X))[
+        :last
+    ].max()
     if name in BOUNDED:
         assert np.ptp(X[:last, predictor.effects_[0].joint]) > 0.45
         assert beyond == 0.0

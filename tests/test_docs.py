@@ -231,7 +231,7 @@ def test_shapes_in_the_guide_are_those_that_are_tried():
         _friction,
         _hysteresis,
         _position,
-        _time,
+        _varying,
     )
 
     degrees = [
@@ -246,8 +246,8 @@ def test_shapes_in_the_guide_are_those_that_are_tried():
         "angle": [_position._ANGLES[1]],
         "delay": _channels._DELAYS,
         "time_constant": _channels._CONSTANTS,
-        "T": _time._CONSTANTS,
-        "payload": [_time._INSTANTS],
+        "T": _varying._CONSTANTS,
+        "payload": [_varying._INSTANTS],
     }
     text = read(DOCS / "effects.rst")
     table = text[text.index("* - shape parameter") : text.index("Numbers on this page")]

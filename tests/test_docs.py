@@ -226,8 +226,13 @@ def test_numbers_of_the_loop_are_those_of_the_code():
 
 
 def test_shapes_in_the_guide_are_those_that_are_tried():
-    from sklearn_vbjfa.effects import _channels, _friction, _hysteresis, _position
-    from sklearn_vbjfa.recording._reader import _time
+    from sklearn_vbjfa.effects import (
+        _channels,
+        _friction,
+        _hysteresis,
+        _position,
+        _varying,
+    )
 
     degrees = [
         round(math.degrees(x), 9) for x in (_position._SHORTEST, _position._LONGEST)
@@ -241,8 +246,8 @@ def test_shapes_in_the_guide_are_those_that_are_tried():
         "angle": [_position._ANGLES[1]],
         "delay": _channels._DELAYS,
         "time_constant": _channels._CONSTANTS,
-        "T": _time._CONSTANTS,
-        "payload": [_time._INSTANTS],
+        "T": _varying._CONSTANTS,
+        "payload": [_varying._INSTANTS],
     }
     text = read(DOCS / "effects.rst")
     table = text[text.index("* - shape parameter") : text.index("Numbers on this page")]

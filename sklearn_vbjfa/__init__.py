@@ -79,18 +79,19 @@ _ROOMS = (
 
 def _lazily(package, modules, rooms=()):
     """Return `__getattr__` and `__dir__` that import names when they are asked for."""
-    # modules: names that a module below the package has, by the module; rooms: modules
-    # that are names themselves. The faces of rooms are made of it as well.
+    # modules: names that a module below the package has, by the module, beside the
+    # package if it begins with a dot; rooms: modules that are names themselves. The
+    # faces of rooms are made of it as well.
     where = {name: module for module, names in modules.items() for name in names}
     own = vars(sys.modules[package])
 
     def get(name):
         if name in where:
-            module = importlib.import_module(f"{package}.{where[name]}")
+            module = importlib.import_module(f".{where[name]}", package)
             found = own[name] = getattr(module, name)
             return found
         if name in rooms:
-            return importlib.import_module(f"{package}.{name}")
+            return importlib.import_module(f".{name}", package)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
     return get, lambda: sorted({*own, *where, *rooms})

@@ -102,6 +102,9 @@ SMALL = {
     """,
     "sklearn_vbjfa/a/_lazy.py": "from sklearn_vbjfa import __version__",
     "sklearn_vbjfa/b/__init__.py": "from sklearn_vbjfa.b._two import Two, three",
+    "sklearn_vbjfa/c/__init__.py": '_MODULES = {"_five": ("five",), "_six": ("six",)}',
+    "sklearn_vbjfa/c/_five.py": "five = 5",
+    "sklearn_vbjfa/c/_six.py": "six = 6",
     "sklearn_vbjfa/b/_two.py": "import sklearn_vbjfa.a._lazy",
     "sklearn_vbjfa/b/_four.py": "",
     "tests/x/_help.py": """
@@ -137,6 +140,7 @@ TWO = ["sklearn_vbjfa/a/_lazy.py", "sklearn_vbjfa/b/_two.py"]
         ),
         ("from sklearn_vbjfa.b._four import x", ["sklearn_vbjfa/b/_four.py"]),
         ("from _help import easy", []),
+        ("from sklearn_vbjfa.c import five", ["sklearn_vbjfa/c/_five.py"]),
         ("from _help import hard", TWO),
         ("import _help as h\nh.other()", TWO),
         ("from tests.x._help import hard", TWO),

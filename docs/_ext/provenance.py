@@ -137,6 +137,12 @@ def _is_if(node, name):
     return isinstance(node, ast.If) and name in ast.unparse(node.test)
 
 
+def _is_table(node):
+    """Whether a statement says in which modules the names of a face are."""
+    targets = node.targets if isinstance(node, ast.Assign) else []
+    return [getattr(x, "id", "") for x in targets] == ["_MODULES"]
+
+
 def _asked(node):
     """Return a and b of ``a.b`` and of ``getattr(a, "b", ...)``; else None."""
     if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name):
@@ -187,6 +193,14 @@ def _parts(text, is_init):
             for one in imported:
                 local = frozenset([one.local])
                 parts.append(_Part(defines=local, names=frozenset(), uses=(one,)))
+            continue
+        if is_init and _is_table(node):
+            # What a face imports when it is asked for, see `sklearn_vbjfa._lazily`.
+            for module, names in ast.literal_eval(node.value).items():
+                for name in names:
+                    one = _Use(module=module, name=name, local=name, attributes=None)
+                    local = frozenset([name])
+                    parts.append(_Part(defines=local, names=frozenset(), uses=(one,)))
             continue
         named = [n for n in ast.walk(node) if isinstance(n, ast.Name)]
         if hasattr(node, "name"):

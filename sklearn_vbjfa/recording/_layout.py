@@ -145,7 +145,6 @@ TIME_NAMES = (
     "__time",
     "ts",
 ) + ("%time", "time_s", "seconds", "secs", "datetime", "zeitstempel", "elapsed")
-_LABELS = ("segment",)
 _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
 
 

@@ -15,12 +15,12 @@ from sklearn_vbjfa.recording._table import (
     without_common_part,
 )
 
+# Lists and numbers of Python take so many times the bytes of their text.
 _SPREAD = 4
 
 
 def read_json(path: Source, wanted) -> Table:
     """Read a list of records, records one a line, or arrays by their names."""
-    # Lists and numbers of Python take so many times the bytes of their text.
     check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
     found = _parsed(path, text_of(path))
     if isinstance(found, dict):

@@ -80,41 +80,6 @@ def knots_and_penalty(dt, cutoff):
     return step, step * _penalty(dt, cutoff)
 
 
-def smooth(x, dt, cutoff, at=None):
-    """Smooth samples (n,), differentiate them twice, (3, m), `at` times (m,) [s]."""
-    # cutoff [Hz]: where the gain is one half; infinity interpolates. Times count from
-    # the first sample, up to one period outside the recording, and are by default those
-    # of the samples.
-    n = x.shape[0]
-    step, lam = knots_and_penalty(dt, cutoff)
-    # In units of the knot distance, with knots beyond both ends.
-    u = np.arange(n) / step
-    n_intervals = max(1, int(np.ceil(u[-1] - 1e-9)))
-    times = u if at is None else np.asarray(at) / (dt * step)
-    knots = np.arange(-_DEGREE, n_intervals + _DEGREE + 1, dtype=float)
-    design = BSpline.design_matrix(np.minimum(u, n_intervals), knots, _DEGREE).tocsr()
-    n_coef = n_intervals + _DEGREE
-    gram = (design.T @ design).todia()
-    offset = x.mean()
-    bands = _upper_bands(gram, n_coef) + lam * penalty_bands(n_coef)
-    coef = np.zeros(n_coef)
-    differences = _differences(n_coef)
-    # Iterative refinement, with residuals of fit and penalty computed separately.
-    for _ in range(3):
-        left = design.T @ (x - offset - design @ coef)
-        left -= lam * (differences.T @ np.diff(coef, _ORDER))
-        coef += linalg.solveh_banded(bands, left)
-    spline = BSpline(knots, coef, _DEGREE)
-    h = step * dt
-    return np.stack(
-        [
-            spline(times) + offset,
-            spline.derivative(1)(times) / h,
-            spline.derivative(2)(times) / h**2,
-        ]
-    )
-
-
 def _differences(n_coef):
     """Matrix of the differences of n_coef coefficients."""
     stencil = np.poly(np.ones(_ORDER))[::-1]
@@ -368,7 +333,7 @@ class Spline:
 
 
 def fit(x, dt, cutoff, *, every=1, shift=0):
-    """Smooth samples (n,) as `smooth`, rows shift, shift + every, ..."""
+    """Smooth samples (n,) as a penalised spline, rows shift, shift + every, ..."""
     # dt [s] is the period of the samples; cutoff [Hz] has a gain of one half, infinity
     # interpolates.
     step, lam = knots_and_penalty(dt, cutoff)

@@ -16,6 +16,7 @@ from sklearn.utils import check_random_state
 from sklearn_vbjfa.datasets._robots import (
     EFFECTS,
     RATES,
+    STRIBECK_PEAK,
     Plant,
     SineMotion,
     draw_motion,
@@ -92,14 +93,12 @@ class ClosedLoop:
         self.plant, self.gains, self.dt = plant, gains, dt
         self._n, self._h = substeps, dt / substeps
         q, v, a = (np.array(x, dtype=float) for x in np.split(states, 3, axis=1))
-        e = plant.elongation(q)
-        # Positions, velocities half a step earlier, accelerations, torques behind the
-        # actuators, elongations of the cables, their hysteresis, and the low-pass of
-        # the controller.
-        self._state = (
-            *(q, v - 0.5 * self._h * a, a, np.array(torques, dtype=float)),
-            *(e, np.zeros_like(e), np.zeros_like(q)),
-        )
+        self._q, self._a = q, a
+        self._u = v - 0.5 * self._h * a  # velocity half a step earlier
+        self._tau = np.array(torques, dtype=float)
+        self._e = (q - plant.cable_rest) @ plant.routing.T
+        self._z = np.zeros_like(self._e)  # hysteresis, an elongation
+        self._past = np.zeros_like(q)  # low-pass of the controller
         self._first_speed = v
 
     def run(self, reference, feedforward, noise) -> Response:
@@ -118,55 +117,119 @@ class ClosedLoop:
         """Find the velocity half a step before the start."""
         # The acceleration that it takes is not the one asked for but the one that the
         # torques give, and friction makes that depend on the velocity in turn.
-        q, _, a, *rest = self._state
+        state = (self._q, self._u, self._a, self._tau, self._e, self._z, self._past)
+        start = [part.copy() for part in state]
         for _ in range(3):
-            u = self._first_speed - 0.5 * self._h * a
-            self._state = q, u, a, *rest
             self._advance(seen, feedforward, 1, *np.empty((4, *seen.shape)))
-            a = self._state[2]
-        self._state = q, self._first_speed - 0.5 * self._h * a, a, *rest
+            a = self._a.copy()
+            for part, value in zip(state, start):
+                part[:] = value
+            self._a[:] = a
+            self._u[:] = self._first_speed - 0.5 * self._h * a
         self._first_speed = None
 
     def _advance(self, seen, feedforward, substeps, q_out, v_out, tau_out, u_out):
-        """Go on by a period a row, in so many steps each; fill in what came out."""
+        # Python takes half a microsecond for every operation below, whatever its size:
+        # they are in place, what is constant is multiplied beforehand, and copies of
+        # the robot share them.
         import pinocchio as pin
 
-        plant, h, nv = self.plant, self._h, self.plant.model.nv
+        plant, h = self.plant, self._h
         model = plant.model.copy()  # its armature changes in every step
-        data, rotor = model.createData(), np.array(plant.model.armature)
+        data, aba = model.createData(), pin.aba
+        multiply, subtract, maximum = np.multiply, np.subtract, np.maximum
+
         share = 1 - np.exp(-2 * np.pi * _DERIVATIVE_CUTOFF * self.dt)
         on_error = self.gains.stiffness + self.gains.damping * share / self.dt
         on_past = self.gains.damping * share**2 / self.dt
-        most = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
-        gain = 1 - np.exp(-h / plant.lag) if plant.lag > 0 else 1.0
-        q, u, a, tau, e, z, past = self._state
+        high = np.where(model.effortLimit > 0, model.effortLimit, np.inf)
+        low = -high
+        lagged = plant.lag > 0
+        gain = 1 - np.exp(-h / plant.lag) if lagged else 1.0
+
+        inverse_speed = 1 / plant.creep_speed
+        coulomb = plant.coulomb * inverse_speed
+        extra = plant.stiction / STRIBECK_PEAK * inverse_speed
+        viscous, rotor = plant.viscous, np.array(plant.model.armature)
+        routing, onto = plant.routing, np.ascontiguousarray(plant.routing.T)
+        at_rest = routing @ plant.cable_rest
+        turn = 0.5 / plant.cable_turn
+        spring, hardening = plant.cable_spring, plant.cable_hardening
+        hysteresis = plant.cable_hysteresis / plant.cable_turn
+        side, gap = plant.shell_side, plant.shell_gap
+        shell = plant.shell_side * plant.shell_stiffness
+
+        q, u, a, tau = self._q, self._u, self._a, self._tau
+        e, z, past = self._e, self._z, self._past
+        v, error, command, s, t, rhs = (np.empty_like(q) for _ in range(6))
+        x, y, w = (np.empty_like(e) for _ in range(3))
+        copies = list(zip(q, v, rhs, s, a))
         for k in range(len(seen)):
-            error = seen[k] - q
-            command = feedforward[k] + on_error * error - on_past * past
-            command = np.clip(command, -most, most)
-            past = (1 - share) * past + error
-            if plant.lag == 0:
-                tau = command
+            # controller
+            subtract(seen[k], q, error)
+            multiply(error, on_error, command)
+            command -= multiply(past, on_past, t)
+            command += feedforward[k]
+            np.minimum(command, high, out=command)
+            maximum(command, low, out=command)
+            past *= 1 - share
+            past += error
+            if not lagged:
+                tau[:] = command
             q_out[k], tau_out[k], u_out[k] = q, tau, command
             for i in range(substeps):
                 # velocity at the time of q, extrapolated
-                v = u + 0.5 * h * a
+                multiply(a, 0.5 * h, v)
+                v += u
                 if i == 0:
                     v_out[k] = v
-                drag, before = plant.drag(v), e
-                e = plant.elongation(q)
-                z = plant.turned(z, e - before)
-                force = tau - drag * u - plant.pull(e, z) - plant.shell_torque(q)
+                # friction: s is its torque over the speed
+                multiply(v, inverse_speed, t)
+                t *= t
+                t += 1.0
+                np.reciprocal(t, t)
+                np.sqrt(t, s)
+                s *= coulomb
+                t *= extra
+                s += t
+                s += viscous
+                subtract(tau, multiply(s, u, t), rhs)
+                # cables: elongation, hysteresis at the middle of its step, force
+                np.dot(q, onto, x)
+                x -= at_rest
+                subtract(x, e, y)
+                e[:] = x
+                np.abs(y, x)
+                x *= turn
+                y -= multiply(x, z, w)
+                z += y
+                x += 1.0
+                z /= x
+                multiply(e, e, x)
+                x *= hardening
+                x += spring
+                x *= e
+                x += multiply(z, hysteresis, y)
+                rhs -= np.dot(x, routing, t)
+                # shell
+                multiply(q, side, t)
+                t -= gap
+                maximum(t, 0.0, out=t)
+                t *= t
+                t *= shell
+                rhs -= t
                 # Implicit friction: its slope counts as inertia.
-                inertia = rotor + 0.5 * h * drag
-                a = np.empty((len(q), nv))
-                for row in range(len(q)):
-                    model.armature = inertia[row]
-                    a[row] = pin.aba(model, data, q[row], v[row], force[row])
-                u = u + h * a
-                q = q + h * u
-                tau = tau + gain * (command - tau) if plant.lag > 0 else tau
-        self._state = q, u, a, tau, e, z, past
+                s *= 0.5 * h
+                s += rotor
+                for q_row, v_row, rhs_row, s_row, a_row in copies:
+                    model.armature = s_row
+                    a_row[:] = aba(model, data, q_row, v_row, rhs_row)
+                u += multiply(a, h, t)
+                q += multiply(u, h, t)
+                if lagged:
+                    subtract(command, tau, t)
+                    t *= gain
+                    tau += t
 
 
 # -- recordings ------------------------------------------------------------------------

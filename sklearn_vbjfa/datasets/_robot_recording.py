@@ -11,7 +11,6 @@ import numpy as np
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.datasets._robots import (
-    SineMotion,
     demo_arm_urdf,
     joint_range,
     recording_fields,
@@ -310,20 +309,27 @@ def load_demo_recording() -> SimulatedRecording:
 
 def _motion(model, n, dt, frequency, n_harmonics, rng):
     """Draw states (n, 3 * nv) of sines in all joints, inside the limits."""
-    f, size, phase = np.empty((3, model.nv, n_harmonics))
-    for j in range(model.nv):
-        # from a tenth of the highest frequency up to it
-        f[j] = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
-        f[j, 0] = frequency * rng.uniform(0.85, 1.0)
-        size[j] = rng.uniform(0.3, 1.0, size=n_harmonics) / f[j]
-        phase[j] = rng.uniform(0, 2 * np.pi, size=n_harmonics)
+    nv = model.nv
+    t = np.arange(n) * dt
+    q, v, a = (np.zeros((n, nv)) for _ in range(3))
     centre, reach = joint_range(model)
-    drawn = SineMotion(centre=0.0, amplitude=size, frequency=f, phase=phase)
-    q, v, a = np.split(drawn.states(np.arange(n) * dt), 3, axis=1)
-    room = _RANGE_SHARE * np.minimum(
-        reach / np.abs(q).max(axis=0), speed_limit(model) / np.abs(v).max(axis=0)
-    )
-    return np.hstack([centre + room * q, room * v, room * a])
+    speed = speed_limit(model)
+    for j in range(nv):
+        # from a tenth of the highest frequency up to it
+        f = frequency * (0.1 + 0.9 * rng.uniform(size=n_harmonics))
+        f[0] = frequency * rng.uniform(0.85, 1.0)
+        w = 2 * np.pi * f
+        size = rng.uniform(0.3, 1.0, size=n_harmonics) / f
+        phase = rng.uniform(0, 2 * np.pi, size=n_harmonics)
+        s, c = np.sin(np.outer(t, w) + phase), np.cos(np.outer(t, w) + phase)
+        largest = np.abs(s @ size).max(), np.abs(c @ (size * w)).max()
+        size *= min(
+            _RANGE_SHARE * reach[j] / largest[0], _RANGE_SHARE * speed[j] / largest[1]
+        )
+        q[:, j] = centre[j] + s @ size
+        v[:, j] = c @ (size * w)
+        a[:, j] = -s @ (size * w**2)
+    return np.hstack([q, v, a])
 
 
 def _draw_friction(friction, rigid, v, a, rng):
@@ -364,7 +370,7 @@ def _turn(v):
 
 
 def _presliding(q):
-    """Maxwell's slip model of size one: springs that slide when stretched too far."""
+    """Maxwell's slip model, summed: springs that slide when stretched too far."""
     total = np.zeros_like(q)
     for slip in _SLIPS:
         stretch = np.zeros_like(q)
@@ -372,7 +378,7 @@ def _presliding(q):
             moved = stretch[i - 1] + q[i] - q[i - 1]
             stretch[i] = min(max(moved, -slip), slip)
         total += stretch / slip
-    return total / len(_SLIPS)
+    return total
 
 
 # Name -> torque of size, position, speed and load of the joint.
@@ -384,7 +390,7 @@ _TORQUES = {
     "spring": lambda size, q, v, load: size * q,
     "ripple": lambda size, q, v, load: size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD),
     "offset": lambda size, q, v, load: np.full(q.shape, float(size)),
-    "presliding": lambda size, q, v, load: size * _presliding(q),
+    "presliding": lambda size, q, v, load: size * _presliding(q) / len(_SLIPS),
 }
 
 

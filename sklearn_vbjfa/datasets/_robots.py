@@ -329,39 +329,24 @@ class Plant:
         extra = [known[name] for name in friction]
         return np.column_stack([self.inertial, *extra]).ravel()
 
-    def drag(self, v):
-        """Friction over speed at speeds v [N m s/rad]."""
-        w = 1.0 / (1.0 + (v / self.creep_speed) ** 2)
-        extra = self.stiction / STRIBECK_PEAK
-        return self.viscous + (self.coulomb * np.sqrt(w) + extra * w) / self.creep_speed
-
     def friction_torque(self, v):
         """Torque that friction takes at speeds v [N m]."""
-        return self.drag(v) * v
-
-    def elongation(self, q):
-        """Elongation of the cables at positions q."""
-        return (q - self.cable_rest) @ self.routing.T
-
-    def turned(self, z, step):
-        """Hysteresis of the cables after a step of their elongation, from z."""
-        # at the middle of the step
-        c = 0.5 * np.abs(step) / self.cable_turn
-        return (z * (1.0 - c) + step) / (1.0 + c)
-
-    def pull(self, e, z):
-        """Torque of cables of elongation e and hysteresis z [N m]."""
-        force = e * (self.cable_spring + self.cable_hardening * e * e)
-        return (force + self.cable_hysteresis / self.cable_turn * z) @ self.routing
+        r = v / self.creep_speed
+        w = 1.0 / (1.0 + r * r)
+        extra = self.stiction / STRIBECK_PEAK
+        return self.viscous * v + r * (self.coulomb * np.sqrt(w) + extra * w)
 
     def cable_torque(self, q):
         """Torque that the cables take along positions q, ndarray of shape (n, nv)."""
         # The hysteresis is neutral in the first row and follows the rows in order.
-        e = self.elongation(q)
+        e = (q - self.cable_rest) @ self.routing.T
         z = np.zeros_like(e)
         for k in range(1, len(e)):
-            z[k] = self.turned(z[k - 1], e[k] - e[k - 1])
-        return self.pull(e, z)
+            de = e[k] - e[k - 1]
+            c = 0.5 * np.abs(de) / self.cable_turn
+            z[k] = (z[k - 1] * (1 - c) + de) / (1 + c)
+        force = e * (self.cable_spring + self.cable_hardening * e * e)
+        return (force + self.cable_hysteresis * z / self.cable_turn) @ self.routing
 
     def shell_torque(self, q):
         """Torque that the shells take at positions q [N m]."""
@@ -372,8 +357,12 @@ class Plant:
         """Torques (n, nv) behind the actuators for states (n, 3 nv), row after row."""
         q, v, _ = np.split(states, 3, axis=1)
         rigid = rigid_torques(self.model, states)
-        own = self.friction_torque(v) + self.cable_torque(q)
-        return rigid + own + self.shell_torque(q)
+        return (
+            rigid
+            + self.friction_torque(v)
+            + self.cable_torque(q)
+            + self.shell_torque(q)
+        )
 
     def command(self, torques, dt):
         """Commands, held for dt [s] each, whose lagged torques are these, (n, nv)."""

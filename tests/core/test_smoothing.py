@@ -5,6 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _smoothing
+from tests.core._penalised import smooth
 
 # (dt, cut-off) with one knot for each sample, and with fewer knots than samples.
 RATES = [(0.01, 33.0), (0.01, 5.0), (0.002, 100.0), (0.002, 8.0)]
@@ -26,7 +27,7 @@ def test_constant_acceleration_is_kept_to_the_ends(dt, cutoff, n):
     # The null space of the penalty. The unit is the whole recording.
     length = (n - 1) * dt
     u = np.linspace(0.0, 1.0, n)
-    x, v, a = smoothed = _smoothing.smooth(0.5 - 2.0 * u + 3.0 * u**2, dt, cutoff)
+    x, v, a = smoothed = smooth(0.5 - 2.0 * u + 3.0 * u**2, dt, cutoff)
     assert smoothed.shape == (3, n)
     assert_allclose(x, 0.5 - 2.0 * u + 3.0 * u**2, atol=1e-9)
     assert_allclose(v * length, -2.0 + 6.0 * u, atol=1e-7)
@@ -39,7 +40,7 @@ def test_interpolation_keeps_polynomials_of_its_degree(degree):
     dt, n = 0.01, 201
     u = np.arange(n) * dt / 2.0
     p = np.polynomial.Polynomial(np.linspace(1.0, -2.0, degree + 1))
-    x, v, a = _smoothing.smooth(p(u), dt, np.inf)
+    x, v, a = smooth(p(u), dt, np.inf)
     # The penalty that fixes the ends costs positions nothing; derivatives at the ends
     # it does cost, less and less over a dozen samples.
     assert_allclose(x, p(u), atol=1e-12)
@@ -58,8 +59,8 @@ def test_gain_in_mid_recording(dt, cutoff, share):
     frequency = share * cutoff
     w = 2 * np.pi * frequency
     expected = _smoothing.gain(np.array([frequency]), dt, cutoff)[0]
-    x, _, a = _smoothing.smooth(np.cos(w * t), dt, cutoff)[:, n // 2]
-    _, v, _ = _smoothing.smooth(np.sin(w * t), dt, cutoff)[:, n // 2]
+    x, _, a = smooth(np.cos(w * t), dt, cutoff)[:, n // 2]
+    _, v, _ = smooth(np.sin(w * t), dt, cutoff)[:, n // 2]
     if share == 1.0:
         assert_allclose(expected, 0.5, rtol=1e-12)
     # The ends are twenty periods of the cut-off away, and knots lie between samples.
@@ -88,7 +89,7 @@ def test_gain_falls_by_twice_the_order_of_the_penalty():
 def test_derivatives_of_a_sine(dt, frequency):
     w = 2 * np.pi * frequency
     t = np.arange(int(6 / frequency / dt)) * dt
-    x, v, a = _smoothing.smooth(np.sin(w * t), dt, 10 * frequency)
+    x, v, a = smooth(np.sin(w * t), dt, 10 * frequency)
     inner = slice(len(t) // 5, -len(t) // 5)
     # Ten times the frequency leaves 1e-6 of the gain; six knots per period of the
     # cut-off, sixty of the sine, leave less of the spline.
@@ -106,13 +107,13 @@ def test_evaluation_between_the_samples(cutoff):
     dt = 0.01
     position, _ = make_motion(0, dt)
     at = (np.arange(1900) + 0.5) * dt
-    smooth = _smoothing.smooth(position, dt, cutoff)
-    between = _smoothing.smooth(position, dt, cutoff, at=at)
-    own = _smoothing.smooth(position, dt, cutoff, at=np.arange(len(position)) * dt)
+    samples = smooth(position, dt, cutoff)
+    between = smooth(position, dt, cutoff, at=at)
+    own = smooth(position, dt, cutoff, at=np.arange(len(position)) * dt)
     for k in range(3):
-        assert_allclose(own[k], smooth[k], atol=1e-9 * np.abs(smooth[k]).max())
+        assert_allclose(own[k], samples[k], atol=1e-9 * np.abs(samples[k]).max())
     # Differences of positions give the velocity half-way, to (w dt)^2 / 24.
-    slope = np.diff(smooth[0])[:1900] / dt
+    slope = np.diff(samples[0])[:1900] / dt
     scale = np.abs(slope).max()
     assert_allclose(between[1], slope, atol=2e-3 * scale)
 
@@ -122,11 +123,11 @@ def test_units(unit):
     dt = 0.01
     x, _ = make_motion(1, dt)
     x = x + 1e-3 * np.random.default_rng(1).normal(size=x.size)
-    plain = _smoothing.smooth(x, dt, 5.0)
-    scaled = _smoothing.smooth(unit * x, dt, 5.0)
+    plain = smooth(x, dt, 5.0)
+    scaled = smooth(unit * x, dt, 5.0)
     assert_allclose(scaled, unit * plain, atol=1e-9 * unit * np.abs(plain).max())
     # Another unit of time: derivatives in it, and the same chosen cut-off.
-    slow = _smoothing.smooth(x, dt / unit, 5.0 * unit)
+    slow = smooth(x, dt / unit, 5.0 * unit)
     powers = np.array([[1.0], [unit], [unit**2]])
     for k in range(3):
         scale = np.abs(plain[k]).max()
@@ -185,7 +186,7 @@ def test_chosen_cutoff_is_nearly_that_of_an_oracle(noise, dt, seed):
     inner = slice(len(x) // 10, -len(x) // 10)
 
     def error(cutoff):
-        wrong = _smoothing.smooth(x, dt, cutoff)[2] - acceleration
+        wrong = smooth(x, dt, cutoff)[2] - acceleration
         return np.sqrt(np.mean(wrong[inner] ** 2))
 
     chosen, _ = choose(x, dt)

@@ -7,6 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _smoothing
+from tests.core._penalised import smooth
 
 CASES = [(0.002, 15.0), (0.01, 4.0), (0.01, np.inf), (0.002, 100.0), (0.004, 6.1)]
 
@@ -26,7 +27,7 @@ def tolerance(cutoff):
 def test_equal_to_scipy_on_the_samples(n, dt, cutoff):
     x = wave(n)
     spline = _smoothing.fit(x, dt, cutoff)
-    for order, expected in enumerate(_smoothing.smooth(x, dt, cutoff)):
+    for order, expected in enumerate(smooth(x, dt, cutoff)):
         size = np.abs(expected).max()
         atol = tolerance(cutoff) * size
         assert_allclose(spline(0, n, order), expected, rtol=0, atol=atol)
@@ -40,7 +41,7 @@ def test_halves_at_all_samples_are_scipys(n, dt, cutoff, shift):
     samples = wave(n)[shift::2]
     spline = _smoothing.fit(samples, 2 * dt, cutoff, every=2, shift=shift)
     at = (np.arange(n) - shift) * dt
-    expected = _smoothing.smooth(samples, 2 * dt, cutoff, at=at)
+    expected = smooth(samples, 2 * dt, cutoff, at=at)
     for order in range(3):
         size = np.abs(expected[order]).max()
         atol = 10 * tolerance(cutoff) * size

@@ -32,7 +32,7 @@ _MOST = 0.5
 # Directions that the data tell less about than this share are left alone.
 _KNOWN = 1e-9
 # What may scatter from one recording of a joint to the next, and from how many on.
-_PLAIN = ("offset", "gain", "friction")
+_PLAIN = (Offset.name, "gain", "friction")
 _SCATTER = 3
 # Times that gains are made anew of the torque that recordings share, until it stays.
 _TURNS, _STAYS = 20, 1e-4
@@ -168,7 +168,7 @@ class _Deviations:
         start = rescaled(Fit(base, members), self.scale)
         self.regression, self.n_effects = spectrum_of(start, settings), len(members)
         self._mirrors = set()
-        self._still = {name: self._kind(name) for name in ("offset", "friction")}
+        self._still = {name: self._kind(name) for name in (Offset.name, "friction")}
 
     def found(self, suspects, joints, needed):
         """Deviations with enough odds, added one by one, a tuple of `Deviation`."""
@@ -258,7 +258,7 @@ class _Deviations:
     def _told(self, regression, i, group, near, log_odds):
         """Collect a group that was found, the i-th member."""
         member, value = regression.members[i], np.nan
-        if len(group.joints) == 1 and group.name in ("offset", "gain"):
+        if len(group.joints) == 1 and group.name in (Offset.name, "gain"):
             value = float(regression.coefficients(i)[0])
             if group.scatters:
                 value = float(member.scale * member.unit[0])
@@ -291,7 +291,7 @@ class _Deviations:
         """Columns of each joint that is heard, a dict of (m, k)."""
         if name == "gain":
             return {int(j): torque[j][:, None] for j in self.heard}
-        effects = (Offset(),) if name == "offset" else (Viscous(), Coulomb())
+        effects = (Offset(),) if name == Offset.name else (Viscous(), Coulomb())
         out = {}
         for j in self.heard:
             own = [clone(e).set_params(joint=int(j)) for e in effects]

@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import Section, Table
-from sklearn_vbjfa.effects import Payload
+from sklearn_vbjfa.effects import Offset, Payload
 from sklearn_vbjfa.robot._gains import HALF_WIDTH, PAYLOAD
 
 # Share of a value that rounding leaves of it.
@@ -426,7 +426,7 @@ def contradiction_sentences(outcome):
 
 # What else would say the same.
 _KINDS = {
-    "offset": "an offset",
+    Offset.name: "an offset",
     "gain": "a gain",
     "friction": "other friction",
     Payload.name: "another load",
@@ -445,11 +445,11 @@ def _cause(outcome, cause, share):
         what = "another load"
     elif cause.name == "friction":
         what = f"another friction of {joints}"
-    elif cause.name == "offset" and cause.scatters:
+    elif cause.name == Offset.name and cause.scatters:
         what = (
             f"an offset of {joints} that scatters by {words.number(cause.value)} {unit}"
         )
-    elif cause.name == "offset":
+    elif cause.name == Offset.name:
         what = f"an offset of {words.number(cause.value)} {unit} on {joints}"
     elif cause.scatters:
         what = f"a gain of {joints} that scatters by {words.percent(cause.value)}"

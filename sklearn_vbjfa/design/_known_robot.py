@@ -43,7 +43,7 @@ class KnownRobot:
         """Take what is known from a path, a model or an identified robot."""
         if isinstance(model, cls):
             return model
-        if hasattr(model, "robot_"):
+        if hasattr(type(model), "robot_"):
             return cls._identified(model.robot_)
         return cls._described(model)
 

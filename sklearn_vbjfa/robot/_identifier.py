@@ -1204,8 +1204,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def robot_(self):
         """The identified robot without data and estimator, an `IdentifiedRobot`."""
         check_is_fitted(self)
-        from sklearn_vbjfa import __version__
-
         return IdentifiedRobot(
             features_=self.features_,
             plan=self._plan,
@@ -1227,7 +1225,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             joint_weights=self.estimator_.joint_weights_,
             gains_=self.gains_,
             source=self.model,
-            package=f"sklearn_vbjfa {__version__}",
         )
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):

@@ -48,13 +48,15 @@ def write(path, robot):
 
 def _content(robot):
     """Return what a file holds, dicts and lists of plain values."""
+    from sklearn_vbjfa import __version__
+
     features, plan = robot.features_, robot.plan
     nominal = features.nominal_
     kinds = is_prismatic(nominal)
     return {
         "format": FORMAT,
         "version": VERSION,
-        "saved_with": robot.package,
+        "saved_with": robot.package or f"sklearn_vbjfa {__version__}",
         "joints": [
             {
                 "name": name,

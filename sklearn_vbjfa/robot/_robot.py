@@ -329,7 +329,7 @@ class IdentifiedRobot(SimulatesTorques):
     source: object = None
     text: str | None = None
     from_urdf: bool | None = None
-    package: str = ""  # and version that the robot was saved with at first
+    package: str = ""  # and version that it was saved with at first; empty if not yet
     _stepper: object = None
 
     def __repr__(self):

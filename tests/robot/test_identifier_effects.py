@@ -267,7 +267,7 @@ def test_a_fit_after_another_has_its_load():
     late = RobotIdentifier(MODEL, effects=(effects.LoadFriction(1),), **EXACT)
 
     def after(fitted):
-        return clone(late)._after(fitted).fit(STATES, DECLARED + added)
+        return clone(late).begin_with(fitted).fit(STATES, DECLARED + added)
 
     alone = clone(late).fit(STATES, DECLARED + added)
     # The fit without it is the first pass; with another plain effect it is not.

@@ -43,9 +43,9 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     """Accelerations under some torques are those with which columns give them back."""
     rng = np.random.default_rng([seed, LIBRARY.index(name)])
     predictor = random_predictor(rng, NV, [name])
-    if not predictor.effects:
+    if not predictor.effects_:
         return  # Not on a joint that slides.
-    (effect,) = predictor.effects
+    (effect,) = predictor.effects_
     if effect.in_channel or effect.not_simulated:
         # Of the dynamics it is no part.
         bare = without(predictor, [0])

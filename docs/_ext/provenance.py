@@ -246,6 +246,8 @@ def _places(use, path, texts):
         whole, module = _file(use.module, path, texts), use.module
     elif use.name.startswith("__") and use.name != "__main__":  # a version is no code
         return set()
+    elif use.name == "_lazily":  # nor is what makes a face
+        return set()
     else:
         module = f"{use.module}.{use.name}".lstrip(".")
         whole = _file(module, path, texts)

@@ -298,7 +298,7 @@ def test_beyond_its_end_a_spring_is_a_constant_force(twin, k, long, error):
     fitted = end / (1.4 + 1e-9)
     assert widened(-fitted, fitted, 0.2) == pytest.approx((-end, end), rel=1e-15)
     own = (range_of(Spring(), position=(-fitted, fitted)),)
-    robot = slider(mass, effects=[(Spring(), [k, 0.0])], effect_ranges_=own, dt=dt)
+    robot = slider(mass, effects=[(Spring(), [k, 0.0])], ranges=own, dt=dt)
     t = np.arange(0.0, 2.5 / rate, dt)
     found = simulate(robot, np.zeros((t.size, 1)), [0.0], [v0])
     leaves = np.arcsin(end * rate / v0) / rate
@@ -321,7 +321,7 @@ def test_beyond_its_end_quadratic_friction_is_a_constant_force(twin):
     assert widened(0.0, fitted, 2 * 0.1)[1] == pytest.approx(fast, rel=1e-15)
     own = (range_of(ViscousQuadratic(), speed=(0.0, fitted)),)
     used = [(ViscousQuadratic(), [F2])]
-    robot = slider(mass, effects=used, effect_ranges_=own, dt=dt)
+    robot = slider(mass, effects=used, ranges=own, dt=dt)
     t = dt * np.arange(200)
     found = simulate(robot, np.zeros((200, 1)), [0.0], [-2.0])
     reaches = (2.0 - fast) / (F2 * fast**2 / mass)
@@ -340,7 +340,7 @@ def test_beyond_its_end_load_friction_is_coulomb_friction(twin, smoothing):
     friction = LoadFriction(0, smoothing)
     own = (range_of(friction, load=(-1.0, 4.0)),)
     _, high = widened(-1.0, 4.0, 0.2)
-    robot = slider(mass, effects=[(friction, [mu])], effect_ranges_=own)
+    robot = slider(mass, effects=[(friction, [mu])], ranges=own)
     force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0, -30.0])
     # m a + mu |m a| = F inside, for velocities forward; ends are alike both ways.
     load = np.where(force > 0, force / (1 + mu), force / (1 - mu))
@@ -361,7 +361,7 @@ def test_two_frictions_over_the_load_of_a_joint_have_their_own_ends(twin):
     own = tuple(
         range_of(effect, load=(-high, high)) for (effect, _), high in zip(used, (4, 6))
     )
-    robot = slider(2.0, effects=used, effect_ranges_=own)
+    robot = slider(2.0, effects=used, ranges=own)
     (_, one), (_, other) = (widened(-high, high, 0.2) for high in (4, 6))
     states = simulate(robot, np.full((20, 1), 12.0), [0.0], [5.0])
     # Both beyond their ends.

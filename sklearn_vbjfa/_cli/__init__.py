@@ -31,8 +31,13 @@ from sklearn_vbjfa._cli._run import (
 _MODULES = {
     "_close_loop": ("close", "left_out_lines", "report_doubts", "write_parameters"),
     "_identify": ("method_doubts",),
-    "_input": ("check_folder", "check_overwriting", "default_folder", "no_formula")
-    + ("sources",),
+    "_input": (
+        "check_folder",
+        "check_overwriting",
+        "default_folder",
+        "no_formula",
+        "sources",
+    ),
     "_run": ("STOPS",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -2,17 +2,12 @@
 
 from sklearn_vbjfa import _lazily
 
-_MODULES = {
-    "_design": ("design_motion",),
-    "_limits": ("MotionLimits",),
-    "_motion": ("DesignedMotion",),
-}
 __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
-# For the command line, and what tests hold against mathematics.
-_MODULES["_limits"] += ("MotionRefused",)
-_MODULES["_motion"] += ("FourierCurve",)
-_MODULES["_design"] += ("best_drawn", "pose")
-_MODULES |= {
+# The others are for the command line, and what tests hold against mathematics.
+_MODULES = {
+    "_design": ("best_drawn", "design_motion", "pose"),
+    "_limits": ("MotionLimits", "MotionRefused"),
+    "_motion": ("DesignedMotion", "FourierCurve"),
     "_collisions": ("Approach", "Clearance", "capsule_around", "segment_distances"),
     "_criterion": (
         "ExpectedInterval",

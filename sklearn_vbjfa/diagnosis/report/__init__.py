@@ -6,14 +6,35 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 # For the command line, the design of motions, the pages of effects and the tests, like
 # `words`; users get `sklearn_vbjfa.diagnosis.Report`.
 _MODULES = {
-    "_evidence": ("about_effect", "added_torque", "documentation_of", "explanation")
-    + ("source_of",),
+    "_evidence": (
+        "about_effect",
+        "added_torque",
+        "documentation_of",
+        "explanation",
+        "source_of",
+    ),
     "_limits": ("contradiction", "gain_doubts"),
     "_mathml": ("mathml",),
-    "_pictures": ("HEIGHT", "WIDTH", "effect_figure", "line_figure", "map_picture")
-    + ("packed", "residual_picture", "ticks", "time_axis"),
-    "_render": ("Section", "Table", "figure", "page", "plain_text", "style")
-    + ("text_table",),
+    "_pictures": (
+        "HEIGHT",
+        "WIDTH",
+        "effect_figure",
+        "line_figure",
+        "map_picture",
+        "packed",
+        "residual_picture",
+        "ticks",
+        "time_axis",
+    ),
+    "_render": (
+        "Section",
+        "Table",
+        "figure",
+        "page",
+        "plain_text",
+        "style",
+        "text_table",
+    ),
     "_report": ("sections",),
     "_verdict": ("judge",),
 }

@@ -324,6 +324,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Speeds at or below which samples are left out.
     state_estimator_ : StateEstimator or None
         None if states were given.
+    robot_ : IdentifiedRobot
+        The identified robot without data and estimator, as `load_identified` reads it:
+        what `predict`, `residuals`, `simulate`, `save` and the exports ask.
     features_ : RigidBodyFeatures
         Fitted transformer from states to the regressor.
     estimator_ : JointTorqueRegressor

@@ -67,15 +67,17 @@ def record(motion, seed, steps=10):
 # A poor first recording
 # ----------------------
 # Three slow sines in each joint; the second joint goes through a quarter of its range.
+# The motion does not repeat: a second period would show the first one's errors again.
 
 SIZE = np.array([[1.8, 0.24, 0.36], [0.6, 0.36, 0.18], [0.6, 0.18, 0.18]])
 PHASE = np.array([[0.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 0.0, 4.0]])
 MIDDLE = np.array([0.0, 0.6, 0.5])
+FREQUENCY = np.array([0.1, 0.16, 0.27])  # Hz
 
 
 def slow(t):
     """States [q | v | a] of the first motion."""
-    w = 2 * np.pi * 0.1 * np.arange(1, 4)[:, None, None]
+    w = 2 * np.pi * FREQUENCY[:, None, None]
     angle = w * t[:, None] + PHASE[:, None]
     size = SIZE[:, None]
     q = MIDDLE + (size * np.sin(angle)).sum(axis=0)

@@ -1,13 +1,6 @@
 """Robots: from recordings to states, equations, and an identified model."""
 
-from sklearn_vbjfa.robot._exports import LeftOut
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._output_error import SimulationCriteria
-from sklearn_vbjfa.robot._residuals import TorqueResiduals
-from sklearn_vbjfa.robot._spreads import EffectOfTime
-from sklearn_vbjfa.robot._states import StateEstimator
+from sklearn_vbjfa import _lazily
 
 __all__ = [
     "EffectOfTime",
@@ -19,3 +12,48 @@ __all__ = [
     "StateEstimator",
     "TorqueResiduals",
 ]
+
+# Values and findings that are not in __all__ are for other rooms and for tests.
+_MODULES = {
+    "_bodies": ("Departure",),
+    "_comparison": ("OURS", "compare_methods", "methods"),
+    "_corrections": (
+        "AxisCorrection",
+        "Corrections",
+        "GainCorrection",
+        "TiltCorrection",
+        "ZeroCorrection",
+        "corrections_of",
+        "note_of_corrections",
+    ),
+    "_equations": ("Equations", "is_plain"),
+    "_estimate": ("estimate", "project"),
+    "_exports": ("LeftOut",),
+    "_features": ("RigidBodyFeatures",),
+    "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
+    "_identifier": ("RobotIdentifier",),
+    "_joint_moments": (
+        "JointMoments",
+        "Numbering",
+        "joint_moments",
+        "piece_moments",
+        "sum_moments",
+    ),
+    "_joint_torque": ("JointTorqueRegressor",),
+    "_output_error": ("SimulationCriteria",),
+    "_plan": ("MotionFacts", "Plan"),
+    "_ranges": ("SignalRanges",),
+    "_residuals": ("TorqueResiduals", "collect_residuals"),
+    "_sensitivities": ("slopes",),
+    "_spreads": (
+        "BodyMass",
+        "ColumnPowers",
+        "EffectOfTime",
+        "Spread",
+        "body_masses",
+        "known_parameters",
+        "note_of_masses",
+    ),
+    "_states": ("RecordingStates", "StateEstimator"),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -10,9 +10,8 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.recording import contiguous_groups
-from sklearn_vbjfa.robot import TorqueResiduals
+from sklearn_vbjfa.robot import TorqueResiduals, joint_moments
 from sklearn_vbjfa.robot._estimate import least_squares, noise_weights
-from sklearn_vbjfa.robot._joint_moments import joint_moments
 
 FIFTH, SIXTH = 4, 5
 

@@ -20,7 +20,7 @@ def torque_model(model, *, bodies=None, friction=None, effects=None, dt=None):
         Sample period [s].
     """
     from sklearn_vbjfa.model import nominal_parameters
-    from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+    from sklearn_vbjfa.simulation import Load, TorqueModel
 
     friction, effects = friction or {}, effects or {}
     if bodies is None:
@@ -62,7 +62,7 @@ def torques(robot, q, v, a, t=None):
     t : ndarray of shape (n,), default=None
         Time [s]; multiples of the robot's period by default.
     """
-    from sklearn_vbjfa.effects._base import Motion
+    from sklearn_vbjfa.effects import Motion
     from sklearn_vbjfa.model import TreeRegressor
 
     rigid = TreeRegressor(robot.model).torques(q, v, a, robot.bodies)

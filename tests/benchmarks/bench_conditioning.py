@@ -142,9 +142,9 @@ def least_squares_of_factor(factor):
 def robot_errors(noise, n, seed=0):
     """Relative errors of new torques: scatter, QR; their difference; rank and size."""
     from sklearn_vbjfa.datasets import load_arm_model
-    from sklearn_vbjfa.model._loading import nominal_parameters
+    from sklearn_vbjfa.model import nominal_parameters
+    from sklearn_vbjfa.robot import joint_moments
     from sklearn_vbjfa.robot._estimate import least_squares
-    from sklearn_vbjfa.robot._joint_moments import joint_moments
 
     model = load_arm_model()
     theta = np.append(np.ravel(nominal_parameters(model)), np.full(model.nv, 0.5))

@@ -43,7 +43,7 @@ from bench_measured_sets import PLAIN, judge_set, load
 from bench_protocol_pairs import judge, measure_scale
 from sklearn.base import clone
 
-from sklearn_vbjfa.robot._comparison import methods
+from sklearn_vbjfa.robot import methods
 
 # Name -> values of `SearchSettings` that differ from the defaults. The first is the one
 # that the others are compared with.

@@ -17,7 +17,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import protocols
-from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
+from sklearn_vbjfa.robot import OURS, compare_methods, methods
 
 _SEED = 0
 _RESAMPLES = 1000

@@ -41,8 +41,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.recording import take_arrays
-from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
-from sklearn_vbjfa.robot._residuals import collect_residuals
+from sklearn_vbjfa.robot import OURS, collect_residuals, compare_methods, methods
 
 SETS = {
     "development": ("emps", "ur5", "staubli_tx40", "bam_xl330", "tflex_1dof"),

@@ -49,8 +49,7 @@ from sklearn_vbjfa.datasets import (
     simulate_tracking,
 )
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.robot import _identifier
-from sklearn_vbjfa.robot._joint_moments import JointMoments
+from sklearn_vbjfa.robot import JointMoments, _identifier
 from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)

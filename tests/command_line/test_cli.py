@@ -21,7 +21,7 @@ pinocchio = pytest.importorskip("pinocchio")
 
 @pytest.fixture(scope="module")
 def methods():
-    from sklearn_vbjfa.robot._comparison import methods
+    from sklearn_vbjfa.robot import methods
 
     return list(methods(72))
 

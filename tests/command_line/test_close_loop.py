@@ -22,7 +22,7 @@ from sklearn_vbjfa._cli._close_loop import left_out_lines, write_parameters
 from sklearn_vbjfa._cli._run import STOPS
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
-from sklearn_vbjfa.robot._exports import LeftOut
+from sklearn_vbjfa.robot import LeftOut
 
 pinocchio = pytest.importorskip("pinocchio")
 

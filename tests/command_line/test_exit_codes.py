@@ -281,7 +281,7 @@ def test_a_simulation_goes_without_an_effect(here, capsys):
 
 
 def test_two_models_are_judged_by_the_last(here, capsys, monkeypatch):
-    from sklearn_vbjfa.robot._windows import SimulatedWindows
+    from sklearn_vbjfa.diagnosis import SimulatedWindows
 
     judged, better = [], SimulatedWindows.clearly_better.fget
 

@@ -7,7 +7,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import Protocol, read_recording
-from sklearn_vbjfa.robot._comparison import compare_methods
+from sklearn_vbjfa.robot import compare_methods
 from tests.hostile._case import URDF, clean_text
 
 

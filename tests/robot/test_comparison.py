@@ -8,8 +8,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, StepwiseRegressor
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import _comparison
-from sklearn_vbjfa.robot._comparison import OURS, compare_methods, methods
+from sklearn_vbjfa.robot import OURS, _comparison, compare_methods, methods
 from tests.model._robots import swing
 
 

@@ -20,10 +20,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     TorqueGain,
 )
 from sklearn_vbjfa.model import joint_origin  # noqa: E402
-from sklearn_vbjfa.robot._corrections import (  # noqa: E402
-    corrections_of,
-    note_of_corrections,
-)
+from sklearn_vbjfa.robot import corrections_of, note_of_corrections  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>

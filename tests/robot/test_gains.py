@@ -13,6 +13,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
+from sklearn_vbjfa.robot import joint_moments  # noqa: E402
 from sklearn_vbjfa.robot._estimate import PlainEstimate  # noqa: E402
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
     RelativeGains,
@@ -21,7 +22,6 @@ from sklearn_vbjfa.robot._gains import (  # noqa: E402
     relative_gains,
     with_gains,
 )
-from sklearn_vbjfa.robot._joint_moments import joint_moments  # noqa: E402
 from sklearn_vbjfa.robot._model_values import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 

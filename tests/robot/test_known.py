@@ -4,12 +4,8 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.model._trees import body_names
-from sklearn_vbjfa.robot._spreads import (
-    body_masses,
-    known_parameters,
-    note_of_masses,
-)
+from sklearn_vbjfa.model import body_names
+from sklearn_vbjfa.robot import body_masses, known_parameters, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 

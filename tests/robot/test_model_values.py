@@ -25,8 +25,10 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Spring,
     TorqueGain,
 )
-from sklearn_vbjfa.robot import _model_values  # noqa: E402
-from sklearn_vbjfa.robot._joint_moments import joint_moments  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    _model_values,
+    joint_moments,
+)
 from sklearn_vbjfa.robot._model_values import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import faulty, measured  # noqa: E402

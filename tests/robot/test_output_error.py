@@ -20,14 +20,17 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Stribeck,
 )
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    RecordingStates,
+    slopes,
+)
 from sklearn_vbjfa.robot._output_error import (  # noqa: E402
     Normal,
     Windows,
     deviations,
     run_windows,
 )
-from sklearn_vbjfa.robot._sensitivities import propagate, slopes  # noqa: E402
-from sklearn_vbjfa.robot._states import RecordingStates  # noqa: E402
+from sklearn_vbjfa.robot._sensitivities import propagate  # noqa: E402
 from sklearn_vbjfa.simulation import (  # noqa: E402
     PositionController,
     simulate,

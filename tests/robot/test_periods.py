@@ -12,8 +12,8 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import RecordingStates
 from sklearn_vbjfa.robot._periods import average_periods, period_samples
-from sklearn_vbjfa.robot._states import RecordingStates
 from tests.model._robots import swing
 
 pytest.importorskip("pinocchio")

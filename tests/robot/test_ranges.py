@@ -13,7 +13,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.robot._ranges import SignalRanges
+from sklearn_vbjfa.robot import SignalRanges
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 MODEL = arm("ZYX")

@@ -16,8 +16,8 @@ from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures, RobotIdentifi
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import _equations
-from sklearn_vbjfa.robot._plan import MotionFacts, merge_all, n_fastest
+from sklearn_vbjfa.robot import MotionFacts, _equations
+from sklearn_vbjfa.robot._plan import merge_all, n_fastest
 
 FRICTION = ("viscous", "coulomb")
 MOMENTS = ("n", "n_rows", "yy", "g", "G", "noise")

@@ -3,11 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa.robot._joint_moments import (
-    joint_moments,
-    piece_moments,
-    sum_moments,
-)
+from sklearn_vbjfa.robot import joint_moments, piece_moments, sum_moments
 
 
 def pieces(rng, sizes=(30, 1, 20)):

@@ -11,7 +11,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.recording import check_time_stamps, take_arrays
-from sklearn_vbjfa.robot._plan import Plan
+from sklearn_vbjfa.robot import Plan
 from tests.model._robots import swing
 
 DT = 0.01

@@ -10,8 +10,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import _equations, _identifier
-from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot import Numbering, _equations, _identifier
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02

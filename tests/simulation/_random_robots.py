@@ -7,9 +7,7 @@ import numpy as np
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Motion, resolve
-from sklearn_vbjfa.robot._equations import is_plain
-from sklearn_vbjfa.robot._plan import Plan
-from sklearn_vbjfa.robot._spreads import Spread
+from sklearn_vbjfa.robot import Plan, Spread, is_plain
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build
 

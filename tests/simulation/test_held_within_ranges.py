@@ -18,7 +18,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Spring,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.robot._sensitivities import slopes  # noqa: E402
+from sklearn_vbjfa.robot import slopes  # noqa: E402
 from sklearn_vbjfa.simulation import (  # noqa: E402
     Stepper,
     _dynamics,

@@ -1,1 +1,13 @@
 """The search for effects that the declared model lacks."""
+
+from sklearn_vbjfa import _lazily
+
+# For what follows from a search, and for tests.
+_MODULES = {
+    "_found": ("Evidence",),
+    "_held_out": ("HeldOut", "Worth", "fold_of"),
+    "_posterior": ("SMALL", "UNDECIDED", "search"),
+    "_problem": ("Family", "Fit", "Member", "Problem", "spectrum_of"),
+    "_view": ("RecordingView",),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -3,7 +3,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import measure_band, power_share
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import DT
 from tests.diagnosis.search._searches import CLEAN, search

@@ -10,7 +10,7 @@ from scipy import signal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis.explain import Signals, Stretches, ceilings, since_reversal
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     Parts,
     contradictions,
 )
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.effects import LoadFriction
 from sklearn_vbjfa.recording import take_arrays
 from tests.diagnosis._recordings import record

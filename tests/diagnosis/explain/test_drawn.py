@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     extremes,
     time_line,
 )
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.effects import Coulomb, Drift, Effect, Signal, Spring, resolve
 from sklearn_vbjfa.recording import take_arrays
 

@@ -4,7 +4,7 @@ import pytest
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.diagnosis.explain import motion_limits
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
 from tests.effects._arms import arm, inverse_dynamics
 

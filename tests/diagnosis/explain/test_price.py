@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.robot._estimate import estimate, project
+from sklearn_vbjfa.robot import estimate, project
 from tests.diagnosis._recordings import record
 
 ARM = record("ZYY", seed=3)

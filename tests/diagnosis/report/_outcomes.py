@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 
+from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.explain import (
     Band,
     Dependence,
@@ -14,9 +15,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     Trial,
     Unexplained,
 )
-from sklearn_vbjfa.diagnosis.search._found import Evidence
-from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
-from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 

@@ -6,7 +6,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.effects import JointZero, TorqueGain
-from sklearn_vbjfa.robot._corrections import Corrections, ZeroCorrection
+from sklearn_vbjfa.robot import Corrections, ZeroCorrection
 from tests.diagnosis.report._consistent import assert_consistent
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
-from sklearn_vbjfa.robot._gains import ChannelGains, CommonGain, KnownMass
-from sklearn_vbjfa.robot._spreads import BodyMass
+from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 NAMES = tuple(f"joint{j + 1}" for j in range(3))

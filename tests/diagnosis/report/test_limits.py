@@ -17,8 +17,7 @@ from sklearn_vbjfa.diagnosis.explain import (
 )
 from sklearn_vbjfa.diagnosis.report import judge, sections
 from sklearn_vbjfa.recording import RepeatedMotion
-from sklearn_vbjfa.robot._bodies import Departure
-from sklearn_vbjfa.robot._spreads import BodyMass
+from sklearn_vbjfa.robot import BodyMass, Departure
 from tests.diagnosis.report._outcomes import make_outcome
 
 

@@ -10,7 +10,7 @@ from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Hidden
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.robot._corrections import (
+from sklearn_vbjfa.robot import (
     AxisCorrection,
     Corrections,
     GainCorrection,

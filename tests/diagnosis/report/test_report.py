@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.report import (
     time_axis,
 )
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.search._posterior import SMALL
+from sklearn_vbjfa.diagnosis.search import SMALL
 from sklearn_vbjfa.effects import Coulomb, Effect, OutsideRange, available
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,

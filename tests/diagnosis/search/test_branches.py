@@ -13,8 +13,8 @@ import pinocchio as pin
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import concerned
+from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
 
 AXES = ("RY", "RX", "RZ", "RY")

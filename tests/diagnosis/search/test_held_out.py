@@ -6,12 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._held_out import (
-    HeldOut,
-    Worth,
-    fold_of,
-)
-from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.diagnosis import SearchSettings
+from sklearn_vbjfa.diagnosis.search import HeldOut, Worth, fold_of
 from sklearn_vbjfa.effects import Coulomb, Spring
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
 

@@ -10,16 +10,10 @@ from scipy.fft import dct
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa.diagnosis import SearchSettings
+from sklearn_vbjfa.diagnosis.search import Family, Fit, Member, Problem, spectrum_of
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
-from sklearn_vbjfa.diagnosis.search._problem import (
-    Base,
-    Family,
-    Fit,
-    Member,
-    Problem,
-    spectrum_of,
-)
-from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.diagnosis.search._problem import Base
 from sklearn_vbjfa.effects import (
     Coulomb,
     Drift,

@@ -1,10 +1,6 @@
 """Diagnosis: what a robot model lacks."""
 
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
-from sklearn_vbjfa.diagnosis._residual_analysis import (
-    ResidualAnalysis,
-    analyse_residuals,
-)
 from sklearn_vbjfa.diagnosis.displays._convergence import ConvergenceDisplay
 from sklearn_vbjfa.diagnosis.displays._recordings import (
     ResidualDisplay,
@@ -26,11 +22,9 @@ __all__ = [
     "NoiseDisplay",
     "ParameterDisplay",
     "Report",
-    "ResidualAnalysis",
     "ResidualDisplay",
     "SearchSettings",
     "SimulatedWindows",
     "SimulationDisplay",
-    "analyse_residuals",
     "simulate_windows",
 ]

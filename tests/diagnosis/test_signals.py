@@ -6,7 +6,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery
-from sklearn_vbjfa.diagnosis import ResidualDisplay, analyse_residuals
+from sklearn_vbjfa.diagnosis import ResidualDisplay
 from sklearn_vbjfa.effects import Signal
 from tests._quick import one_in
 from tests.diagnosis._recordings import named, record
@@ -191,14 +191,12 @@ def test_without_signals_nothing_is_said_of_them():
 def test_what_remains_varies_with_a_signal_without_a_name():
     loop = close(heated(CYCLES), {"temperature": CYCLES}, ["coulomb"])
     (rest,) = loop.unexplained_
-    robot = ONE.robot(friction=("viscous", "coulomb"))
-    speed = np.sign(CYCLES - 35)
-    torque = ONE.torque(joint_1=lambda r: np.sign(r.v[:, 0]), joint_2=lambda r: speed)
-    found = analyse_residuals(
-        robot, ONE.position, torque, signals={"temperature": CYCLES}
-    )
     assert rest.joint == 0
-    assert found.dependences[1][0].signal == "temperature"
+    step = np.sign(CYCLES - 35)
+    torque = ONE.torque(joint_1=lambda r: np.sign(r.v[:, 0]), joint_2=lambda r: step)
+    loop = close(torque, {"temperature": CYCLES}, ())
+    (rest,) = (one for one in loop.unexplained_ if one.joint == 1)
+    assert rest.signals[0].signal == "temperature"
 
 
 def test_residuals_are_drawn_with_their_signals(warm):

@@ -25,8 +25,6 @@ LIMIT = 5.0
 _WIDEST = LIMIT**2
 # Half width of a 90 % interval in standard deviations.
 HALF_WIDTH = 1.645
-# An exactly fitted joint would get infinite weight.
-_LEAST_NOISE = 1e-12
 # Standard deviation of the logarithm of a gain about which nothing is known.
 _UNKNOWN = np.log(1e4)
 # Steps to the gains, the largest of them, and halvings of one that does harm.

@@ -60,7 +60,7 @@ def measure(n_joints, names, n_states):
     warmth = rng.normal(size=n_states)
     rows = [(*np.split(x, 3), None, {"warmth": w}) for x, w in zip(X, warmth.tolist())]
     times, torque = each(stepper.step, rows)
-    used = {name for effect in kept.effects for name in effect.recorded}
+    used = {name for effect in kept.effects_ for name in effect.recorded}
     signals = {name: warmth for name in used}
     expected = kept.torques(kept.ask(X, signals=signals))
     off = np.abs(torque - expected).max() / expected.std(axis=0).max()
@@ -69,7 +69,7 @@ def measure(n_joints, names, n_states):
     alone, _ = each(
         lambda q, v, a: pin.rnea(model, data, q, v, a), [r[:3] for r in rows]
     )
-    return len(kept.effects), times, alone, off
+    return len(kept.effects_), times, alone, off
 
 
 def report(joints=JOINTS, n_states=20_000):

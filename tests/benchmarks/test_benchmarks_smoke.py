@@ -439,11 +439,13 @@ def test_discovery_judges_a_drawn_case():
     import bench_discovery as bench
     from _undeclared import draw_cases
 
-    (case,) = draw_cases(1, 1, (5.0, 6.0), 1, kinds=("coulomb",), declared=("viscous",))
+    (case,) = draw_cases(
+        1, 1, (5.0, 6.0), 1, kinds=("load_friction",), declared=("viscous",)
+    )
     verdict = bench.judge(case.simulate(duration=20, rate=50))
     assert verdict.named
     assert verdict.parameter_errors[0] < 0.15
-    assert bench.row("coulomb", [verdict], "97 %")[2] == "100 %"
+    assert bench.row("load_friction", [verdict], "97 %")[2] == "100 %"
 
 
 x86 = pytest.mark.skipif(

@@ -1200,8 +1200,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
         friction at rest, and noise above the low-pass are not in it.
         """
-        known = groups, t, signals
-        return self.robot_.predict(X, *known, return_std=return_std)
+        return self.robot_.answer(X, groups, t, signals, return_std)
 
     @property
     def robot_(self):

@@ -449,6 +449,10 @@ class IdentifiedRobot(SimulatesTorques):
             If the motion leaves what effects were fitted on; see
             `RobotIdentifier.predict`.
         """
+        return self.answer(X, groups, t, signals, return_std)
+
+    def answer(self, X, groups, t, signals, return_std):
+        """Predict torques; warn who called the caller of what is outside."""
         X, signals = self.checked(X, signals)
         if return_std and self.spread is None:
             raise ValueError(
@@ -458,7 +462,7 @@ class IdentifiedRobot(SimulatesTorques):
                 "did not keep it (fit and save again)."
             )
         asked = self.ask(X, groups, t, signals=signals)
-        warn_outside(self.said_outside(asked), stacklevel=2)
+        warn_outside(self.said_outside(asked), stacklevel=3)
         rows = self._rows(asked)
         torques = np.concatenate([one.predict(self.theta_) for one in rows])
         if not return_std:

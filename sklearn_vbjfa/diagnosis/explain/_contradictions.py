@@ -167,7 +167,7 @@ class _Deviations:
         members = [family.member(0, self.scale) for family in effects]
         start = rescaled(Fit(base, members), self.scale)
         self.regression, self.n_effects = spectrum_of(start, settings), len(members)
-        self._mirrors = set()
+        self._mirrors, self._families = set(), {}
         self._still = {name: self._kind(name) for name in (Offset.name, "friction")}
 
     def found(self, suspects, joints, needed):
@@ -229,10 +229,11 @@ class _Deviations:
             regression = before.beside(_member(family, scale))
         for _ in range(_TURNS):
             torque = self._shared(regression)
-            members = [
-                _member(self._family(one.effect, torque), one.scale) if k else one
-                for one, k in zip(regression.members, self._is_group(regression))
+            groups = [
+                _member(self._family(one.effect, torque), one.scale)
+                for one in regression.members[self.n_effects :]
             ]
+            members = [*regression.members[: self.n_effects], *groups]
             again = rescaled(Fit(regression.base, members), self.scale)
             regression = spectrum_of(again, self.settings, 1)
             change = self._shared(regression) - torque
@@ -250,10 +251,6 @@ class _Deviations:
         self._mirrors.add(group)
         base = Base(problem.with_torques(y), regression.base.density)
         return spectrum_of(Fit(base, regression.members), self.settings)
-
-    def _is_group(self, regression):
-        """Which members are no effects of the completed model."""
-        return np.arange(len(regression.members)) >= self.n_effects
 
     def _told(self, regression, i, group, near, log_odds):
         """Collect a group that was found, the i-th member."""
@@ -316,6 +313,14 @@ class _Deviations:
         )
 
     def _family(self, group, torque):
+        """Group in its recordings; but for gains it is made once."""
+        if group.name == "gain":
+            return self._made(group, torque)
+        if group not in self._families:
+            self._families[group] = self._made(group, torque)
+        return self._families[group]
+
+    def _made(self, group, torque):
         """Group in its recordings, or in each of several with columns of its own."""
         columns = self._columns(group, torque)
         unit = Family.of(self.problem, (group,), columns).unit

@@ -181,6 +181,13 @@ def test_the_same_motion_is_inside_where_it_was_not_fitted(seed):
     assert said(own, states[~rows, :3], groups=groups[~rows]) == []
 
 
+def test_the_warning_names_who_asked(fitted):
+    for one in (fitted, fitted.robot_):
+        with pytest.warns(UserWarning, match="outside") as told:
+            one.predict(5.0 * STATES)
+        assert {warning.filename for warning in told} == {__file__}
+
+
 def test_one_warning_names_joint_and_range(fitted):
     (message,) = said(fitted, 2.0 * Q)
     low, high = fitted.effect_ranges_[-1].position

@@ -572,11 +572,4 @@ def _names(whole, groups):
 
 def _fitted(identifier, recording):
     """Fit an identifier to a recording and return it."""
-    return identifier.fit(
-        recording.inputs,
-        recording.tau,
-        recording.groups,
-        recording.weight,
-        t=recording.t,
-        signals=OfferedSignals(columns=recording.signals),
-    )
+    return identifier.fit_recording(recording)

@@ -51,7 +51,6 @@ _MODULES = {
         "EffectOfTime",
         "Spread",
         "body_masses",
-        "known_parameters",
         "note_of_masses",
     ),
     "_states": ("RecordingStates", "StateEstimator"),

@@ -121,6 +121,7 @@ class BodyPosterior:
     # (p,): deviations of the prior, at the scales that bodies turned out to have; nan
     # for what the description does not say
     before: np.ndarray
+    centre: np.ndarray  # (p,): mean of the prior
     # bodies not as described, or what they cannot be told apart from
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0  # variance that the normal equations were divided by
@@ -371,6 +372,7 @@ def around(description, A, b):
         covariance=covariance,
         prior=prior,
         before=before,
+        centre=common * description.vector(b.size),
         departures=asked.departures(),
         common=common,
     )
@@ -394,6 +396,7 @@ def as_described(description, A, b):
         covariance=covariance,
         prior=np.zeros((p, p)),
         before=np.where(free, np.nan, 0.0),
+        centre=description.vector(p),
     )
 
 

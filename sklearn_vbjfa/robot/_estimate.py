@@ -14,7 +14,7 @@ from sklearn_vbjfa.regression import (
     VBJFARegressor,
     fit_moments,
 )
-from sklearn_vbjfa.robot._bodies import around, as_described
+from sklearn_vbjfa.robot._bodies import around, as_described, little_learned
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments
 
@@ -72,6 +72,18 @@ class Estimate:
         if self.bodies is None:
             return self.metric
         return self.metric + self.bodies.noise * self.bodies.prior
+
+    @property
+    def prior_std(self):
+        """Deviations (p,) by the description alone; nan for what it does not say."""
+        if self.bodies is None:
+            return np.full(self.theta.size, np.nan)
+        return self.bodies.before
+
+    @property
+    def from_description(self):
+        """Parameters (p,), bool, that the data tell little of beside a description."""
+        return little_learned(self.std, self.prior_std)
 
     def noise(self):
         """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""

@@ -295,16 +295,14 @@ class ChannelGains:
         return self.common.factor is not None
 
 
-def channel_gains(robot, relative, common, places):
-    """Collect the gains of a fitted identifier, `ChannelGains`."""
-    # relative: RelativeGains; common: CommonGain; places: of the gains among the
-    # parameters.
-    std = robot.theta_std_[places]
+def channel_gains(names, gain, std, relative, common):
+    """Collect the gains (nv,) that a fit found and their deviations, `ChannelGains`."""
+    # relative: RelativeGains; common: CommonGain.
     if common.factor is None:
         std[relative.references] = 0.0
     return ChannelGains(
-        joint_names=robot.joint_names_,
-        gain=robot.theta_[places],
+        joint_names=names,
+        gain=gain,
         std=std,
         reference=relative.reference,
         common=common,

@@ -10,6 +10,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
+    OfferedSignals,
     check_dt,
     check_time_stamps,
     check_useful,
@@ -19,65 +20,31 @@ from sklearn_vbjfa.recording import (
     signals_for,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._bodies import described_bodies, little_learned
-from sklearn_vbjfa.robot._closed_loop import check_reference, refine_controlled
-from sklearn_vbjfa.robot._equations import (
-    accumulate,
-    equations,
-    held_columns,
-    is_plain,
-    numbered,
-    plain_coefficients,
-    segments,
-    unexcited_entries,
-)
-from sklearn_vbjfa.robot._estimate import (
-    beside_description,
-    estimate,
-    identifiable,
-    min_eigenvalues,
-    project,
-)
+from sklearn_vbjfa.robot._bodies import described_bodies
+from sklearn_vbjfa.robot._closed_loop import check_reference
+from sklearn_vbjfa.robot._equations import numbered
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
     refuse_followers,
     with_followers,
 )
-from sklearn_vbjfa.robot._gains import (
-    channel_gains,
-    check_gains,
-    check_masses,
-    common_gain,
-    declared_gains,
-    gain_places,
-    mass_places,
-    relative_gains,
-    with_gains,
-)
-from sklearn_vbjfa.robot._joint_moments import sum_moments
+from sklearn_vbjfa.robot._fit import Recipe, Source, fit_robot, refine_fit
+from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._model_values import (
-    MOST_CORRECTIONS,
-    ModelValues,
-    tell_unsettled,
-)
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
-from sklearn_vbjfa.robot._output_error import check_criterion, refine
+from sklearn_vbjfa.robot._output_error import check_criterion
 from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
     Plan,
     check_effects,
     effect_names,
     make_plan,
-    needs_load,
     observe,
     resolve_standstill,
-    takes_moments,
 )
-from sklearn_vbjfa.robot._ranges import effect_ranges, ends, sum_ranges
+from sklearn_vbjfa.robot._ranges import ends
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
-    check_count,
     check_input_noise,
     check_length,
     check_motion,
@@ -90,18 +57,29 @@ from sklearn_vbjfa.robot._robot import (
     IdentifiedRobot,
     SimulatesTorques,
     recording_of,
-    split_effects,
 )
-from sklearn_vbjfa.robot._spreads import (
-    ColumnPowers,
-    Spread,
-    TorqueSpread,
-    known_parameters,
-)
+from sklearn_vbjfa.robot._spreads import Spread
 from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import (
     filtered_noise,
     given_noise,
+)
+
+# Attributes that are those of the identified robot.
+_OF_ROBOT = (
+    "theta_",
+    "theta_unconstrained_",
+    "theta_std_",
+    "identifiable_",
+    "effect_ranges_",
+    "gains_",
+    "min_eigenvalues_",
+    "noise_floor_",
+    "torque_noise_",
+    "output_noise_",
+    "state_estimator_",
+    "cutoff_",
+    "standstill_",
 )
 
 
@@ -491,223 +469,88 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             With ``criterion="simulation"``, if there are fewer than two windows of
             joints for each direction of the parameters that they determine.
         """
-        self._online = None
         check_criterion(self)
         self._declare()
-        if self.criterion == "simulation":
-            refuse_followers(
-                self.effects_, "criterion='simulation'", "use criterion='torque'"
-            )
         recording = self._take(X, y, groups, sample_weight, t, signals)
+        return self._fit(recording, reference)
+
+    def fit_recording(self, recording, reference=None):
+        """Identify the robot from a recording as it is.
+
+        Parameters
+        ----------
+        recording : Recording
+            Positions or states, torques [N m or N], labels, weights and signals, its
+            columns in the order of `joint_names_`.
+        reference : array-like of shape (n_samples, nv), default=None
+            Commanded positions [rad or m], for `controller`.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        check_criterion(self)
+        self._declare()
+        return self._fit(self._checked(recording), reference)
+
+    def _fit(self, recording, reference):
+        """Fit to a checked recording."""
         reference = check_reference(self.controller, reference, recording.tau, self.dt)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
-        self._adopt(plan)
-        self._numbering = numbered(recording, plan)
-        if periods is None:
-            self.torque_noise_ = given_noise(
-                self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
-            )
-        else:
-            self.torque_noise_ = periods.filtered_torque_noise(plan.lowpass)
-        relative = None
-        if self.gains is not None:
-            relative = self._first_gains(recording, states)
-        fitted, passes = (), self._plan.passes()
-        self._load = self._load_before()
-        if self._load is not None:
-            passes = passes[1:]
-        for number, one in enumerate(passes):
-            if number > 0:
-                self._load = self._known_torque(fitted)
-            fitted = one.effects
-            made = segments(recording, states, one, self.features_, theta=self._load)
-            self._set(self._estimate(made))
-        if any(effect.in_model for effect in self.effects_):
-            made = self._settle(recording, states, relative)
-        self._tell_loads(made)
-        self._signal_ends = ends(recording.signals)
-        if periods is None and self.torque_noise is None:
-            self._tell_noise(self.robot_.noise_facts(recording, plan.clock(recording)))
-        if self.criterion == "simulation":
-            self._refine(recording, states, reference)
-        return self
-
-    def _refine(self, recording, states, reference):
-        """Refine the parameters of the torque fit by simulation; set `criteria_`."""
-        robot = self.robot_
-
-        def estimate_from(states):
-            known = {"theta": self._load}
-            made = segments(recording, states, self._plan, self.features_, **known)
-            return self._estimate(made)
-
-        # Values of effects in the model have no columns there.
-        found = replace(estimate_from(states), std=self.theta_std_)
-        names = ("identifiable_", "effect_ranges_", "_powers")
-        kept = {name: getattr(self, name) for name in names}
-        known = robot, found, recording, states
-        if self.controller is None:
-            refined = refine(*known, self)
-        else:
-            refined = refine_controlled(
-                *known, self.controller, reference, estimate_from
-            )
-        self._set(
-            replace(
-                found,
-                theta=refined.theta,
-                theta_unconstrained=refined.unconstrained,
-                std=refined.std,
-            )
+        noise = given_noise(
+            self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
         )
-        for name, value in kept.items():
-            setattr(self, name, value)
-        self.criteria_ = refined.criteria
+        if periods is not None:
+            noise = periods.filtered_torque_noise(plan.lowpass)
+        robot = self._robot_of(plan, noise, recording.signals)
+        source = Source(
+            recording=recording,
+            states=states,
+            numbering=numbered(recording, plan),
+            n_jobs=self.n_jobs,
+        )
+        recipe, before, self._before = self._recipe(), self._before, None
+        fit = fit_robot(recipe, robot, source, before)
+        if periods is None and self.torque_noise is None:
+            facts = fit.robot.noise_facts(recording, plan.clock(recording))
+            fit = self._with_noise(fit, facts)
+        if self.criterion == "simulation":
+            fit = refine_fit(recipe, fit, source, self, reference)
+            self.criteria_ = fit.criteria
+        return self._set(fit)
 
-    # An identifier whose load the next fit begins with, in place of a first pass.
+    # Robot whose load the next fit begins with, in place of a first pass.
     _before = None
 
-    def _load_before(self):
-        """Known torque of `_before`; None if its effects that need no load differ."""
-        before, self._before = self._before, None
-        if before is None or not needs_load(self.effects_):
-            return None
-        if any(effect.in_model for effect in self.effects_):
-            return None
-
-        def known(fitted):
-            plain = [e for e in fitted.effects_ if is_plain(e)]
-            terms = [(type(e), e.joint, len(e.coefficients)) for e in plain]
-            return fitted.features_.friction_, terms
-
-        same = known(before) == known(self)
-        return before._known_torque(before.effects_) if same else None
-
-    def _known_torque(self, effects):
-        """Parameters that a fit with some effects gives the load of the next."""
-        bodies, coefs = np.split(self.theta_, [self.features_.n_parameters_])
-        return np.concatenate([bodies, plain_coefficients(effects, coefs)])
-
-    def _first_gains(self, recording, states):
-        """Begin with the gains that second moments show, `RelativeGains`."""
-        plan = self._plan.passes()[0]
-        made = segments(recording, states, plan, self.features_)
-        moments = self._moments(made, plan.lowpass)
-        zeros = self._unneeded_entries(moments)
-        units = [] if isinstance(self.gains, str) else list(self.gains)
-        found = relative_gains(
-            moments.zeroed(zeros), [self.joint_names_.index(name) for name in units]
+    def _recipe(self):
+        """Return the settings of the estimation, with the bodies that are described."""
+        names = "regressor", "joint_weights", "block_noise", "projector", "bodies"
+        return Recipe(
+            gains=self.gains,
+            masses=self._masses,
+            description=self._description,
+            **{name: getattr(self, name) for name in names},
         )
-        self._correct(with_gains(self.effects_, found.gains))
-        return found
 
-    def _unneeded_entries(self, moments):
-        """Entries of the regressor (nv, p) that nothing excites or effects hold."""
-        rigid, effects = self.features_.n_parameters_, self.effects_
-        zeros = unexcited_entries(moments, rigid)
-        if zeros.shape[1] < rigid + sum(len(e.coefficients) for e in effects):
-            # A first pass, which has no effects that need the load.
-            effects = self._plan.passes()[0].effects
-        zeros[:, held_columns(self.features_, effects)] = True
-        return zeros
-
-    def _correct(self, effects):
-        """Correct the robot by the present values of effects."""
-        self.effects_ = effects
-        self.features_ = self.features_.corrected(effects)
-        self._plan = replace(self._plan, effects=effects)
-
-    def _settle(self, recording, states, relative):
-        """Correct the robot until the values of effects in the model stay."""
-        # relative: `RelativeGains` to begin with, or None. Returns the segments of the
-        # last fit.
-        found = self._corrections(recording, states, relative)
-        if relative is not None:
-            while (vague := relative.vague(found)).any():
-                relative = relative.without(vague)
-                self._correct(with_gains(self.effects_, relative.gains))
-                self._fit_again(recording, states)
-                found = self._corrections(recording, states, relative)
-        found.tell_bounds(self.joint_names_)
-        if relative is not None:
-            common, covariance = self._common_gain(relative, found)
-            if common.factor is not None:
-                self._scale(recording, states, common.factor)
-        self._powers = self._powers.with_tangents(self._tangent_powers, self.effects_)
-        values = found.values_of(self.effects_)
-        self.theta_[found.places] = values
-        self.theta_unconstrained_[found.places] = values
-        self.theta_std_[found.places] = found.std
-        if relative is not None:
-            at = gain_places(self.effects_, self.features_.n_parameters_)
-            if common.factor is not None:
-                # What is one relative to itself is the factor.
-                self.theta_std_[at[relative.references]] = 0.0
-                self.theta_std_ = common.widened(
-                    self.theta_,
-                    self.theta_std_,
-                    self.parameter_units_,
-                    at,
-                    covariance,
-                )
-            self.gains_ = channel_gains(self, relative, common, at)
-        self.identifiable_[found.places] = np.isfinite(self.theta_std_[found.places])
-        self._spreads = tuple(
-            Spread.of_deviations(deviations)
-            for deviations in self._split(self.theta_std_)
+    def _robot_of(self, plan, torque_noise, signals=None):
+        """Return the declared robot, whose parameters are not known."""
+        return IdentifiedRobot(
+            features_=self.features_,
+            plan=plan,
+            signal_ends=ends({} if signals is None else signals),
+            state_cutoff=self.state_cutoff,
+            torque_noise_=torque_noise,
+            source=self.model,
         )
-        return segments(recording, states, self._plan, self.features_, theta=self._load)
 
-    def _common_gain(self, relative, found):
-        """Find the common gain that known masses ask for, see `common_gain`."""
-        model, n_rigid = self.features_.model_, self.features_.n_parameters_
-        places = mass_places(self._masses, model, self.effects_, n_rigid)
-        common, covariance = common_gain(
-            self._masses, places, self.theta_, found.estimate
-        )
-        if len(relative.references) != 1:
-            # Gains of joints that share nothing have no common factor.
-            return common.given_up(), None
-        return common, covariance
-
-    def _scale(self, recording, states, factor):
-        """Fit again with all gains multiplied, and torques in their own unit."""
-        self._correct(with_gains(self.effects_, factor * self.features_.gains_))
-        self._load = self._load / factor
-        self._tangent_powers = self._tangent_powers.in_units(factor)
-        self._fit_again(recording, states)
-
-    def _fit_again(self, recording, states):
-        """Fit the parameters with the values of effects as they are."""
-        made = segments(recording, states, self._plan, self.features_, theta=self._load)
-        self._set(self._estimate(made))
-
-    def _corrections(self, recording, states, relative):
-        """Correct the robot step by step; `ModelValues` of the last one."""
-        places = gain_places(self.effects_, self.features_.n_parameters_)
-        for _ in range(MOST_CORRECTIONS):
-            self._load = self._known_torque(self.effects_)
-            plan = replace(self._plan, tangents=True)
-            made = segments(recording, states, plan, self.features_, theta=self._load)
-            moments = self._moments(made, plan.lowpass)
-            self._tangent_powers = self._powers_of(moments)
-            zeros = self._unneeded_entries(moments)
-            if relative is not None:
-                zeros[:, places[relative.held]] = True
-            found = ModelValues.of(
-                moments.zeroed(zeros),
-                self.effects_,
-                self.features_.n_parameters_,
-                self.joint_weights,
-            )
-            if found.stay() or (relative is not None and relative.vague(found).any()):
-                break
-            self._correct(found.corrected())
-            self._fit_again(recording, states)
-        else:
-            tell_unsettled(found)
-        return found
+    def _with_noise(self, fit, facts):
+        """Return a fit with the torque noise that facts of all recordings tell."""
+        if not facts:
+            return fit
+        plan = fit.robot.plan
+        return fit.with_torque_noise(filtered_noise(facts, plan.dt, plan.cutoff))
 
     # -- for other rooms -------------------------------------------------------------
 
@@ -746,15 +589,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self : object
             Fitted estimator.
         """
-        self._adopt(plan)
-        self.n_features_in_ = plan.standstill.size
-        self.torque_noise_ = given_noise(
-            self.torque_noise, plan.standstill.size, plan.dt, plan.cutoff
-        )
-        self._set(self._estimate_moments(moments))
+        nv = self.n_features_in_ = plan.standstill.size
+        noise = given_noise(self.torque_noise, nv, plan.dt, plan.cutoff)
+        robot = self._robot_of(plan, noise)
+        fit = self._recipe().of_moments(robot, moments)
         if self.torque_noise is None:
-            self._tell_noise(facts(self.robot_))
-        return self
+            fit = self._with_noise(fit, facts(fit.robot))
+        return self._set(fit)
 
     def estimated(self, pieces, plan):
         """Estimate from the equations of a fitted robot.
@@ -771,8 +612,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Estimate
             Parameters with what is known of them.
         """
-        self.load()._adopt(plan)
-        return self._estimate_rows(pieces)
+        self.load()
+        robot = self._robot_of(plan, np.full(self.features_.n_joints_, np.nan))
+        return self._recipe().of_equations(robot, pieces).found
 
     def begin_with(self, fitted):
         """Begin the next fit with the load of a fitted identifier, where it has one.
@@ -787,8 +629,20 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self : object
             Not fitted.
         """
-        self._before = fitted
+        self._before = fitted.robot_
         return self
+
+    def described(self):
+        """Return what the description says of the parameters, as a prior.
+
+        Returns
+        -------
+        tuple of ndarray or None
+            Precision (p, p) in the units of the weighted equations, and mean (p,);
+            None without a prior.
+        """
+        bodies = self._bodies
+        return None if bodies is None else (bodies.noise * bodies.prior, bodies.centre)
 
     def tell_spreads(self, estimates):
         """Take how well the last effects are known, for predictions.
@@ -801,13 +655,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         if estimates:
             own = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
-            self._spreads = (*self._spreads[: -len(own)], *own)
-
-    def _tell_noise(self, facts):
-        """Set the noise floor from the torque noise of all recordings."""
-        if facts:
-            self.torque_noise_ = filtered_noise(facts, self.dt, self.cutoff_)
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
+            spreads = (*self._robot.spreads[: -len(own)], *own)
+            self._robot = replace(self._robot, spreads=spreads)
 
     # -- from the arguments to a plan --------------------------------------------------
 
@@ -824,10 +673,14 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             declared = declared_gains(declared, model.nv)
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
+        if self.criterion == "simulation":
+            refuse_followers(
+                self.effects_, "criterion='simulation'", "use criterion='torque'"
+            )
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
-        self._load, self._signal_ends, self._numbering = None, {}, None
+        self._online = None
         self._description = described_bodies(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
@@ -843,23 +696,41 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         )
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
+        self._check_rows(X, groups, t, contiguous_groups(groups, X.shape[0]))
+        used = signals_for(self.effects_, signals, beside, X.shape[0])
+        weight = check_weight(sample_weight, y.shape)
+        known = groups, weight, t, used
+        recording = recording_of(self.joint_names_, self.dt, X, y, *known)
+        check_useful(signals, recording)
+        return recording
+
+    def _checked(self, recording):
+        """Return a recording with the signals that are needed, rejecting others."""
+        names, X = self.joint_names_, recording.inputs
+        if recording.joint_names != names or recording.dt != self.dt:
+            raise ValueError(
+                f"recording must have the joints of the robot ({', '.join(names)}) in "
+                f"their order and its sample period dt={self.dt} s; got "
+                f"{', '.join(recording.joint_names)} and {recording.dt} s."
+            )
+        validate_data(self, X, skip_check_array=True)
+        self._check_rows(X, recording.groups, recording.t, recording.segments)
+        offered = OfferedSignals(columns=recording.signals)
+        used = signals_for(self.effects_, None, offered, recording.n_samples)
+        weight = recording.weight
+        if weight is not None and used.keys() == recording.signals.keys():
+            return recording
+        weight = check_weight(weight, recording.tau.shape)
+        return replace(recording, signals=used, weight=weight)
+
+    def _check_rows(self, X, groups, t, parts):
+        """Reject rows that are no recording of this robot, piece by piece."""
         check_input_noise(self.input_noise)
         nv = self.features_.n_joints_
-        parts = contiguous_groups(groups, X.shape[0])
         if X.shape[1] == nv:
             check_motion(self.joint_names_, X, parts)
         warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
         check_time_stamps(t, self.dt, parts)
-        used = signals_for(self.effects_, signals, beside, X.shape[0])
-        weight = check_weight(sample_weight, y.shape)
-        recording = self._recording(X, y, groups, weight, t, used)
-        check_useful(signals, recording)
-        return recording
-
-    def _recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
-        """Make a `Recording` of checked arrays; zero torques where none are given."""
-        names = self.joint_names_
-        return recording_of(names, self.dt, X, y, groups, weight, t, signals)
 
     def _prepare(self, recording, periods):
         """Return the plan of the fit, the recording to fit, and its states."""
@@ -892,132 +763,31 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             *periods.extended(recording, states, plan.lowpass.half),
         )
 
-    def _adopt(self, plan):
-        self._plan = plan
-        self.state_estimator_ = plan.state_estimator
-        self.cutoff_, self.standstill_ = plan.cutoff, plan.standstill
+    # -- from a fit to attributes ----------------------------------------------------
 
-    # -- from equations to attributes --------------------------------------------------
-
-    def _estimate(self, made):
-        """Estimate from segments, in parallel where second moments suffice."""
-        lowpass = self._plan.lowpass
-        if takes_moments(self.regressor, self.block_noise):
-            return self._estimate_moments(self._moments(made, lowpass))
-        return self._estimate_rows(equations(made, lowpass, self._numbering))
-
-    def _moments(self, made, lowpass):
-        """Second moments of segments, with those of the blocks of the fit."""
-        numbering = self._numbering
-        return accumulate(made, lowpass, n_jobs=self.n_jobs, numbering=numbering)
-
-    def _estimate_rows(self, pieces):
-        """Estimate from equations, which may be a stream."""
-        if takes_moments(self.regressor, self.block_noise):
-            return self._estimate_moments(sum_moments(one.moments() for one in pieces))
-        rows = list(pieces)
-        return self._estimate_moments(sum_moments(one.moments() for one in rows), rows)
-
-    def _estimate_moments(self, moments, rows=()):
-        """Estimate from the second moments of all equations."""
-        check_count(moments, self.standstill_, len(self.parameter_names_))
-        zeros = self._unneeded_entries(moments)
-        found = estimate(
-            moments.zeroed(zeros),
-            self.regressor,
-            joint_weights=self.joint_weights,
-            rows=[one.zeroed(zeros) for one in rows],
-            block_noise=self.block_noise,
-        )
-        if self._description is not None:
-            found = beside_description(found, self._description, self.bodies)
-        return project(found, self.projector, self.features_)
-
-    def _set(self, found):
-        """Set the attributes determined by an estimate."""
+    def _set(self, fit):
+        """Set the attributes to what a fit found."""
+        self._robot, found = fit.robot, fit.found
+        self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
+        for name in _OF_ROBOT:
+            setattr(self, name, getattr(fit.robot, name))
         self.estimator_ = JointTorqueRegressor.of_estimate(
             found,
-            self._plan.lowpass,
+            fit.robot.plan.lowpass,
             regressor=None if self.regressor is None else clone(self.regressor),
             joint_weights=self.joint_weights,
             block_noise=self.block_noise,
             dt=self.dt,
             cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
         )
-        self.theta_, self.theta_unconstrained_ = found.theta, found.theta_unconstrained
-        self.theta_std_, self.projector_ = found.std, found.projector
-        known = found.bodies
-        self.theta_prior_std_ = (
-            np.full(found.theta.size, np.nan) if known is None else known.before
-        )
-        self.from_description_ = little_learned(found.std, self.theta_prior_std_)
-        self.identifiable_ = found.identifiable
-        if self.bodies == "fixed":
-            rest = ~self.from_description_
-            self.identifiable_ = np.zeros(rest.size, dtype=bool)
-            self.identifiable_[rest] = identifiable(found.metric[np.ix_(rest, rest)])
-        self.departures_ = () if known is None else known.departures
-        self._prior = None
-        if known is not None:
-            centre = known.common * self._description.vector(found.theta.size)
-            self._prior = known.noise * known.prior, centre
-        self.common_size_ = 1.0 if known is None else known.common
-        self.min_eigenvalues_ = min_eigenvalues(self._bodies())
-        self.input_noise_torque_, self.output_noise_ = found.noise()
-        self._torque_spread = TorqueSpread.of_estimate(found)
-        self.noise_floor_ = np.hypot(self.torque_noise_, self.input_noise_torque_)
-        self._powers = self._powers_of(found.moments)
-        self._motion_ranges = found.moments.ranges
-        self._tell_ranges()
-        self._spreads = tuple(
-            Spread.of_deviations(deviations) for deviations in self._split(found.std)
-        )
-
-    def _powers_of(self, moments):
-        """Sizes of the columns of friction and effects in the moments of a fit."""
-        return ColumnPowers.of_moments(
-            moments,
-            self.features_.n_parameters_,
-            len(self.features_.friction_),
-            self.effects_,
-            self.features_.gains_,
-        )
-
-    def _tell_ranges(self, load=None):
-        """Set what each effect was fitted on; load : `SignalRanges` where known."""
-        self.effect_ranges_ = effect_ranges(
-            self.features_.friction_, self.effects_, self._motion_ranges, load
-        )
-
-    def _tell_loads(self, made):
-        """Add the ranges of the loads in the segments that were fitted."""
-        # Declared friction does not depend on the load; without effects it is not
-        # needed.
-        if self.effects_:
-            inertial = self._inertial(self.theta_)
-
-            def torques(q, v, a):
-                return self.features_.torques(q, v, a, inertial)
-
-            loads = [one.loads(self._plan.lowpass, torques) for one in made]
-            self._tell_ranges(sum_ranges(loads))
-
-    def _split(self, parameters):
-        """Split parameters (p,) into those of each effect that is in use, a list."""
-        # In the first of several passes effects of the load are missing.
-        own = parameters[self.features_.n_parameters_ :]
-        return split_effects(self.effects_, own)
-
-    def _inertial(self, theta):
-        """Inertial parameters (nv, 10) among parameters theta."""
-        rigid = theta[: self.features_.n_parameters_]
-        bodies = rigid.reshape(self.features_.n_joints_, -1)
-        return np.ascontiguousarray(bodies[:, :10])
-
-    def _bodies(self):
-        """Parameters of the features, (nv, 10 + number of friction columns)."""
-        rigid = self.theta_[: self.features_.n_parameters_]
-        return rigid.reshape(self.features_.n_joints_, -1)
+        self.projector_ = found.projector
+        self.theta_prior_std_ = found.prior_std
+        self.from_description_ = found.from_description
+        self._bodies = bodies = found.bodies
+        self.departures_ = () if bodies is None else bodies.departures
+        self.common_size_ = 1.0 if bodies is None else bodies.common
+        self.input_noise_torque_ = found.noise()[0]
+        return self
 
     def partial_fit(self, X, y, sample_weight=None, *, refit=True):
         """Update with rows from a running robot, forgetting older ones.
@@ -1061,7 +831,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         rows = check_rows(self.joint_names_, X, y, sample_weight)
         self._online.add(*rows, self.standstill_)
         if refit:
-            self._set(self._estimate_moments(self._online.moments()))
+            plan = self._running_plan
+            robot = self._robot_of(plan, np.full(plan.standstill.size, np.nan))
+            self._set(self._recipe().of_moments(robot, self._online.moments()))
         return self
 
     def _begin_online(self):
@@ -1072,7 +844,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
                 "time order: fit them, or set criterion='torque'."
             )
         known = getattr(self, "standstill_", None)
-        fastest = getattr(getattr(self, "_plan", None), "fastest_period", None)
+        before = getattr(self, "_robot", None)
         self._declare()
         check_online(self, self.effects_)
         nv = self.features_.n_joints_
@@ -1085,17 +857,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
                     "standstill as speeds [rad/s or m/s], or as None."
                 )
             known = resolve_standstill(self.standstill, np.zeros(nv))
-        self._adopt(
-            Plan(
-                dt=self.dt,
-                state_estimator=None,
-                cutoff=np.inf,
-                lowpass=_lowpass.design(1.0, np.inf),
-                standstill=known,
-                fastest_period=fastest,
-            )
+        self.standstill_ = known
+        self._running_plan = Plan(
+            dt=self.dt,
+            state_estimator=None,
+            cutoff=np.inf,
+            lowpass=_lowpass.design(1.0, np.inf),
+            standstill=known,
+            fastest_period=None if before is None else before.plan.fastest_period,
         )
-        self.torque_noise_ = np.full(nv, np.nan)
         self._online = OnlineMoments(self.features_, float(self.forgetting))
         self.n_features_in_ = 3 * nv
 
@@ -1206,28 +976,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def robot_(self):
         """The identified robot without data and estimator, an `IdentifiedRobot`."""
         check_is_fitted(self)
-        return IdentifiedRobot(
-            features_=self.features_,
-            plan=self._plan,
-            theta_=self.theta_,
-            load=self._load,
-            effect_ranges_=self.effect_ranges_,
-            signal_ends=self._signal_ends,
-            spreads=self._spreads,
-            state_cutoff=self.state_cutoff,
-            powers=self._powers,
-            spread=self._torque_spread,
-            theta_std_=self.theta_std_,
-            theta_unconstrained_=self.theta_unconstrained_,
-            identifiable_=self.identifiable_,
-            known_=known_parameters(self),
-            noise_floor_=self.noise_floor_,
-            torque_noise_=self.torque_noise_,
-            output_noise_=self.output_noise_,
-            joint_weights=self.estimator_.joint_weights_,
-            gains_=self.gains_,
-            source=self.model,
-        )
+        if self.theta_ is not self._robot.theta_:
+            return replace(self._robot, theta_=self.theta_)
+        return self._robot
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
         """Return what effects of time add to a prediction, and how well it is known.

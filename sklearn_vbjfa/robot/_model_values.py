@@ -110,7 +110,7 @@ class ModelValues:
                 "recording shows something else, or does not show it. Leave the effect "
                 "out, or look for a larger fault.",
                 DoubtWarning,
-                stacklevel=4,
+                stacklevel=6,
             )
 
 
@@ -140,5 +140,5 @@ def tell_unsettled(values):
         f"tenth of their standard errors after {MOST_CORRECTIONS} corrections: the "
         "recording hardly tells them apart. Declare fewer of them.",
         ConvergenceWarning,
-        stacklevel=5,
+        stacklevel=7,
     )

@@ -194,7 +194,7 @@ def _tell_unknown_noise(predictor):
         "parameters answer for errors of these. Give at least one recording of "
         f"{SAMPLES_FOR_NOISE} samples, or states as X if they are free of noise.",
         UserWarning,
-        stacklevel=5,
+        stacklevel=6,
     )
 
 
@@ -399,7 +399,7 @@ def refine(predictor, found, recording, states, settings):
         # do.
         warnings.simplefilter("always")
         refined = _refine(predictor, found, windows, settings.projector)
-    tell_once(caught, "simulations", stacklevel=4)
+    tell_once(caught, "simulations", stacklevel=5)
     count = int(windows.observations.sum())
     if count < _LEAST_OBSERVATIONS * refined.determined:
         warnings.warn(
@@ -408,7 +408,7 @@ def refine(predictor, found, recording, states, settings):
             "follow these windows and not the robot. Give shorter windows (window) or "
             "a longer recording, and compare on one that is not fitted.",
             UserWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
     return refined
 

@@ -269,7 +269,7 @@ def check_periodic(recording, n_period, counts):
             "repeat to within its noise: what differs between periods would be taken "
             "for noise. Check period, and leave out what precedes the repeated motion.",
             UserWarning,
-            stacklevel=3,
+            stacklevel=5,
         )
 
 

@@ -125,7 +125,7 @@ def check_channels(names, positions, torques, n_rows):
             "identifiable, and inertial parameters only as far as other joints "
             "feel them.",
             DoubtWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 
@@ -143,7 +143,7 @@ def warn_of_disorder(names, positions, parts, groups):
         rows = np.arange(positions.shape[0])
         found = position_jumps(names, positions, parts, rows)
     for finding in found:
-        warnings.warn(finding.message, UserWarning, stacklevel=4)
+        warnings.warn(finding.message, UserWarning, stacklevel=5)
 
 
 def check_length(parts, lowpass, cutoff):
@@ -163,7 +163,7 @@ def check_length(parts, lowpass, cutoff):
             f"{len(short)} of {len(parts)} recordings (from row {rows}) are "
             f"shorter than the low-pass filter ({need} samples) and are left out.",
             DoubtWarning,
-            stacklevel=4,
+            stacklevel=5,
         )
 
 

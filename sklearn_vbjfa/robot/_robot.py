@@ -298,7 +298,7 @@ class IdentifiedRobot(SimulatesTorques):
 
     features_: RigidBodyFeatures  # the robot, corrected by its effects
     plan: Plan  # how the fit smoothed and filtered, with the values of the effects
-    theta_: np.ndarray  # (p,)
+    theta_: np.ndarray | None = None  # (p,); None before a fit
     # parameters that the load of the effects is made with; see `make_motion`
     load: np.ndarray | None = None
     # what each effect was fitted on: first friction by joint, then the effects, of

@@ -254,18 +254,16 @@ class BodyMass:
     known: str  # whether the recording determines it, see `known_parameters`
 
 
-def known_parameters(robot):
-    """State which parameters of a fitted identifier the recording determines."""
+def known_parameters(robot, found):
+    """State which parameters of a robot its recording determines, by an `Estimate`."""
     # "yes": by itself, as well as its standard deviation says. "in combination":
     # torques depend on it, but only together with others; its value agrees with them
     # and with the robot description, but is one of many. "from the description": the
     # torques say little beyond it (`from_description_`). "no": no torque depends on it,
     # or it is a mass whose deviation, with what the projection moved it by, is over
-    # half its value. A robot from a file says itself what was known.
-    if hasattr(robot, "known_"):
-        return robot.known_
+    # half its value.
     # Values of effects in the model have no columns of their own.
-    seen = (np.diagonal(robot.estimator_.metric_) > 0) | robot.identifiable_
+    seen = (np.diagonal(found.metric) > 0) | robot.identifiable_
     known = np.where(robot.identifiable_, "yes", "in combination").astype(object)
     known[~seen] = "no"
     masses = _masses(robot)
@@ -275,8 +273,8 @@ def known_parameters(robot):
         vague = ~(doubt[masses] <= _KNOWN * robot.theta_[masses])
     vague &= robot.identifiable_[masses]
     known[masses[vague]] = "no"
-    silent = (known == "no") & np.isfinite(robot.theta_prior_std_)
-    known[silent | robot.from_description_] = "from the description"
+    silent = (known == "no") & np.isfinite(found.prior_std)
+    known[silent | found.from_description] = "from the description"
     return tuple(known)
 
 
@@ -288,7 +286,7 @@ def _masses(robot):
 
 def body_masses(robot):
     """Masses of a fitted identifier's bodies, tuple of `BodyMass`."""
-    known = known_parameters(robot)
+    known = robot.robot_.known_
     model = robot.features_.model_
     nominal = nominal_parameters(model)[:, 0]
     return tuple(

@@ -476,7 +476,7 @@ def test_projection_moves_the_effects_along():
     change = robot.theta_ - robot.theta_unconstrained_
     scale = np.sqrt(np.diagonal(metric)) * np.sqrt(change @ metric @ change)
     assert np.abs((metric @ change)[p:] / scale[p:]).max() < 1e-6
-    assert np.all(robot._bodies()[:, 10] >= 0)
+    assert np.all(robot.robot_.bodies(robot.theta_)[:, 10] >= 0)
 
 
 def test_projection_of_a_consistent_robot_changes_no_torque():

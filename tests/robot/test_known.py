@@ -5,7 +5,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import body_names
-from sklearn_vbjfa.robot import body_masses, known_parameters, note_of_masses
+from sklearn_vbjfa.robot import body_masses, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 
@@ -35,7 +35,7 @@ def spanned(robot, states):
 @pytest.mark.parametrize("axes", ["Y", "ZY", "ZYX", "zY", "xy"])
 def test_what_is_known_is_what_no_motion_of_parameters_hides(axes):
     robot, states = fitted(axes)
-    assert list(known_parameters(robot)) == spanned(robot, states).tolist()
+    assert list(robot.robot_.known_) == spanned(robot, states).tolist()
 
 
 def test_a_slider_is_weighed_and_the_link_of_a_revolute_joint_is_not():
@@ -62,7 +62,7 @@ def test_a_mass_in_much_noise_is_not_known():
 
 def test_friction_is_known_beside_unknown_bodies():
     robot, _ = fitted("ZY", friction=("viscous",))
-    known = dict(zip(robot.parameter_names_, known_parameters(robot)))
+    known = dict(zip(robot.parameter_names_, robot.robot_.known_))
     assert known["joint_1:viscous"] == known["joint_2:viscous"] == "yes"
     assert known["joint_1:m"] == "no"
     assert known["joint_2:m"] == "in combination"
@@ -75,7 +75,7 @@ def test_bodies_are_those_of_the_links():
 
 def test_beside_a_description_its_values_say_so():
     robot, _ = fitted("Y", bodies="prior")
-    known = dict(zip(robot.parameter_names_, known_parameters(robot)))
+    known = dict(zip(robot.parameter_names_, robot.robot_.known_))
     # The moments and the inertia about the axis are felt, nothing else is.
     felt = {"joint_1:mc_x", "joint_1:mc_z", "joint_1:I_yy"}
     assert {name for name, how in known.items() if how == "yes"} == felt

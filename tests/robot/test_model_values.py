@@ -544,7 +544,7 @@ def test_values_that_run_away_stop_and_are_told(truth, said):
 
 
 def test_what_has_not_settled_is_told(monkeypatch):
-    monkeypatch.setattr("sklearn_vbjfa.robot._identifier.MOST_CORRECTIONS", 1)
+    monkeypatch.setattr("sklearn_vbjfa.robot._fit.MOST_CORRECTIONS", 1)
     truth = [TorqueGain(1, 2.0)]
     with pytest.warns(ConvergenceWarning, match="torque_gain still moved by more than"):
         fit(ARM, idle(truth), torques(ARM, truth, noise=0.1))

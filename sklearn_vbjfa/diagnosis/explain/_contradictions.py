@@ -398,10 +398,11 @@ class Parts:
         """Return what the description says of the bodies, as moments (p, p), (p,)."""
         p, rigid = self._moments[0][1].size, identifier.features_.n_parameters_
         G, g = np.zeros((p, p)), np.zeros(p)
-        if identifier._prior is not None:
+        described = identifier.described()
+        if described is not None:
             heard = self.precision > 0
             own = identifier.estimator_.joint_weights_[heard]
-            metric, centre = identifier._prior
+            metric, centre = described
             metric = metric[:rigid, :rigid] * np.mean(self.precision[heard] / own)
             G[:rigid, :rigid], g[:rigid] = metric, metric @ centre[:rigid]
         return G, g

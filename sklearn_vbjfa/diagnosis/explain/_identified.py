@@ -8,7 +8,6 @@ from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, resolve_cutoff
-from sklearn_vbjfa.robot._spreads import known_parameters
 
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10
@@ -25,7 +24,7 @@ class ParameterValue:
     # value of the robot description; nan for what it does not have, and where the gain
     # of the torque channels is unknown, which is in every value
     nominal: float
-    known: str  # whether the recording determines it, see `known_parameters`
+    known: str  # whether the recording determines it
     # deviation of the description before the recording, nan where it says nothing
     before: float = float("nan")
     # share of that variance which the recording took away; nan where there is none
@@ -57,7 +56,7 @@ def parameter_values(robot):
         robot.theta_std_,
         robot.parameter_units_,
         nominal,
-        known_parameters(robot),
+        robot.robot_.known_,
         robot.theta_prior_std_,
     ):
         half = HALF_WIDTH * std if np.isfinite(std) else np.nan

@@ -1,0 +1,390 @@
+"""Parameters of a robot from a recording, as functions from one value to the next.
+
+A robot as it stands (model, effects, plan and load of an `IdentifiedRobot`) makes
+equations, their second moments an `Estimate`, and both are a `Fit`. What it says of
+loads, gains of channels, known masses and effects in the model makes the next robot,
+which is fitted again.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.robot._closed_loop import refine_controlled
+from sklearn_vbjfa.robot._equations import (
+    accumulate,
+    equations,
+    held_columns,
+    is_plain,
+    plain_coefficients,
+    segments,
+    unexcited_entries,
+)
+from sklearn_vbjfa.robot._estimate import (
+    Estimate,
+    beside_description,
+    estimate,
+    identifiable,
+    project,
+)
+from sklearn_vbjfa.robot._gains import (
+    channel_gains,
+    common_gain,
+    gain_places,
+    mass_places,
+    relative_gains,
+    with_gains,
+)
+from sklearn_vbjfa.robot._joint_moments import sum_moments
+from sklearn_vbjfa.robot._model_values import (
+    MOST_CORRECTIONS,
+    ModelValues,
+    tell_unsettled,
+)
+from sklearn_vbjfa.robot._output_error import refine
+from sklearn_vbjfa.robot._plan import needs_load, takes_moments
+from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
+from sklearn_vbjfa.robot._recording_checks import check_count
+from sklearn_vbjfa.robot._robot import IdentifiedRobot
+from sklearn_vbjfa.robot._spreads import (
+    ColumnPowers,
+    Spread,
+    TorqueSpread,
+    known_parameters,
+)
+from sklearn_vbjfa.robot._states import RecordingStates
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Source:
+    """What a robot is fitted to."""
+
+    recording: Recording
+    states: RecordingStates
+    numbering: object  # of the rows, see `numbered`
+    n_jobs: object = None
+
+    def segments(self, robot, **changes):
+        """Segments of the equations of a robot, with changes of its plan."""
+        plan = replace(robot.plan, **changes)
+        known = {"theta": robot.load}
+        return segments(self.recording, self.states, plan, robot.features_, **known)
+
+    def moments(self, made, plan):
+        """Second moments of segments, with those of the blocks of the fit."""
+        how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
+        return accumulate(made, plan.lowpass, **how)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Fit:
+    """A robot with its parameters, and what they were estimated from."""
+
+    robot: IdentifiedRobot
+    found: Estimate
+    made: tuple = ()  # segments of the recording that was fitted
+    criteria: object = None  # of a refinement by simulation
+
+    @classmethod
+    def of(cls, robot, found, shown, made=()):
+        """Give a robot the parameters of an `Estimate`, of which some are `shown`."""
+        through, rest = found.noise()
+        features, ranges = robot.features_, found.moments.ranges
+        robot = replace(
+            robot,
+            output_noise_=rest,
+            noise_floor_=np.hypot(robot.torque_noise_, through),
+            joint_weights=found.joint_weights,
+            spread=TorqueSpread.of_estimate(found),
+            powers=_powers(robot, found.moments),
+            effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
+            identifiable_=shown,
+        )
+        return cls(robot=robot, found=found, made=made).telling(found)
+
+    def telling(self, found, **changes):
+        """Return the fit with the parameters of a corrected estimate."""
+        robot = replace(
+            self.robot,
+            theta_=found.theta,
+            theta_unconstrained_=found.theta_unconstrained,
+            theta_std_=found.std,
+            spreads=tuple(map(Spread.of_deviations, self.robot.split(found.std))),
+            **changes,
+        )
+        robot = replace(robot, known_=known_parameters(robot, found))
+        return replace(self, robot=robot, found=found)
+
+    def with_loads(self):
+        """Return the fit with the ranges of the loads in its segments."""
+        # Declared friction does not depend on the load; without effects it is not
+        # needed.
+        robot = self.robot
+        if not robot.effects_:
+            return self
+        inertial = robot.inertial()
+
+        def torques(q, v, a):
+            return robot.features_.torques(q, v, a, inertial)
+
+        load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
+        known = robot.features_.friction_, robot.effects_, self.found.moments.ranges
+        ranges = effect_ranges(*known, load)
+        return replace(self, robot=replace(robot, effect_ranges_=ranges))
+
+    def with_torque_noise(self, noise):
+        """Return the fit with another torque noise (nv,), in the band of the fit."""
+        floor = np.hypot(noise, self.found.noise()[0])
+        robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
+        return replace(self, robot=robot)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Recipe:
+    """How parameters are estimated from equations, whatever robot makes them."""
+
+    regressor: object = None
+    joint_weights: object = "auto"
+    block_noise: bool = False
+    projector: object = "default"
+    bodies: str = "free"
+    description: object = None  # that bodies are near, a `Description`
+    gains: object = None
+    masses: dict  # known ones [kg], by names of bodies
+
+    def of_moments(self, robot, moments, rows=(), made=()):
+        """Fit a robot to second moments of all its equations."""
+        # rows: the equations themselves, where second moments do not suffice.
+        check_count(moments, robot.standstill_, len(robot.parameter_names_))
+        zeros = _unneeded_entries(robot, moments)
+        found = estimate(
+            moments.zeroed(zeros),
+            self.regressor,
+            joint_weights=self.joint_weights,
+            rows=[one.zeroed(zeros) for one in rows],
+            block_noise=self.block_noise,
+        )
+        if self.description is not None:
+            found = beside_description(found, self.description, self.bodies)
+        found = project(found, self.projector, robot.features_)
+        return Fit.of(robot, found, self._shown(found), made)
+
+    def of_equations(self, robot, pieces, made=()):
+        """Fit a robot to equations, which may be a stream."""
+        if takes_moments(self.regressor, self.block_noise):
+            moments = sum_moments(one.moments() for one in pieces)
+            return self.of_moments(robot, moments, made=made)
+        rows = list(pieces)
+        moments = sum_moments(one.moments() for one in rows)
+        return self.of_moments(robot, moments, rows, made)
+
+    def of_source(self, robot, source):
+        """Fit a robot to its recording, in parallel where second moments suffice."""
+        made = source.segments(robot)
+        if takes_moments(self.regressor, self.block_noise):
+            return self.of_moments(robot, source.moments(made, robot.plan), made=made)
+        pieces = equations(made, robot.plan.lowpass, source.numbering)
+        return self.of_equations(robot, pieces, made)
+
+    def _shown(self, found):
+        """Parameters (p,), bool, that equations determine one by one."""
+        if self.bodies != "fixed":
+            return found.identifiable
+        rest = ~found.from_description
+        shown = np.zeros(rest.size, dtype=bool)
+        shown[rest] = identifiable(found.metric[np.ix_(rest, rest)])
+        return shown
+
+
+def _unneeded_entries(robot, moments):
+    """Entries of the regressor (nv, p) that nothing excites or effects hold."""
+    zeros = unexcited_entries(moments, robot.features_.n_parameters_)
+    zeros[:, held_columns(robot.features_, robot.effects_)] = True
+    return zeros
+
+
+def _powers(robot, moments):
+    """Sizes of the columns of friction and effects in the moments of equations."""
+    features = robot.features_
+    n_rigid, n_friction = features.n_parameters_, len(features.friction_)
+    effects, gains = robot.effects_, features.gains_
+    return ColumnPowers.of_moments(moments, n_rigid, n_friction, effects, gains)
+
+
+# -- the course of a fit ---------------------------------------------------------------
+
+
+def fit_robot(recipe, robot, source, before=None):
+    """Fit a robot to a recording: loads, gains and effects in the model settle."""
+    # before: a fitted robot whose load the first pass may begin with, or None.
+    relative = None
+    if recipe.gains is not None:
+        relative = _first_gains(recipe, robot, source)
+        robot = _at(robot, with_gains(robot.effects_, relative.gains))
+    load, passes = _load_of(before, robot), robot.plan.passes()
+    if load is not None:
+        passes = passes[1:]
+    for plan in passes:
+        own = replace(robot, plan=plan, load=load)
+        fit = recipe.of_source(own, source)
+        load = _known_load(fit.robot)
+    if any(effect.in_model for effect in robot.effects_):
+        fit = _settle(recipe, fit, source, relative)
+    return fit.with_loads()
+
+
+def _at(robot, effects):
+    """Correct a robot by the present values of its effects."""
+    plan = replace(robot.plan, effects=effects)
+    return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
+
+
+def _known_load(robot):
+    """Parameters of a fitted robot that the load of the next fit is made with."""
+    bodies, coefs = np.split(robot.theta_, [robot.features_.n_parameters_])
+    return np.concatenate([bodies, plain_coefficients(robot.effects_, coefs)])
+
+
+def _load_of(before, robot):
+    """Load of a robot fitted before; None if effects that need none differ."""
+    if before is None or not needs_load(robot.effects_):
+        return None
+    if any(effect.in_model for effect in robot.effects_):
+        return None
+
+    def known(one):
+        plain = [effect for effect in one.effects_ if is_plain(effect)]
+        terms = [(type(e), e.joint, len(e.coefficients)) for e in plain]
+        return one.features_.friction_, terms
+
+    return _known_load(before) if known(before) == known(robot) else None
+
+
+def _first_gains(recipe, robot, source):
+    """Gains that second moments show, `RelativeGains`."""
+    first = replace(robot, plan=robot.plan.passes()[0])
+    moments = source.moments(source.segments(first), first.plan)
+    units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
+    return relative_gains(
+        moments.zeroed(_unneeded_entries(first, moments)),
+        [robot.joint_names_.index(name) for name in units],
+    )
+
+
+def _settle(recipe, fit, source, relative):
+    """Correct a robot until the values of its effects in the model stay."""
+    # relative: `RelativeGains` to begin with, or None.
+    fit, values, powers = _corrected(recipe, fit, source, relative)
+    if relative is not None:
+        while (vague := relative.vague(values)).any():
+            relative = relative.without(vague)
+            own = _at(fit.robot, with_gains(fit.robot.effects_, relative.gains))
+            fit = recipe.of_source(own, source)
+            fit, values, powers = _corrected(recipe, fit, source, relative)
+    values.tell_bounds(fit.robot.joint_names_)
+    common = None
+    if relative is not None:
+        common, covariance = _common_gain(recipe, fit, relative, values)
+        if common.factor is not None:
+            fit = _in_units(recipe, fit, source, common.factor)
+            powers = powers.in_units(common.factor)
+    robot, found, own = fit.robot, fit.found, values.places
+    theta, unconstrained, std, shown = (
+        one.copy()
+        for one in (found.theta, found.theta_unconstrained, found.std)
+        + (robot.identifiable_,)
+    )
+    theta[own] = unconstrained[own] = values.values_of(robot.effects_)
+    std[own] = values.std
+    gains = None
+    if relative is not None:
+        places = gain_places(robot.effects_, robot.features_.n_parameters_)
+        if common.factor is not None:
+            # What is one relative to itself is the factor.
+            std[places[relative.references]] = 0.0
+            units = robot.parameter_units_
+            std = common.widened(theta, std, units, places, covariance)
+        names = robot.joint_names_
+        gains = channel_gains(names, theta[places], std[places], relative, common)
+    shown[own] = np.isfinite(std[own])
+    known = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
+    powers = robot.powers.with_tangents(powers, robot.effects_)
+    changes = {"identifiable_": shown, "gains_": gains, "powers": powers}
+    fit = fit.telling(replace(found, **known), **changes)
+    return replace(fit, made=source.segments(fit.robot))
+
+
+def _corrected(recipe, fit, source, relative):
+    """Correct a robot step by step; the last fit, its `ModelValues` and powers."""
+    for _ in range(MOST_CORRECTIONS):
+        robot = replace(fit.robot, load=_known_load(fit.robot))
+        fit = replace(fit, robot=robot)
+        moments = source.moments(source.segments(robot, tangents=True), robot.plan)
+        powers, zeros = _powers(robot, moments), _unneeded_entries(robot, moments)
+        n_rigid = robot.features_.n_parameters_
+        if relative is not None:
+            zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
+        values = ModelValues.of(
+            moments.zeroed(zeros), robot.effects_, n_rigid, recipe.joint_weights
+        )
+        if values.stay() or (relative is not None and relative.vague(values).any()):
+            break
+        fit = recipe.of_source(_at(robot, values.corrected()), source)
+    else:
+        tell_unsettled(values)
+    return fit, values, powers
+
+
+def _common_gain(recipe, fit, relative, values):
+    """Find the common gain that known masses ask for, see `common_gain`."""
+    features, effects = fit.robot.features_, fit.robot.effects_
+    places = mass_places(
+        recipe.masses, features.model_, effects, features.n_parameters_
+    )
+    known = recipe.masses, places, fit.robot.theta_, values.estimate
+    common, covariance = common_gain(*known)
+    if len(relative.references) != 1:
+        # Gains of joints that share nothing have no common factor.
+        return common.given_up(), None
+    return common, covariance
+
+
+def _in_units(recipe, fit, source, factor):
+    """Fit again with all gains multiplied, and torques in their own unit."""
+    gains = factor * fit.robot.features_.gains_
+    robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
+    return recipe.of_source(replace(robot, load=robot.load / factor), source)
+
+
+# -- refinement by simulation ----------------------------------------------------------
+
+
+def refine_fit(recipe, fit, source, settings, reference):
+    """Refine the parameters of a torque fit by simulation."""
+    # settings: identifier with `window`, `projector` and `controller`; reference:
+    # commanded positions (n, nv) for the last.
+    robot = fit.robot
+
+    def estimate_from(states):
+        return recipe.of_source(robot, replace(source, states=states)).found
+
+    # Values of effects in the model have no columns there.
+    found = replace(estimate_from(source.states), std=robot.theta_std_)
+    known = robot, found, source.recording, source.states
+    if settings.controller is None:
+        refined = refine(*known, settings)
+    else:
+        refined = refine_controlled(
+            *known, settings.controller, reference, estimate_from
+        )
+    found = replace(
+        found,
+        theta=refined.theta,
+        theta_unconstrained=refined.unconstrained,
+        std=refined.std,
+    )
+    ranges, powers = robot.effect_ranges_, robot.powers
+    fit = Fit.of(robot, found, robot.identifiable_, fit.made)
+    robot = replace(fit.robot, effect_ranges_=ranges, powers=powers)
+    return replace(fit, robot=robot, criteria=refined.criteria)

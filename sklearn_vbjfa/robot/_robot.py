@@ -27,7 +27,6 @@ from sklearn_vbjfa.recording._recording import (
     check_clock,
     check_cutoff,
     check_dt,
-    contiguous_groups,
     take_arrays,
 )
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
@@ -492,7 +491,12 @@ class IdentifiedRobot(SimulatesTorques):
         y = torques_in_order(y, self.joint_names_)
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
-        weight = check_weight(sample_weight, y.shape)
+        clock = self.clock(t, X.shape[0])
+        known = groups, check_weight(sample_weight, y.shape), clock, signals
+        return self.residuals_of(self.recording(X, y, *known), cutoff=cutoff)
+
+    def residuals_of(self, recording, *, cutoff="fit"):
+        """Torque residuals on a `Recording`; see `RobotIdentifier.residuals`."""
         if isinstance(cutoff, str) and cutoff == "fit":
             cutoff = self.plan.cutoff
         elif cutoff is None:
@@ -500,10 +504,9 @@ class IdentifiedRobot(SimulatesTorques):
         else:
             cutoff = check_cutoff(cutoff, check_dt(self.plan.dt), "cutoff")
         lowpass = _lowpass.design(self.plan.dt or 1.0, cutoff)
-        check_length(contiguous_groups(groups, X.shape[0]), lowpass, cutoff)
-        clock = self.clock(t, X.shape[0])
-        recording = self.recording(X, y, groups, weight, clock, signals)
-        states, rest = self.query(X, groups)
+        check_length(recording.segments, lowpass, cutoff)
+        recording = self._on_clock(recording)
+        states, rest = self.query(recording.inputs, recording.groups)
         states = RecordingStates.of_rows(recording.segments, states)
 
         def compared(rest):
@@ -739,15 +742,25 @@ class IdentifiedRobot(SimulatesTorques):
 
     def ask(self, X, groups=None, t=None, weight=None, signals=None):
         """Make the `Query` of the rows of a recording."""
-        smoother = self.smoother(X, groups, in_band=True)
-        states, rest = self.smoothed(X, groups, smoother)
         clock = self.clock(t, X.shape[0])
-        return Query(
-            recording=self.recording(X, None, groups, weight, clock, signals),
-            states=states,
-            rest=rest,
-            smoother=smoother,
-        )
+        return self.ask_of(self.recording(X, None, groups, weight, clock, signals))
+
+    def ask_of(self, recording):
+        """Make the `Query` of a recording."""
+        known = recording.inputs, recording.groups
+        smoother = self.smoother(*known, in_band=True)
+        states, rest = self.smoothed(*known, smoother)
+        recording = self._on_clock(recording)
+        return Query(recording=recording, states=states, rest=rest, smoother=smoother)
+
+    def _on_clock(self, recording):
+        """Return a recording with the clock of the fit, where an effect needs one."""
+        if not self.plan.timed:
+            return recording
+        clock = self.clock(recording.t, recording.n_samples)
+        if np.array_equal(clock, recording.t):
+            return recording
+        return replace(recording, t=clock)
 
     # -- answers --------------------------------------------------------------------
 
@@ -915,9 +928,7 @@ class IdentifiedRobot(SimulatesTorques):
 
     def outside_of(self, recording):
         """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
-        t = recording.clock(stamped=True)
-        known = t, recording.weight, recording.signals
-        return self.outside(self.ask(recording.inputs, recording.groups, *known))
+        return self.outside(self.ask_of(recording))
 
 
 def _note_of_gravity(gravity):

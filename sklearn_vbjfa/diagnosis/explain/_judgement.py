@@ -22,7 +22,6 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._branches import root_joints
 from sklearn_vbjfa.model._trees import body_names
-from sklearn_vbjfa.recording import OfferedSignals
 from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
@@ -379,8 +378,7 @@ def judge(models, found, split, whole):
 
 def _residuals(model, part, **band):
     """Residuals of a model on some recorded rows."""
-    given = part.inputs, part.tau, part.groups, part.weight, part.t
-    return model.residuals(*given, signals=OfferedSignals(columns=part.signals), **band)
+    return model.robot_.residuals_of(part, **band)
 
 
 def _numbered(part, rows):

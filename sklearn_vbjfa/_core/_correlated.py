@@ -1,11 +1,12 @@
 """Regression with correlated latent inputs and known input-noise covariance.
 
-t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + e_y,
+t ~ N(0, Sigma_t),  x = t + e_x,  e_x ~ N(0, Psi),  y = beta't + b'e_x + e_y,
 e_y ~ N(0, psi_y),  beta_m ~ N(0, 1/alpha_m),  alpha_m ~ Gamma,
 
-with Psi known and the posterior q(T) q(beta) q(alpha), from n, S_xx, S_xy and S_yy at
-O(d^3) an iteration. Psi = 0 is Bayesian linear regression with automatic relevance
-determination. Tags such as [C6] are equations of the guide.
+with Psi and b known and the posterior q(T) q(beta) q(alpha), from n, S_xx, S_xy and
+S_yy at O(d^3) an iteration. Psi = 0 is Bayesian linear regression with automatic
+relevance determination; b is what noise of the inputs does to the output directly,
+b = 0 unless they have noise in common. Tags such as [C6] are equations of the guide.
 """
 
 from collections import deque
@@ -72,10 +73,13 @@ def infer_latent(S, n, psi, floor=1e-12):
 
 @dataclass(frozen=True, kw_only=True)
 class LatentSums:
-    """Sums of <tt'> (d, d) and <t> y (d,), and the data part of the bound."""
+    """Sums of <tt'> (d, d), <t> y (d,) and y^2, and the data part of the bound."""
+
+    # y: the output without its share of the noise of the inputs
 
     S_tt: np.ndarray
     S_ty: np.ndarray
+    yy: float
     bound: float
 
 
@@ -95,7 +99,7 @@ def expect_latent(moments, latent, state):
         residual = yy - 2 * beta @ xy + beta @ S @ beta
         spread = float(np.einsum("ij,ji->", state.beta_cov, S))
         value = -0.5 * (n * (LOG_2PI + np.log(s2)) + (residual + spread) / s2)  # [C12]
-        return LatentSums(S_tt=S, S_ty=xy, bound=value)
+        return LatentSums(S_tt=S, S_ty=xy, yy=yy, bound=value)
     # The uncertainty of beta acts as additional precision beta_cov / s2 on t.
     H, P, logdet = _given_beta(latent, state.beta_cov, s2)
     P_beta = P @ beta
@@ -117,7 +121,8 @@ def expect_latent(moments, latent, state):
     S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
     cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
     value = -0.5 * (n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
-    return LatentSums(S_tt=0.5 * (S_tt + S_tt.T), S_ty=S_ty, bound=float(value))
+    S_tt = 0.5 * (S_tt + S_tt.T)
+    return LatentSums(S_tt=S_tt, S_ty=S_ty, yy=yy, bound=float(value))
 
 
 # Newton steps to the joint maximum of mean and noise; it is close from the second
@@ -166,8 +171,9 @@ def noise_given_shape(squares, n, d, penalty):
     return (root - half) / penalty
 
 
-def mean_and_noise(moments, latent, G, start, alpha):
+def mean_and_noise(moments, latent, G, start, alpha, centre=0.0):
     """Best mean (d,) of beta and output noise together, q(T) at its optimum, [C16]."""
+    # centre: of the prior, a number or (d,).
     # Given G = cov / psi_y (d, d). Newton's method in (beta, log psi_y) with the
     # magnitudes of the eigenvalues, which makes each step an ascent; `start` is a mean
     # and a noise, `alpha` (d,) the precisions of the prior.
@@ -185,7 +191,7 @@ def mean_and_noise(moments, latent, G, start, alpha):
             return -np.inf
         squares = yy - 2 * mean @ k + mean @ K @ mean
         data = n * np.log(q) + squares / q
-        prior = alpha @ mean**2 + penalty * s2
+        prior = alpha @ (mean - centre) ** 2 + penalty * s2
         return -0.5 * (data + prior - d * log_noise)  # [C16]
 
     log_noise = np.log(noise)
@@ -198,7 +204,8 @@ def mean_and_noise(moments, latent, G, start, alpha):
         squares = yy - mean @ (k + r)
         on_q, on_qq = 0.5 * (squares / q - n) / q, (0.5 * n - squares / q) / q**2
         gradient = np.append(
-            on_q * w + r / q - alpha * mean, on_q * s2 + 0.5 * (d - penalty * s2)
+            on_q * w + r / q - alpha * (mean - centre),
+            on_q * s2 + 0.5 * (d - penalty * s2),
         )
         cross = np.outer(w, r) / q**2
         curvature[:d, :d] = K / q - 2 * on_q * P - on_qq * np.outer(w, w)
@@ -364,10 +371,14 @@ class CorrelatedProblem:
     # With exact inputs the square root of the moments is used if there is one: it is
     # more accurate. psi (d, d) is the input-noise covariance; ard_shape and ard_rate
     # are the Gamma prior of the precisions; `common`: one precision for all
-    # coefficients.
+    # coefficients. direct (d,): b above, or None. With y - b'x in place of y it is the
+    # same problem for beta - b, up to the prior.
 
-    def __init__(self, moments, psi, *, ard_shape, ard_rate, common):
-        self.moments, self.n = moments, moments.n
+    def __init__(self, moments, psi, *, ard_shape, ard_rate, common, direct=None):
+        self.moments, self.n, self.rest = moments, moments.n, moments
+        self.direct = np.zeros(moments.xy.size) if direct is None else direct
+        if self.direct.any():
+            self.rest = moments.less(self.direct)
         self.latent = infer_latent(moments.S, moments.n, psi)
         self.ard_shape, self.ard_rate, self.common = ard_shape, ard_rate, common
         self.d = moments.xy.shape[0]
@@ -379,11 +390,11 @@ class CorrelatedProblem:
 
     def root_of(self, sums):
         """Square root of the latent moments, made once where the inputs are exact."""
-        yy = self.moments.yy
         if not self.latent.exact:
-            return square_root(sums.S_tt, sums.S_ty, yy)
+            return square_root(sums.S_tt, sums.S_ty, sums.yy)
         if self.root is None:
-            self.root = square_root(self.moments.S, self.moments.xy, yy)
+            m = self.moments
+            self.root = square_root(m.S, m.xy, m.yy)
         return self.root
 
     def start(self, *, fast):
@@ -404,7 +415,22 @@ class CorrelatedProblem:
 
     def _observed(self):
         """Return sums with the observed inputs in place of the latent ones."""
-        return LatentSums(S_tt=self.moments.S, S_ty=self.moments.xy, bound=np.nan)
+        m = self.moments
+        return LatentSums(S_tt=m.S, S_ty=m.xy, yy=m.yy, bound=np.nan)
+
+    def _expected(self, state):
+        """E-step over T, [C21]."""
+        if not self.direct.any():
+            return expect_latent(self.moments, self.latent, state)
+        own = replace(state, beta_mean=state.beta_mean - self.direct)
+        found = expect_latent(self.rest, self.latent, own)
+        S_ty = found.S_ty + found.S_tt @ self.direct  # [C21]
+        return replace(found, S_ty=S_ty, yy=self._yy(found.S_tt, S_ty))
+
+    def _yy(self, S_tt, S_ty):
+        """Square sum of the output without its share of the inputs' noise, [C21]."""
+        b = self.direct
+        return self.rest.yy + 2 * b @ S_ty - b @ S_tt @ b
 
     def _start_from(self, alpha, s2, *, fast):
         s2 = max(s2, self.floor)
@@ -426,7 +452,7 @@ class CorrelatedProblem:
         return posterior_beta(
             sums.S_tt,
             sums.S_ty,
-            self.moments.yy,
+            sums.yy,
             s2,
             alpha,
             lambda: self.root_of(sums),
@@ -442,7 +468,10 @@ class CorrelatedProblem:
             fit = max(beta.squares - s2 * (self.d - s2 * penalty), 0.0)
             new = noise_given_shape(fit, self.n, self.d, penalty)
         else:
-            mean, new = mean_and_noise(self.moments, self.latent, G, (mean, s2), alpha)
+            start, centre = (mean - self.direct, s2), -self.direct
+            known = self.rest, self.latent, G, start, alpha, centre
+            mean, new = mean_and_noise(*known)
+            mean = mean + self.direct
         new = max(new, self.floor)
         logdet = beta.logdet + self.d * np.log(new / s2)
         return replace(beta, mean=mean, cov=G * new, logdet=logdet), new
@@ -483,7 +512,7 @@ class CorrelatedProblem:
         """E-step over T, and the bound."""
         # logdet: of the covariance of beta, which was taken under `precisions` (d,);
         # spread: tr(cov S) / psi_y with exact inputs.
-        sums = expect_latent(self.moments, self.latent, state)
+        sums = self._expected(state)
         if self.given:
             # The squared residual of the factor instead of a difference of moments,
             # and the identity tr(cov S) = s2 (d - alpha'diag(cov)), in which the huge
@@ -536,10 +565,9 @@ class CorrelatedProblem:
         )
         sums = point.sums
         if not self.latent.exact:
-            S_tt = vector[d + 1 : d + 1 + d * d].reshape(d, d)
-            sums = replace(
-                sums, S_tt=self.n * S_tt, S_ty=self.n * vector[d + 1 + d * d :]
-            )
+            S_tt = self.n * vector[d + 1 : d + 1 + d * d].reshape(d, d)
+            S_ty = self.n * vector[d + 1 + d * d :]
+            sums = replace(sums, S_tt=S_tt, S_ty=S_ty, yy=self._yy(S_tt, S_ty))
         return replace(point, state=state, sums=sums)
 
 
@@ -639,6 +667,12 @@ class CorrelatedSolution(Solution):
     """Result of the iteration, with the latent inputs of the model."""
 
     latent: Latent
+    direct: np.ndarray  # (d,): what noise of the inputs does to the output directly
+
+    @property
+    def beyond(self):
+        """Coefficients (d,) of the output without that."""
+        return self.state.beta_mean - self.direct
 
 
 def solve_correlated(
@@ -651,8 +685,10 @@ def solve_correlated(
     tol,
     common=False,
     accelerate=True,
+    cross=None,
 ):
     """Fit the model to standardised moments, with the input noise psi (d, d)."""
+    # cross (d,): covariance of the noise of the inputs with that of the output.
     # accelerate: joint maximisation over blocks that the plain iteration updates in
     # turn (if the moments have a square root, or S exceeds rounding by half of the
     # digits in all directions) and Anderson extrapolation; a step that does not raise
@@ -660,7 +696,12 @@ def solve_correlated(
     # squares is checked at the end; if it is higher, the iteration continues from
     # there.
     problem = CorrelatedProblem(
-        moments, psi, ard_shape=ard_shape, ard_rate=ard_rate, common=common
+        moments,
+        psi,
+        ard_shape=ard_shape,
+        ard_rate=ard_rate,
+        common=common,
+        direct=None if cross is None else direct_share(psi, cross),
     )
     more = moments.n > problem.d  # samples than inputs
     joint = accelerate and (moments.root is not None or (more and _has_digits(moments)))
@@ -670,7 +711,8 @@ def solve_correlated(
         if accelerate:
             steps = FixedPointSteps(problem, tol, joint=joint)
         found = climb(steps, point, most)
-        return CorrelatedSolution(latent=problem.latent, **vars(found))
+        known = {"latent": problem.latent, "direct": problem.direct}
+        return CorrelatedSolution(**known, **vars(found))
 
     if accelerate and problem.latent.exact and common and not more:
         return _highest_of_two(problem, up, max_iter, fast=joint)
@@ -683,6 +725,11 @@ def solve_correlated(
         found = up(other, max_iter - used)
         return replace(found, n_iter=used + found.n_iter - 1)
     return replace(found, n_iter=used)
+
+
+def direct_share(psi, cross):
+    """Coefficients (d,) of the inputs' noise in the output, psi b = cross."""
+    return scaled_eigen(psi, ROUNDING * cross.size).solve(cross)
 
 
 def _has_digits(moments):
@@ -714,7 +761,7 @@ def posterior_covariance(n, psi, solution, dof=np.inf):
     state = solution.state
     if solution.latent.exact:
         return state.beta_cov
-    beta = state.beta_mean
+    beta = solution.beyond
     v = state.psi_y + beta @ psi @ beta
     prior = np.sqrt(v * state.E_alpha / n)
     root = 1.0 / prior
@@ -726,8 +773,10 @@ def posterior_covariance(n, psi, solution, dof=np.inf):
     G_inv = half.T @ half
     psi_beta = psi @ beta
     middle = v * psi + np.outer(psi_beta, psi_beta)
-    # Wishart: the covariance of psi beta for an estimated psi, times dof.
-    estimated = (beta @ psi_beta) * psi + np.outer(psi_beta, psi_beta)
+    # Wishart: the covariance of psi beta for an estimated psi, times dof. An estimated
+    # covariance with the noise of the output adds that noise.
+    noise = v if solution.direct.any() else beta @ psi_beta
+    estimated = noise * psi + np.outer(psi_beta, psi_beta)
     cov = (v * G_inv + G_inv @ middle @ G_inv) / n
     cov += G_inv @ estimated @ G_inv / dof  # [C17]
     return 0.5 * (cov + cov.T)

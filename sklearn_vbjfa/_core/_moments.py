@@ -266,6 +266,14 @@ class SecondMoments:
         left = self.root.z - self.root.R @ c
         return self.root.R.T @ left, float(left @ left) + self.root.rest
 
+    def less(self, c):
+        """Moments with y - c'x in place of y."""
+        xy, yy = self.residual(c)
+        root = self.root
+        if root is not None:
+            root = replace(root, z=root.z - root.R @ c)
+        return replace(self, xy=xy, yy=yy, root=root)
+
     def columns(self, chosen):
         """Moments of some inputs, and of y."""
         root = self.root

@@ -6,7 +6,7 @@ user's units. The independent-latent model, which both estimators have, is fitte
 """
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral, Real
 
 import numpy as np
@@ -14,6 +14,7 @@ from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa._core import _moments, _solver, _updates
+from sklearn_vbjfa._core._correlated import direct_share
 from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
@@ -23,6 +24,8 @@ from sklearn_vbjfa._core._updates import (
 )
 from sklearn_vbjfa.regression._base import BaseRegressor, Interval, StrOptions
 
+# A covariance lies outside of the noise's own span by more than this share: rounding.
+_OF_RANGE = 1e-6
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256
 
@@ -32,6 +35,7 @@ class BaseJointFactorRegressor(BaseRegressor):
 
     _parameter_constraints: dict = {  # noqa: RUF012
         "input_noise": [None, Real, "array-like"],
+        "input_output_noise": [None, "array-like"],
         "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
         "fit_intercept": ["boolean"],
         "query": [StrOptions({"noiseless", "noisy"})],
@@ -130,10 +134,14 @@ class BaseJointFactorRegressor(BaseRegressor):
         names = getattr(self, "feature_names_in_", None)
         return range(self.n_features_in_) if names is None else names
 
-    def _fit_independent(self, data, prior, initial_noise):
+    def _fit_independent(self, data, prior, initial_noise, direct=None):
         """Fit the independent-latent model and set what it determines."""
+        # direct: what noise of the inputs does to y directly, coefficients (n_active,).
         if data.is_degenerate:
             return self._fit_constant(data)
+        direct = np.zeros(data.x_scale.size) if direct is None else direct
+        if direct.any():
+            data = replace(data, moments=data.moments.less(direct))
         result = fit_independent(
             data,
             prior,
@@ -145,7 +153,12 @@ class BaseJointFactorRegressor(BaseRegressor):
         state = result.solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()
         self._set_loop_attributes(result.solution, data, units)
-        self._set_linear_models(result.noisy, result.noiseless, data)
+        noisy, noiseless = (
+            replace(one, coef=one.coef + direct)
+            for one in (result.noisy, result.noiseless)
+        )
+        noise = noiseless.noise + float(state.psi_x @ direct**2)
+        self._set_linear_models(noisy, replace(noiseless, noise=noise), data)
         x2, y2 = data.x_scale**2, data.y_scale**2
         self.input_noise_ = data.expand(state.psi_x * x2)
         self.psi_y_ = state.psi_y * y2
@@ -347,6 +360,47 @@ def resolve_input_noise(input_noise, n_features):
     )
 
 
+def standard_noise(noise, data):
+    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
+    if noise is None:
+        return None
+    if np.ndim(noise) == 0:
+        return noise * np.eye(data.x_scale.size)
+    full = np.diag(noise) if np.ndim(noise) == 1 else noise
+    unit = np.outer(data.x_scale, data.x_scale)
+    return full[np.ix_(data.active, data.active)] / unit
+
+
+def resolve_cross_noise(cross, noise, data):
+    """Validate a covariance of the noise of inputs and output; standardised (d,)."""
+    if cross is None:
+        return None
+    value = np.asarray(cross, dtype=float)
+    d = data.active.size
+    if value.shape != (d,) or not np.isfinite(value).all():
+        raise ValueError(
+            f"input_output_noise must hold {d} finite covariances, one for each "
+            f"input; got an array of shape {value.shape}"
+            f"{'' if value.shape != (d,) else ' that is not finite'}."
+        )
+    if noise is None:
+        raise ValueError(
+            "input_output_noise needs the noise of the inputs as well: give "
+            "input_noise as variances or a covariance."
+        )
+    psi = standard_noise(noise, data)
+    own = value[data.active] / (data.x_scale * (data.y_scale or 1.0))
+    off = np.abs(psi @ direct_share(psi, own) - own)
+    bad = np.flatnonzero(off > _OF_RANGE * np.abs(own).max(initial=0.0))
+    if bad.size:
+        raise ValueError(
+            "input_output_noise must be a covariance with noise that the inputs have; "
+            f"for input {np.flatnonzero(data.active)[bad[0]]} input_noise says that "
+            "there is none. Give its variance in input_noise, or zero here."
+        )
+    return own
+
+
 def noise_shares(noise, data, names):
     """Shares (n_active,) of the inputs' variances that are noise, None if unknown."""
     # A share of 1 marks an input that holds no signal beyond its noise; the user is
@@ -489,6 +543,13 @@ class JFARegressor(BaseJointFactorRegressor):
     input_noise : float or array-like of shape (n_features,), default=None
         What is known of the input noise: its share of each input's variance, in
         [0, 1), or its variances [unit of X_j squared]. ``None`` estimates it.
+    input_output_noise : array-like of shape (n_features,), default=None
+        Covariance of the noise of each input with the noise of y [unit of X_j times
+        unit of y], for an `input_noise` that is known; see `VBJFARegressor`. The
+        loadings, `psi_y_` and `psi_z_` are then those of y without what the noise of
+        the inputs does to it directly.
+
+        .. versionadded:: 0.2
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start of EM; not used
         when `input_noise` is given. See Notes: where it ends means nothing.
@@ -608,6 +669,7 @@ class JFARegressor(BaseJointFactorRegressor):
         self,
         *,
         input_noise=None,
+        input_output_noise=None,
         initial_input_noise=0.3,
         fit_intercept=True,
         query="noisy",
@@ -617,6 +679,7 @@ class JFARegressor(BaseJointFactorRegressor):
         forgetting=1.0,
     ):
         self.input_noise = input_noise
+        self.input_output_noise = input_output_noise
         self.initial_input_noise = initial_input_noise
         self.fit_intercept = fit_intercept
         self.query = query
@@ -628,5 +691,9 @@ class JFARegressor(BaseJointFactorRegressor):
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
         fixed = noise_shares(noise, data, self._feature_labels())
-        self._fit_independent(data, Prior(psi_x_fixed=fixed), self.initial_input_noise)
-        return self
+        direct = None
+        if self.input_output_noise is not None:
+            cross = resolve_cross_noise(self.input_output_noise, noise, data)
+            direct = direct_share(np.diag(fixed), cross)
+        prior = Prior(psi_x_fixed=fixed)
+        return self._fit_independent(data, prior, self.initial_input_noise, direct)

@@ -23,7 +23,9 @@ from sklearn_vbjfa.regression._base import Interval, StrOptions
 from sklearn_vbjfa.regression._joint_factor import (
     BaseJointFactorRegressor,
     noise_shares,
+    resolve_cross_noise,
     resolve_input_noise,
+    standard_noise,
 )
 
 # An input is relevant when its coefficient is more than this many posterior standard
@@ -86,6 +88,13 @@ class VBJFARegressor(BaseJointFactorRegressor):
         [0, 1), its variances, shape (n_features,) [unit of X_j squared], or
         (correlated latents) its covariance, shape (n_features, n_features), or what
         `replicate_noise` returns. ``None``: unknown, see Notes.
+    input_output_noise : array-like of shape (n_features,), default=None
+        Covariance of the noise of each input with the noise of y [unit of X_j times
+        unit of y], for correlated latents and an `input_noise` that is known: an output
+        that was computed from the same noisy readings, such as the torque of a position
+        controller. None is zero.
+
+        .. versionadded:: 0.2
     initial_input_noise : float, default=0.3
         Share of each input's variance that is noise at the start; not used when
         `input_noise` is given.
@@ -271,6 +280,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         selection="auto",
         prior="noise",
         input_noise=None,
+        input_output_noise=None,
         initial_input_noise=0.3,
         ard_shape=1e-6,
         ard_rate=1e-6,
@@ -285,6 +295,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.selection = selection
         self.prior = prior
         self.input_noise = input_noise
+        self.input_output_noise = input_output_noise
         self.initial_input_noise = initial_input_noise
         self.ard_shape = ard_shape
         self.ard_rate = ard_rate
@@ -302,6 +313,11 @@ class VBJFARegressor(BaseJointFactorRegressor):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
         if self._resolve_latent(data) == "correlated":
             return self._fit_correlated(data, noise)
+        if self.input_output_noise is not None:
+            raise ValueError(
+                "input_output_noise needs correlated latents: set "
+                'latent="correlated", or leave it out.'
+            )
         fixed = noise_shares(noise, data, self._feature_labels())
         weight = 0.0
         if self.prior == "noise" and fixed is None:
@@ -342,6 +358,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]
+        cross = resolve_cross_noise(self.input_output_noise, noise, data)
         if data.is_degenerate:
             self._fit_constant(data)
             self.input_noise_ = np.zeros((d, d))
@@ -362,6 +379,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             self._feature_labels(),
             solve,
             select=self._resolve_selection(noise, data),
+            cross=cross,
             dof=getattr(self.input_noise, "dof", np.inf),
         )
         y2 = data.y_scale**2
@@ -405,19 +423,21 @@ def largest_noise_fraction(R, r):
     return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
 
 
-def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
+def fit_correlated(data, noise, labels, solve, *, select, cross=None, dof=np.inf):
     """Fit the model to standardised data and its moments as a scatter matrix."""
     # noise: the user's, validated; None estimates it, `dof` are the degrees of freedom
-    # with which it was. select, for noiseless queries: reduce exactly dependent inputs
-    # to their generators and fit only relevant ones, with one precision in common;
-    # noisy queries are then answered by all inputs as they are, see `_average`.
+    # with which it was; cross (d,): its covariance with that of y. select, for
+    # noiseless queries: reduce exactly dependent inputs to their generators and fit
+    # only relevant ones, with one precision in common; noisy queries are then answered
+    # by all inputs as they are, see `_average`.
     m = data.moments
     d = m.xx.size
-    psi = _standard_noise(noise, data)
+    psi = standard_noise(noise, data)
     if psi is not None:
         _warn_excess(m.S / m.n, psi, data, labels)
     if not select:
-        return _fit_all(m, np.zeros((d, d)) if psi is None else psi, solve, dof)
+        known = np.zeros((d, d)) if psi is None else psi
+        return _fit_all(m, known, partial(solve, cross=cross), solve, dof)
     R, r = m.S / m.n, m.xy / m.n
     as_they_are = solve(m, np.zeros((d, d)))
     found = find_dependencies(R)
@@ -428,7 +448,13 @@ def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
     if not given:
         psi = np.zeros((d, d))
         psi[at, at] = 0.5 * largest_noise_fraction(R[np.ix_(at, at)], r[at])
-    solution = solve(m.columns(at), psi[np.ix_(at, at)], common=True)
+    if cross is None:
+        cross = np.zeros(d)
+
+    def solve_of(chosen, psi):
+        return solve(m.columns(chosen), psi, common=True, cross=cross[chosen])
+
+    solution = solve_of(at, psi[np.ix_(at, at)])
     coef = np.zeros(basis.size)
     coef[kept] = solution.state.beta_mean
     # The inputs that were switched off belong to what is not known.
@@ -438,14 +464,13 @@ def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
     else:
         ends = [f * np.eye(basis.size) for f in _admissible_ends(of_basis)]
     cov = sum(
-        _uncertainty(of_basis, end, coef, solve(of_basis, end, common=True), dof)
-        for end in ends
+        _uncertainty(of_basis, end, coef, solve_of(basis, end), dof) for end in ends
     ) / len(ends)  # [C20]
     spread = _spread(R, basis, found.copies)
     relevant = np.zeros(d, dtype=bool)
     relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
     noisy = _average(m, as_they_are, solve)
-    noise = solution.state.psi_y
+    noise = _output_noise(psi[np.ix_(at, at)], solution)
     return CorrelatedFit(
         noisy=noisy,
         noiseless=LinearModel(
@@ -464,16 +489,19 @@ def fit_correlated(data, noise, labels, solve, *, select, dof=np.inf):
     )
 
 
-def _fit_all(m, psi, solve, dof=np.inf):
+def _fit_all(m, psi, solve, as_exact, dof=np.inf):
     """Fit all inputs with a known noise covariance (d, d), for both queries."""
+    # solve, as_exact: with and without noise that inputs and output have in common
     solution = solve(m, psi)
     state, latent = solution.state, solution.latent
     in_common = _in_common(m, psi, solution, solve)
     cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
-    noiseless = LinearModel(coef=state.beta_mean, cov=cov, noise=state.psi_y)
+    noiseless = LinearModel(
+        coef=state.beta_mean, cov=cov, noise=_output_noise(psi, solution)
+    )
     noisy = noiseless
     if not latent.exact:
-        noisy = _noisy_model(m, solution, solve)
+        noisy = _noisy_model(m, solution, as_exact)
     variance = np.diagonal(posterior_covariance(m.n, psi, solution, dof))
     return CorrelatedFit(
         noisy=noisy,
@@ -506,10 +534,11 @@ def _uncertainty(m, psi, coef, in_common, dof=np.inf):
 
 def _noisy_model(m, solution, solve):
     """Model of y given noisy inputs: c = H'beta, its variance v and uncertainty."""
-    # v is psi_y + beta'P beta. That of c is what a regression on the inputs as they are
+    # v is psi_y + beta'P beta, less what noise of the inputs does to y directly. That
+    # of c is what a regression on the inputs as they are
     # leaves open, see `_uncertainty`.
-    beta, latent = solution.state.beta_mean, solution.latent
-    coef = latent.H.T @ beta  # [C5]
+    beta, latent = solution.beyond, solution.latent
+    coef = latent.H.T @ beta + solution.direct  # [C5]
     exact = np.zeros_like(m.S)
     in_common = solve(m, exact, common=True)
     return LinearModel(
@@ -517,6 +546,12 @@ def _noisy_model(m, solution, solve):
         cov=_uncertainty(m, exact, coef, in_common),
         noise=solution.state.psi_y + beta @ latent.P @ beta,  # [C5]
     )
+
+
+def _output_noise(psi, solution):
+    """Variance of y given noiseless inputs."""
+    b = solution.direct
+    return solution.state.psi_y + float(b @ psi @ b)
 
 
 def _square(x):
@@ -549,17 +584,6 @@ def _average(m, solution, solve):
         cov=_uncertainty(m, exact, coef, other),
         noise=0.5 * sum(state.psi_y for state in both),
     )
-
-
-def _standard_noise(noise, data):
-    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
-    if noise is None:
-        return None
-    if np.ndim(noise) == 0:
-        return noise * np.eye(data.x_scale.size)
-    full = np.diag(noise) if np.ndim(noise) == 1 else noise
-    unit = np.outer(data.x_scale, data.x_scale)
-    return full[np.ix_(data.active, data.active)] / unit
 
 
 def _warn_excess(R, psi, data, labels):

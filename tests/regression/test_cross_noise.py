@@ -1,0 +1,216 @@
+"""Noise that inputs and output have in common, against a transcription row by row."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import linalg
+
+from sklearn_vbjfa import JFARegressor, VBJFARegressor
+
+SHAPE = RATE = 1e-6
+
+
+def problem(n=60, seed=0, size=0.6):
+    """Rows with noise of inputs and output from one joint covariance."""
+    rng = np.random.default_rng(seed)
+    d = 3
+    root = rng.normal(size=(d + 1, d + 1))
+    noise = size**2 * root @ root.T / (d + 1)
+    t = rng.normal(size=(n, d)) @ np.array([[2, 0.5, 0], [0, 1.5, 0.3], [0, 0, 1.0]])
+    e = rng.multivariate_normal(np.zeros(d + 1), noise, size=n)
+    X, y = t + e[:, :d], t @ [1.0, -2.0, 0.5] + e[:, d]
+    return X, y, noise[:d, :d], noise[:d, d]
+
+
+def latents(X, y, psi, cross, beta, C, noise):
+    """Moments of each row's latent, from the joint noise of inputs and output."""
+    n, d = X.shape
+    values, vectors = linalg.eigh(X.T @ X / n - psi)
+    sigma = (vectors * np.maximum(values, 0)) @ vectors.T
+    share = linalg.solve(psi, cross)
+    joint = np.zeros((d + 1, d + 1))
+    joint[:d, :d], joint[:d, d], joint[d, :d] = psi, cross, cross
+    joint[d, d] = noise + cross @ share
+    W, M = linalg.inv(joint), np.vstack([np.eye(d), beta])
+    # The precision of the output given the inputs' noise weighs what is not known of
+    # beta.
+    P = linalg.inv(linalg.inv(sigma) + M.T @ W @ M + C / noise)
+    # y less its share of the noise of the inputs, x - t, beside t.
+    mu = [P @ M.T @ W @ np.append(*row) for row in zip(X, y)]
+    return P, [(out - share @ (x - m), m) for x, out, m in zip(X, y, mu)], share
+
+
+def literal(X, y, psi, cross, n_iter):
+    """Mean of beta and the output noise by plain updates, row by row."""
+    n, d = X.shape
+    noise, shape = float(y @ y) / n, SHAPE + 0.5
+    alpha = np.ones(d)
+    # The first step takes the inputs for the latents, as the package does.
+    C = linalg.inv(X.T @ X / noise + np.diag(alpha))
+    beta = C @ X.T @ y / noise
+    for _ in range(n_iter - 1):
+        P, rows, share = latents(X, y, psi, cross, beta, C, noise)
+        S = sum(np.outer(m, m) + P for _, m in rows)
+        right = sum(m * out + P @ share for out, m in rows)
+        C = linalg.inv(S / noise + np.diag(alpha))
+        beta = C @ right / noise
+        left = share - beta
+        squares = sum((out - beta @ m) ** 2 + left @ P @ left for out, m in rows)
+        noise = (squares + np.trace(C @ S)) / n
+        alpha = shape / (RATE + 0.5 * (beta**2 + np.diagonal(C)))
+    return beta, noise + cross @ linalg.solve(psi, cross)
+
+
+def model(**settings):
+    """Plain updates on data in their own units, all inputs."""
+    known = {"latent": "correlated", "query": "noiseless", "selection": False}
+    known |= {"fit_intercept": False, "ard_shape": SHAPE, "ard_rate": RATE}
+    return VBJFARegressor(**known | settings)
+
+
+def standard(X, y, psi, cross):
+    """Return the same problem with unit mean squares of all columns."""
+    x, s = np.sqrt((X**2).mean(axis=0)), np.sqrt((y**2).mean())
+    return X / x, y / s, psi / np.outer(x, x), cross / (x * s)
+
+
+@pytest.mark.parametrize("n_iter", [1, 2, 5, 40])
+def test_plain_updates_are_those_of_joint_noise_row_by_row(n_iter):
+    """Sums over rows and rows one by one give the same posterior, step by step."""
+    X, y, psi, cross = standard(*problem())
+    beta, output = literal(X, y, psi, cross, n_iter)
+    with pytest.warns(UserWarning, match="stopped after max_iter"):
+        found = model(
+            input_noise=psi,
+            input_output_noise=cross,
+            solver="plain",
+            max_iter=n_iter,
+            tol=0.0,
+        ).fit(X, y)
+    assert_allclose(found.coef_noiseless_, beta, rtol=1e-9)
+    assert_allclose(found.output_noise_, output, rtol=1e-9)
+
+
+def test_both_solvers_end_at_the_same_posterior():
+    """The accelerated end is a fixed point of the updates row by row."""
+    X, y, psi, cross = standard(*problem())
+    known = {"input_noise": psi, "input_output_noise": cross}
+    found = model(**known).fit(X, y)
+    beta, output = literal(X, y, psi, cross, 3000)
+    assert_allclose(found.coef_noiseless_, beta, rtol=1e-6)
+    assert_allclose(found.output_noise_, output, rtol=1e-6)
+    assert np.diff(found.elbo_history_).min() >= -1e-9
+
+
+def test_many_rows_give_the_corrected_moments():
+    """With hardly any prior beta solves (S - n Psi) beta = s - n cross."""
+    X, y, psi, cross = problem(n=20000, size=0.4)
+    found = model(input_noise=psi, input_output_noise=cross).fit(X, y)
+    n = len(y)
+    exact = linalg.solve(X.T @ X - n * psi, X.T @ y - n * cross)
+    assert_allclose(found.coef_noiseless_, exact, rtol=1e-3)
+    assert_allclose(found.coef_noiseless_, [1.0, -2.0, 0.5], atol=0.05)
+    noisy = linalg.solve(X.T @ X, X.T @ y)
+    assert_allclose(found.coef_noisy_, noisy, rtol=1e-3)
+    plain = model(input_noise=psi).fit(X, y)
+    assert np.abs(plain.coef_noiseless_ - [1.0, -2.0, 0.5]).max() > 0.1
+
+
+def test_intervals_hold_the_truth():
+    """Deviations of the corrected coefficients are those of their scatter."""
+    inside, truth = [], np.array([1.0, -2.0, 0.5])
+    for seed in range(200):
+        X, y, psi, cross = problem(n=400, seed=seed, size=0.4)
+        rng = np.random.default_rng(5000 + seed)
+        # One robot, other noise: the covariance itself is that of the first seed.
+        X, y = redrawn(rng, psi, cross, 400)
+        found = model(input_noise=psi, input_output_noise=cross).fit(X, y)
+        inside.append(np.abs(found.coef_ - truth) < 1.645 * found.coef_std_)
+    share = np.mean(inside)
+    assert 0.86 < share < 0.94
+
+
+def redrawn(rng, psi, cross, n):
+    """Rows with another draw of latents and noise."""
+    joint = np.zeros((4, 4))
+    joint[:3, :3], joint[:3, 3], joint[3, :3] = psi, cross, cross
+    joint[3, 3] = cross @ linalg.solve(psi, cross) + 0.01
+    t = rng.normal(size=(n, 3)) @ np.array([[2, 0.5, 0], [0, 1.5, 0.3], [0, 0, 1.0]])
+    e = rng.multivariate_normal(np.zeros(4), joint, size=n)
+    return t + e[:, :3], t @ [1.0, -2.0, 0.5] + e[:, 3]
+
+
+def test_units_and_the_order_of_columns_do_not_matter():
+    """Scaled and permuted columns give scaled and permuted coefficients."""
+    X, y, psi, cross = problem(n=200)
+    found = model(input_noise=psi, input_output_noise=cross).fit(X, y)
+    unit, order = np.array([1e3, 1e-2, 5.0]), [2, 0, 1]
+    other = model(
+        input_noise=(psi * np.outer(unit, unit))[np.ix_(order, order)],
+        input_output_noise=(7.0 * cross * unit)[order],
+    ).fit((X * unit)[:, order], 7.0 * y)
+    assert_allclose(other.coef_, (7.0 * found.coef_ / unit)[order], rtol=1e-7)
+    assert_allclose(other.output_noise_, 49.0 * found.output_noise_, rtol=1e-7)
+
+
+def test_zero_is_no_noise_in_common():
+    """A covariance of zero is none at all, with and without a selection of inputs."""
+    X, y, psi, _ = problem()
+    for selection in (False, True):
+        known = {"input_noise": psi, "selection": selection}
+        plain = model(**known).fit(X, y)
+        zero = model(**known, input_output_noise=np.zeros(3)).fit(X, y)
+        assert_allclose(zero.coef_, plain.coef_, rtol=1e-12)
+
+
+def test_relevant_inputs_are_found_beside_noise_in_common():
+    """An input that only shares its noise with the output is left out."""
+    rng = np.random.default_rng(3)
+    t = rng.normal(size=(4000, 2))
+    e = 0.5 * rng.normal(size=4000)
+    X = t.copy()
+    X[:, 1] += e
+    y = 2.0 * t[:, 0] + 0.8 * e + 0.1 * rng.normal(size=4000)
+    known = {"input_noise": [0.0, 0.25], "input_output_noise": [0.0, 0.8 * 0.25]}
+    found = model(**known).fit(X, y)
+    assert_allclose(found.coef_, [2.0, 0.0], atol=0.02)
+    without = model(input_noise=[0.0, 0.25]).fit(X, y)
+    assert abs(without.coef_[1]) > 0.1
+
+
+def test_em_with_noise_in_common():
+    """Independent latents: the closed form of a single input, and units."""
+    rng = np.random.default_rng(1)
+    t, e = rng.normal(size=5000), 0.5 * rng.normal(size=5000)
+    x, y = t + e, 2.0 * t + 0.8 * e + 0.1 * rng.normal(size=5000)
+    known = {"fit_intercept": False, "query": "noiseless"}
+    found = JFARegressor(input_noise=[0.25], input_output_noise=[0.2], **known)
+    found.fit(x[:, None], y)
+    exact = (x @ y - 5000 * 0.2) / (x @ x - 5000 * 0.25)
+    assert_allclose(found.coef_, exact, rtol=1e-6)
+    assert_allclose(found.coef_noisy_, (x @ y) / (x @ x), rtol=1e-6)
+    # y given t has the noise 0.8 e and its own
+    assert_allclose(found.output_noise_, 0.8**2 * 0.25 + 0.01, rtol=0.05)
+    other = JFARegressor(input_noise=[2500.0], input_output_noise=[140.0], **known)
+    other.fit(100 * x[:, None], 7 * y)
+    assert_allclose(other.coef_, 0.07 * found.coef_, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("settings", "text"),
+    [
+        ({"input_output_noise": [0.1, 0.1]}, "must hold 3 finite covariances"),
+        ({"input_output_noise": [0.1, np.nan, 0.1]}, "not finite"),
+        ({"input_noise": None}, "needs the noise of the inputs as well"),
+        ({"input_noise": [0.1, 0.0, 0.1]}, "for input 1 input_noise says that there"),
+        ({"latent": "independent"}, 'set latent="correlated"'),
+    ],
+)
+def test_what_does_not_fit_is_refused(settings, text):
+    """Covariances of another size, and with noise that is not there."""
+    X, y, psi, cross = problem()
+    known = {"input_noise": psi, "input_output_noise": cross} | settings
+    if known.get("latent") == "independent":
+        known["input_noise"] = np.diagonal(psi)
+    with pytest.raises(ValueError, match=text):
+        model(**known).fit(X, y)

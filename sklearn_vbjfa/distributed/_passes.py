@@ -8,6 +8,7 @@ files again, so that no worker holds more than the recordings that it is working
 
 import functools
 import operator
+import warnings
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
@@ -17,14 +18,24 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._moments import from_data
-from sklearn_vbjfa.recording import check_dt, levels, read_recording
+from sklearn_vbjfa.diagnosis import EffectDiscovery
+from sklearn_vbjfa.model import joint_names, load_model
+from sklearn_vbjfa.physical import one_blas_thread
+from sklearn_vbjfa.recording import (
+    OfferedSignals,
+    check_dt,
+    levels,
+    read_recording,
+)
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
     check_sample_weight,
     fit_moments,
 )
 from sklearn_vbjfa.robot._equations import accumulate, segments
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot._parallel import run_elsewhere
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
     make_plan,
@@ -47,16 +58,16 @@ _DT_TOLERANCE = 0.002
 _FAN_IN = 8
 
 
-def fit_recordings(identifier, source):
-    """Identify a robot from recordings in files, with Dask.
+def fit_recordings(estimator, source):
+    """Identify a robot, or close the loop, from recordings in files, with Dask.
 
-    The result is that of `RobotIdentifier.fit` on all recordings in memory, one group
+    The result is that of the estimator's `fit` on all recordings in memory, one group
     each, in the order of the files' names, up to rounding.
 
     Parameters
     ----------
-    identifier : RobotIdentifier
-        Identifier with `dt`; it is fitted in place.
+    estimator : RobotIdentifier or EffectDiscovery
+        Identifier with `dt`, or a loop around one; it is fitted in place.
     source : str, os.PathLike or sequence of those
         Folder with CSV, npz or parquet files as `read_recording` reads them, or a list
         of files, under paths that the workers can read. Each file holds one recording,
@@ -64,8 +75,8 @@ def fit_recordings(identifier, source):
 
     Returns
     -------
-    identifier : RobotIdentifier
-        The fitted identifier.
+    estimator : RobotIdentifier or EffectDiscovery
+        The fitted estimator.
 
     Raises
     ------
@@ -75,14 +86,20 @@ def fit_recordings(identifier, source):
         If the folder holds no recording.
     ValueError
         If a file cannot be read or has another sample period or number of joints, or
-        if settings need more than second moments (effects, `period`, `block_noise`,
-        other regressors).
+        if settings of an identifier need more than second moments (effects, `period`,
+        `block_noise`, other regressors).
 
     Notes
     -----
     The computation runs where Dask is configured to: on the cluster of the current
     `distributed.Client`, otherwise in threads. A task returns its own sums and changes
     nothing else, so that one lost with its worker is run again and counts once.
+
+    An identifier is fitted to sums, and no process holds more than the files that it is
+    working on. `EffectDiscovery` looks at the motion itself: the workers read the
+    files, smooth the positions and form the moments of all its fits, and this process
+    holds the positions and torques of all files, and searches. Other columns of the
+    files are signals that effects may vary with, as far as all files have them.
 
     Examples
     --------
@@ -104,13 +121,20 @@ def fit_recordings(identifier, source):
     """
     dask = _import_dask()
     files = _files(source)
+    if isinstance(estimator, EffectDiscovery):
+        return _close_loop(estimator, files, dask)
+    identifier = estimator
+    if not isinstance(identifier, RobotIdentifier):
+        raise TypeError(
+            "estimator must be a RobotIdentifier or an EffectDiscovery; got "
+            f"{type(identifier).__name__}."
+        )
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
     identifier.load()
     _check_settings(identifier)
-    urdf = identifier.model if isinstance(identifier.model, (str, PathLike)) else None
     names = identifier.joint_names_
-    load = partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
+    load = _loader(identifier, names)
 
     def sums(function, merge, *arguments):
         """Run a pass over the files; its other arguments are sent once."""
@@ -145,6 +169,52 @@ def fit_recordings(identifier, source):
         _moments, _add, plan, identifier.features_, halves, numbering, numbers
     )
     return identifier.fit_moments(plan, moments, partial(sums, _noise, operator.add))
+
+
+def _loader(identifier, names):
+    """Return the function with which workers read a file."""
+    urdf = identifier.model if isinstance(identifier.model, (str, PathLike)) else None
+    dt = check_dt(identifier.dt)
+    return partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
+
+
+def _close_loop(discovery, files, dask):
+    """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
+    names = joint_names(load_model(discovery.identifier.model))
+    load = dask.delayed(_loader(discovery.identifier, names), pure=False)
+    parts = dask.compute(*[load(file) for file in files])
+    labels, count = [], 0
+    for one in parts:
+        labels.append(count + np.asarray(one.groups))
+        count += len(one.segments)
+    q, tau, groups = (
+        np.concatenate(x)
+        for x in ([p.q for p in parts], [p.tau for p in parts], labels)
+    )
+    signals = {
+        name: np.concatenate([p.signals[name] for p in parts])
+        for name, values in parts[0].signals.items()
+        if values.ndim == 1 and all(name in p.signals for p in parts)
+    }
+    offered = OfferedSignals(columns=signals)
+    with run_elsewhere(partial(_on_workers, dask)):
+        return discovery.fit(q, tau, groups, signals=offered)
+
+
+def _on_workers(dask, function, tasks):
+    """Results of ``function(*task)`` for each task, wherever Dask computes."""
+    # Arguments go with the task, so that one lost with its worker can be run again:
+    # data that are sent ahead of it would be lost as well.
+    task = dask.delayed(_alone, pure=False, traverse=False)
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", message="Sending large graph")
+        return dask.compute(*[task(function, *one) for one in tasks], traverse=False)
+
+
+def _alone(function, *arguments):
+    """Call a function with one thread of the linear algebra."""
+    with one_blas_thread():
+        return function(*arguments)
 
 
 def _files(source):

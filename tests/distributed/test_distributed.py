@@ -15,13 +15,16 @@ pytest.importorskip("distributed")
 import dask.array as da
 import distributed
 
-from sklearn_vbjfa import JFARegressor, RobotIdentifier, VBJFARegressor
+from sklearn_vbjfa import (
+    EffectDiscovery,
+    JFARegressor,
+    RobotIdentifier,
+    VBJFARegressor,
+)
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import _passes as passes
-from sklearn_vbjfa.distributed import (
-    fit_array,
-    fit_recordings,
-)
+from sklearn_vbjfa.distributed import fit_array, fit_recordings
+from sklearn_vbjfa.robot import _plan as plans
 
 FITTED = (
     "cutoff_",
@@ -138,8 +141,8 @@ def test_a_list_of_files_in_any_order(recording, folder):
 def dying(function, marker):
     """Let the process that is first to finish a task die before it can tell."""
 
-    def run(*arguments):
-        result = function(*arguments)
+    def run(*arguments, **named):
+        result = function(*arguments, **named)
         try:
             marker.touch(exist_ok=False)
         except FileExistsError:
@@ -162,6 +165,61 @@ def test_a_worker_that_dies_changes_nothing(
     # the nanny has put another process in its place, at another address
     cluster.wait_for_workers(2, timeout=600)
     assert set(cluster.scheduler_info()["workers"]) != workers
+
+
+# -- the loop
+
+
+def loop(recording):
+    """Return a loop that looks for one effect on each joint."""
+    return EffectDiscovery(robot(recording), effects=["spring"], ceiling=False)
+
+
+def sprung(recording):
+    """Return the recording of a robot with a spring on joint 2, which nothing says."""
+    tau = recording.tau.copy()
+    tau[:, 1] += 4.0 * recording.q[:, 1]
+    return replace(recording, tau=tau)
+
+
+def assert_same_loop(found, expected):
+    assert [repr(e) for e in found.effects_] == [repr(e) for e in expected.effects_]
+    for name in ("error_before_", "error_after_", "torque_spread_"):
+        assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
+    values, reference = found.identifier_.theta_, expected.identifier_.theta_
+    assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
+
+
+@pytest.fixture(scope="module")
+def closed(recording):
+    own = sprung(recording)
+    found = loop(own).fit(own.q, own.tau, groups=own.groups)
+    assert [(e.name, e.joint) for e in found.effects_] == [("spring", 1)]
+    return found
+
+
+def test_the_loop_of_files_is_that_in_memory(cluster, recording, tmp_path, closed):
+    source = save(sprung(recording), tmp_path)
+    assert_same_loop(fit_recordings(loop(recording), source), closed)
+
+
+def test_the_loop_does_not_notice_a_worker_that_dies(
+    monkeypatch, cluster, recording, tmp_path_factory, closed
+):
+    source = save(sprung(recording), tmp_path_factory.mktemp("files"))
+    for room, name in ((passes, "_load"), (plans, "smooth_with_facts")):
+        marker = tmp_path_factory.mktemp("killed") / "marker"
+        with monkeypatch.context() as patch:
+            patch.setattr(room, name, dying(getattr(room, name), marker))
+            found = fit_recordings(loop(recording), source)
+        assert marker.exists()
+        assert_same_loop(found, closed)
+        cluster.wait_for_workers(2, timeout=600)
+
+
+def test_an_estimator_of_another_kind_is_refused(recording, folder):
+    with pytest.raises(TypeError, match="RobotIdentifier or an EffectDiscovery"):
+        fit_recordings(VBJFARegressor(), folder)
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,6 @@ from sklearn_vbjfa.datasets import (
     DataFiles,
     DataSet,
     Protocol,
-    load,
     make_robot_recording,
     protocols,
 )
@@ -98,30 +97,28 @@ def test_protocols_name_recordings_that_exist(measured_data_home):
         assert 0 < protocol.split(recording)[0].size < recording.n_samples
 
 
-def test_a_set_from_elsewhere_is_found_in_its_folder(tmp_path, monkeypatch):
-    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+def test_a_set_from_elsewhere_is_found_in_its_folder(tmp_path):
     folder = tmp_path / "swing" / "raw"
     folder.mkdir(parents=True)
     table = np.column_stack([0.01 * np.arange(30), SWING, np.zeros(30)])
     np.savetxt(folder / "one.csv", table, delimiter=",")
-    recording = load("swing", Access(tmp_path))
+    recording = MADE_UP.load("swing", Access(tmp_path))
     assert recording.group_names == ("swing",)
     np.testing.assert_allclose(recording.q[:, 0], SWING, atol=1e-12)
     assert recording.source == MADE_UP.source
     assert recording.urdf is None
     description = folder.parent / "swing.urdf"
     description.write_text("<robot/>")
-    assert load("swing", Access(tmp_path)).urdf == str(description.resolve())
+    assert MADE_UP.load("swing", Access(tmp_path)).urdf == str(description.resolve())
 
 
 @pytest.mark.parametrize("there", ["no files", "only swing.urdf"])
-def test_a_set_from_elsewhere_says_where_its_files_go(there, tmp_path, monkeypatch):
-    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+def test_a_set_from_elsewhere_says_where_its_files_go(there, tmp_path):
     if there != "no files":
         (tmp_path / "swing").mkdir()
         (tmp_path / "swing" / "swing.urdf").write_text("<robot/>")
     with pytest.raises(FileNotFoundError) as info:
-        load("swing", Access(tmp_path, download_if_missing=True))
+        MADE_UP.load("swing", Access(tmp_path, download_if_missing=True))
     assert str(info.value) == (
         f"swing: {there} in {tmp_path / 'swing'}; put the files of the set there, "
         "which come from https://example.org/swing and are not downloaded."

@@ -36,7 +36,7 @@ _MODULES = {
     ".inspection": ("inspect_recording",),
     ".recording._reader": ("read_recording",),
     ".recording._recording": ("Recording",),
-    "_catalogue": ("DataSet", "Protocol"),
+    "_catalogue": ("DataSet", "Protocol", "measured"),
     "_closed_loop": (
         "ClosedLoop",
         "ClosedLoopRecording",

@@ -25,7 +25,7 @@ def list_effects(arguments, folder):
 
 def list_datasets(arguments, folder):
     """List the measured sets."""
-    from sklearn_vbjfa.datasets._catalogue import protocols
+    from sklearn_vbjfa.datasets._measured import protocols
 
     rows = [[name, _summary(one.load, ".")] for name, one in protocols().items()]
     return _listed(rows, ["name", "recording"], [None, 56])

@@ -7,7 +7,7 @@ from sklearn_vbjfa.datasets._closed_loop import (
     make_closed_loop_recording,
     simulate_tracking,
 )
-from sklearn_vbjfa.datasets._fetch import (
+from sklearn_vbjfa.datasets._measured import (
     fetch_bam_xl330,
     fetch_dfki_double_pendulum,
     fetch_emps,
@@ -36,7 +36,7 @@ _MODULES = {
     ".inspection": ("inspect_recording",),
     ".recording._reader": ("read_recording",),
     ".recording._recording": ("Recording",),
-    "_catalogue": ("CATALOGUE", "DataSet", "Protocol", "load", "protocols"),
+    "_catalogue": ("DataSet", "Protocol", "measured"),
     "_closed_loop": (
         "ClosedLoop",
         "ClosedLoopRecording",
@@ -48,19 +48,7 @@ _MODULES = {
         "simulate_tracking",
     ),
     "_download": ("Access", "DataFiles", "find_file", "remote_files"),
-    "_fetch": (
-        "fetch_bam_xl330",
-        "fetch_dfki_double_pendulum",
-        "fetch_emps",
-        "fetch_franka_panda",
-        "fetch_kuka_kr300",
-        "fetch_kuka_lbr_med7",
-        "fetch_staubli_tx40",
-        "fetch_tflex_1dof",
-        "fetch_tiago",
-        "fetch_unitree_go2",
-        "fetch_ur5",
-    ),
+    "_measured": ("CATALOGUE", "protocols"),
     "_robot_recording": (
         "SimulatedRecording",
         "load_demo_recording",

@@ -1,18 +1,14 @@
-"""The catalogue of the measured sets: what each is, who reads it, how it is evaluated.
+"""What a measured set is, how it is evaluated, and the public loader made of it."""
 
-A new set takes a reader, an entry here, its files in ``remote_files.txt`` (or the
-`source` of files that are converted, or for another reason not downloaded) and a public
-loader that carries its documentation.
-"""
-
+import functools
+import inspect
+import textwrap
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.datasets import _readers
 from sklearn_vbjfa.datasets._download import Access, DataFiles, source_address
-from sklearn_vbjfa.model import find_description, kr300_description
 from sklearn_vbjfa.recording import Log, Recording, join, median_period
 
 
@@ -63,13 +59,14 @@ class Protocol:
 class DataSet:
     """One measured set."""
 
-    # reader: takes the `DataFiles` and the loader's own options, returns logs
+    # takes the `DataFiles` and the loader's own options, returns logs
     read: Callable[..., list[Log]]
     joint_names: tuple[str, ...]  # as in the description of the robot
     # one entry alone holds for every joint
     position_units: tuple[str, ...] = ("rad",)
     torque_units: tuple[str, ...] = ("N m",)
     dt: float | None = None  # sample period [s]; None is the median step of the stamps
+    irregular: bool = False  # whether stamps vary: the loader then has `resample`
     # whether the logger wrote readings twice, which are then dropped
     drop_repeated: bool = False
     # finds the description among or for the files; None if the model is built without
@@ -109,11 +106,6 @@ class DataSet:
         )
 
 
-def load(name: str, access: Access, **options) -> Recording:
-    """Load one set of the catalogue; see `DataSet.load`."""
-    return CATALOGUE[name].load(name, access, **options)
-
-
 def _chosen(said, options):
     """Return what is said of the files that were chosen."""
     return (
@@ -126,226 +118,102 @@ def _one_each(units, nv):
     return units if len(units) == nv else units * nv
 
 
-def _example_robot_data(files: DataFiles) -> str | None:
-    """Find the description in the folder of the set or in example-robot-data."""
-    return find_description(files.dataset, files.folder)
+# -- public loaders --------------------------------------------------------------------
 
-
-_FIGAROH = (
-    "D. V. Nguyen, V. Bonnet, S. Maxime, M. Gautier, P. Fernbach, F. "
-    'Lamiraux, "FIGAROH: a Python toolbox for dynamic identification and '
-    'geometric calibration of robots and humans", Humanoids 2023.'
-)
-
-_PENDULUM = "Double pendulum with two AK80-6 drives (ratio 6), design A.0."
-
-CATALOGUE = {
-    "emps": DataSet(
-        read=_readers.read_emps,
-        joint_names=("slide",),
-        position_units=("m",),
-        torque_units=("N",),
-        dt=0.001,
-        licence="Apache-2.0 (repository)",
-        citation=(
-            'A. Janot, M. Gautier, M. Brunot, "Data Set and Reference Models of '
-            'EMPS", Workshop on Nonlinear System Identification Benchmarks, 2019.'
-        ),
-        description=(
-            "Horizontal ball-screw slide with a DC motor. Force from the voltage "
-            "command of the drive, position from the motor encoder."
-        ),
-        protocol=Protocol(
-            train=("DATA_EMPS",),
-            cutoff=60.0,
-            friction=("viscous", "coulomb", "offset"),
-        ),
-    ),
-    "ur5": DataSet(
-        read=_readers.read_ur5,
-        joint_names=(
-            "shoulder_pan_joint",
-            "shoulder_lift_joint",
-            "elbow_joint",
-            "wrist_1_joint",
-            "wrist_2_joint",
-            "wrist_3_joint",
-        ),
-        dt=_readers.UR5_PERIOD,
-        urdf=_example_robot_data,
-        licence="Apache-2.0",
-        citation=(
-            'K. Kufieta, "Force Estimation in Robotic Manipulators: Modeling, '
-            'Simulation and Experiments", MSc thesis, NTNU, 2014.'
-        ),
-        description=(
-            "UR5 (CB2) in free motion. Torque is a gain times the motor current; "
-            "the gains are not verified. Strong stiction at standstill."
-        ),
-        protocol=Protocol(
-            train=("No6", "No4"), test=("No9", "No8"), cutoff=8.0, standstill=0.03
-        ),
-    ),
-    "staubli_tx40": DataSet(
-        read=_readers.read_staubli_tx40,
-        joint_names=tuple(f"joint_{i}" for i in range(1, 7)),
-        dt=_readers.TX40_PERIOD,
-        urdf=DataFiles.published_urdf,
-        licence="Apache-2.0",
-        citation=_FIGAROH,
-        description=(
-            "Staubli TX40, one exciting trajectory. Torque from the motor current, "
-            "position from the motor encoders, wrist joints 5 and 6 coupled."
-        ),
-        protocol=Protocol(share=0.72, cutoff=25.0),
-    ),
-    "kuka_kr300": DataSet(
-        read=_readers.read_kuka_kr300,
-        joint_names=tuple(f"joint_{i}" for i in range(1, 7)),
-        dt=0.004,
-        urdf=lambda files: kr300_description(),
-        licence="MIT, (c) 2021 Jonas Weigand",
-        citation=(
-            "J. Weigand, J. Ulmen, A. Janot, M. Ruskowski, robot identification "
-            "code and measurements, repository Robot_Identification, 2021."
-        ),
-        description=(
-            "KUKA KR300 R2500 ultra SE with payload. Torque from the motor current, "
-            "position from the motors; counterbalance on axis 2, elastic gears."
-        ),
-        protocol=Protocol(train=("A",), test=("B",), cutoff=12.0, standstill=0.02),
-    ),
-    "franka_panda": DataSet(
-        read=_readers.read_franka_panda,
-        joint_names=tuple(f"panda_joint{i}" for i in range(1, 8)),
-        drop_repeated=True,
-        urdf=_example_robot_data,
-        licence="GPL-3.0",
-        citation=(
-            "C. Gaz, M. Cognetti, A. Oliva, P. Robuffo Giordano, A. De Luca, "
-            '"Dynamic Identification of the Franka Emika Panda Robot With Retrieval '
-            'of Feasible Parameters Using Penalty-Based Optimization", IEEE RA-L, '
-            "2019."
-        ),
-        description=(
-            "Franka Emika Panda, exciting trajectory of 21 s. Torque of the "
-            "link-side sensors, gravity included."
-        ),
-        protocol=Protocol(cutoff=10.0),
-    ),
-    "tflex_1dof": DataSet(
-        read=_readers.read_tflex_1dof,
-        joint_names=("hinge",),
-        torque_units=("count",),
-        dt=_readers.TFLEX_PERIOD,
-        licence="MIT, (c) 2019 Wouter van Dijk",
-        citation="W. van Dijk, repository Inverse_dynamics_learning, 2019.",
-        description=(
-            "Flexure hinge with a direct-drive motor under random motion. Current "
-            "in driver counts, spring and cogging instead of dry friction."
-        ),
-        # A flexure hinge: practically no dry friction.
-        protocol=Protocol(cutoff=40.0, friction=("viscous", "offset")),
-    ),
-    "bam_xl330": DataSet(
-        read=_readers.read_bam_xl330,
-        joint_names=("servo",),
-        torque_units=("V",),
-        licence="Apache-2.0",
-        citation=(
-            'M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended Friction Models '
-            'for the Physics Simulation of Servo Actuators", ICRA 2025.'
-        ),
-        description=(
-            "Servo with a pendulum. The torque stands for the motor voltage; motor "
-            "constant and resistance are unknown, back-EMF counts as friction."
-        ),
-        protocol=Protocol(cutoff=12.0, standstill=0.05),
-    ),
-    "kuka_lbr_med7": DataSet(
-        read=_readers.read_kuka_lbr_med7,
-        joint_names=tuple(f"A{i}" for i in range(1, 8)),
-        dt=_readers.LBR_PERIOD,
-        urdf=DataFiles.published_urdf,
-        licence="MIT",
-        citation="lbr-stack, repository dynamic_parameter_identification.",
-        description=(
-            "KUKA LBR Med 7 with an unmodelled tool. Torque of the joint sensors, "
-            "sign changed to that of the usual joint torque."
-        ),
-        protocol=Protocol(cutoff=4.0),
-    ),
-    "dfki_double_pendulum": DataSet(
-        read=_readers.read_dfki_double_pendulum,
-        joint_names=("shoulder", "elbow"),
-        licence="BSD-3-Clause",
-        citation=(
-            "F. Wiebe, S. Kumar, L. Shala, S. Vyas, M. Javadi, F. Kirchner, "
-            '"Open Source Dual-Purpose Acrobot and Pendubot Platform", IEEE '
-            "Robotics & Automation Magazine 31(2), 2024."
-        ),
-        description={
-            "short": f"{_PENDULUM} Torque measured by the drives.",
-            "long": f"{_PENDULUM} Torque as commanded.",
-        },
-        protocol=Protocol(cutoff=12.0),
-    ),
-    "tiago": DataSet(
-        read=_readers.read_tiago,
-        joint_names=("torso_lift_joint", *(f"arm_{i}_joint" for i in range(1, 8))),
-        position_units=("m", *("rad",) * 7),
-        torque_units=("N", *("N m",) * 7),
-        urdf=_example_robot_data,
-        licence="Apache-2.0",
-        citation=_FIGAROH,
-        description=(
-            "TIAGo, torso lift and seven arm joints. Torque from motor currents, "
-            "useful for arm_1 to arm_4 only."
-        ),
-        protocol=Protocol(cutoff=5.0),
-    ),
-    "unitree_go2": DataSet(
-        read=_readers.read_unitree_go2,
-        joint_names=tuple(
-            f"{leg}_{joint}_joint"
-            for leg in ("FL", "FR", "RL", "RR")
-            for joint in ("hip", "thigh", "calf")
-        ),
-        dt=_readers.GO2_PERIOD,
-        urdf=DataFiles.published_urdf,
-        source=(
-            "https://github.com/RX-00/sim2real-robot-identification/tree/1a22bd0 "
-            "(robot_model/go2/go2.xml; datasets/go2/traj_*.pt, which fetch_unitree_go2 "
-            "reads as run_*.npz, see there)"
-        ),
-        licence="BSD-3-Clause, (c) DLS Lab, Istituto Italiano di Tecnologia",
-        citation=(
-            "DLS Lab, Istituto Italiano di Tecnologia, repository "
-            "sim2real-robot-identification."
-        ),
-        description=(
-            "Unitree Go2 held in the air, all legs moving. The torque is the command "
-            "of a PD law, made of the measured positions and speeds themselves."
-        ),
-        # The automatic low-pass takes noise of the command, which is that of the
-        # encoders and so in both channels, for motion.
-        protocol=Protocol(
-            train=("run_0", "run_1"), test=("run_2", "run_3"), cutoff=10.0
-        ),
-    ),
+# What the documentation of loaders shares, by where it stands: of sets that are
+# downloaded, and of those that have a `source`.
+_DOWNLOADED = {
+    "{access}": """\
+data_home : path-like or None, default=None
+    Folder that holds, or will hold, the folder ``{name}``; by default
+    ``sklearn_vbjfa`` in scikit-learn's data folder.
+download_if_missing : bool, default=True
+    Whether to download what is absent instead of raising an error.
+n_retries : int, default=3
+    Further tries after a failure of the network.
+delay : float, default=1.0
+    Time between two tries [s].""",
+    "{raises}": """\
+Raises
+------
+OSError
+    If a file is absent and may not or cannot be downloaded, or does not
+    hold what was published.""",
 }
+_FROM_ELSEWHERE = {
+    "{access}": """\
+data_home : path-like or None, default=None
+    Folder that holds the folder ``{name}`` with the files (see Notes); by
+    default ``sklearn_vbjfa`` in scikit-learn's data folder.
+download_if_missing : bool, default=True
+    Without effect: the files are not downloaded.""",
+    "{raises}": """\
+Raises
+------
+OSError
+    If the files are absent.""",
+}
+_RESAMPLE = """\
+resample : bool, default=True
+    If False, samples and stamps are as recorded."""
 
 
-def protocols():
-    """Return name -> `Protocol`, with its loader, of the demo and every set."""
-    # The public loaders are made of the catalogue, so they are looked up, not imported.
-    from sklearn_vbjfa import datasets
+def measured(catalogue: dict[str, DataSet], **entry):
+    """Enter a set in a catalogue by the function that reads it; make its loader."""
+    # The loader has the options of `Access` in front of those of the set, and the
+    # documentation of the function, in which braces stand for what loaders share.
 
-    demo = Protocol(load=datasets.load_demo_recording)
-    return {
-        "demo": demo,
-        **{
-            name: replace(entry.protocol, load=getattr(datasets, f"fetch_{name}"))
-            for name, entry in CATALOGUE.items()
-        },
+    def make(read):
+        name = read.__name__.removeprefix("fetch_")
+        made = DataSet(read=read, **entry)
+        signature = _signature(made)
+
+        @functools.wraps(read)
+        def fetch(**options):
+            bound = signature.bind(**options)
+            bound.apply_defaults()
+            given = bound.arguments
+            common = inspect.signature(Access).parameters.keys() & given.keys()
+            access = Access(**{key: given.pop(key) for key in common})
+            return made.load(name, access, **given)
+
+        del fetch.__wrapped__
+        fetch.__signature__ = signature
+        fetch.__annotations__ = {
+            one.name: one.annotation for one in signature.parameters.values()
+        } | {"return": Recording}
+        fetch.__doc__ = read.__doc__ and _documented(read.__doc__, name, made)
+        protocol = replace(made.protocol, load=fetch)
+        catalogue[name] = replace(made, protocol=protocol)
+        return fetch
+
+    return make
+
+
+def _signature(made):
+    """Return the signature of a set's loader."""
+    common = list(inspect.signature(Access).parameters.values())
+    if made.source:
+        common = common[:2]  # without what a download needs
+    _, *own = inspect.signature(made.read).parameters.values()
+    if made.irregular:
+        own += [inspect.signature(made.load).parameters["resample"]]
+    return inspect.Signature(
+        [one.replace(kind=one.KEYWORD_ONLY) for one in (*common, *own)],
+        return_annotation=Recording,
+    )
+
+
+def _documented(text, name, made):
+    """Fill in what the documentation of a loader leaves to all of them."""
+    cited = textwrap.wrap(
+        f".. [1] {made.citation}", 76, subsequent_indent="   ", break_on_hyphens=False
+    )
+    parts = _FROM_ELSEWHERE if made.source else _DOWNLOADED
+    parts = parts | {
+        "{resample}": _RESAMPLE,
+        "{references}": "\n".join(["References", "----------", *cited]),
     }
+    for key, part in parts.items():
+        text = text.replace(f"    {key}", textwrap.indent(part, "    "))
+    return text.replace("{name}", name)

@@ -7,7 +7,9 @@ would ask again for a file that does not exist or is not the one published.
 
 import functools
 import hashlib
+import importlib.metadata
 import logging
+import sys
 import time
 from collections import Counter
 from collections.abc import Callable
@@ -149,6 +151,26 @@ class DataFiles:
             )
         download_file(remote, local, self.access)
         return local
+
+
+def collected_urdf(path: str) -> Callable[[DataFiles], str | None]:
+    """Find a URDF in the folder of a set, else by its path in example-robot-data."""
+
+    def find(files):
+        # The collection is found without importing it, as that loads Pinocchio.
+        try:
+            collection = importlib.metadata.files("example-robot-data") or []
+        except importlib.metadata.PackageNotFoundError:
+            collection = []
+        candidates = [
+            files.folder / Path(path).name,
+            *(Path(x.locate()) for x in collection if str(x).endswith(path)),
+            Path(sys.prefix, "share/example-robot-data/robots", path),
+        ]
+        there = (str(x.resolve()) for x in candidates if x.is_file())
+        return next(there, None)
+
+    return find
 
 
 def _is_description(path: str) -> bool:

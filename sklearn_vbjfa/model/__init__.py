@@ -8,9 +8,7 @@ _MODULES = {
     "_loading": (
         "build_model",
         "description_text",
-        "find_description",
         "is_urdf",
-        "kr300_description",
         "load_folded",
         "load_model",
         "load_quietly",

@@ -5,14 +5,11 @@ What of a description does not enter the model is said in one warning.
 
 import contextlib
 import importlib
-import importlib.metadata
 import importlib.util
 import os
-import sys
 import warnings
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Sequence
-from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,11 +43,11 @@ if TYPE_CHECKING:
 # below which a warning says so. (What was identified and projected lies between it and
 # what counts as solid.)
 _POSSIBLE = 1e-12
-# File inside the example-robot-data collection, module of robot_descriptions.
+# File of a measured set without description, and module of robot_descriptions with it.
 _PUBLIC_DESCRIPTIONS = {
-    "franka_panda": ("panda_description/urdf/panda.urdf", "panda_description"),
-    "tiago": ("tiago_description/robots/tiago.urdf", "tiago_description"),
-    "ur5": ("ur_description/urdf/ur5_robot.urdf", "ur5_description"),
+    "franka_panda": ("panda.urdf", "panda_description"),
+    "tiago": ("tiago.urdf", "tiago_description"),
+    "ur5": ("ur5_robot.urdf", "ur5_description"),
 }
 # How the one warning of what does not enter the model begins.
 _LEFT_OUT = "The robot description"
@@ -332,29 +329,6 @@ def alike(one, other):
 # -- nominal models of the measured sets -----------------------------------------------
 
 
-def find_description(dataset: str, folder: Path) -> str | None:
-    """Find the URDF of a set in its folder or in example-robot-data."""
-    path, _ = _PUBLIC_DESCRIPTIONS[dataset]
-    candidates = [folder / Path(path).name]
-    # The collection is found without importing it, as that loads Pinocchio.
-    try:
-        files = importlib.metadata.files("example-robot-data") or []
-    except importlib.metadata.PackageNotFoundError:
-        files = []
-    candidates += [Path(x.locate()) for x in files if str(x).endswith(path)]
-    candidates.append(Path(sys.prefix, "share/example-robot-data/robots", path))
-    for candidate in candidates:
-        if candidate.is_file():
-            return str(candidate.resolve())
-    return None
-
-
-def kr300_description() -> str:
-    """Path of the nominal KR300 model, which the package brings along."""
-    package = resources.files("sklearn_vbjfa.datasets")
-    return str(package.joinpath("robots", "kr300_nominal.urdf"))
-
-
 def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin.Model":
     """Build the model of a recording; see `Recording.robot_model`."""
     try:
@@ -386,10 +360,10 @@ def _from_robot_descriptions(name: str) -> str:
             "field with dataclasses.replace(recording, urdf=path), or fetch it with "
             "download_if_missing=True."
         )
-    path, module = _PUBLIC_DESCRIPTIONS[name]
+    file, module = _PUBLIC_DESCRIPTIONS[name]
     if importlib.util.find_spec("robot_descriptions") is None:
         raise FileNotFoundError(
-            f"No {Path(path).name} for {name!r}: pip install example-robot-data and "
+            f"No {file} for {name!r}: pip install example-robot-data and "
             f"fetch again, or put the file into the folder of the set in data_home."
         )
     return importlib.import_module(f"robot_descriptions.{module}").URDF_PATH

@@ -1,17 +1,17 @@
 """The catalogue: every set has its loader, protocols split recordings that exist."""
 
+import inspect
+
 import numpy as np
 import pytest
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import (
     CATALOGUE,
-    Access,
     DataFiles,
-    DataSet,
     Protocol,
-    load,
     make_robot_recording,
+    measured,
     protocols,
 )
 from sklearn_vbjfa.recording import Log
@@ -22,26 +22,40 @@ pytest.importorskip("pinocchio")
 SWING = 0.5 * np.sin(np.arange(30))
 
 
-def read_swing(files):
-    """Log of one joint, from all files of a set one after the other."""
-    tables = [np.loadtxt(x, delimiter=",") for x in files.find().values()]
-    return [
-        Log(name="swing", t=t, q=q[:, None], tau=tau[:, None])
-        for t, q, tau in (table.T for table in tables)
-    ]
+MADE_UP = {}
 
 
-MADE_UP = DataSet(
-    read=read_swing,
+@measured(
+    MADE_UP,
+    irregular=True,
     joint_names=("hinge",),
     dt=0.01,
     urdf=DataFiles.published_urdf,
     source="https://example.org/swing",
     licence="CC0",
-    citation="",
+    citation="A. Author, A swing.",
     description="",
     protocol=Protocol(),
 )
+def fetch_swing(files, size: float = 1.0):
+    """Load the swing.
+
+    Parameters
+    ----------
+    {access}
+    {resample}
+
+    {raises}
+
+    {references}
+    """
+    tables = [np.loadtxt(x, delimiter=",") for x in files.find().values()]
+    return [
+        Log(name="swing", t=t, q=size * q[:, None], tau=tau[:, None])
+        for t, q, tau in (table.T for table in tables)
+    ]
+
+
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 
@@ -52,6 +66,32 @@ def test_every_entry_has_a_public_loader_and_units_that_fit():
         nv = len(entry.joint_names)
         assert len(entry.position_units) in (1, nv)
         assert len(entry.torque_units) in (1, nv)
+
+
+def test_a_set_becomes_its_loader():
+    assert list(MADE_UP) == ["swing"]
+    assert MADE_UP["swing"].protocol.load is fetch_swing
+    # There is nothing to download again.
+    assert str(inspect.signature(fetch_swing)) == (
+        "(*, data_home: str | os.PathLike | None = None, download_if_missing: bool = "
+        "True, size: float = 1.0, resample: bool = True) -> "
+        "sklearn_vbjfa.recording._recording.Recording"
+    )
+    told = inspect.getdoc(fetch_swing)
+    for part in ("``swing``", "not downloaded.\nresample : bool", "[1] A. Author"):
+        assert part in told
+    assert "{" not in told
+    with pytest.raises(TypeError, match="n_retries"):
+        fetch_swing(n_retries=1)
+
+
+@pytest.mark.parametrize("name", CATALOGUE)
+def test_documentation_of_a_loader_is_complete(name):
+    loader = getattr(datasets, f"fetch_{name}")
+    assert "{" not in loader.__doc__.replace("{" + '"', "")
+    for parameter in inspect.signature(loader).parameters:
+        assert f"    {parameter} : " in loader.__doc__
+    assert "References\n    ----" in loader.__doc__
 
 
 def test_a_protocol_splits_in_time_or_by_recording():
@@ -98,30 +138,30 @@ def test_protocols_name_recordings_that_exist(measured_data_home):
         assert 0 < protocol.split(recording)[0].size < recording.n_samples
 
 
-def test_a_set_from_elsewhere_is_found_in_its_folder(tmp_path, monkeypatch):
-    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+def test_a_set_from_elsewhere_is_found_in_its_folder(tmp_path):
     folder = tmp_path / "swing" / "raw"
     folder.mkdir(parents=True)
     table = np.column_stack([0.01 * np.arange(30), SWING, np.zeros(30)])
     np.savetxt(folder / "one.csv", table, delimiter=",")
-    recording = load("swing", Access(tmp_path))
+    recording = fetch_swing(data_home=tmp_path)
     assert recording.group_names == ("swing",)
     np.testing.assert_allclose(recording.q[:, 0], SWING, atol=1e-12)
-    assert recording.source == MADE_UP.source
+    assert recording.source == "https://example.org/swing"
     assert recording.urdf is None
     description = folder.parent / "swing.urdf"
     description.write_text("<robot/>")
-    assert load("swing", Access(tmp_path)).urdf == str(description.resolve())
+    recording = fetch_swing(data_home=tmp_path, size=2.0)
+    assert recording.urdf == str(description.resolve())
+    np.testing.assert_allclose(recording.q[:, 0], 2.0 * SWING, atol=1e-12)
 
 
 @pytest.mark.parametrize("there", ["no files", "only swing.urdf"])
-def test_a_set_from_elsewhere_says_where_its_files_go(there, tmp_path, monkeypatch):
-    monkeypatch.setitem(CATALOGUE, "swing", MADE_UP)
+def test_a_set_from_elsewhere_says_where_its_files_go(there, tmp_path):
     if there != "no files":
         (tmp_path / "swing").mkdir()
         (tmp_path / "swing" / "swing.urdf").write_text("<robot/>")
     with pytest.raises(FileNotFoundError) as info:
-        load("swing", Access(tmp_path, download_if_missing=True))
+        fetch_swing(data_home=tmp_path, download_if_missing=True)
     assert str(info.value) == (
         f"swing: {there} in {tmp_path / 'swing'}; put the files of the set there, "
         "which come from https://example.org/swing and are not downloaded."

@@ -1,6 +1,7 @@
 """Measured sets: from the public file to the array, and to the right physics."""
 
 import importlib.metadata
+import re
 import shutil
 import sys
 from pathlib import Path
@@ -11,8 +12,15 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import CATALOGUE, _readers, find_file, remote_files
-from sklearn_vbjfa.model import build_model, find_description
+from sklearn_vbjfa.datasets import (
+    CATALOGUE,
+    Access,
+    DataFiles,
+    _measured,
+    find_file,
+    remote_files,
+)
+from sklearn_vbjfa.model import build_model
 
 # name -> (samples of each recording, joints, period [s])
 CONTENT = {
@@ -74,6 +82,10 @@ def converted(measured_data_home):
             return dict(arrays)
 
     return load
+
+
+def test_the_content_of_every_set_is_tested():
+    assert set(CONTENT) == set(CATALOGUE)
 
 
 @pytest.mark.parametrize("dataset", sorted(CONTENT))
@@ -143,11 +155,11 @@ def test_originals_equal_conversion_of_one_joint_benches(
     original, converted, measured_data_home
 ):
     (local,) = original("tflex_1dof").values()
-    raw = _readers.tflex_arrays(local)
+    raw = _measured.tflex_arrays(local)
     _assert_same_arrays(raw, converted("tflex_1dof", "TFlexADRC_RN20"))
 
     for local in original("bam_xl330").values():
-        raw = _readers.xl330_arrays(local)
+        raw = _measured.xl330_arrays(local)
         name = f"xl330_kp{raw['kp']}_{raw['trajectory']}"
         _assert_same_arrays(raw, converted("bam_xl330", name))
 
@@ -156,7 +168,7 @@ def test_originals_equal_conversion_of_the_double_pendulum(original, converted):
     for path, local in original("dfki_double_pendulum").items():
         name = path.removeprefix("data/experiment_records/").removesuffix(".csv")
         expected = converted("dfki_double_pendulum", name.replace("/", "__"))
-        raw = _readers.dfki_arrays(local)
+        raw = _measured.dfki_arrays(local)
         assert list(raw) == expected["columns"].tolist()
         np.testing.assert_array_equal(
             np.column_stack(list(raw.values())), expected["data"]
@@ -171,26 +183,26 @@ def test_originals_equal_conversion_of_the_arms(original, converted):
         parts = {
             Path(p).stem: x for p, x in files.items() if p.startswith(f"{folder}/")
         }
-        raw = _readers.ur5_arrays(parts)
+        raw = _measured.ur5_arrays(parts)
         _assert_same_arrays(raw, converted("ur5", Path(folder).parent.name))
 
-    raw = _readers.tx40_arrays(original("staubli_tx40", ".csv"))
+    raw = _measured.tx40_arrays(original("staubli_tx40", ".csv"))
     expected = converted("staubli_tx40", "tx40")
     assert expected.pop("dt") == CATALOGUE["staubli_tx40"].dt
     _assert_same_arrays(raw, expected)
 
     for path, local in original("kuka_kr300").items():
-        raw = _readers.kr300_arrays(local)
+        raw = _measured.kr300_arrays(local)
         _assert_same_arrays(raw, converted("kuka_kr300", f"traj_{path.split()[3]}"))
 
-    raw = _readers.franka_arrays(original("franka_panda"))
+    raw = _measured.franka_arrays(original("franka_panda"))
     _assert_same_arrays(raw, converted("franka_panda", "exciting_traj_1"))
 
     (local,) = original("kuka_lbr_med7", ".csv").values()
-    raw = _readers.lbr_arrays(local)
+    raw = _measured.lbr_arrays(local)
     _assert_same_arrays(raw, converted("kuka_lbr_med7", "measurements"))
 
-    raw = _readers.tiago_arrays(original("tiago"))
+    raw = _measured.tiago_arrays(original("tiago"))
     expected = converted("tiago", "tiago_dynamic")
     assert tuple(expected.pop("joint_names")) == CATALOGUE["tiago"].joint_names
     _assert_same_arrays(raw, expected)
@@ -349,10 +361,11 @@ def test_unknown_options_are_refused(dataset, options, message):
         getattr(datasets, f"fetch_{dataset}")(**options)
 
 
-@pytest.mark.parametrize("dataset", sorted(set(CONTENT) - {"unitree_go2"}))
+@pytest.mark.parametrize("dataset", sorted(CATALOGUE))
 def test_absent_set_is_refused_in_one_line(dataset, tmp_path):
     loader = getattr(datasets, f"fetch_{dataset}")
-    with pytest.raises(FileNotFoundError, match=r"raw\.githubusercontent\.com") as info:
+    where = CATALOGUE[dataset].source or "https://raw.githubusercontent.com/"
+    with pytest.raises(FileNotFoundError, match=re.escape(where)) as info:
         loader(data_home=tmp_path, download_if_missing=False)
     assert "\n" not in str(info.value)
 
@@ -467,7 +480,7 @@ def test_description_comes_from_example_robot_data(monkeypatch, tmp_path):
             return str(self)
 
     monkeypatch.setattr(importlib.metadata, "files", lambda name: [Entry(urdf)])
-    assert find_description("ur5", tmp_path / "empty") == str(urdf)
+    assert CATALOGUE["ur5"].urdf(DataFiles("ur5", Access(tmp_path))) == str(urdf)
 
 
 def test_description_without_any_source(monkeypatch, tmp_path):
@@ -478,7 +491,7 @@ def test_description_without_any_source(monkeypatch, tmp_path):
 
     monkeypatch.setattr(importlib.metadata, "files", not_installed)
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
-    assert find_description("tiago", tmp_path) is None
+    assert CATALOGUE["tiago"].urdf(DataFiles("tiago", Access(tmp_path))) is None
     monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match="pip install example-robot-data"):
         build_model("tiago", None, ("torso_lift_joint",))

@@ -40,13 +40,15 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 )
 from sklearn_vbjfa.diagnosis.explain._judgement import ProjectionPrice
 from sklearn_vbjfa.diagnosis.search._found import Evidence
-from sklearn_vbjfa.diagnosis.search._posterior import UNKNOWN, UNSURE
 from sklearn_vbjfa.effects import EffectRange, declarable, resolve
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
 from sklearn_vbjfa.robot._gains import ChannelGains
 from sklearn_vbjfa.robot._spreads import body_masses
 
+# Why the values of an effect give it no name.
+_UNKNOWN = "no parameter of it is known from zero"
+_UNSURE = "its value is not known well enough to correct anything"
 # Points of a picture.
 _POINTS = 4000
 
@@ -351,11 +353,11 @@ def _unknown(effect, values, deviations, intervals, known):
             for key, deviation in deviations.items()
             if deviation > 0
         ]
-        return "" if any(sure) else UNSURE
+        return "" if any(sure) else _UNSURE
     # A shape alone is no sign that the effect is there.
     own = [key for key in intervals if key not in effect.shape()] or list(intervals)
     away = (intervals[k][0] > idle[k] or intervals[k][1] < idle[k] for k in own)
-    return "" if not own or any(away) else UNKNOWN
+    return "" if not own or any(away) else _UNKNOWN
 
 
 def _afterwards(effect, estimate, seconds):

@@ -13,13 +13,11 @@ from sklearn_vbjfa.diagnosis.search._found import (
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._path import Path
 
-# Why an effect that is probable has no name.
+# Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
 SMALL = "saves too little to be worth a name"
 SLOW_FILTER = "a filter within the motion's own frequencies"
-UNKNOWN = "no parameter of it is known from zero"
-UNSURE = "its value is not known well enough to correct anything"
 
 
 def search(view, library, settings, alpha, max_effects=None, on_progress=None):

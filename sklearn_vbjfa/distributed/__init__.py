@@ -5,6 +5,6 @@ what it reads to matrices whose size depends on the number of parameters alone, 
 matrices are merged. Requires the extra ``sklearn-vbjfa[dask]``.
 """
 
-from sklearn_vbjfa.distributed._passes import fit_array, fit_recordings
+from sklearn_vbjfa.distributed._passes import fit_array, fit_recordings, workers
 
-__all__ = ["fit_array", "fit_recordings"]
+__all__ = ["fit_array", "fit_recordings", "workers"]

@@ -9,6 +9,7 @@ files again, so that no worker holds more than the recordings that it is working
 import functools
 import operator
 import warnings
+from contextlib import contextmanager
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
@@ -197,8 +198,42 @@ def _close_loop(discovery, files, dask):
         if values.ndim == 1 and all(name in p.signals for p in parts)
     }
     offered = OfferedSignals(columns=signals)
-    with run_elsewhere(partial(_on_workers, dask)):
+    with workers():
         return discovery.fit(q, tau, groups, signals=offered)
+
+
+@contextmanager
+def workers():
+    """Let Dask compute the fits of this context, those of a loop as well.
+
+    States and second moments of all recordings, or pieces of long ones, are formed
+    where Dask is configured to compute: by the workers of the current
+    `distributed.Client`, otherwise in threads. Results are those without it, up to
+    rounding.
+
+    Raises
+    ------
+    ImportError
+        If Dask is not installed.
+
+    See Also
+    --------
+    fit_recordings : The workers read the files as well.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.distributed import workers
+    >>> recording = load_demo_recording()
+    >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt)
+    >>> with workers():
+    ...     robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+    >>> bool((robot.min_eigenvalues_ > 0).all())
+    True
+    """
+    with run_elsewhere(partial(_on_workers, _import_dask())):
+        yield
 
 
 def _on_workers(dask, function, tasks):

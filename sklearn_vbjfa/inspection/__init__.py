@@ -3,10 +3,11 @@
 from sklearn_vbjfa import _lazily
 from sklearn_vbjfa.inspection._inspect import (
     ChannelFinding,
+    JointMotion,
     inspect_channels,
     inspect_recording,
+    motion_of,
 )
-from sklearn_vbjfa.inspection._overview import JointMotion, motion_of
 
 __all__ = [
     "ChannelFinding",
@@ -18,7 +19,7 @@ __all__ = [
 
 # For other rooms, and for the tests.
 _MODULES = {
-    "_overview": ("one_speed",),
+    "_inspect": ("one_speed",),
     "_rivals": ("ChannelEquations", "channel_signals", "fits_of"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

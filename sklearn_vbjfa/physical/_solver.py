@@ -24,10 +24,10 @@ from itertools import chain
 import clarabel
 import numpy as np
 from scipy import sparse
+from scipy.linalg import LinAlgError, cho_factor, cho_solve
 from threadpoolctl import ThreadpoolController
 
-from sklearn_vbjfa.physical._programme import PrimalDual
-from sklearn_vbjfa.physical._refinement import clipped_starts, refine
+from sklearn_vbjfa.physical._programme import PrimalDual, raised
 
 # The certified gap that ends the search for a better answer, relative to the squared
 # distance, and the one up to which an answer is accepted.
@@ -182,3 +182,249 @@ def one_blas_thread():
             yield
     finally:
         _held.release()
+
+
+# -- primal-dual refinement of a conic solver's answer ---------------------------------
+
+# A general conic solver stops at a relative gap of 1e-7 with several bodies and 1e-4
+# with rods, at which its barrier still places what the metric hardly sees. Here the
+# slack matrices are eliminated, which leaves one positive definite system, formed from
+# square roots; its solutions are corrected, and the multipliers' step is made to
+# balance the gradient. The path ends at a gap set beforehand, with Newton's steps to
+# its one point: the answer is the same whatever the start and the rounding. Directions
+# are those of Helmberg, Kojima and Monteiro (doi:10.1137/0806020), with slack S,
+# multiplier Z and target m:
+#
+#     (T' T + sum_j [tr(B_k S_j^-1 B_l Z_j)]_kl) dx
+#         = -T' r + m sum_j [tr(B_k S_j^-1)]_k.
+
+
+# Where the path is entered: target of the products of slack and multipliers, relative
+# to the squared distance, and the most that an eigenvalue is raised for it.
+_ENTRY = 1e-3
+_LARGEST_LIFT = 1e-3
+# The same from a vector with clipped eigenvalues: the least ones, in scaled units.
+_CLIPPED = (0.1, 1e-2, 1.0)
+# Share of the way to the boundary that a step may go.
+_BOUNDARY_SHARE = 0.95
+# The same for the last step, after which there is no path to keep to.
+_LAST_SHARE = 1.0 - 1e-6
+_SHORTEST_STEP = 1e-6
+# Gap, relative to the squared distance, at which the path ends: above the parts in 1e11
+# to 1e9 at which rounding would stop it, and far below what is asked of an answer.
+_GAP_END = 4e-9
+# Where the path counts as near its end, in units of that, and Newton's steps there.
+# They converge to one point, wherever on the way rounding had led the iterates.
+_NEAR = 4.0
+_CENTRINGS = 6
+# Corrections of a step with the residual of its equations.
+_CORRECTIONS = 4
+
+
+def clipped_starts(programme):
+    """Yield starts without a solver: eigenvalues clipped, multipliers on the path."""
+    kept = programme.nonnegative
+    for floor in _CLIPPED:
+        vector = programme.clip(programme.margin + floor)
+        slack = programme.slack(vector)
+        mean = programme.distance(vector) ** 2 / (slack[..., 0].size + kept.size)
+        mean = max(mean, np.finfo(float).tiny)
+        yield PrimalDual(
+            vector=vector,
+            duals=mean * _symmetric(np.linalg.inv(slack)),
+            multipliers=mean / vector[kept],
+        )
+
+
+def refine(programme, start, *, max_steps):
+    """Follow the central path from near an approximate solution to its end."""
+    # Also returns the steps taken and how it ended. Rounding may leave the end outside
+    # the set by as much.
+    kept = programme.nonnegative
+    at = _inside(programme, start)
+    order = len(at.duals) * programme.generators.shape[-1] + kept.size
+    near = 0
+    for taken in range(max_steps):
+        slack = programme.slack(at.vector)
+        mean = (np.sum(slack * at.duals) + at.vector[kept] @ at.multipliers) / order
+        end = 0.5 * _GAP_END * programme.distance(at.vector) ** 2 / order
+        # A power of two, so that the rounding of the path so far does not move it.
+        end = 2.0 ** np.floor(np.log2(max(end, np.finfo(float).tiny)))
+        near += mean <= _NEAR * end
+        last = near > _CENTRINGS
+        try:
+            system = _Equations(programme, at, slack)
+            if last:
+                # From the centre to the optimum, with no path to keep to.
+                reach, step = system.predict_and_correct(0.0, 0.0)
+            elif near:
+                reach, step, _ = system.direction(end)
+            else:
+                reach, step = system.predict_and_correct(mean, end)
+        except (LinAlgError, np.linalg.LinAlgError):
+            # Rounding has reached the boundary: the last iterate stands.
+            return at, taken, "by rounding, at a matrix that is not definite"
+        share = min(1.0, (_LAST_SHARE if last else _BOUNDARY_SHARE) * reach)
+        if share < _SHORTEST_STEP:
+            return at, taken, "by rounding, at steps without length"
+        at = at.moved(step, share)
+        if last:
+            return at, taken + 1, "at its end"
+    return at, max_steps, "by max_solver_iter"
+
+
+def _inside(programme, start):
+    """Move a solution from the boundary, where no step leads on, to near the path."""
+    # At a solution the products of slack and multipliers are zero. Here they become
+    # `m` to ``2 m``: by a lift of ``m / |Z|``, and by multipliers of ``m / S`` added.
+    kept = programme.nonnegative
+    duals, multipliers = raised(start.duals, 0.0), np.maximum(start.multipliers, 0.0)
+    tiny = np.finfo(float).tiny
+    squared = programme.distance(programme.lift(start.vector, programme.margin)) ** 2
+    squared = max(squared, programme.resolution**2)
+    target = max(_ENTRY * squared / (duals[..., 0].size + kept.size), tiny)
+    largest = max(duals.max(initial=0.0), multipliers.max(initial=0.0), tiny)
+    lift = min(target / largest, _LARGEST_LIFT)
+    vector = programme.lift(start.vector, programme.margin + lift)
+    slack = programme.slack(vector)
+    return PrimalDual(
+        vector=vector,
+        duals=duals + target * _symmetric(np.linalg.inv(slack)),
+        multipliers=multipliers + target / vector[kept],
+    )
+
+
+class _Equations:
+    """Newton's equations at one point of the path."""
+
+    # LinAlgError is raised where the slack is not definite. The system is A' A for the
+    # stack A of the bodies' roots L^-1 B R (with S = L L' and Z = R R'), the roots of
+    # the bounds and T; the right side is A' (bodies, bounds, metric). Near the boundary
+    # the barrier's share is larger than the metric's by more than the machine
+    # precision, and the sum is no longer definite in floating point; the triangle of a
+    # QR decomposition of A is used then. Either way the condition number is squared,
+    # which corrections with the residual of the stack make good: the corrected
+    # seminormal equations of Bjoerck (doi:10.1016/0024-3795(87)90101-7), repeated.
+
+    def __init__(self, programme, at, slack):
+        self._programme, self._at = programme, at
+        kept, generators = programme.nonnegative, programme.generators
+        n_bodies, size = slack.shape[:2]
+        factors = np.linalg.cholesky(np.concatenate([slack, at.duals]))
+        self._inverse_factors = np.linalg.inv(factors)
+        self._lower, right = factors[:n_bodies], factors[n_bodies:]
+        lower_inverse = self._inverse_factors[:n_bodies]
+        # The transpose of R^-1.
+        self._right_inverse = np.swapaxes(self._inverse_factors[n_bodies:], 1, 2)
+        self._inverse = np.swapaxes(lower_inverse, 1, 2) @ lower_inverse
+        self._centre = lower_inverse @ self._right_inverse
+        roots = lower_inverse[:, None] @ generators @ right[:, None]
+        self._roots = roots.reshape(n_bodies, len(generators), size**2)
+        self._free = at.vector[kept]
+        self._bounds = np.sqrt(at.multipliers / self._free)
+        self._residual = programme.residual(at.vector)
+        self._flat = generators.reshape(len(generators), -1)
+        self._pseudo_inverse = np.linalg.solve(self._flat @ self._flat.T, self._flat)
+        self._factorise()
+
+    def _factorise(self):
+        columns, kept = self._programme.body_columns, self._programme.nonnegative
+        system = self._programme.gram.copy()
+        system[columns[:, :, None], columns[:, None, :]] += self._roots @ np.swapaxes(
+            self._roots, 1, 2
+        )
+        system[kept, kept] += self._bounds**2
+        self._scale = 1.0 / np.sqrt(np.diag(system))
+        scaled = system * self._scale * self._scale[:, None]
+        try:
+            self._factor = cho_factor(scaled, check_finite=False)
+        except LinAlgError:
+            self._factor = self._triangle(), False
+
+    def _triangle(self):
+        """Upper triangular factor of the system, from its square roots."""
+        columns, kept = self._programme.body_columns, self._programme.nonnegative
+        n_bodies, _, n_entries = self._roots.shape
+        barrier = np.zeros((n_bodies * n_entries, self._scale.size))
+        rows = np.arange(len(barrier)).reshape(n_bodies, n_entries)
+        barrier[rows[:, None, :], columns[:, :, None]] = self._roots
+        single = np.zeros((kept.size, self._scale.size))
+        single[np.arange(kept.size), kept] = self._bounds
+        stacked = np.vstack([barrier, single, self._programme.root]) * self._scale
+        # Large rows first: Householder's method is then stable row by row.
+        order = np.argsort(-np.linalg.norm(stacked, axis=1))
+        return np.linalg.qr(stacked[order], mode="r")
+
+    def _solve_once(self, bodies, free, metric):
+        right_side = self._programme.root.T @ metric
+        columns = self._programme.body_columns
+        right_side[columns] += (self._roots @ bodies[:, :, None])[..., 0]
+        right_side[self._programme.nonnegative] += self._bounds * free
+        scaled = self._scale * right_side
+        return self._scale * cho_solve(self._factor, scaled, check_finite=False)
+
+    def _solve(self, bodies, free, metric):
+        columns, kept = self._programme.body_columns, self._programme.nonnegative
+        step = self._solve_once(bodies, free, metric)
+        for _ in range(_CORRECTIONS):
+            step = step + self._solve_once(
+                bodies - (step[columns][:, None] @ self._roots)[:, 0],
+                free - self._bounds * step[kept],
+                metric - self._programme.root @ step,
+            )
+        return step
+
+    def direction(self, target, second_bodies=0.0, second_free=0.0):
+        """Return the reach of a step to a target, the step, and its change of slack."""
+        # second_bodies and second_free are the second-order terms of the equations.
+        programme, at = self._programme, self._at
+        bodies, kept = programme.body_columns, programme.nonnegative
+        n_bodies, shape = len(bodies), at.duals.shape
+        second_bodies = np.broadcast_to(second_bodies, shape)
+        # tr(B S^-1) = <L^-1 B R, L^-1 R^-T> and <B, C> = <L^-1 B R, L' C R^-T>.
+        second = np.swapaxes(self._lower, 1, 2) @ second_bodies @ self._right_inverse
+        step = self._solve(
+            (target * self._centre - second).reshape(n_bodies, self._flat.shape[1]),
+            (target / self._free - second_free) / self._bounds,
+            -self._residual,
+        )
+        change = (step[bodies] @ self._flat).reshape(shape)
+        dual_step = target * self._inverse - at.duals - second_bodies
+        dual_step = dual_step - _symmetric(self._inverse @ change @ at.duals)
+        # In exact arithmetic the multipliers now balance the gradient; the inverse of a
+        # slack near the boundary has too few digits for that.
+        gradient = programme.root.T @ (self._residual + programme.root @ step)
+        reached = (at.duals + dual_step).reshape(n_bodies, self._flat.shape[1])
+        lacking = gradient[bodies] - reached @ self._flat.T
+        dual_step = dual_step + (lacking @ self._pseudo_inverse).reshape(shape)
+        dual_free = gradient[kept] - at.multipliers
+        changes = np.concatenate([change, dual_step])
+        relative = (
+            self._inverse_factors @ changes @ np.swapaxes(self._inverse_factors, 1, 2)
+        )
+        falls = np.r_[
+            np.linalg.eigvalsh(relative)[:, 0],
+            step[kept] / self._free,
+            dual_free / at.multipliers,
+        ]
+        lowest = falls.min(initial=0.0)
+        reach = np.inf if lowest >= 0 else -1.0 / lowest
+        iterate = PrimalDual(vector=step, duals=dual_step, multipliers=dual_free)
+        return reach, iterate, change
+
+    def predict_and_correct(self, mean, end):
+        """Return reach and step of Mehrotra's predictor and corrector."""
+        # The predictor tells how far the target can be lowered from `mean`, at most to
+        # `end`, and its second-order term corrects the step.
+        reach, step, change = self.direction(0.0)
+        kept = self._programme.nonnegative
+        reach, step, _ = self.direction(
+            max(mean * max((1.0 - min(1.0, reach)) ** 3, 1e-3), end),
+            _symmetric(self._inverse @ change @ step.duals),
+            step.vector[kept] * step.multipliers / self._free,
+        )
+        return reach, step
+
+
+def _symmetric(matrices):
+    return 0.5 * (matrices + np.swapaxes(matrices, -1, -2))

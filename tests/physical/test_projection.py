@@ -14,7 +14,7 @@ from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
     _projection,
-    _refinement,
+    _solver,
     is_consistent,
     parameter_units,
     project,
@@ -542,10 +542,10 @@ def test_a_gap_that_is_not_reached_is_warned_of():
         assert project(theta).message == "Solved"
 
 
-def test_rounding_that_ends_the_refinement_is_told(monkeypatch):
+def test_rounding_that_ends_the_solver_is_told(monkeypatch):
     """The last iterate stands; it is not given out for the end of the path."""
     theta = inconsistent_robot(np.random.default_rng(0), 3)
-    made = _refinement._Equations
+    made = _solver._Equations
 
     def rounded(programme, at, slack):
         if next(steps) > 2:
@@ -553,7 +553,7 @@ def test_rounding_that_ends_the_refinement_is_told(monkeypatch):
         return made(programme, at, slack)
 
     steps = itertools.count()
-    monkeypatch.setattr(_refinement, "_Equations", rounded)
+    monkeypatch.setattr(_solver, "_Equations", rounded)
     with pytest.warns(ConvergenceWarning, match="by rounding, at a matrix that is not"):
         result = project(theta)
     assert result.relative_gap > 1e-9

@@ -15,6 +15,7 @@ from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
 from sklearn_vbjfa.robot import joint_moments  # noqa: E402
 from sklearn_vbjfa.robot._estimate import PlainEstimate  # noqa: E402
+from sklearn_vbjfa.robot._fit import ModelValues  # noqa: E402
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
     RelativeGains,
     _grouped,
@@ -22,7 +23,6 @@ from sklearn_vbjfa.robot._gains import (  # noqa: E402
     relative_gains,
     with_gains,
 )
-from sklearn_vbjfa.robot._model_values import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02

@@ -26,10 +26,10 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     TorqueGain,
 )
 from sklearn_vbjfa.robot import (  # noqa: E402
-    _model_values,
+    _fit,
     joint_moments,
 )
-from sklearn_vbjfa.robot._model_values import ModelValues  # noqa: E402
+from sklearn_vbjfa.robot._fit import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import faulty, measured  # noqa: E402
 
@@ -665,5 +665,5 @@ def test_a_correction_stays_within_what_is_plausible():
     ],
 )
 def test_a_value_stays_within_a_tenth_of_its_standard_error(value, step, std, stays):
-    assert _model_values.STAYS == 0.1
+    assert _fit.STAYS == 0.1
     assert moved(JointZero(1, value), [step], [std]).stay() is stays

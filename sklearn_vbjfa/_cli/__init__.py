@@ -16,7 +16,6 @@ from sklearn_vbjfa._cli._run import (
     REFUSED,
     USABLE,
     Stopped,
-    clear_progress,
     exit_line,
     ignore_stops,
     open_streams,
@@ -151,6 +150,10 @@ _ARGUMENTS = {
         "remains; saves some seconds",
     },
     "--out": {"metavar": "DIR"},
+    "--quiet": {
+        "action": "store_true",
+        "help": "do not show what takes its time",
+    },
     "--force": {
         "action": "store_true",
         "help": "write to --out even if it holds files of others, or an input of this "
@@ -216,6 +219,8 @@ _ARGUMENTS = {
     },
 }
 
+# Options with a short name beside theirs.
+_SHORT = {"--quiet": ("-q",)}
 # How a recording is read, and what is identified of it, in the order of the help.
 READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
 _READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit --gain"
@@ -227,7 +232,7 @@ _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force {_IDENTIFIED} "
-        "--effects --seed --no-ceiling",
+        "--effects --seed --no-ceiling --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
@@ -249,7 +254,7 @@ _COMMANDS = {
     },
     "inspect": {
         "run": "_identify:inspect",
-        "arguments": f"recording --urdf {_READ} --signals",
+        "arguments": f"recording --urdf {_READ} --signals --quiet",
         "own": _REQUIRED,
         "help": "say what a recording is, what is wrong with it and what it can show",
         "description": "Say what a recording is as it is understood, what is wrong "
@@ -259,7 +264,7 @@ _COMMANDS = {
     "simulate": {
         "run": "_simulate:run",
         "arguments": f"recording --urdf --model --window {_READ} --signals --out "
-        f"--force {_IDENTIFIED} --effects",
+        f"--force {_IDENTIFIED} --effects --quiet",
         "own": {
             "recording": {"nargs": "?", "help": _RECORDING},
             "--out": {"help": _OUT.format("", "simulation")},
@@ -282,7 +287,7 @@ _COMMANDS = {
         "run": "_design:run",
         "arguments": "--urdf --base-orientation --report --duration --out --force --dt "
         "--joints --start --limits --velocity --acceleration --torque --scale "
-        "--effects --seed",
+        "--effects --seed --quiet",
         "own": {
             "--urdf": {
                 "help": "description of the robot; with --report, by default that of "
@@ -318,7 +323,7 @@ _COMMANDS = {
     "identify": {
         "run": "_identify:identify",
         "arguments": f"recording --urdf --data --data-home {_READ} --friction --bodies "
-        "--cutoff",
+        "--cutoff --quiet",
         "own": {"recording": {"nargs": "*"}},
         "help": "identify a recording and compare methods on its held-out part",
         "description": "Identify a recording and compare the torque errors of fifteen "
@@ -366,7 +371,7 @@ def _add(commands, name, *, run, arguments="", own=None, **told):
         given = _ARGUMENTS[argument] | (own or {}).get(argument, {})
         default = given.pop("default", None)
         given["help"] = given["help"].replace("TABLES", formats.TABLES)
-        action = command.add_argument(argument, **given)
+        action = command.add_argument(*_SHORT.get(argument, ()), argument, **given)
         if default is not None:
             defaults[action.dest] = default
     command.set_defaults(run=run, defaults=defaults)
@@ -514,7 +519,6 @@ def _tell_stop(number, arguments):
     name = signal.Signals(number).name
     how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
     written = arguments is not None and arguments.written
-    clear_progress()
     _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
     return 128 + number
 

@@ -128,7 +128,7 @@ def close(
         known_masses=known_masses,
     )
     loop = EffectDiscovery(
-        identifier, effects=effects, ceiling=ceiling, random_state=seed, verbose=True
+        identifier, effects=effects, ceiling=ceiling, random_state=seed
     )
     groups = recording.groups if groups is None else groups
     return loop.fit(recording.q, recording.tau, groups, t=t, signals=signals)

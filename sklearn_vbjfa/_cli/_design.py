@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import DURATION, PERIOD, _input
-from sklearn_vbjfa._cli._run import Done, clear_progress, show_progress
+from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa._core._progress import stage
 
 # Columns of a file of limits beside the joint.
 _LIMITS = ("lower", "upper", "velocity", "acceleration", "torque")
@@ -91,8 +92,7 @@ def _motion(arguments, robot, limits, asked, found, seed):
 
     names = robot.known.joint_names
     start = _numbers("--start", arguments.start, names, positive=False)
-    show_progress(f"designing {arguments.duration:g} s for {len(names)} joints")
-    try:
+    with stage(f"designing {arguments.duration:g} s for {len(names)} joints"):
         motion = design_motion(
             robot.known,
             duration=arguments.duration,
@@ -103,8 +103,6 @@ def _motion(arguments, robot, limits, asked, found, seed):
             start=start,
             random_state=seed,
         )
-    finally:
-        clear_progress()
     if not motion.within_limits:
         raise ValueError(
             f"no motion within the limits was found: {_page.exceeded(motion)}; "

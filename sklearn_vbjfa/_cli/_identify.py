@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa._cli import READING, _input
-from sklearn_vbjfa._cli._run import Done, blaming, show_progress, wrapped
+from sklearn_vbjfa._cli._run import Done, blaming, wrapped
 
 _OF_RECORDING = (*READING, "friction", "bodies", "cutoff", "urdf", "base_orientation")
 _OF_SETS = ("data", "data_home")
@@ -68,10 +68,9 @@ def identify(arguments, folder):
         (recording.q[rows], recording.tau[rows], recording.groups[rows])
         for rows in tuple(task.protocol.split(recording))
     )
-    progress = show_progress if sys.stderr.isatty() else None
     # A measured set is not at fault.
     with blaming(task.source) if arguments.recording else contextlib.nullcontext():
-        results, fitted = compare_methods(task.identifier, *parts, on_progress=progress)
+        results, fitted = compare_methods(task.identifier, *parts)
     return Done(
         text=_report(task, results, fitted),
         doubts=method_doubts(results, fitted.joint_names_),

@@ -37,26 +37,30 @@ class Done:
 def run(arguments):
     """Run the command that arguments name."""
     # A command sets its doubts before it prints: the reader of its output may leave.
+    from sklearn_vbjfa._core._progress import telling
+
     module, _, name = arguments.run.partition(":")
     command = getattr(importlib.import_module(f"sklearn_vbjfa._cli.{module}"), name)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
+        telling(verbose=not getattr(arguments, "quiet", False)),
     ):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
         arguments.doubts = [*done.doubts, *_doubts_of(caught)]
         lines = [] if done.write is None else _write(arguments, done, caught)
     print("\n".join([done.text, *(wrapped(line, sys.stdout) for line in lines)]))
-    clear_progress()
     for text in _told(caught):
         say(wrapped(f"note: {text}", sys.stderr))
 
 
 def _write(arguments, done, caught):
     """Write all files or none, each complete; return what is to be said of them."""
+    from sklearn_vbjfa._core._progress import stage
+
     try:
-        with undisturbed():
+        with undisturbed(), stage("writing"):
             done.folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(
                 dir=done.folder, prefix=".writing-"
@@ -150,18 +154,6 @@ def wrapped(text, stream):
         return text
     width = shutil.get_terminal_size().columns
     return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
-
-
-def show_progress(text):
-    """Show on a terminal what takes its time."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        print(f"\r\033[K{text} ...", end="", file=sys.stderr, flush=True)
-
-
-def clear_progress():
-    """Take away from a terminal what was shown of the progress."""
-    if sys.stderr is not None and sys.stderr.isatty():
-        print("\r\033[K", end="", file=sys.stderr, flush=True)
 
 
 # -- signals and streams ---------------------------------------------------------------

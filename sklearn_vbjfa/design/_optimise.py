@@ -11,6 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
+from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.design._criterion import information_of, worth
 
 # Motions are kept this far inside the limits while they are improved: between samples
@@ -218,14 +219,15 @@ def optimise(problem, starts, fine, inside):
     # `inside` of the limits, which it may exceed by a trace: see `shrunk`. Returns its
     # coordinates and the motion that it was improved from.
     tried = []
-    for z in starts:
+    for z in counted(starts, "starts"):
         lagrangian = Lagrangian(problem)
         x, value = _improved(lagrangian, np.array(z, dtype=float).ravel())
         tried.append((value, len(tried), x, lagrangian))
     _, best, x, lagrangian = min(tried, key=lambda one: one[:2])
     lagrangian.tighten(x)
     before = np.inf
-    for _ in range(_ROUNDS - 1):
+    for number in range(1, _ROUNDS):
+        say(f"round {number + 1}")
         x, value = _improved(lagrangian, x)
         worst = lagrangian.tighten(x)
         settled = abs(before - value) < 0.05
@@ -234,6 +236,7 @@ def optimise(problem, starts, fine, inside):
             break
     # Where friction turns round at the load's peak, torques jump between samples.
     for _ in range(_MORE_ROUNDS):
+        say("between the samples")
         if lagrangian.keep_between(x, fine, inside) <= 0.0:
             break
         x, _ = _improved(lagrangian, x)

@@ -1,12 +1,12 @@
 """The discovery loop: residual, effect, refit, and the error on untouched data."""
 
-import contextlib
 from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa._core._progress import stage, told
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
@@ -40,26 +40,6 @@ from sklearn_vbjfa.recording import (
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
-
-
-@contextlib.contextmanager
-def progress_bar(wanted):
-    """Yield a function (round, text) that shows progress, on terminals only."""
-    if not wanted:
-        yield lambda number, text: None
-        return
-    from tqdm import tqdm
-
-    # disable=None: nothing is written unless stderr is a terminal.
-    with tqdm(
-        bar_format="{desc} [{elapsed}]", disable=None, leave=False, dynamic_ncols=True
-    ) as bar:
-
-        def show(number, text):
-            bar.set_description_str(f"{number} effects: {text}")
-
-        yield show
-
 
 # Channels with these faults are reported and not searched: the search would find the
 # fault.
@@ -108,8 +88,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     random_state : int, RandomState instance or None, default=None
         Seed of the order in which blocks of time are left out for `ceiling_`; None
         counts as 0. Neither search nor intervals are random. Recorded in the report.
-    verbose : bool, default=False
-        Whether a progress bar is shown, on terminals only.
+    verbose : int, default=0
+        Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
+        line every ten seconds (:ref:`progress <progress>`). 0 is silent.
 
     Attributes
     ----------
@@ -276,7 +257,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         settings=None,
         ceiling=True,
         random_state=None,
-        verbose=False,
+        verbose=0,
     ):
         self.identifier = identifier
         self.effects = effects
@@ -288,8 +269,19 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.random_state = random_state
         self.verbose = verbose
 
+    @told
     @one_blas_thread()
-    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
+    def fit(
+        self,
+        X,
+        y,
+        groups=None,
+        sample_weight=None,
+        t=None,
+        signals=None,
+        *,
+        progress=None,
+    ):
         """Close the loop.
 
         Parameters
@@ -312,6 +304,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             (`effects.Signal`). Columns of a data frame X that are no channel of a joint
             are candidates as well; of these, the report names those that cannot be
             used.
+        progress : callable, default=None
+            Called with a `Progress` when a stage begins or goes on; what it raises
+            ends the fit.
 
         Returns
         -------
@@ -334,8 +329,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         offered = signals if isinstance(signals, OfferedSignals) else beside
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
-        with progress_bar(self.verbose) as say:
-            say(0, "declared model")
+        with stage("declared model"):
             channels, silent = self._check_channels(model, whole)
             channels += unusable
             split = split_in_time(
@@ -345,20 +339,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
             if set(declarable()) - set(self.declared_.features_.friction_):
                 self.plain_ = _fitted(self._with_plain_terms(), part)
-            begins = tuple(whole.t[rows.start] for rows in whole.segments)
-            repetition = find_repetition(whole.q, whole.t, whole.segments)
-            if not repetition:
-                # A robot that is pushed about was told the same all the same.
-                told = commands_among(offered.numbers(whole.n_samples), whole.q)
-                if told.size:
-                    repetition = find_repetition(told, whole.t, whole.segments)
-            given = {
-                "origin": split.origin,
-                "begins": begins,
-                "repetition": repetition,
-            }
-            found = self._search(part, silent, given, library, say)
-            say(len(found.effects), "final model")
+        begins = tuple(whole.t[rows.start] for rows in whole.segments)
+        repetition = find_repetition(whole.q, whole.t, whole.segments)
+        if not repetition:
+            # A robot that is pushed about was told the same all the same.
+            commands = commands_among(offered.numbers(whole.n_samples), whole.q)
+            if commands.size:
+                repetition = find_repetition(commands, whole.t, whole.segments)
+        given = {"origin": split.origin, "begins": begins, "repetition": repetition}
+        with stage("search"):
+            found = self._search(part, silent, given, library)
+        with stage("held-out judgement"):
             self.judged_ = self.plain_
             if found.effects:
                 again = self._with(found.effects).begin_with(self.plain_)
@@ -367,10 +358,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
             )
             judgement = judge(models, found, split, whole)
+        with stage("final model"):
             final = self._hand_over(found, whole, silent, repetition)
-        asked = self.get_params(deep=False)
-        names = _names(whole, groups)
-        outcome = make_outcome(found, models, final, judgement, channels, asked, names)
+        asked, names = self.get_params(deep=False), _names(whole, groups)
+        with stage("explaining"):
+            outcome = make_outcome(
+                found, models, final, judgement, channels, asked, names
+            )
         return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
@@ -441,13 +435,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
-    def _search(self, part, silent, given, library, say):
+    def _search(self, part, silent, given, library):
         """Search the robot, or its branches one by one where there are many joints."""
         settings = SearchSettings() if self.settings is None else self.settings
         view = RecordingView(self.plain_, part, silent, **given)
         branches = branches_of(self.plain_, library, self.max_effects)
         if len(branches) == 1:
-            return search(view, library, settings, self.alpha, self.max_effects, say)
+            return search(view, library, settings, self.alpha, self.max_effects)
         heard = [b for b in branches if view.precision[b.joints].any()]
         # As many effects are expected of all branches together as of one robot.
         share = replace(settings, expected=settings.expected / max(len(heard), 1))
@@ -457,7 +451,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             plain = _fitted(branch.identifier(self.plain_), own)
             mute = branch.local(silent)
             alone = RecordingView(plain, own, mute, **given)
-            found.append(search(alone, library, share, self.alpha, on_progress=say))
+            found.append(search(alone, library, share, self.alpha))
         if not found:
             return search(view, (), settings, self.alpha)
         theta = self.plain_.theta_unconstrained_

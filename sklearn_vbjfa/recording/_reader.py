@@ -11,6 +11,7 @@ from statistics import median_low
 
 import numpy as np
 
+from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import _layout, formats
 from sklearn_vbjfa.recording._channels import (
@@ -183,7 +184,7 @@ def read_recording(
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     files = []
-    for one in paths:
+    for one in counted(paths, "reading", "files"):
         try:
             file = _read_file(
                 one, dt, urdf, joint_names, asked, topic, gains, time_unit

@@ -8,6 +8,7 @@ from sklearn.cross_decomposition import PLSRegression
 from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import GridSearchCV, KFold
 
+from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.regression import (
     InstrumentalVariables,
     JFARegressor,
@@ -87,11 +88,10 @@ class MethodResult:
     message: str = ""  # why the method gave no result; empty otherwise
 
 
-def compare_methods(identifier, train, test, *, names=None, on_progress=None):
+def compare_methods(identifier, train, test, *, names=None):
     """Fit all methods to the training part and evaluate them on the held-out part."""
-    # train, test: (X, y, groups); names: by default all; on_progress: called with each
-    # name. Returns a `MethodResult` each, and the fitted identifier of the first
-    # method.
+    # train, test: (X, y, groups); names: by default all. Returns a `MethodResult` each,
+    # and the fitted identifier of the first method.
     if identifier.period is not None:
         raise ValueError(
             "Methods are compared on recordings as they are: identifier must have "
@@ -106,10 +106,9 @@ def compare_methods(identifier, train, test, *, names=None, on_progress=None):
     if names is not None:
         chosen = {name: chosen[name] for name in names}
     results = []
-    for name, settings in chosen.items():
-        if on_progress is not None:
-            on_progress(name)
-        model = clone(identifier).set_params(**settings)
+    for name in counted(chosen, "comparing methods", "methods"):
+        say(name)
+        model = clone(identifier).set_params(**chosen[name])
         pieces = train_pieces
         if corrects_noise(model.regressor):
             pieces = measured_pieces

@@ -18,6 +18,7 @@ from sklearn_vbjfa._core._lowpass import (
     decimate,
     filter_weight,
 )
+from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
@@ -540,7 +541,9 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
         for segment in made
         for outputs in segment.pieces(lowpass)
     ]
-    return sum_moments(run(_piece_moments, tasks, n_jobs))
+    rows = [lowpass.step * (outputs.stop - outputs.start) for _, _, outputs, _ in tasks]
+    done = run(_piece_moments, tasks, n_jobs)
+    return sum_moments(counted(done, "equations", "rows", rows))
 
 
 def _piece_moments(segment, lowpass, outputs, numbering):

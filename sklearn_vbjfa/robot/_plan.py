@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Effect, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
@@ -265,7 +266,9 @@ def smooth(recording, estimator, halves, keep, n_jobs):
         (recording.q[part], part.start, estimator, halves, keep)
         for part in recording.segments
     ]
-    own, both, facts = zip(*run(smooth_with_facts, tasks, n_jobs))
+    lengths = [part.stop - part.start for part in recording.segments]
+    done = run(smooth_with_facts, tasks, n_jobs)
+    own, both, facts = zip(*counted(done, "states", "rows", lengths))
     states = RecordingStates(
         own=list(own), halves=tuple(map(list, zip(*both))) if halves else None
     )

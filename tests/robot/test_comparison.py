@@ -7,6 +7,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, StepwiseRegressor
+from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.robot import OURS, _comparison, compare_methods, methods
 from tests.model._robots import swing
@@ -27,10 +28,10 @@ def compared(simulated, parts):
     )
     seen = []
     names = ["VB + description", OURS, "VB", "OLS", "WLS", "stepwise", "TLS", "IV"]
-    results, base = compare_methods(
-        identifier, *parts, names=names, on_progress=seen.append
-    )
-    assert seen == names
+    with telling(tell=lambda now: seen.append(now.stage)):
+        results, base = compare_methods(identifier, *parts, names=names)
+    told = [name for name in names if f"comparing methods, {name}" in seen]
+    assert told == names
     return {result.name: result for result in results}, base
 
 

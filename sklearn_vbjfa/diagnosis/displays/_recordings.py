@@ -3,6 +3,7 @@
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
 from sklearn_vbjfa.diagnosis.displays._base import Display
 from sklearn_vbjfa.recording import check_clock, contiguous_groups
@@ -555,8 +556,8 @@ def windows_of(robots, *recording, **settings):
     """Simulate the same windows by several robots, of each label its windows."""
     # recording, settings: what `simulate_windows` gets beside the robot.
     found = {}
-    for label, robot in robots.items():
-        first = next(iter(found.values()), None)
+    for label in counted(robots, "simulating", "robots"):
+        robot, first = robots[label], next(iter(found.values()), None)
         found[label] = simulate_windows(robot, *recording, beside=first, **settings)
     return found
 

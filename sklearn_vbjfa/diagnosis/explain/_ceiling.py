@@ -19,6 +19,7 @@ import numpy as np
 from sklearn.utils import check_random_state
 from threadpoolctl import threadpool_limits
 
+from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.explain._evidence import (
     SMALLEST_GAIN,
     Whitening,
@@ -297,7 +298,7 @@ def ceilings(model, joints, names, alpha, random_state=None):
     root = view.root.T
     residual = model.residual / np.where(root > 0, root, np.inf)
     seconds, signals = memory_seconds(model), Signals.of(model)
-    for j in joints:
+    for j in counted(joints, "ceiling", "joints"):
         if _values(view, j) < FEWEST_VALUES:
             continue
         # For each joint alone, whatever the others are.

@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import logit, logsumexp
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
@@ -61,12 +62,11 @@ class Offer:
 class Path:
     """Search for the most probable set of effects, at most `max_effects`."""
 
-    # library: what to try on every joint; on_progress: called with (number, text), or
-    # None.
+    # library: what to try on every joint.
 
-    def __init__(self, view, library, settings, max_effects=None, on_progress=None):
+    def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
-        self.max_effects, self.on_progress = max_effects, on_progress
+        self.max_effects, self.turn = max_effects, 0
         self.steps, self._grids = [], {}
         self._kept, self._stale, self._gone = {}, set(), set()
         self._held = None
@@ -77,16 +77,15 @@ class Path:
 
     def _candidates(self):
         """Families of all effects on all joints, by joint."""
-        found = {}
-        for j in np.flatnonzero(self.problem.heard):
-            found[j] = []
-            for effect in self.library:
-                one = clone(effect).set_params(joint=int(j))
-                if one.name in self.view.declared or one.applies(self.motion):
-                    continue
-                family = self.problem.family(one, self.motion)
-                if family is not None:
-                    found[j] += family.apart()
+        found = {j: [] for j in np.flatnonzero(self.problem.heard)}
+        asked = [(j, effect) for j in found for effect in self.library]
+        for j, effect in counted(asked, "candidates"):
+            one = clone(effect).set_params(joint=int(j))
+            if one.name in self.view.declared or one.applies(self.motion):
+                continue
+            family = self.problem.family(one, self.motion)
+            if family is not None:
+                found[j] += family.apart()
         self.candidates = found
         count = sum(map(len, found.values()))
         self.n_candidates = count
@@ -182,6 +181,7 @@ class Path:
 
     def _offers(self, fit, joint):
         """Offers on a joint beside a fit."""
+        self._say(fit, joint)
         taken = self._taken(fit)
         within = self._contained(fit, joint)
         found = (
@@ -436,7 +436,7 @@ class Path:
             self._held = HeldOut(self.view)
         return self._held.fitted(fit, self.motion)
 
-    def _climb(self, fit, turn):
+    def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
         been, tuned, self._gone = {keys_of(fit)}, None, set()
@@ -457,7 +457,7 @@ class Path:
                 new = self._pruned(self.refined(fit))
             else:
                 new = self._exchanged(fit, been)
-                if new is None and (turn or not fit.members):
+                if new is None and (self.turn or not fit.members):
                     new = self._together(fit, been)
             if new is None:
                 return fit
@@ -467,8 +467,6 @@ class Path:
     def _added(self, fit, offer):
         """Return a fit with an offer, without what becomes improbable by that."""
         joint = offer.effect.joint
-        if self.on_progress is not None:
-            self.on_progress(len(fit.members), f"joint {joint + 1}")
         near = self._surest(fit, self._kept[joint], self.settings.rivals)
         member = self._member(fit, offer)
         step = Step(
@@ -640,6 +638,7 @@ class Path:
 
     def _needed(self, fit, joint):
         """Return a fit with what is probable of a joint beside all the rest."""
+        self._say(fit, joint)
         taken, within = self._taken(fit), self._contained(fit, joint)
         scale, offered = self.settings.scale, []
         for family in self.candidates[joint]:
@@ -722,16 +721,24 @@ class Path:
             effects = [m.effect for m in fit.members]
         return self._scaled(weighed(fit))
 
+    def _say(self, fit, joint):
+        """Tell which joint is looked at, beside how many effects."""
+        count = len(fit.members)
+        say(
+            f"joint {joint + 1} of {self.view.robot.features_.n_joints_}, "
+            f"round {self.turn + 1}, {count} effect{'' if count == 1 else 's'}"
+        )
+
     def run(self):
         """Search; returns the last `Fit`."""
         fit, seen = self.begin(), None
         self._candidates()
-        for turn in range(_TURNS):
-            if turn:
+        for self.turn in range(_TURNS):
+            if self.turn:
                 self._candidates()
             start = [self._again(m) for m in fit.members]
             base = self._spectrum(Fit(fit.base, start))
-            fit = self._climb(self._scaled(Fit(base, start)), turn)
+            fit = self._climb(self._scaled(Fit(base, start)))
             names = keys_of(fit)
             if names == seen or not fit.members:
                 break

@@ -40,7 +40,6 @@ class Search:
     settings: SearchSettings = field(default_factory=SearchSettings)
     alpha: float = 0.05
     max_effects: int | None = None
-    on_progress: object = None
 
     def path(self):
         """Return the path to the most probable model, with the declared one fitted."""
@@ -52,12 +51,7 @@ class Search:
     def run(self):
         """Search, and return what was `Found`."""
         return posterior(
-            self.view,
-            self.library,
-            self.settings,
-            self.alpha,
-            self.max_effects,
-            self.on_progress,
+            self.view, self.library, self.settings, self.alpha, self.max_effects
         )
 
 

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
+from sklearn_vbjfa._core._progress import stage, telling
 from sklearn_vbjfa.diagnosis.search import _path
 from sklearn_vbjfa.effects import Effect
 from tests.diagnosis._recordings import named, record
@@ -113,8 +114,10 @@ def test_most_effects(limit):
 def test_progress_is_told():
     said = []
     torque = CLEAN.torque(joint_2=coulomb(1.0))
-    search(torque, ["coulomb"], on_progress=lambda *x: said.append(x)).run()
-    assert said[0] == (0, "joint 2")
+    with telling(tell=lambda now: said.append(now.stage)), stage("search"):
+        search(torque, ["coulomb"]).run()
+    assert said[:2] == ["search", "search, joint 1 of 2, round 1, 0 effects"]
+    assert "search, joint 2 of 2, round 1, 1 effect" in said
 
 
 def test_the_search_draws_nothing():

@@ -8,6 +8,8 @@ from pathlib import Path
 # the workers of pytest-xdist inherit it.
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
+# What long runs show hangs on the clock; tests of it take this back.
+os.environ["TQDM_DISABLE"] = "1"
 
 import pytest  # noqa: E402
 

@@ -157,17 +157,6 @@ def telling(verbose=0, tell=None):
         _RUN.reset(token)
 
 
-def told(fit):
-    """Let a fit tell its stages, as `verbose` and its argument `progress` ask for."""
-
-    @functools.wraps(fit)
-    def told_fit(self, *args, progress=None, **kwargs):
-        with telling(self.verbose, progress):
-            return fit(self, *args, **kwargs)
-
-    return told_fit
-
-
 @dataclass(eq=False)
 class _Stage:
     """A stage under way."""
@@ -305,6 +294,7 @@ class _Display:
         if self._bar is None:
             self._bar = tqdm(
                 file=self.stream,
+                disable=False,
                 leave=False,
                 dynamic_ncols=True,
                 bar_format=form,

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core._progress import stage, told
+from sklearn_vbjfa._core._progress import stage, telling
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
@@ -269,7 +269,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.random_state = random_state
         self.verbose = verbose
 
-    @told
     @one_blas_thread()
     def fit(
         self,
@@ -329,9 +328,20 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         offered = signals if isinstance(signals, OfferedSignals) else beside
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
-        with stage("declared model"):
+        names = _names(whole, groups)
+        with telling(self.verbose, progress):
+            outcome = self._close(model, whole, offered, library, unusable, names)
+        return self._set(outcome)
+
+    # -- stages ---------------------------------------------------------------------
+
+    def _close(self, model, whole, offered, library, unusable, names):
+        """Close the loop on a checked recording; returns its `Outcome`."""
+        # offered: signals as they were given; unusable: what is wrong with some.
+        with stage("channels"):
             channels, silent = self._check_channels(model, whole)
             channels += unusable
+        with stage("declared model"):
             split = split_in_time(
                 self.identifier, whole.inputs, whole.groups, self.test_size
             )
@@ -360,14 +370,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             judgement = judge(models, found, split, whole)
         with stage("final model"):
             final = self._hand_over(found, whole, silent, repetition)
-        asked, names = self.get_params(deep=False), _names(whole, groups)
+        asked = self.get_params(deep=False)
         with stage("explaining"):
-            outcome = make_outcome(
-                found, models, final, judgement, channels, asked, names
-            )
-        return self._set(outcome)
-
-    # -- stages ---------------------------------------------------------------------
+            return make_outcome(found, models, final, judgement, channels, asked, names)
 
     def _check_parameters(self):
         if not isinstance(self.identifier, RobotIdentifier):

@@ -359,6 +359,8 @@ def command_line(data_home):
             [sys.executable, "-m", "sklearn_vbjfa", *command.split()],
             capture_output=True,
             text=True,
+            # What is shown of the progress hangs on the clock.
+            env={**os.environ, "TQDM_DISABLE": "1"},
         )
         title = f"'{command}'"
         found[f"{title}, exit code"] = np.array(run.returncode)

@@ -725,8 +725,8 @@ class Path:
         """Tell which joint is looked at, beside how many effects."""
         count = len(fit.members)
         say(
-            f"joint {joint + 1} of {self.view.robot.features_.n_joints_}, "
-            f"round {self.turn + 1}, {count} effect{'' if count == 1 else 's'}"
+            f"round {self.turn + 1}, joint {joint + 1} of {self.view.target.shape[0]}, "
+            f"{count} effect{'' if count == 1 else 's'}"
         )
 
     def run(self):
@@ -734,6 +734,7 @@ class Path:
         fit, seen = self.begin(), None
         self._candidates()
         for self.turn in range(_TURNS):
+            say(f"round {self.turn + 1}")
             if self.turn:
                 self._candidates()
             start = [self._again(m) for m in fit.members]

@@ -116,8 +116,9 @@ def test_progress_is_told():
     torque = CLEAN.torque(joint_2=coulomb(1.0))
     with telling(tell=lambda now: said.append(now.stage)), stage("search"):
         search(torque, ["coulomb"]).run()
-    assert said[:2] == ["search", "search, joint 1 of 2, round 1, 0 effects"]
-    assert "search, joint 2 of 2, round 1, 1 effect" in said
+    assert "search, round 1" in said
+    assert "search, round 1, joint 1 of 2, 0 effects" in said
+    assert "search, round 1, joint 2 of 2, 1 effect" in said
 
 
 def test_the_search_draws_nothing():

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
 
+from sklearn_vbjfa._core._progress import stage
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
@@ -167,7 +168,8 @@ class Recipe:
         )
         if self.description is not None:
             found = beside_description(found, self.description, self.bodies)
-        found = project(found, self.projector, robot.features_)
+        with stage("consistent bodies"):
+            found = project(found, self.projector, robot.features_)
         return Fit.of(robot, found, self._shown(found), made)
 
     def of_equations(self, robot, pieces, made=()):

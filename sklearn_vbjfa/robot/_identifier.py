@@ -8,6 +8,7 @@ from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
     OfferedSignals,
@@ -226,6 +227,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         say nothing of. ``"fixed"``: the bodies are those of the description. Bodies
         without mass or extension are free, and so are all with `gains` or a
         `regressor` of one's own.
+    verbose : int, default=0
+        Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
+        line every ten seconds (:ref:`progress <progress>`). 0 is silent.
 
     Attributes
     ----------
@@ -386,6 +390,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         window="auto",
         controller=None,
         bodies="prior",
+        verbose=0,
     ):
         self.model = model
         self.dt = dt
@@ -409,6 +414,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.window = window
         self.controller = controller
         self.bodies = bodies
+        self.verbose = verbose
 
     def fit(
         self,
@@ -419,6 +425,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         t=None,
         signals=None,
         reference=None,
+        *,
+        progress=None,
     ):
         """Identify the robot.
 
@@ -448,6 +456,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             a data frame X that are no channel of a joint are taken as well.
         reference : array-like of shape (n_samples, nv), default=None
             Commanded positions [rad or m], for `controller`.
+        progress : callable, default=None
+            Called with a `Progress` when a stage begins or goes on; what it raises
+            ends the fit.
 
         Returns
         -------
@@ -472,7 +483,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
-        return self._fit(recording, reference)
+        with telling(self.verbose, progress):
+            return self._fit(recording, reference)
 
     def fit_recording(self, recording, reference=None):
         """Identify the robot from a recording as it is.

@@ -104,16 +104,15 @@ class _MovedLink:
             self.speed_above = above.speed + swing
             self.field_above = above.field + _cross(dw, arm) + _cross(w, swing)
         # Rows of `frames` are the axes of the joint in those of its parent.
-        self.placed = np.einsum("kin,mi->kmn", axes, tree.frames[j])
+        self.placed = np.matmul(tree.frames[j], axes)
         direction = tree.axes[j]
         self.axis = np.einsum("kmn,m->kn", self.placed, direction)
         angle, cross = turns * q, _skew(direction)
-        turned = (
-            np.eye(3)[:, :, None]
-            + cross[:, :, None] * np.sin(angle)
-            + (cross @ cross)[:, :, None] * (1 - np.cos(angle))
+        self.axes = (
+            self.placed
+            + np.sin(angle) * np.matmul(cross.T, self.placed)
+            + (1 - np.cos(angle)) * np.matmul((cross @ cross).T, self.placed)
         )
-        self.axes = _matrices(self.placed, turned)
         w, dw, shift = self.spin_above, self.gain_above, slides * q * self.axis
         along, across = slides * v * self.axis, _cross(w, self.axis)
         self.origin = self.base + shift
@@ -210,6 +209,48 @@ class _Mass:
         return force, moment
 
 
+def _links(tree, q, v, a):
+    """Return the `_MovedLink` of each joint."""
+    q, v, a = (np.ascontiguousarray(x.T) for x in (q, v, a))
+    links = []
+    for j, parent in enumerate(tree.parents):
+        above = links[parent] if parent >= 0 else None
+        links.append(_MovedLink(q[j], v[j], a[j], tree, j, above))
+    return links
+
+
+def _wrench(link, inertial):
+    """Force and moment about the origin (3, n) that the motion of a body takes."""
+    m, first = inertial[0], inertial[1:4]
+    xx, xy, yy, xz, yz, zz = inertial[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    R, w, dw = link.axes, link.spin, link.gain
+    arm = np.einsum("kin,i->kn", R, first)
+    force = m * link.field + _cross(dw, arm) + _cross(w, _cross(w, arm))
+    # In the body's own axes, where its inertia is constant.
+    turn = R.transpose(1, 0, 2)
+    w, dw = _times(turn, w), _times(turn, dw)
+    own = inertia @ dw + _cross(w, inertia @ w)
+    return force, _cross(link.origin, force) + _cross(arm, link.field) + _times(R, own)
+
+
+def inverse_dynamics(tree, q, v, a, inertial):
+    """Torques (n, nv) of a `Tree`; its bodies (nv, 10) need not be possible."""
+    torque = np.empty(q.shape)
+    for begin in range(0, q.shape[0], _ROWS):
+        rows = slice(begin, min(begin + _ROWS, q.shape[0]))
+        links = _links(tree, q[rows], v[rows], a[rows])
+        forces, moments = zip(*map(_wrench, links, inertial))
+        for j in range(len(links) - 1, -1, -1):
+            link, parent = links[j], tree.parents[j]
+            work = _dot(link.moment, moments[j]) + _dot(link.force, forces[j])
+            torque[rows, j] = work
+            if parent >= 0:
+                forces[parent][:] += forces[j]
+                moments[parent][:] += moments[j]
+    return torque
+
+
 class TorqueDerivatives:
     """Derivatives of a robot's torques by its joints' placements, and by gravity."""
 
@@ -239,13 +280,9 @@ class TorqueDerivatives:
 
     def _fill(self, rows, turns, shifts, gravity):
         """Write the derivatives of some samples."""
-        q, v, a = (np.ascontiguousarray(x[rows].T) for x in self._motion)
         tree, parents = self._tree, self._parents
-        links, masses = [], []
-        for j, parent in enumerate(parents):
-            above = links[parent] if parent >= 0 else None
-            links.append(_MovedLink(q[j], v[j], a[j], tree, j, above))
-            masses.append(_Mass(links[j], self._inertial[j]))
+        links = _links(tree, *(x[rows] for x in self._motion))
+        masses = list(map(_Mass, links, self._inertial))
         for j in range(len(parents) - 1, -1, -1):
             if parents[j] >= 0:
                 masses[parents[j]] += masses[j]

@@ -14,6 +14,7 @@ import functools
 import numpy as np
 from scipy import sparse
 
+from sklearn_vbjfa.model._corrected import inverse_dynamics
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
@@ -131,6 +132,9 @@ class TreeRegressor:
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
+        if self.compiled is False or load_kernel() is None:
+            inertial = np.reshape(inertial, (self.nv, 10))
+            return inverse_dynamics(self._tree, q, v, a, inertial)
         count = np.count_nonzero(self.support)
         places = np.full(self.support.shape, -1)
         places[self.support] = np.arange(count)

@@ -4,7 +4,6 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import logsumexp
 
 from sklearn_vbjfa._core._linear_systems import or_one
 
@@ -64,7 +63,7 @@ class Groups:
         # factor is prod_k (1 + s^2 lambda_k)^(-1/2) exp(q_k^2 s^2 / (2 (1 + s^2
         # lambda_k))) over the eigenvalues of the group's block (Tipping and Faul,
         # AISTATS 2003, eq. 18, for a single column).
-        return logsumexp(self._along(scale), axis=0)
+        return np.logaddexp.reduce(self._along(scale), axis=0)
 
     def tempered(self, excess):
         """Return the moments of a likelihood that is worth less, see `Excess`."""

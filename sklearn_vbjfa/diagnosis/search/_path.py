@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import logit, logsumexp
+from scipy.special import logit
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._progress import counted, say
@@ -114,7 +114,8 @@ class Path:
             if not free.any():
                 return None
         evidence = np.where(free, evidence, -np.inf)
-        log_odds = float(logsumexp(evidence) - np.log(free.size) + self.log_prior)
+        whole = np.logaddexp.reduce(evidence)
+        log_odds = float(whole - np.log(free.size) + self.log_prior)
         return Offer(
             family=family,
             best=int(np.argmax(evidence)),

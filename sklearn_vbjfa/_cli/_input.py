@@ -274,6 +274,7 @@ def read(arguments, urdf, joints, gains, *, identified=True):
             topic=arguments.topic,
             gains=gains,
             time_unit=arguments.time_unit,
+            on_bad_files="warn",
         )
     except RecordingRefused as error:
         if identified or error.options.get("gains") != "unknown":

@@ -69,8 +69,11 @@ def _write(arguments, done, caught):
                 for name in done.files:
                     os.replace(Path(folder, name), done.folder / name)
             arguments.written = True
-    except OSError:
+    except OSError as error:
         print(done.text)
+        if error.filename is None and error.errno is not None:
+            # A full disk does not say which.
+            raise OSError(error.errno, error.strerror, str(done.folder)) from error
         raise
     names = ", ".join(str(done.folder / name) for name in done.files)
     return [*lines, f"written: {names}{done.left}"]

@@ -1,5 +1,6 @@
 """A user's recording out of a file, with its time stamps checked."""
 
+import contextlib
 import re
 import warnings
 from collections import Counter
@@ -60,6 +61,7 @@ def read_recording(
     topic: str | None = None,
     gains: str | tuple[float, ...] | None = None,
     time_unit: str | None = None,
+    on_bad_files: str = "raise",
 ) -> Recording:
     r"""Read a recording of your own robot: a table, a bag, arrays, or several of them.
 
@@ -107,6 +109,10 @@ def read_recording(
         the unit of a motor current without a word.
     time_unit : {"s", "ms", "us", "ns"}, default=None
         Unit of time; None takes what the names say, or seconds.
+    on_bad_files : {"raise", "warn"}, default="raise"
+        What becomes of those of several files that cannot be read, or do not go with
+        most of the others. ``"warn"`` leaves them out; a file that does not exist is an
+        error all the same, and so are two files of which none is the odd one.
 
     Returns
     -------
@@ -124,14 +130,14 @@ def read_recording(
         If a package is missing that the format needs (PACKAGES),
         or `urdf` without Pinocchio.
     ValueError
-        If the file is damaged or not what its ending says, the number of columns is
-        wrong, two columns could be meant, a value is not finite or beyond 1e12, time
-        runs backwards, is not in seconds or does not reveal the period, or there is
-        neither time nor `dt`; if one of several files has other joints or channels, a
-        sample period that differs by more than 1 %, or no time stamps while others
-        have some. The message names the file, what was expected and what to do; where
-        other options would read the file, the attribute ``options`` of the error has
-        them.
+        If the file is damaged, not what its ending says, or written to while it is
+        read, the number of columns is wrong, two columns could be meant, a value is not
+        finite or beyond 1e12, time runs backwards, is not in seconds or does not reveal
+        the period, or there is neither time nor `dt`; if one of several files has other
+        joints or channels, a sample period that differs by more than 1 %, or no time
+        stamps while others have some. The message names the file, what was expected and
+        what to do; where other options would read the file, the attribute ``options``
+        of the error has them.
 
     Warns
     -----
@@ -144,6 +150,7 @@ def read_recording(
         interpolated and the others kept. If more are missing: the recording is split
         there, and pieces of fewer than ten rows are dropped. If rows occur twice, or
         stamps repeat. If one of several files is a copy of another: it is taken once.
+        With ``on_bad_files="warn"``, which files are left out, and why.
 
     Examples
     --------
@@ -179,28 +186,26 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
+    if on_bad_files not in ("raise", "warn"):
+        raise ValueError(
+            f'on_bad_files must be "raise" or "warn"; got {on_bad_files!r}.'
+        )
     is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
     paths, again = ([path], []) if is_one else _without_repeats(path)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
-    files = []
-    for one in counted(paths, "reading", "files"):
-        try:
-            file = _read_file(
-                one, dt, urdf, joint_names, asked, topic, gains, time_unit
-            )
-        except RecordingRefused as error:
-            if not files:
-                raise
-            # The files before it were read without the options that it offers.
-            raise RecordingRefused(error.reason) from error
-        files.append(file)
+    bad = None if is_one or on_bad_files == "raise" else {}
+    given = dt, urdf, joint_names, asked, topic, gains, time_unit
+    files = _read_files(paths, given, bad)
     if is_one:
         recording, notes = files[0].recording, _said(files)
         if name:
             recording = replace(recording, name=name)
     else:
+        if bad is not None:
+            files = _without_odd(files, bad)
         recording, notes = _concatenate(files, again, name)
+        notes = [*_said_of_bad(bad or {}), *notes]
     for note in notes:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
@@ -213,10 +218,33 @@ if read_recording.__doc__:  # not if Python leaves docstrings out
     ).replace("PACKAGES", formats.PACKAGES)
 
 
+def _read_files(paths, given, bad):
+    """Read files one by one; those that cannot be read go to `bad` with the reason."""
+    # given: arguments of `_read_file`; bad: dict of errors by path, None to raise them.
+    files = []
+    for one in counted(paths, "reading", "files"):
+        try:
+            files.append(_read_file(one, *given))
+        except (FileNotFoundError, ImportError):
+            raise
+        except (ValueError, OSError) as error:
+            if bad is not None:
+                bad[one] = error
+            elif files and isinstance(error, RecordingRefused):
+                # The files before it were read without the options that it offers.
+                raise RecordingRefused(error.reason) from error
+            else:
+                raise
+    if bad and not files:
+        raise next(iter(bad.values()))
+    return files
+
+
 def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
-    table = read_table(path, topic, lambda: names or _movable(urdf))
+    with _finished(path):
+        table = read_table(path, topic, lambda: names or _movable(urdf))
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)
@@ -283,6 +311,36 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
         notes=tuple(notes),
         stamped=t is not None,
         torque_units=tuple(recorded),
+    )
+
+
+@contextlib.contextmanager
+def _finished(path):
+    """Refuse a file that is written to while it is read."""
+    before = _version(path)
+    try:
+        yield
+    except ValueError as error:
+        if _version(path) == before:
+            raise
+        raise _unfinished(path) from error
+    if _version(path) != before:
+        raise _unfinished(path)
+
+
+def _version(path):
+    """Return size and time of a file, None for what is none."""
+    path = expanded(path)
+    if not path.is_file():
+        return None
+    found = path.stat()
+    return found.st_size, found.st_mtime_ns
+
+
+def _unfinished(path):
+    return ValueError(
+        f"{path} was written to while it was read; wait until the recording has ended, "
+        "then read it again."
     )
 
 
@@ -742,6 +800,59 @@ def _named(paths):
     shown = [str(path) for path in paths][:_NAMED]
     more = len(paths) - len(shown)
     return ", ".join(shown) + (f" and {more} more" if more else "")
+
+
+# -- files that are left out -----------------------------------------------------------
+
+
+def _without_odd(files, bad):
+    """Return the files that go together; the odd ones go to `bad` with the reason."""
+    for alike, told in ((_recorded_alike, _trait_told), (_same_period, _period_told)):
+        counts = [sum(alike(one, other) for other in files) for one in files]
+        most = max(counts)
+        model = files[counts.index(most)]
+        odd = [one for one in files if not alike(model, one)]
+        if 2 * most <= len(files):
+            # None of them is the odd one.
+            continue
+        for one in odd:
+            bad[one.path] = ValueError(told(one, model))
+        files = [one for one in files if alike(model, one)]
+    return files
+
+
+def _recorded_alike(one, other):
+    return list(_traits(one)) == list(_traits(other))
+
+
+def _trait_told(odd, model):
+    """Say what of a file is not as in the others."""
+    pairs = zip(_traits(odd), _traits(model))
+    own, others = next((x, y) for x, y in pairs if x != y)
+    return f"it has {own}, where the others have {others}"
+
+
+def _same_period(one, other):
+    dts = one.recording.dt, other.recording.dt
+    return max(dts) <= (1 + _DT_TOLERANCE) * min(dts)
+
+
+def _period_told(odd, model):
+    """Say that the sample period of a file is another."""
+    return (
+        f"it has a sample period of {odd.recording.dt:.6g} s, where the others have "
+        f"{model.recording.dt:.6g} s"
+    )
+
+
+def _said_of_bad(bad):
+    """Say of each file that is left out why."""
+    notes = []
+    for path, error in bad.items():
+        reason = getattr(error, "reason", None) or getattr(error, "strerror", None)
+        reason = (reason or str(error)).removeprefix(f"{path}: ").removesuffix(".")
+        notes.append(Loss(f"{path} is left out: {reason}."))
+    return notes
 
 
 # -- what must agree -------------------------------------------------------------------

@@ -3,6 +3,8 @@
 import json
 import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +15,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa._cli._input import default_folder, sources
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.recording import _reader
 from tests.command_line.test_close_loop import FILES, URDF, write_csv
 
 COMMANDS = ("close-loop", "identify", "inspect")
@@ -253,51 +256,159 @@ def more_joints(motion, path):
     write_csv(path, motion, q=q, tau=tau)
 
 
-REFUSED = {
+def half_a_file(motion, path):
+    """Write an archive and lose half of it."""
+    np.savez(path.with_suffix(".npz"), q=motion.q, tau=motion.tau, dt=motion.dt)
+    whole = path.with_suffix(".npz").read_bytes()
+    path.with_suffix(".npz").unlink()
+    path.write_bytes(whole[: len(whole) // 2])
+
+
+# What is wrong with a file, options, why it is left out beside two others, and what is
+# said where it is one of two and neither is the odd one; "" where it is left out, too.
+ODD = {
     "other joints": (
         other_joints,
         [],
+        "it has the joints shoulder, where the others have the joints shoulder, elbow",
         "runs/a.csv has the joints shoulder, elbow and runs/odd.csv has the joints "
         "shoulder; expected files with the same joints and channels",
     ),
-    "more joints": (more_joints, [], "runs/odd.csv: 3 column(s) q for 2 joint(s)"),
+    "more joints": (more_joints, [], "3 column(s) q for 2 joint(s)", ""),
     "another period": (
         rows_left_out,
         [],
+        "it has a sample period of 0.01 s, where the others have 0.005 s",
         "runs/a.csv has a sample period of 0.005 s and runs/odd.csv one of 0.01 s",
     ),
     "currents": (
         in_amperes,
         ["--gain", "unknown"],
+        "it has torques in A, where the others have torques in N m",
         "runs/a.csv has torques in N m and runs/odd.csv has torques in A",
     ),
     "currents and factors": (
         in_amperes,
         ["--gain", "8,8"],
+        "it has torques in A, where the others have torques in N m",
         "runs/a.csv has torques in N m and runs/odd.csv has torques in A",
     ),
     "no time stamps": (
         without_stamps,
         ["--dt", "0.005"],
+        "it has no time stamps, where the others have time stamps",
         "runs/a.csv has time stamps and runs/odd.csv has no time stamps",
     ),
-    "no time": (without_stamps, [], "runs/odd.csv: no column t and no dt"),
-    "no file": (lambda *_: None, [], "runs/odd.csv: no such file"),
-    "no recording": (
-        lambda motion, path: path.write_text("hello\n"),
-        [],
-        "runs/odd.csv: ",
-    ),
+    "no time": (without_stamps, [], "no column t and no dt", ""),
+    "no recording": (lambda motion, path: path.write_text("hello\n"), [], "", ""),
+    "half a file": (half_a_file, [], "", ""),
+    "a folder": (lambda motion, path: path.mkdir(), [], "", ""),
 }
 
 
-@pytest.mark.parametrize("kind", REFUSED)
-def test_files_that_do_not_go_together(kind, here, motions, capsys):
-    write, options, message = REFUSED[kind]
+@pytest.mark.parametrize("kind", ODD)
+def test_the_odd_file_is_left_out(kind, here, motions, capsys):
+    write, options, reason, _ = ODD[kind]
     write(motions[2], Path("runs/odd.csv"))
-    paths = ("runs/a.csv", "runs/b.csv", "runs/odd.csv")
-    for command in ("close-loop", "inspect"):
-        assert message in refusal(capsys, command, *paths, *options)
+    _, plain, _ = run(capsys, "inspect", *RUNS[:2], *options)
+    for paths in (["runs/odd.csv", *RUNS[:2]], [*RUNS[:2], "runs/odd.csv"]):
+        code, out, err = run(capsys, "inspect", *paths, *options)
+        assert code == 3
+        (told,) = (line for line in err[:-1] if "is left out" in line)
+        assert told.startswith(f"note: runs/odd.csv is left out: {reason}")
+        assert "runs/odd.csv is left out" in err[-1]
+        # All else is as without it.
+        assert out == plain
+
+
+@pytest.mark.parametrize("kind", ODD)
+def test_of_two_files_neither_is_the_odd_one(kind, here, motions, capsys):
+    write, options, _, message = ODD[kind]
+    write(motions[2], Path("runs/odd.csv"))
+    paths = ("runs/a.csv", "runs/odd.csv")
+    if message:
+        assert message in refusal(capsys, "inspect", *paths, *options)
+    else:
+        assert run(capsys, "inspect", *paths, *options)[0] == 3
+
+
+def test_the_loop_is_closed_without_the_odd_files(here, motions, capsys):
+    more_joints(motions[2], Path("runs/odd.csv"))
+    Path("runs/empty.csv").write_text("")
+    plain = run(capsys, "close-loop", *RUNS, "--out", "plain")
+    paths = ("runs/empty.csv", *RUNS, "runs/odd.csv")
+    code, out, err = run(capsys, "close-loop", *paths, "--out", "out")
+    assert (plain[0], code) == (0, 3)
+    assert out.replace("out/", "plain/") == plain[1]
+    assert err[-1].startswith("note: exit code 3: runs/empty.csv is left out: ")
+    report = json.loads(Path("out/report.json").read_text("utf-8"))
+    assert [one.split(":")[0] for one in report["provenance"]["warnings"]] == [
+        "runs/empty.csv is left out",
+        "runs/odd.csv is left out",
+    ]
+    for name in ("parameters.csv", "identified.urdf"):
+        assert Path("out", name).read_text() == Path("plain", name).read_text()
+
+
+def test_a_missing_file_is_refused(here, capsys):
+    line = refusal(capsys, "inspect", *RUNS, "runs/odd.csv")
+    assert "runs/odd.csv: no such file" in line
+
+
+def test_files_of_which_none_can_be_read_are_refused(here, capsys):
+    for name in "ab":
+        Path(f"runs/{name}.csv").write_text("hello\n")
+    line = refusal(capsys, "inspect", "runs/a.csv", "runs/b.csv")
+    assert line.startswith("sklearn-vbjfa: runs/a.csv: ")
+
+
+@pytest.mark.parametrize("several", [False, True])
+@pytest.mark.parametrize("text", ["0.0,0,0,0,0\n", "half a row"])
+def test_a_file_that_grows_while_it_is_read(several, text, here, monkeypatch, capsys):
+    read = _reader.read_table
+
+    def late(path, *rest):
+        found = read(path, *rest) if text.endswith("\n") else None
+        if Path(path).name == "b.csv":
+            with Path(path).open("a") as file:
+                file.write(text)
+        return read(path, *rest) if found is None else found
+
+    monkeypatch.setattr(_reader, "read_table", late)
+    reason = "was written to while it was read; wait until the recording has ended"
+    if several:
+        code, _, err = run(capsys, "inspect", *RUNS)
+        assert code == 3
+        assert err[0].startswith("note: runs/b.csv is left out: ")
+        assert reason in err[0]
+    else:
+        assert reason in refusal(capsys, "inspect", "runs/b.csv")
+
+
+def test_a_disk_that_fills_leaves_nothing(here):
+    # A limit of the size of files is met as a full disk is: in the midst of writing.
+    code = """if True:
+        import resource, sys
+        from sklearn_vbjfa._cli import _run, main
+        write = _run._write
+        def on_a_small_disk(*given):
+            resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000))
+            return write(*given)
+        _run._write = on_a_small_disk
+        sys.exit(main(sys.argv[1:]))
+    """
+    argv = ["close-loop", "runs/a.csv", "--urdf", "arm.urdf", *SHORT["close-loop"]]
+    Path("out").mkdir()
+    Path("out/report.html").write_text("the page of before")
+    done = subprocess.run(
+        [sys.executable, "-c", code, *argv, "--out", "out"],
+        capture_output=True,
+        text=True,
+    )
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == "sklearn-vbjfa: out: File too large"
+    assert [path.name for path in Path("out").iterdir()] == ["report.html"]
+    assert Path("out/report.html").read_text() == "the page of before"
 
 
 def test_what_is_wrong_with_all_is_said_of_all(here, capsys):

@@ -30,13 +30,11 @@ _ROWS = 1024
 
 def _cross(x, y):
     """Cross product of vectors, arrays of shape (3, ...)."""
-    return np.stack(
-        [
-            x[1] * y[2] - x[2] * y[1],
-            x[2] * y[0] - x[0] * y[2],
-            x[0] * y[1] - x[1] * y[0],
-        ]
-    )
+    out = np.empty((3, *np.broadcast_shapes(x.shape[1:], y.shape[1:])))
+    for k in range(3):
+        i, j = (k + 1) % 3, (k + 2) % 3
+        np.subtract(x[i] * y[j], x[j] * y[i], out=out[k])
+    return out
 
 
 def _dot(x, y):
@@ -92,16 +90,14 @@ class _MovedLink:
             axes = np.broadcast_to(np.eye(3)[:, :, None], (3, 3, n))
             self.spin_above = np.zeros((3, n))
             self.gain_above = np.repeat(tree.base_angular[:, None], n, axis=1)
-            self.base = np.zeros((3, n))
-            self.speed_above = np.zeros((3, n))
+            self.base, self._swing = np.zeros((3, n)), np.zeros((3, n))
             self.field_above = np.repeat(tree.base[j][:, None], n, axis=1)
         else:
             axes, w, dw = above.axes, above.spin, above.gain
             arm = np.einsum("kin,i->kn", axes, tree.offsets[j])
             self.spin_above, self.gain_above = w, dw
             self.base = above.origin + arm
-            swing = _cross(w, arm)
-            self.speed_above = above.speed + swing
+            self._swing = swing = _cross(w, arm)
             self.field_above = above.field + _cross(dw, arm) + _cross(w, swing)
         # Rows of `frames` are the axes of the joint in those of its parent.
         self.placed = np.matmul(tree.frames[j], axes)
@@ -113,23 +109,42 @@ class _MovedLink:
             + np.sin(angle) * np.matmul(cross.T, self.placed)
             + (1 - np.cos(angle)) * np.matmul((cross @ cross).T, self.placed)
         )
-        w, dw, shift = self.spin_above, self.gain_above, slides * q * self.axis
-        along, across = slides * v * self.axis, _cross(w, self.axis)
-        self.origin = self.base + shift
-        self.speed = self.speed_above + _cross(w, shift) + along
-        self.field = (
-            self.field_above
-            + _cross(dw, shift)
-            + _cross(w, _cross(w, shift))
-            + 2 * _cross(w, along)
-            + slides * a * self.axis
+        w, dw, across = (
+            self.spin_above,
+            self.gain_above,
+            _cross(self.spin_above, self.axis),
         )
+        self.origin, self.field, self._slide = self.base, self.field_above, None
+        if slides:
+            shift, along = slides * q * self.axis, slides * v * self.axis
+            swing = _cross(w, shift)
+            self.origin = self.base + shift
+            self._slide = swing + along
+            self.field = (
+                self.field_above
+                + _cross(dw, shift)
+                + _cross(w, swing)
+                + 2 * _cross(w, along)
+                + slides * a * self.axis
+            )
+        self._above = above
         self.spin = w + turns * v * self.axis
         self.gain = dw + turns * a * self.axis + turns * v * across
         # The torque is `moment` times the moment about the origin plus `force` times
         # the force.
         self.moment = turns * self.axis
         self.force = slides * self.axis + turns * _cross(self.origin, self.axis)
+
+    @functools.cached_property
+    def speed_above(self):
+        """Velocity of what carries the joint, at `base`, (3, n)."""
+        return self._swing if self._above is None else self._above.speed + self._swing
+
+    @property
+    def speed(self):
+        """Velocity of the body's origin, (3, n)."""
+        slide = self._slide
+        return self.speed_above if slide is None else self.speed_above + slide
 
     def turned(self):
         """Change of motion (9, 3, n), see above, for turns about the placed axes."""

@@ -123,10 +123,11 @@ class TreeRegressor:
             raise ImportError(
                 "A compiled regressor needs Numba: pip install sklearn-vbjfa[fast]."
             )
-        one = self.one_by_one()
-        used = places >= 0
-        matrices = [one(*sample)[used] for sample in zip(q, v, a)]
-        out[places[used]] = np.reshape(matrices, (-1, np.count_nonzero(used))).T
+        one, used = self.one_by_one(), places >= 0
+        matrices = np.empty((q.shape[0], *places.shape))
+        for matrix, *sample in zip(matrices, q, v, a):
+            matrix[...] = one(*sample)
+        out[places[used]] = matrices[:, used].T
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""

@@ -23,6 +23,7 @@ from sklearn_vbjfa._cli._run import (
     say,
     stoppable,
     stopped_by,
+    without_collection,
     wrapped,
 )
 
@@ -442,7 +443,8 @@ def main(argv=None):
         with stoppable():
             # Imports take a second, in which a run may be stopped as well.
             arguments = _arguments(argv)
-            from sklearn_vbjfa.physical._solver import one_blas_thread
+            with without_collection():
+                from sklearn_vbjfa.physical._solver import one_blas_thread
 
             # The matrices are small: threads would only wait for each other.
             with one_blas_thread():

@@ -6,6 +6,7 @@ what takes its time to import.
 """
 
 import contextlib
+import gc
 import importlib
 import os
 import shutil
@@ -139,6 +140,25 @@ def _doubts_of(caught):
         str(one.message) for one in caught if issubclass(one.category, DoubtWarning)
     ]
     return list(dict.fromkeys(texts))
+
+
+# -- start ----------------------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def without_collection():
+    """Import without looking for garbage, of which imports leave none."""
+    is_first = gc.isenabled() and "sklearn" not in sys.modules
+    if not is_first:
+        yield
+        return
+    gc.disable()
+    try:
+        yield
+        # Nor is it looked for in them afterwards.
+        gc.freeze()
+    finally:
+        gc.enable()
 
 
 # -- terminals -------------------------------------------------------------------------

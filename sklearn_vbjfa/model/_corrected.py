@@ -109,11 +109,8 @@ class _MovedLink:
             + np.sin(angle) * np.matmul(cross.T, self.placed)
             + (1 - np.cos(angle)) * np.matmul((cross @ cross).T, self.placed)
         )
-        w, dw, across = (
-            self.spin_above,
-            self.gain_above,
-            _cross(self.spin_above, self.axis),
-        )
+        w, dw = self.spin_above, self.gain_above
+        across = _cross(w, self.axis)
         self.origin, self.field, self._slide = self.base, self.field_above, None
         if slides:
             shift, along = slides * q * self.axis, slides * v * self.axis

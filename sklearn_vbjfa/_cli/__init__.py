@@ -151,6 +151,11 @@ _ARGUMENTS = {
         "remains; saves some seconds",
     },
     "--out": {"metavar": "DIR"},
+    "--workers": {
+        "metavar": "N",
+        "help": "share the work of the fits out to so many processes, or to the Dask "
+        "scheduler at an address such as tcp://host:8786",
+    },
     "--quiet": {
         "action": "store_true",
         "help": "do not show what takes its time",
@@ -233,7 +238,7 @@ _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force {_IDENTIFIED} "
-        "--effects --seed --no-ceiling --quiet",
+        "--effects --seed --no-ceiling --workers --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},

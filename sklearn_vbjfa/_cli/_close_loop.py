@@ -34,7 +34,7 @@ def run(arguments, folder):
     if len(files) > 1:
         # The report calls recordings after their files.
         groups = np.array(recording.group_names, dtype=object)[recording.groups]
-    with blaming(source):
+    with _input.workers(arguments.workers), blaming(source):
         loop = close(
             recording,
             str(taken.urdf),

@@ -55,6 +55,9 @@ from sklearn_vbjfa.robot._states import choose_states
 _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 # Sample periods that differ by more than this share are not the same.
 _DT_TOLERANCE = 0.002
+# How long [s] a scheduler may take to answer.
+_ANSWERS = 10
+_MISSING = "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
 # Results that are merged in one task: few enough to be in memory together.
 _FAN_IN = 8
 
@@ -203,18 +206,26 @@ def _close_loop(discovery, files, dask):
 
 
 @contextmanager
-def workers():
+def workers(where=None):
     """Let Dask compute the fits of this context, those of a loop as well.
 
-    States and second moments of all recordings, or pieces of long ones, are formed
-    where Dask is configured to compute: by the workers of the current
-    `distributed.Client`, otherwise in threads. Results are those without it, up to
-    rounding.
+    States and second moments of all recordings, or pieces of long ones, are formed by
+    workers. Results are those without them, up to rounding.
+
+    Parameters
+    ----------
+    where : None, int or str, default=None
+        None: where Dask is configured to compute, by the workers of the current
+        `distributed.Client`, otherwise in threads. A number of processes that are
+        started on this machine for the context; or the address of a scheduler, such as
+        ``"tcp://host:8786"``.
 
     Raises
     ------
     ImportError
         If Dask is not installed.
+    ValueError
+        If no scheduler answers at the address, or the number is not positive.
 
     See Also
     --------
@@ -232,7 +243,36 @@ def workers():
     >>> bool((robot.min_eigenvalues_ > 0).all())
     True
     """
-    with run_elsewhere(partial(_on_workers, _import_dask())):
+    dask = _import_dask()
+    with _client(where), run_elsewhere(partial(_on_workers, dask)):
+        yield
+
+
+@contextmanager
+def _client(where):
+    """Connect to workers, see `workers`."""
+    if where is None:
+        yield
+        return
+    if isinstance(where, int) and where < 1:
+        raise ValueError(f"where must be at least one process; got {where}.")
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise ImportError(_MISSING) from error
+    if isinstance(where, int):
+        own = {"n_workers": where, "threads_per_worker": 1, "dashboard_address": None}
+        with LocalCluster(processes=True, **own) as local, Client(local):
+            yield
+        return
+    try:
+        client = Client(where, timeout=_ANSWERS)
+    except (OSError, ValueError) as error:
+        raise ValueError(
+            f"no Dask scheduler answers at {where!r}; expected an address such as "
+            "tcp://host:8786, or a number of processes."
+        ) from error
+    with client:
         yield
 
 
@@ -503,9 +543,7 @@ def _import_dask():
     try:
         import dask
     except ImportError as error:
-        raise ImportError(
-            "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
-        ) from error
+        raise ImportError(_MISSING) from error
     return dask
 
 

@@ -21,6 +21,7 @@ from sklearn_vbjfa import (
     RobotIdentifier,
     VBJFARegressor,
 )
+from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import fit_array, fit_recordings
@@ -215,6 +216,37 @@ def test_the_loop_does_not_notice_a_worker_that_dies(
         assert marker.exists()
         assert_same_loop(found, closed)
         cluster.wait_for_workers(2, timeout=600)
+
+
+@pytest.fixture
+def command(recording, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    own = sprung(recording).select(0)
+    np.savez("arm.npz", q=own.q, tau=own.tau, dt=own.dt)
+    return ["close-loop", "arm.npz", "--urdf", str(recording.urdf)]
+
+
+def test_the_command_shares_its_work_out(command, capsys):
+    short = ["--effects", "spring", "--no-ceiling"]
+    found = {}
+    for name, more in (("alone", []), ("shared", ["--workers", "1"])):
+        assert main([*command, *short, *more, "--out", name]) == 0
+        found[name] = capsys.readouterr().out.replace(name, "out")
+    assert found["shared"] == found["alone"]
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [
+        ("0", "at least one process; got 0"),
+        ("tcp://127.0.0.1:1", "no Dask scheduler answers at 'tcp://127.0.0.1:1'"),
+    ],
+)
+def test_workers_that_cannot_be_are_refused(command, capsys, where, message):
+    assert main([*command, "--workers", where]) == 2
+    captured = capsys.readouterr()
+    assert message in captured.err
+    assert captured.out == ""
 
 
 def test_an_estimator_of_another_kind_is_refused(recording, folder):

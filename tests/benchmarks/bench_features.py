@@ -3,13 +3,17 @@
 Run as ``python tests/benchmarks/bench_features.py``. Both see the same motion of the
 same robot in the same process, on one core, in turns; ratios are taken within a round,
 so that a busy machine slows both sides. Then a robot of ten joints is identified from
-half a million samples, and the embedded recording in processes of their own.
+half a million samples, on one core and on two, and the embedded recording in processes
+of their own; ``--fit`` does the former alone.
 """
 
+import itertools
+import multiprocessing
 import subprocess
 import sys
 import time
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 from _report import parser, publish, rst_table
@@ -35,8 +39,8 @@ HEADERS = [
     "compiled [us]",
     "ratio",
 ]
-FIT_HEADERS = ["", "time [s]", "by sample [us]", "over the bare loop"]
-_FIT_JOINTS, _FIT_SAMPLES = 10, 500_000
+FIT_HEADERS = ["cores", "", "time [s]", "by sample [us]", "over the bare loop"]
+_FIT_JOINTS, _FIT_SAMPLES, _FIT_ROUNDS, _FIT_CORES = 10, 500_000, 5, (1, 2)
 ENTERS = ("sklearn_vbjfa.datasets.load_demo_recording",)  # by the next text
 # One fit of the embedded recording; without Numba where it is told so.
 _DEMO = """
@@ -167,48 +171,101 @@ def motion(n_samples, n_joints, rng, dt=1e-3):
     return states
 
 
-def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
-    """Table of a whole fit beside the bare loop over its samples."""
+def call_loop(model, states):
+    """Call Pinocchio once for each of some states (n, 3 nv), and keep nothing."""
     import pinocchio as pin
 
-    rng = np.random.default_rng(_SEED)
-    model = chain(n_joints, rng)
-    X = rng.normal(size=(n_samples, 3 * n_joints))
-    q, v, a = np.split(X, 3, axis=1)
     data = model.createData()
+    for row in zip(*np.split(states, 3, axis=1)):
+        pin.computeJointTorqueRegressor(model, data, *row)
+
+
+class Loops:
+    """The bare loop over some states, divided among one or two processes."""
+
+    # A loop keeps the interpreter to itself: threads would take turns. The processes
+    # have the states before a clock runs, and nothing comes back.
+    _made = None
+
+    def __init__(self, model, X, cores):
+        Loops._made = model, np.array_split(X, cores)
+        self.cores = cores
+        self._pool = multiprocessing.get_context("fork").Pool(cores)
+
+    @staticmethod
+    def _run(k):
+        model, parts = Loops._made
+        call_loop(model, parts[k])
+
+    def __enter__(self):
+        return lambda: self._pool.map(self._run, range(self.cores), chunksize=1)
+
+    def __exit__(self, *_):
+        self._pool.terminate()
+        self._pool.join()
+
+
+def recorded(model, n_samples, rng):
+    """States and torques of drawn states, and positions and torques of a motion."""
+    n_joints = model.nv
+    X = rng.normal(size=(n_samples, 3 * n_joints))
     matrices = TreeRegressor(model)
     inertial = np.array([body.toDynamicParameters() for body in model.inertias[1:]])
-    torque = matrices.torques(q, v, a, inertial)
-    torque += 0.1 * v + 0.1 * rng.normal(size=q.shape)
+
+    def torque(q, v, a):
+        clean = matrices.torques(q, v, a, inertial) + 0.1 * v
+        return clean + 0.1 * rng.normal(size=v.shape)
+
+    given = X, torque(*np.split(X, 3, axis=1))
+    moved = motion(n_samples, n_joints, rng)
+    q = moved[0] + 1e-4 * rng.normal(size=moved[0].shape)
+    return given, (q, torque(*moved))
+
+
+def measure_fit(model, given, moved, cores, rounds):
+    """Seconds (rounds, 4) of the loop, the regressors and two fits, on some cores."""
+    X, n_joints = given[0], model.nv
+    matrices = TreeRegressor(model)
+    states = np.split(X, 3, axis=1)
     # As many rows at a time as a fit makes.
     count = max(1, (4 << 20) // (80 * n_joints**2))
 
-    def loop():
-        for row in zip(q, v, a):
-            pin.computeJointTorqueRegressor(model, data, *row)
+    def regressor(rows):
+        for i in range(*rows.indices(X.shape[0])[:2], count):
+            matrices(*(x[i : min(i + count, rows.stop)] for x in states))
 
-    def regressor():
-        for i in range(0, n_samples, count):
-            matrices(*(x[i : i + count] for x in (q, v, a)))
+    ends = np.linspace(0, X.shape[0], cores + 1).astype(int).tolist()
+    shares = [slice(*pair) for pair in itertools.pairwise(ends)]
 
     def fit(X, torque):
         with warnings.catch_warnings():
             # The rows of given states are no motion.
             warnings.simplefilter("ignore", UserWarning)
-            RobotIdentifier(model, dt=1e-3, friction=("viscous",)).fit(X, torque)
+            RobotIdentifier(model, dt=1e-3, friction=("viscous",), n_jobs=cores).fit(
+                X, torque
+            )
 
-    moved = motion(n_samples, n_joints, rng)
-    q_moved = moved[0] + 1e-4 * rng.normal(size=q.shape)
-    torque_moved = matrices.torques(*moved, inertial)
-    torque_moved += 0.1 * moved[1] + 0.1 * rng.normal(size=q.shape)
-    tasks = (
-        loop,
-        regressor,
-        lambda: fit(X, torque),
-        lambda: fit(q_moved, torque_moved),
-    )
-    with threadpool_limits(1):
-        seconds = timed(tasks, rounds)
+    with (
+        Loops(model, X, cores) as loop,
+        ThreadPoolExecutor(cores) as threads,
+        threadpool_limits(1),
+    ):
+        tasks = (
+            loop,
+            lambda: list(threads.map(regressor, shares)),
+            lambda: fit(*given),
+            lambda: fit(*moved),
+        )
+        return timed(tasks, rounds)
+
+
+def report_fit(
+    n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=_FIT_ROUNDS, cores=_FIT_CORES
+):
+    """Table of a whole fit beside the bare loop over its samples."""
+    rng = np.random.default_rng(_SEED)
+    model = chain(n_joints, rng)
+    recordings = recorded(model, n_samples, rng)
     names = (
         "bare loop",
         "regressor matrices",
@@ -216,17 +273,22 @@ def report_fit(n_joints=_FIT_JOINTS, n_samples=_FIT_SAMPLES, rounds=3):
         "RobotIdentifier.fit, from positions",
     )
     rows = []
-    for k, name in enumerate(names):
-        time_taken = np.median(seconds[:, k])
-        ratio = np.median(seconds[:, k] / seconds[:, 0])
-        each = 1e6 * time_taken / n_samples
-        rows.append([name, f"{time_taken:.2f}", f"{each:.2f}", f"{ratio:.2f}"])
+    for used in cores:
+        seconds = measure_fit(model, *recordings, used, rounds)
+        for k, name in enumerate(names):
+            taken = np.median(seconds[:, k])
+            ratio = np.median(seconds[:, k] / seconds[:, 0])
+            each = 1e6 * taken / n_samples
+            label = "" if k else used
+            rows.append([label, name, f"{taken:.2f}", f"{each:.2f}", f"{ratio:.2f}"])
     return (
-        f"{rst_table(rows, FIT_HEADERS)}\n\n{n_samples} samples of {n_joints} joints, "
-        "as states, or as positions with 0.1 mrad of noise, of which the regressors "
-        "are made twice, from the even and from the odd samples; the bare loop only "
-        "calls Pinocchio's ``computeJointTorqueRegressor``. "
-        f"Medians of {rounds} rounds in one process, on one core."
+        f"{rst_table(rows, FIT_HEADERS, n_labels=2)}\n\n{n_samples} samples of "
+        f"{n_joints} joints, as states, or as positions with 0.1 mrad of noise, of "
+        "which the regressors are made twice, from the even and from the odd samples; "
+        "the bare loop only calls Pinocchio's ``computeJointTorqueRegressor``, in one "
+        "process for each core. On several cores ``n_jobs`` is as many; the linear "
+        "algebra has one thread. "
+        f"Medians of {rounds} rounds in one process, in turns."
     )
 
 
@@ -253,7 +315,11 @@ def main(argv=None):
     """Print the table."""
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--rounds", type=int, default=9)
+    arguments.add_argument("--fit", action="store_true", help="time the fit alone")
     arguments = arguments.parse_args(argv)
+    if arguments.fit:
+        print(report_fit())
+        return
     parts = report(rounds=arguments.rounds), report_fit(), report_demo()
     publish("features", "\n\n".join(parts), write=arguments.write)
 

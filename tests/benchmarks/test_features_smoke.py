@@ -39,4 +39,5 @@ def test_fit_and_demo_at_small_size():
     text = bench.report_fit(n_joints=2, n_samples=3000, rounds=1)
     for name in bench.FIT_HEADERS:
         assert name in text
+    assert text.count("RobotIdentifier.fit, from positions") == 2
     assert "start to end" in bench.report_demo(rounds=1)

@@ -16,7 +16,7 @@ _ATTENUATION = 60.0  # dB
 # A filtered row counts when at least this share of the filter's neighbourhood counts.
 _MASK_SHARE = 0.5
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
-_BLOCK_BYTES = 4 << 20
+_BLOCK_BYTES = 1 << 20
 _MIN_ROWS = 128
 
 
@@ -103,12 +103,12 @@ def _tap_matrix(taps, step, n_rows):
 
 def block_length(lowpass, row_bytes):
     """Return the number of rows of a block: a multiple of the decimation."""
-    # With a filter a quarter of its length at least: few zeros in the matrix of taps,
-    # and rows that are still in the cache when they are filtered; without one what fits
-    # into the cache.
+    # With a filter half of its length: few zeros in the matrix of taps, and rows that
+    # are still in the cache when they are filtered; without one what fits into the
+    # cache.
     rows = _BLOCK_BYTES // row_bytes
     if lowpass.half:
-        rows = max(_MIN_ROWS, lowpass.half // 2)
+        rows = max(_MIN_ROWS, lowpass.half)
     return lowpass.step * max(1, -(-rows // lowpass.step))
 
 

@@ -23,7 +23,13 @@ from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
-from sklearn_vbjfa.robot._joint_moments import Numbering, piece_moments, sum_moments
+from sklearn_vbjfa.robot._joint_moments import (
+    MomentSums,
+    Numbering,
+    joint_entries,
+    piece_moments,
+    sum_moments,
+)
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._ranges import SignalRanges
 
@@ -34,9 +40,7 @@ _SPAN_ROWS = 4096
 # Rows of the regressor per block of a prediction.
 _BLOCK_ROWS = 256
 # Memory for filtered rows of the regressor.
-CHUNK_BYTES = 32 << 20
-# The same without a filter: pieces do not overlap and stay in the cache.
-_UNFILTERED_BYTES = 8 << 20
+CHUNK_BYTES = 8 << 20
 # Memory for rows of the regressor while loads are computed.
 _LOAD_BYTES = 64 << 20
 
@@ -179,8 +183,9 @@ class RegressorRows:
     # n_parameters): entries that are nonzero in some motion; used (n_entries,): their
     # positions in a flattened matrix, the features' (n_rigid) first.
 
-    def __init__(self, features, states, columns=(), rest=None):
+    def __init__(self, features, states, columns=(), rest=None, declared=None):
         self._features, self._states, self._rest = features, states, rest
+        self._declared = declared
         self._columns = list(columns)
         self._gains = features.gains_ if (features.gains_ != 1).any() else None
         extra = sum(values.shape[-1] for _, values in self._columns)
@@ -232,6 +237,23 @@ class RegressorRows:
         columns = [(effect, values[rows]) for effect, values in self._columns]
         return RegressorRows(self._features, self._states[rows], columns, self._rest)
 
+    def spans(self, rows, length):
+        """Yield blocks of at most `length` rows of a slice, and where each begins."""
+        # States are evaluated, and declared columns made, for many blocks at once.
+        span = length * max(1, _SPAN_ROWS // length)
+        for begin in range(rows.start, rows.stop, span):
+            n = min(span, rows.stop - begin)
+            own = self.part(slice(begin, begin + n))
+            own._declared = own._features.declared(own._states, own._rest)
+            for at in range(0, n, length):
+                block = slice(at, min(at + length, n))
+                yield begin - rows.start + at, own.entries(block)
+
+    @functools.cached_property
+    def joints(self):
+        """Where the entries of each joint stand among those of a row."""
+        return joint_entries(self.support, self.used)
+
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
         Phi = self._features.matrices(self._states[piece], self._rest)
@@ -257,7 +279,8 @@ class RegressorRows:
 
     def entries(self, piece):
         """Entries of the support for a slice of rows, (n_entries, n)."""
-        entries = self._features.entries(self._states[piece], self._rest)
+        declared = None if self._declared is None else self._declared[..., piece]
+        entries = self._features.entries(self._states[piece], self._rest, declared)
         if self._columns:
             n = entries.shape[1]
             columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
@@ -283,19 +306,14 @@ class RegressorRows:
         weights = np.zeros((self.n_joints, self.used.size))
         weights[joints, np.arange(self.used.size)] = theta[columns]
         torque = np.empty((self._states.shape[0], self.n_joints))
-        for piece in self._pieces():
-            torque[piece] = (weights @ self.entries(piece)).T
+        for at, entries in self.spans(slice(0, len(torque)), _BLOCK_ROWS):
+            torque[at : at + entries.shape[1]] = (weights @ entries).T
         return torque
 
     def blocks(self):
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
-        for piece in self._pieces():
-            yield self.spread(self.entries(piece).T)
-
-    def _pieces(self):
-        """Return slices of rows that are computed together."""
-        n = self._states.shape[0]
-        return [slice(i, min(i + _BLOCK_ROWS, n)) for i in range(0, n, _BLOCK_ROWS)]
+        for _, entries in self.spans(slice(0, self._states.shape[0]), _BLOCK_ROWS):
+            yield self.spread(entries.T)
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
@@ -373,52 +391,75 @@ class Segment:
 
     def pieces(self, lowpass):
         """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""
-        # Unfiltered ones are smaller. Neighbouring pieces share input rows over the
-        # length of the filter, so none is shorter than twice the filter.
-        one = self.rows if self.rows is not None else self.halves[0]
+        # Neighbouring pieces share input rows over the length of the filter, so none is
+        # shorter than twice the filter.
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
-        per_output = 8 * kinds * one.n_joints * one.n_parameters
-        size = CHUNK_BYTES if lowpass.half else min(CHUNK_BYTES, _UNFILTERED_BYTES)
-        count = max(size // per_output, 4 * lowpass.half // lowpass.step, 1)
+        per_output = 8 * kinds * self._made[0].used.size
+        count = max(CHUNK_BYTES // per_output, 4 * lowpass.half // lowpass.step, 1)
         total = lowpass.centres(self.n_rows).size
         return [slice(i, min(i + count, total)) for i in range(0, total, count)]
+
+    @property
+    def _made(self):
+        """Regressors that are computed: of all samples, of the halves, or of both."""
+        return (() if self.rows is None else (self.rows,)) + (self.halves or ())
 
     def equations(self, lowpass, outputs, numbering=None):
         """Return the equations of a slice of filtered rows."""
         # Includes the difference of the halves, if any, and the blocks of a
         # `Numbering`.
-        chosen = lowpass.centres(self.n_rows, outputs)
-        seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
-        made = () if self.rows is None else (self.rows,)
-        made += self.halves or ()
-        if lowpass.half == 0 and lowpass.step == 1:
-            # Nothing is added up: the matrices are made where they stay.
-            filtered, spread = [rows(seen) for rows in made], np.asarray
-        else:
-            filtered = _filter_rows(made, seen, lowpass, chosen.size)
-            spread = made[0].spread
-        Phi, difference = filtered[0], None
-        if self.halves is not None:
-            even, odd = filtered[-2:]
-            if self.rows is None:
-                Phi = 0.5 * (even + odd)
-            difference = spread(np.subtract(even, odd, out=even))
-        weight = filter_weight(lowpass, self.counts(seen))
-        q, v = (
-            decimate(lowpass, signal)
-            for signal in (positions(self.states, seen), velocities(self.states, seen))
+        seen, measured = self._measured(lowpass, outputs)
+        spread = self._made[0].spread
+        blocks = [own[1:] for own in self._filtered(lowpass, seen, outputs)]
+        Phi, difference = (
+            None if one[0] is None else spread(np.concatenate(one))
+            for one in zip(*blocks)
         )
         return Equations(
-            Phi=spread(Phi),
-            tau=decimate(lowpass, self.torque[seen]),
-            weight=weight,
-            index=self.first + chosen,
+            Phi=Phi,
             difference=difference,
+            index=self.first + lowpass.centres(self.n_rows, outputs),
             blocks=numbering and numbering.parts(self.number, outputs),
-            ranges=SignalRanges.of(
-                [q, np.abs(v), np.sign(v) * (np.abs(v) > self.standstill)], weight > 0
-            ),
+            **measured,
         )
+
+    def moments(self, lowpass, outputs, numbering=None):
+        """Return the second moments of these equations, whose matrices are not made."""
+        seen, measured = self._measured(lowpass, outputs)
+        sums = MomentSums(
+            self._made[0].joints,
+            self._made[0].n_parameters,
+            measured["tau"],
+            measured["weight"],
+            numbering and numbering.parts(self.number, outputs),
+            noise=self.halves is not None,
+        )
+        for first, rows, difference in self._filtered(lowpass, seen, outputs):
+            sums.add(first, rows, difference)
+        return replace(sums.moments(), ranges=measured["ranges"])
+
+    def _measured(self, lowpass, outputs):
+        """Return the rows seen, and torque, weight and ranges of filtered rows."""
+        chosen = lowpass.centres(self.n_rows, outputs)
+        seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
+        weight = filter_weight(lowpass, self.counts(seen))
+        q, v = positions(self.states, seen), velocities(self.states, seen)
+        signals = decimate(lowpass, np.stack([self.torque[seen], q, v], axis=1))
+        tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
+        ways = np.sign(v) * (np.abs(v) > self.standstill)
+        ranges = SignalRanges.of([q, np.abs(v), ways], weight > 0)
+        return seen, {"tau": tau, "weight": weight, "ranges": ranges}
+
+    def _filtered(self, lowpass, seen, outputs):
+        """Yield entries (n, n_entries) of filtered rows, their noise, and the first."""
+        count = lowpass.centres(self.n_rows, outputs).size
+        for first, made in _filter_rows(self._made, seen, lowpass, count):
+            if self.halves is None:
+                yield first, made[0], None
+                continue
+            even, odd = made[-2:]
+            mean = 0.5 * (even + odd) if self.rows is None else made[0]
+            yield first, mean, even - odd
 
     def loads(self, lowpass, torques):
         """Range of the loads in filtered rows with weight, `SignalRanges`."""
@@ -445,18 +486,19 @@ def velocities(states, rows):
 
 
 def _filter_rows(made, seen, lowpass, count):
-    """Entries (n, n_entries) of regressor matrices behind the low-pass."""
-    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    """Yield entries (n, n_entries) of regressors behind the low-pass, and the first."""
     length = block_length(lowpass, 8 * made[0].used.size)
-    span = length * max(1, _SPAN_ROWS // length)
-    for begin in range(seen.start, seen.stop, span):
-        stretch = slice(begin, min(begin + span, seen.stop))
-        for rows, into in zip(made, filters):
-            own = rows.part(stretch)
-            for at in range(0, stretch.stop - begin, length):
-                block = slice(at, min(at + length, stretch.stop - begin))
-                into.add(begin - seen.start + at, own.entries(block).T)
-    return [into.outputs for into in filters]
+    blocks = zip(*[rows.spans(seen, length) for rows in made])
+    if lowpass.half == 0 and lowpass.step == 1:
+        # Nothing is added up, and nothing has to be kept.
+        for several in blocks:
+            yield several[0][0], [entries.T for _, entries in several]
+        return
+    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    for several in blocks:
+        for into, (at, entries) in zip(filters, several):
+            into.add(at, entries.T)
+    yield 0, [into.outputs for into in filters]
 
 
 def edge_rows(n, state_estimator):
@@ -548,7 +590,7 @@ def accumulate(made, lowpass, *, n_jobs=None, numbering=None):
 
 def _piece_moments(segment, lowpass, outputs, numbering):
     with one_blas_thread():
-        return segment.equations(lowpass, outputs, numbering).moments()
+        return segment.moments(lowpass, outputs, numbering)
 
 
 def held_columns(features, effects):

@@ -230,7 +230,27 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Phi[:, diagonal, diagonal, 10:] = declared_columns(self.friction_, v, a, rest)
         return Phi.reshape(n, nv, self.n_parameters_)
 
-    def entries(self, X, rest=None):
+    def declared(self, X, rest=None):
+        """Compute the friction columns of all joints, samples last.
+
+        Parameters
+        ----------
+        X : ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a].
+        rest : Rest or None, default=None
+            Signs of velocities are their means with it.
+
+        Returns
+        -------
+        ndarray of shape (nv, n_friction, n_samples)
+            Columns.
+        """
+        nv = self.n_joints_
+        v, a = X[:, nv : 2 * nv], X[:, 2 * nv :]
+        columns = declared_columns(self.friction_, v, a, rest)
+        return np.ascontiguousarray(columns.transpose(1, 2, 0))
+
+    def entries(self, X, rest=None, declared=None):
         """Compute the entries of `support_` alone, samples last.
 
         Parameters
@@ -239,6 +259,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             States [q | v | a].
         rest : Rest or None, default=None
             Signs of velocities are their means with it.
+        declared : ndarray of shape (nv, n_friction, n_samples), default=None
+            Friction columns, where they are known already.
 
         Returns
         -------
@@ -250,8 +272,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         out = np.empty((self._n_entries, X.shape[0]))
         self._regressor.entries(q, v, a, self._places[:, :, :10], out)
         diagonal = np.arange(nv)
-        columns = declared_columns(self.friction_, v, a, rest)
-        out[self._places[diagonal, diagonal, 10:]] = columns.transpose(1, 2, 0)
+        if declared is None:
+            declared = self.declared(X, rest)
+        out[self._places[diagonal, diagonal, 10:]] = declared
         return out
 
     def one_by_one(self):

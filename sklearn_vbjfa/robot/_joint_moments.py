@@ -255,51 +255,141 @@ def joint_moments(Phi, tau, weight, difference=None, parts=None):
 
 def piece_moments(Phi, tau, weight, difference=None, parts=None):
     """Accumulate rows for `sum_moments`, see `joint_moments`."""
-    # G and noise hold the range of each joint's columns and the matrix of these: of
-    # many joints whole matrices would be larger than the rows of a piece.
-    root = np.sqrt(weight)
-    keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
-    made = _part_moments(Phi, tau, root, starts)
-    g = np.zeros(Phi.shape[1:])
-    for j, (used, _, gs) in enumerate(made):
-        g[j, used] = gs.sum(axis=0)
-    blocks = None
-    if keys is not None:
-        columns, Gs, gs = zip(*made)
-        n = np.add.reduceat(weight, starts, axis=0)
-        parts = BlockMoments(keys=keys, n=n, columns=columns, G=Gs, g=gs)
-        blocks = _merge_blocks((), (parts,))
-    return JointMoments(
-        n=weight.sum(axis=0),
-        n_rows=(weight > 0).sum(axis=0),
-        G=tuple((used, Gs.sum(axis=0)) for used, Gs, _ in made),
-        g=g,
-        yy=np.einsum("nj,nj->j", weight, tau**2),
-        noise=None if difference is None else _noise(difference, root),
-        blocks=blocks,
-    )
-
-
-def _part_moments(Phi, tau, root, starts):
-    """Moments of parts of the rows, for each joint (columns, their G, their g)."""
-    ends = [*starts[1:].tolist(), Phi.shape[0]]
-    made = []
-    for j in range(Phi.shape[1]):
+    n, nv, p = Phi.shape
+    entries = []
+    for j in range(nv):
         used = _used(Phi[:, j])
-        rows = Phi[:, j, used] * root[:, j, None]
-        torque = tau[:, j] * root[:, j]
-        G = np.empty((starts.size, rows.shape[1], rows.shape[1]))
-        g = np.empty((starts.size, rows.shape[1]))
-        for i, (start, end) in enumerate(zip(starts.tolist(), ends)):
-            own = rows[start:end]
-            np.matmul(own.T, own, out=G[i])
-            np.matmul(torque[start:end], own, out=g[i])
-        made.append((used, G, g))
-    return made
+        if difference is not None:
+            used = np.union1d(used, _used(difference[:, j]))
+        entries.append((_as_slice(j * p + used), used))
+    sums = MomentSums(entries, p, tau, weight, parts, noise=difference is not None)
+    if difference is not None:
+        difference = difference.reshape(n, -1)
+    sums.add(0, Phi.reshape(n, -1), difference)
+    return sums.moments()
+
+
+class MomentSums:
+    """Moments of a piece, whose rows come block by block and are not kept."""
+
+    # entries: for each joint, where the entries of its regressor stand in a row of
+    # those of all (a slice or numbers) and which columns (k,) they are. Entries that
+    # are zero in every motion are nowhere.
+
+    def __init__(self, entries, p, tau, weight, parts=None, *, noise=False):
+        self._entries, self._tau, self._weight = entries, tau, weight
+        self._keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
+        self._starts, self._p = starts, p
+        self._ends = [*starts[1:].tolist(), tau.shape[0]]
+        widths = [columns.size for _, columns in entries]
+        self._G = [np.zeros((starts.size, k, k)) for k in widths]
+        self._g = [np.zeros((starts.size, k)) for k in widths]
+        self._noise = [np.zeros((k, k)) for k in widths] if noise else None
+
+    def add(self, first, rows, difference=None):
+        """Add entries (n, n_entries) of rows from the piece's row `first` on."""
+        stop = first + rows.shape[0]
+        for i, (start, end) in enumerate(zip(self._starts.tolist(), self._ends)):
+            own = slice(max(start, first), min(end, stop))
+            if own.start < own.stop:
+                apart = None if difference is None else difference[_from(own, first)]
+                self._add(i, own, rows[_from(own, first)], apart)
+
+    def _add(self, part, own, rows, difference):
+        weight, tau = self._weight[own], self._tau[own]
+        # Where all rows have one weight they need not be multiplied with it.
+        same = (weight == weight[0]).all(axis=0)
+        root = np.sqrt(np.where(same, 1.0, weight))
+        factor, torque = np.where(same, weight[0], 1.0), root * tau
+        for j, (where, _) in enumerate(self._entries):
+            values = rows[:, where] if same[j] else rows[:, where] * root[:, j, None]
+            # One array on both sides: half of the products do.
+            self._G[j][part] += factor[j] * (values.T @ values)
+            self._g[j][part] += factor[j] * (torque[:, j] @ values)
+            if difference is not None:
+                apart = difference[:, where]
+                apart = apart if same[j] else apart * root[:, j, None]
+                self._noise[j] += 0.25 * factor[j] * (apart.T @ apart)
+
+    def moments(self):
+        """Return the `JointMoments`, for `sum_moments`."""
+        # G and noise hold the range of each joint's columns and the matrix of these: of
+        # many joints whole matrices would be larger than the rows of a piece.
+        weight, tau = self._weight, self._tau
+        ranges = [_range(columns) for _, columns in self._entries]
+        Gs = [self._spread(j, own) for j, own in enumerate(self._G)]
+        gs, g = [], np.zeros((len(ranges), self._p))
+        for j, (own, (_, columns)) in enumerate(zip(self._g, self._entries)):
+            wide = np.zeros((own.shape[0], ranges[j].stop - ranges[j].start))
+            wide[:, columns - ranges[j].start] = own
+            g[j, ranges[j]] = wide.sum(axis=0)
+            gs.append(wide)
+        blocks = None
+        if self._keys is not None:
+            parts = BlockMoments(
+                keys=self._keys,
+                n=np.add.reduceat(weight, self._starts, axis=0),
+                columns=tuple(ranges),
+                G=tuple(Gs),
+                g=tuple(gs),
+            )
+            blocks = _merge_blocks((), (parts,))
+        noise = None
+        if self._noise is not None:
+            wide = [self._spread(j, own[None])[0] for j, own in enumerate(self._noise)]
+            noise = tuple(zip(ranges, wide))
+        return JointMoments(
+            n=weight.sum(axis=0),
+            n_rows=(weight > 0).sum(axis=0),
+            G=tuple((k, own.sum(axis=0)) for k, own in zip(ranges, Gs)),
+            g=g,
+            yy=np.einsum("nj,nj->j", weight, tau**2),
+            noise=noise,
+            blocks=blocks,
+        )
+
+    def _spread(self, j, G):
+        """Put matrices (n, k, k) of a joint's entries into the range of its columns."""
+        columns = self._entries[j][1]
+        own = _range(columns)
+        width = own.stop - own.start
+        if width == columns.size:
+            return G
+        at = columns - own.start
+        wide = np.zeros((G.shape[0], width, width))
+        wide[:, at[:, None], at] = G
+        return wide
+
+
+def _from(rows, first):
+    return slice(rows.start - first, rows.stop - first)
+
+
+def _range(columns):
+    """Range from the first to the last of columns (k,) in order, a slice."""
+    return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
+
+
+def _as_slice(numbers):
+    """Return numbers as a slice where they follow each other: it copies nothing."""
+    own = _range(numbers)
+    return own if own.stop - own.start == numbers.size else numbers
+
+
+def joint_entries(support, used):
+    """Where the entries of each joint stand, for `MomentSums`."""
+    # support (nv, p); used (n_entries,): places of entries in a flattened matrix.
+    joints, columns = np.divmod(used, support.shape[1])
+    found = []
+    for j in range(support.shape[0]):
+        own = np.flatnonzero(joints == j)
+        own = own[np.argsort(columns[own])]
+        found.append((_as_slice(own), columns[own]))
+    return found
 
 
 def _used(rows):
-    """Range from the first to the last nonzero column of rows (n, p), a slice."""
+    """Numbers of the columns of rows (n, p) from the first to the last nonzero one."""
     # A joint's torque depends only on the bodies it moves.
     # A few rows usually suffice; checking the rest is faster than column by column.
     columns = np.flatnonzero(rows[:: len(rows) // 8 + 1].any(axis=0))
@@ -309,14 +399,7 @@ def _used(rows):
         or rows[:, columns[-1] + 1 :].any()
     ):
         columns = np.flatnonzero(rows.any(axis=0))
-    return slice(int(columns[0]), int(columns[-1]) + 1) if columns.size else slice(0, 0)
-
-
-def _noise(difference, root):
-    """Take a quarter of the moments of differences, see `piece_moments`."""
-    starts = np.zeros(1, dtype=int)
-    made = _part_moments(difference, np.zeros(root.shape), root, starts)
-    return tuple((used, 0.25 * Gs[0]) for used, Gs, _ in made)
+    return np.arange(columns[0], columns[-1] + 1) if columns.size else columns
 
 
 def sum_moments(several):

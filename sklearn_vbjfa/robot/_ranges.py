@@ -61,6 +61,8 @@ _UNKNOWN = (float("nan"), float("nan"))
 
 
 def _extreme(function, values, counts, nothing):
+    if values.size and counts.all():
+        return function(values, axis=0)
     return function(values, axis=0, where=counts, initial=nothing)
 
 

@@ -182,7 +182,8 @@ def test_only_the_support_is_made_and_filtered(recording):
         assert_allclose(rows.predict(theta), Phi @ theta, rtol=0, atol=1e-11)
         lowpass = _lowpass.design(0.01, 5.0)
         count = lowpass.centres(500).size
-        (filtered,) = _equations._filter_rows((rows,), slice(0, 500), lowpass, count)
+        made = _equations._filter_rows((rows,), slice(0, 500), lowpass, count)
+        ((_, (filtered,)),) = made
         matrices = rows.spread(filtered)
         assert_allclose(matrices, lowpass(Phi), rtol=0, atol=1e-11)
         assert_array_equal(matrices[:, ~rows.support], 0.0)

@@ -295,41 +295,44 @@ class Spline:
     shift: int  # row at which the first knot stands
     h: float  # distance of the knots [s]
 
-    def __call__(self, start, stop, order=0):
+    def __call__(self, start, stop, order=0, out=None):
         """Evaluate rows start ... stop - 1 of the recording, or a derivative there."""
         # Velocities below a billionth of the fastest are exactly zero.
+        out = np.empty(stop - start) if out is None else out
         per = self.per_knot
         n_intervals = self.coef.size - _DEGREE
         low, high = start - self.shift, stop - 1 - self.shift
         first = min(max(low // per, 0), n_intervals - 1)
         last = min(max(high // per, 0), n_intervals - 1)
-        coef = self.coef
         windows = np.empty((last - first + 1, _WIDTH))
         for j in range(_WIDTH):
-            windows[:, j] = coef[first + j : last + 1 + j]
-        values = (windows @ _basis(per, 0, per - 1, order).T).ravel()
+            windows[:, j] = self.coef[first + j : last + 1 + j]
+        values = (windows @ self._table(0, per - 1, order).T).ravel()
         begin, end = first * per, (last + 1) * per
-        values = values[max(low - begin, 0) : max(high + 1 - begin, 0)]
+        inside = slice(max(begin - low, 0), max(min(end, high + 1) - low, 0))
+        out[inside] = values[max(low - begin, 0) : max(high + 1 - begin, 0)]
         if low < begin:
             # Rows outside the knots: the polynomials at the ends continue.
-            before = _basis(per, low - begin, min(high - begin, -1), order)
-            values = np.r_[before @ windows[0], values]
+            before = self._table(low - begin, min(high - begin, -1), order)
+            out[: len(before)] = before @ windows[0]
         if high >= end:
-            after = _basis(per, per + max(low - end, 0), per + high - end, order)
-            values = np.r_[values, after @ windows[-1]]
+            after = self._table(per + max(low - end, 0), per + high - end, order)
+            out[out.size - len(after) :] = after @ windows[-1]
         if order == 0:
-            values += self.offset
-            return values
+            out += self.offset
         if order == 1:
-            values[np.abs(values) <= self._stands_still] = 0.0
-        values /= self.h**order
-        return values
+            out[np.abs(out) <= self._stands_still] = 0.0
+        return out
+
+    def _table(self, first, last, order):
+        """Values or derivatives of the six functions, in units of the samples."""
+        return _basis(self.per_knot, first, last, order) / self.h**order
 
     @cached_property
     def _stands_still(self):
-        """Largest velocity that is none, times the distance of the knots."""
+        """Largest velocity that is none."""
         # A velocity is a mean of neighbouring differences of the coefficients.
-        return _STANDS_STILL * np.abs(np.diff(self.coef)).max()
+        return _STANDS_STILL * np.abs(np.diff(self.coef)).max() / self.h
 
 
 def fit(x, dt, cutoff, *, every=1, shift=0):

@@ -381,13 +381,14 @@ class Segment:
         """Number of rows."""
         return self.torque.shape[0]
 
-    def counts(self, rows):
+    def counts(self, rows, v):
         """Return the weights of a slice of rows, zero where the joint is at rest."""
+        # v (n, nv): velocities in these rows.
         start, stop, _ = rows.indices(self.n_rows)
-        moves = np.abs(velocities(self.states, rows)) > self.standstill
         row = np.arange(start, stop)
         inside = (row >= self.edge) & (row < self.n_rows - self.edge)
-        return self.weight[rows] * moves * inside[:, None]
+        moves = (np.abs(v) > self.standstill) & inside[:, None]
+        return self.weight[rows] * moves
 
     def pieces(self, lowpass):
         """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""
@@ -442,8 +443,8 @@ class Segment:
         """Return the rows seen, and torque, weight and ranges of filtered rows."""
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
-        weight = filter_weight(lowpass, self.counts(seen))
         q, v = positions(self.states, seen), velocities(self.states, seen)
+        weight = filter_weight(lowpass, self.counts(seen, v))
         signals = decimate(lowpass, np.stack([self.torque[seen], q, v], axis=1))
         tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
         ways = np.sign(v) * (np.abs(v) > self.standstill)
@@ -465,8 +466,10 @@ class Segment:
         """Range of the loads in filtered rows with weight, `SignalRanges`."""
         # torques: (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
         # filtered before, which is the same for motion in the band of the filter.
-        weight = filter_weight(lowpass, self.counts(slice(0, self.n_rows)))
-        states = decimate(lowpass, np.ascontiguousarray(self.states[:]))
+        states, rows = np.ascontiguousarray(self.states[:]), slice(0, self.n_rows)
+        v = np.split(states, 3, axis=1)[1]
+        weight = filter_weight(lowpass, self.counts(rows, v))
+        states = decimate(lowpass, states)
         return SignalRanges.of([torques(*np.split(states, 3, axis=1))], weight > 0)
 
 

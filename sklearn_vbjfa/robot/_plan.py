@@ -15,10 +15,17 @@ from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._parallel import run
-from sklearn_vbjfa.robot._states import RecordingStates, smooth_segment
+from sklearn_vbjfa.robot._states import (
+    RecordingStates,
+    SplineStates,
+    of_joints,
+    smooth_segment,
+)
 
 # Quantile that defines a joint's top speed: the fastest, without outliers.
 _FAST = 0.995
+# Rows of which the fastest are found at a time.
+_TOP_ROWS = 1 << 15
 # Parallel filtering after Gautier: the low-pass lies at five times the bandwidth of the
 # motion, high enough for friction at reversals, low enough to reject vibration.
 CUTOFF_PER_BANDWIDTH = 5.0
@@ -188,7 +195,7 @@ class MotionFacts:
     highest: np.ndarray
     # (k, nv): largest speeds of each joint [rad/s or m/s], in any order
     fastest: np.ndarray
-    # (nv,): `fastest_period` [s], if all states were available together
+    # (nv,): `_fastest_period` [s], if all states were available together
     period: np.ndarray | None = None
 
     @classmethod
@@ -199,8 +206,17 @@ class MotionFacts:
             n=positions.shape[0],
             lowest=positions.min(axis=0),
             highest=positions.max(axis=0),
-            fastest=_largest(np.abs(velocities), keep),
+            fastest=_largest(velocities, keep),
         )
+
+    @classmethod
+    def of_joints(cls, several):
+        """Join the statistics of some joints and of others in one recording."""
+        joined = {
+            name: np.concatenate([getattr(own, name) for own in several], axis=-1)
+            for name in ("lowest", "highest", "fastest")
+        }
+        return cls(n=several[0].n, **joined)
 
     def merge(self, other, keep):
         """Merge with the statistics of other recordings."""
@@ -213,11 +229,7 @@ class MotionFacts:
 
     def fast(self):
         """Return the 99.5th percentiles of the speeds (nv,) over all samples."""
-        position = _FAST * (self.n - 1)
-        below = int(np.floor(position))
-        # ascending; the first has rank `below` among all n
-        top = np.sort(self.fastest, axis=0)[-(self.n - below) :]
-        return np.quantile(top[:2], position - below, axis=0)
+        return _top_quantile(self.fastest, self.n)
 
 
 def merge_all(facts, keep):
@@ -228,14 +240,11 @@ def merge_all(facts, keep):
     return first
 
 
-def fastest_period(states):
+def _fastest_period(facts, accelerations):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
-    # That is 2 pi times top speed over top acceleration of states (n, 3 nv); zero
-    # without.
-
-    # Contiguous per joint, which dominates the cost of a partition.
-    _, v, a = (np.abs(x, order="C") for x in np.split(states.T, 3))
-    fast, strong = (np.quantile(x, _FAST, axis=1, overwrite_input=True) for x in (v, a))
+    # That is 2 pi times top speed over top acceleration (n, nv); zero without.
+    fast = facts.fast()
+    strong = _top_quantile(_largest(accelerations, n_fastest(facts.n)), facts.n)
     out = np.zeros_like(fast)
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
 
@@ -252,27 +261,46 @@ def observe(recording, estimator, periods, halves, n_jobs):
     else:
         keep = n_fastest(recording.n_samples)
         return smooth(recording, estimator, halves, keep, n_jobs)
-    whole = np.concatenate(states.own)
-    q, v, _ = np.split(whole, 3, axis=1)
+    whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
+    q, v, a = np.split(whole, 3, axis=1)
     facts = MotionFacts.of(q, v, n_fastest(whole.shape[0]))
-    return states, replace(facts, period=fastest_period(whole))
+    return states, replace(facts, period=_fastest_period(facts, a))
 
 
 def smooth(recording, estimator, halves, keep, n_jobs):
     """Smooth the positions of a recording, segment by segment, `n_jobs` at a time."""
     # halves: also from the even and odd samples; keep: `n_fastest` of all samples.
-    # Returns `RecordingStates` and `MotionFacts`.
+    # Returns `RecordingStates` and `MotionFacts`. Joints are smoothed apart, where
+    # there would be fewer tasks.
+    parts, nv = recording.segments, recording.q.shape[1]
+    shares = [slice(j, j + 1) for j in range(nv)] if len(parts) < nv else [slice(nv)]
     tasks = [
-        (recording.q[part], part.start, estimator, halves, keep)
-        for part in recording.segments
+        (recording.q[part, own], part.start, of_joints(estimator, own), halves, keep)
+        for part in parts
+        for own in shares
     ]
-    lengths = [part.stop - part.start for part in recording.segments]
+    # Each joint is its share of the rows, in whole numbers.
+    ends = np.arange(len(shares) + 1)
+    rows = [
+        int(n)
+        for part in parts
+        for n in np.diff((part.stop - part.start) * ends // len(shares))
+    ]
     done = run(smooth_with_facts, tasks, n_jobs)
-    own, both, facts = zip(*counted(done, "states", "rows", lengths))
-    states = RecordingStates(
-        own=list(own), halves=tuple(map(list, zip(*both))) if halves else None
-    )
-    return states, merge_all(facts, keep)
+    found = list(counted(done, "states", "rows", rows))
+    found = [found[i : i + len(shares)] for i in range(0, len(found), len(shares))]
+    own = [SplineStates.of_joints([one[0] for one in several]) for several in found]
+    both = None
+    if halves:
+        both = tuple(
+            [
+                SplineStates.of_joints([one[1][k] for one in several])
+                for several in found
+            ]
+            for k in range(2)
+        )
+    facts = [MotionFacts.of_joints([one[2] for one in several]) for several in found]
+    return RecordingStates(own=own, halves=both), merge_all(facts, keep)
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
@@ -284,10 +312,26 @@ def smooth_with_facts(x, start, estimator, halves, keep):
 
 
 def _largest(values, keep):
-    n = values.shape[0]
-    if n <= keep:
-        return values
-    return np.partition(values, n - keep, axis=0)[n - keep :]
+    """Largest sizes of values (n, k), at most `keep` of each column, in any order."""
+    # Signals whose samples are next to each other are several times faster to divide,
+    # and so are some that stay in the cache.
+    n, rows = values.shape[0], max(_TOP_ROWS, 4 * keep)
+    if n > rows:
+        parts = [_largest(values[i : i + rows], keep) for i in range(0, n, rows)]
+        return _largest(np.concatenate(parts), keep)
+    sizes = np.abs(values.T, order="C")
+    if n > keep:
+        sizes.partition(n - keep, axis=1)
+    return sizes[:, max(n - keep, 0) :].T
+
+
+def _top_quantile(largest, n):
+    """Return the 99.5th percentiles of n sizes from the largest of them, (k,)."""
+    position = _FAST * (n - 1)
+    below = int(np.floor(position))
+    # ascending; the first has rank `below` among all n
+    top = np.sort(largest, axis=0)[-(n - below) :]
+    return np.quantile(top[:2], position - below, axis=0)
 
 
 def resolve_cutoff(cutoff, longest, dt, state_estimator):

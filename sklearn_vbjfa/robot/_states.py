@@ -340,6 +340,12 @@ class SplineStates:
         self._splines = splines
         self.shape = n, 3 * len(splines)
 
+    @classmethod
+    def of_joints(cls, several):
+        """Join the states of some joints and of others."""
+        splines = [spline for states in several for spline in states._splines]
+        return cls(splines, several[0].shape[0])
+
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
         start, stop, _ = rows.indices(self.shape[0])
@@ -360,7 +366,7 @@ class SplineStates:
     def _evaluate(self, start, stop, order, out):
         """Write derivatives of an order for some rows, (nv, n)."""
         for signal, spline in zip(out, self._splines):
-            signal[:] = spline(start, stop, order)
+            spline(start, stop, order, out=signal)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,6 +428,11 @@ def _with_cutoffs(estimator, cutoffs):
     fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
     vars(other).update(fitted, cutoff_=cutoffs)
     return other
+
+
+def of_joints(estimator, joints):
+    """Copy a fitted state estimator for a slice of the joints."""
+    return _with_cutoffs(estimator, estimator.cutoff_[joints])
 
 
 def smooth_to(estimator, cutoff):

@@ -91,6 +91,10 @@ def noise_facts(residual, torque, states, dt, cutoff):
     """Measure the spectrum of the residual (n, nv) of one recording."""
     # states (n, 3 nv); dt [s]; cutoff: of the fit [Hz].
     n, nv = residual.shape
+    # The samples of a signal next to each other, as all is done joint by joint.
+    residual, torque, states = (
+        np.ascontiguousarray(x.T).T for x in (residual, torque, states)
+    )
     hold = np.array([held_rows(x) for x in torque.T])
     scales = np.full((nv, len(_STRIDES)), np.nan)
     positions, velocities = states[:, :nv], states[:, nv : 2 * nv]
@@ -122,9 +126,10 @@ def _without_own_friction(q, v, residual):
         return residual
     friction = [np.sign(v), v, np.abs(v), v * np.abs(v)]
     friction += [dahl(q, share * reach) for share in _DISPLACEMENTS]
-    columns = np.column_stack([*friction, np.ones_like(q)])
-    columns /= np.maximum(np.abs(columns).max(axis=0), np.finfo(float).tiny)
-    return residual - columns @ np.linalg.lstsq(columns, residual, rcond=None)[0]
+    columns = np.stack([*friction, np.ones_like(q)])
+    sizes = np.abs(columns).max(axis=1, keepdims=True)
+    columns /= np.maximum(sizes, np.finfo(float).tiny)
+    return residual - np.linalg.lstsq(columns.T, residual, rcond=None)[0] @ columns
 
 
 def held_rows(torque):

@@ -238,8 +238,10 @@ class RegressorRows:
         return RegressorRows(self._features, self._states[rows], columns, self._rest)
 
     def spans(self, rows, length):
-        """Yield blocks of at most `length` rows of a slice, and where each begins."""
-        # States are evaluated, and declared columns made, for many blocks at once.
+        """Yield where blocks of at most `length` rows begin, and their entries."""
+        # States are evaluated, and declared columns made, for many blocks at once. The
+        # next block overwrites the entries: their place is in the cache.
+        out = np.empty((np.count_nonzero(self._features.support_), length))
         span = length * max(1, _SPAN_ROWS // length)
         for begin in range(rows.start, rows.stop, span):
             n = min(span, rows.stop - begin)
@@ -247,7 +249,7 @@ class RegressorRows:
             own._declared = own._features.declared(own._states, own._rest)
             for at in range(0, n, length):
                 block = slice(at, min(at + length, n))
-                yield begin - rows.start + at, own.entries(block)
+                yield begin - rows.start + at, own.entries(block, out)
 
     @functools.cached_property
     def joints(self):
@@ -277,10 +279,10 @@ class RegressorRows:
             values *= self._gains[joints]
         return values
 
-    def entries(self, piece):
+    def entries(self, piece, out=None):
         """Entries of the support for a slice of rows, (n_entries, n)."""
         declared = None if self._declared is None else self._declared[..., piece]
-        entries = self._features.entries(self._states[piece], self._rest, declared)
+        entries = self._features.entries(self._states[piece], self._rest, declared, out)
         if self._columns:
             n = entries.shape[1]
             columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
@@ -411,10 +413,14 @@ class Segment:
         # `Numbering`.
         seen, measured = self._measured(lowpass, outputs)
         spread = self._made[0].spread
-        blocks = [own[1:] for own in self._filtered(lowpass, seen, outputs)]
         Phi, difference = (
-            None if one[0] is None else spread(np.concatenate(one))
-            for one in zip(*blocks)
+            None if made[0] is None else np.concatenate(made)
+            for made in zip(
+                *[
+                    [None if one is None else spread(one) for one in block]
+                    for _, *block in self._filtered(lowpass, seen, outputs)
+                ]
+            )
         )
         return Equations(
             Phi=Phi,
@@ -452,7 +458,8 @@ class Segment:
         return seen, {"tau": tau, "weight": weight, "ranges": ranges}
 
     def _filtered(self, lowpass, seen, outputs):
-        """Yield entries (n, n_entries) of filtered rows, their noise, and the first."""
+        """Yield the first of some filtered rows, entries and their difference."""
+        # Entries (n, n_entries) may be overwritten by the next ones.
         count = lowpass.centres(self.n_rows, outputs).size
         for first, made in _filter_rows(self._made, seen, lowpass, count):
             if self.halves is None:
@@ -489,17 +496,16 @@ def velocities(states, rows):
 
 
 def _filter_rows(made, seen, lowpass, count):
-    """Yield entries (n, n_entries) of regressors behind the low-pass, and the first."""
+    """Yield the first of some filtered rows, and each regressor's (n, n_entries)."""
     length = block_length(lowpass, 8 * made[0].used.size)
-    blocks = zip(*[rows.spans(seen, length) for rows in made])
     if lowpass.half == 0 and lowpass.step == 1:
         # Nothing is added up, and nothing has to be kept.
-        for several in blocks:
+        for several in zip(*[rows.spans(seen, length) for rows in made]):
             yield several[0][0], [entries.T for _, entries in several]
         return
     filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
-    for several in blocks:
-        for into, (at, entries) in zip(filters, several):
+    for into, rows in zip(filters, made):
+        for at, entries in rows.spans(seen, length):
             into.add(at, entries.T)
     yield 0, [into.outputs for into in filters]
 

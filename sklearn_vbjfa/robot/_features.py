@@ -250,7 +250,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         columns = declared_columns(self.friction_, v, a, rest)
         return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
-    def entries(self, X, rest=None, declared=None):
+    def entries(self, X, rest=None, declared=None, out=None):
         """Compute the entries of `support_` alone, samples last.
 
         Parameters
@@ -261,6 +261,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             Signs of velocities are their means with it.
         declared : ndarray of shape (nv, n_friction, n_samples), default=None
             Friction columns, where they are known already.
+        out : ndarray of shape (n_entries, n_samples), default=None
+            Is filled, where its shape is this one, instead of a new array.
 
         Returns
         -------
@@ -269,7 +271,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """
         nv = self.n_joints_
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        out = np.empty((self._n_entries, X.shape[0]))
+        shape = self._n_entries, X.shape[0]
+        if out is None or out.shape != shape:
+            out = np.empty(shape)
         self._regressor.entries(q, v, a, self._places[:, :, :10], out)
         diagonal = np.arange(nv)
         if declared is None:

@@ -298,18 +298,18 @@ class MomentSums:
     def _add(self, part, own, rows, difference):
         weight, tau = self._weight[own], self._tau[own]
         # Where all rows have one weight they need not be multiplied with it.
-        same = (weight == weight[0]).all(axis=0)
-        root = np.sqrt(np.where(same, 1.0, weight))
-        factor, torque = np.where(same, weight[0], 1.0), root * tau
+        same = (weight == weight[0]).all(axis=0).tolist()
+        factor = np.where(same, weight[0], 1.0)
+        torque = (np.where(same, 1.0, np.sqrt(weight)) * tau).T
         for j, (where, _) in enumerate(self._entries):
-            values = rows[:, where] if same[j] else rows[:, where] * root[:, j, None]
-            # One array on both sides: half of the products do.
-            self._G[j][part] += factor[j] * (values.T @ values)
-            self._g[j][part] += factor[j] * (torque[:, j] @ values)
+            root = None if same[j] else np.sqrt(weight[:, j, None])
+            values = rows[:, where] if same[j] else rows[:, where] * root
+            self._G[j][part] += _gram(values, factor[j])
+            self._g[j][part] += factor[j] * (torque[j] @ values)
             if difference is not None:
                 apart = difference[:, where]
-                apart = apart if same[j] else apart * root[:, j, None]
-                self._noise[j] += 0.25 * factor[j] * (apart.T @ apart)
+                apart = apart if same[j] else apart * root
+                self._noise[j] += _gram(apart, 0.25 * factor[j])
 
     def moments(self):
         """Return the `JointMoments`, for `sum_moments`."""
@@ -359,6 +359,15 @@ class MomentSums:
         wide = np.zeros((G.shape[0], width, width))
         wide[:, at[:, None], at] = G
         return wide
+
+
+def _gram(rows, factor):
+    """Matrix of products of the columns of rows (n, k), times a factor."""
+    # One array on both sides: half of the products do.
+    gram = rows.T @ rows
+    if factor != 1.0:
+        gram *= factor
+    return gram
 
 
 def _from(rows, first):

@@ -120,6 +120,7 @@ class BlockFilter:
     def __init__(self, lowpass, count, width):
         self._lowpass = lowpass
         self._taps = tuple(lowpass.taps.tolist())
+        self._matrices = {}  # by lengths of blocks: to look one up, all taps are hashed
         self.outputs = np.zeros((count, width))
 
     def add(self, first, rows):
@@ -129,7 +130,10 @@ class BlockFilter:
             at = first // self._lowpass.step
             self.outputs[at : at + kept.shape[0]] = kept
             return
-        before, matrix = _tap_matrix(self._taps, self._lowpass.step, rows.shape[0])
+        length, step = rows.shape[0], self._lowpass.step
+        if length not in self._matrices:
+            self._matrices[length] = _tap_matrix(self._taps, step, length)
+        before, matrix = self._matrices[length]
         low = first // self._lowpass.step - before
         high = min(low + matrix.shape[0], self.outputs.shape[0])
         if high <= max(low, 0):

@@ -30,3 +30,17 @@ def test_the_sum_is_that_of_all_rows():
         assert_allclose(getattr(in_ranges, name), getattr(whole, name), atol=1e-12)
     assert sum_moments([]) is None
     assert sum_moments(joint_moments(*p[:3]) for p in parts).noise is None
+
+
+def test_weight_two_is_a_row_twice():
+    Phi, tau, weight, difference, *_ = next(iter(pieces(np.random.default_rng(1))))
+    weight = np.ones_like(weight)
+    weight[::3] = 2.0
+    weight[:, 1] = 2.0  # the same in all rows: they are not multiplied with it
+    again = weight > 1
+    once = joint_moments(Phi, tau, weight, difference)
+    first = joint_moments(Phi, tau, np.ones_like(weight), difference)
+    twice = first + joint_moments(Phi, tau, again.astype(float), difference)
+    for name in ("n", "G", "g", "yy", "noise"):
+        one, two = getattr(once, name), getattr(twice, name)
+        assert_allclose(one, two, rtol=0, atol=1e-13 * np.abs(two).max(), err_msg=name)

@@ -183,9 +183,9 @@ class RegressorRows:
     # n_parameters): entries that are nonzero in some motion; used (n_entries,): their
     # positions in a flattened matrix, the features' (n_rigid) first.
 
-    def __init__(self, features, states, columns=(), rest=None, declared=None):
+    def __init__(self, features, states, columns=(), rest=None):
         self._features, self._states, self._rest = features, states, rest
-        self._declared = declared
+        self._declared = None  # (nv, k, n): friction columns, where they are known
         self._columns = list(columns)
         self._gains = features.gains_ if (features.gains_ != 1).any() else None
         extra = sum(values.shape[-1] for _, values in self._columns)
@@ -428,14 +428,12 @@ class Segment:
         # `Numbering`.
         seen, measured = self._measured(lowpass, outputs)
         spread = self._made[0].spread
+        found = [
+            (spread(rows), None if apart is None else spread(apart))
+            for _, rows, apart in self._filtered(lowpass, seen, outputs)
+        ]
         Phi, difference = (
-            None if made[0] is None else np.concatenate(made)
-            for made in zip(
-                *[
-                    [None if one is None else spread(one) for one in block]
-                    for _, *block in self._filtered(lowpass, seen, outputs)
-                ]
-            )
+            None if one[0] is None else np.concatenate(one) for one in zip(*found)
         )
         return Equations(
             Phi=Phi,

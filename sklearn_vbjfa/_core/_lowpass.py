@@ -120,7 +120,6 @@ class BlockFilter:
     def __init__(self, lowpass, count, width):
         self._lowpass = lowpass
         self._taps = tuple(lowpass.taps.tolist())
-        self._matrices = {}  # by lengths of blocks: to look one up, all taps are hashed
         self.outputs = np.zeros((count, width))
 
     def add(self, first, rows):
@@ -130,10 +129,7 @@ class BlockFilter:
             at = first // self._lowpass.step
             self.outputs[at : at + kept.shape[0]] = kept
             return
-        length, step = rows.shape[0], self._lowpass.step
-        if length not in self._matrices:
-            self._matrices[length] = _tap_matrix(self._taps, step, length)
-        before, matrix = self._matrices[length]
+        before, matrix = _tap_matrix(self._taps, self._lowpass.step, rows.shape[0])
         low = first // self._lowpass.step - before
         high = min(low + matrix.shape[0], self.outputs.shape[0])
         if high <= max(low, 0):

@@ -53,38 +53,6 @@ def load_kernel():
     return fill
 
 
-def _on_the_axis(tree, j):
-    """Give columns of a body as sums of its others and of the carrying body's."""
-    # Returns, for each, its number, and the weights (10,) of both bodies' columns. What
-    # lies on the axis of a revolute joint does not move in the frame of either body:
-    # a point at the origin, a pair of opposite points, and a rod.
-    if tree.slides[j] != 0.0 or tree.turns[j] == 0.0:
-        return []
-    u, r = tree.axes[j], tree.offsets[j]
-    w = u @ tree.frames[j]  # the axis in the carrying body
-    none = np.zeros(3)
-    alike = (
-        (_moments(1.0, none, np.zeros((3, 3))), _moments(1.0, r, np.outer(r, r))),
-        (
-            _moments(0.0, u, np.zeros((3, 3))),
-            _moments(0.0, w, np.outer(r, w) + np.outer(w, r)),
-        ),
-        (_moments(0.0, none, np.outer(u, u)), _moments(0.0, none, np.outer(w, w))),
-    )
-    found = []
-    for own, above in alike:
-        number = int(np.argmax(np.abs(own)))
-        rest = np.where(np.arange(10) == number, 0.0, own)
-        found.append((number, -rest / own[number], above / own[number]))
-    return found
-
-
-def _moments(mass, first, second):
-    """Inertial parameters (10,) of moments of mass: of order 0, 1 (3,) and 2 (3, 3)."""
-    inertia = np.trace(second) * np.eye(3) - second
-    return np.r_[mass, first, inertia[np.tril_indices(3)]]
-
-
 class TreeRegressor:
     """Joint-torque regressors and inverse dynamics of a tree of joints."""
 
@@ -110,34 +78,6 @@ class TreeRegressor:
         probes = np.array([one(*np.split(row, 3)) for row in states])
         zeros = rounding_entries(np.mean(probes**2, axis=0))
         self.support = carried[:, :, None] & ~zeros
-
-    def dependent(self):
-        """Find entries that are sums of others in every motion.
-
-        Returns the entries (nv, nv, 10), bool, and by torque the matrix that makes them
-        of the torque's other entries in the support, both in the order of `np.nonzero`.
-        """
-        # Mass on a joint's axis is a mass of the carrying body as well: none of the
-        # torques can tell whose a body's mass, its first moment along the axis and the
-        # second moment of a rod on it are, see `_on_the_axis`.
-        last = [_on_the_axis(self._tree, j) for j in range(self.nv)]
-        which = np.zeros((self.nv, 10), dtype=bool)
-        for j, ways in enumerate(last):
-            which[j, [number for number, *_ in ways]] = True
-        dependent = self.support & which
-        matrices = []
-        for i in range(self.nv):
-            kept, made = self.support[i] & ~which, dependent[i]
-            known = np.zeros((self.nv, 10, np.count_nonzero(kept)))
-            known[kept] = np.eye(known.shape[2])
-            for j, ways in enumerate(last):
-                parent = self._tree.parents[j]
-                for number, own, above in ways:
-                    if made[j, number]:
-                        known[j, number] = own @ known[j]
-                        known[j, number] += above @ known[parent] if parent >= 0 else 0
-            matrices.append(known[made])
-        return dependent, matrices
 
     def one_by_one(self):
         """Return Pinocchio's function of (q, v, a), each (nv,), to (nv, nv, 10)."""

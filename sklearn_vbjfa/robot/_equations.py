@@ -237,12 +237,11 @@ class RegressorRows:
         columns = [(effect, values[rows]) for effect, values in self._columns]
         return RegressorRows(self._features, self._states[rows], columns, self._rest)
 
-    def spans(self, rows, length, *, independent=False):
+    def spans(self, rows, length):
         """Yield where blocks of at most `length` rows begin, and their entries."""
         # States are evaluated, and declared columns made, for many blocks at once. The
-        # next block overwrites the entries: their place is in the cache. independent:
-        # those alone of which `completed` makes all.
-        out = np.empty((self._features.n_entries(independent=independent), length))
+        # next block overwrites the entries: their place is in the cache.
+        out = np.empty((np.count_nonzero(self._features.support_), length))
         span = length * max(1, _SPAN_ROWS // length)
         for begin in range(rows.start, rows.stop, span):
             n = min(span, rows.stop - begin)
@@ -250,8 +249,7 @@ class RegressorRows:
             own._declared = own._features.declared(own._states, own._rest)
             for at in range(0, n, length):
                 block = slice(at, min(at + length, n))
-                made = own.entries(block, out, independent=independent)
-                yield begin - rows.start + at, made
+                yield begin - rows.start + at, own.entries(block, out)
 
     @functools.cached_property
     def joints(self):
@@ -281,28 +279,15 @@ class RegressorRows:
             values *= self._gains[joints]
         return values
 
-    def entries(self, piece, out=None, *, independent=False):
+    def entries(self, piece, out=None):
         """Entries of the support for a slice of rows, (n_entries, n)."""
-        # independent: those alone of which `completed` makes all.
         declared = None if self._declared is None else self._declared[..., piece]
-        entries = self._features.entries(
-            self._states[piece], self._rest, declared, out, independent=independent
-        )
+        entries = self._features.entries(self._states[piece], self._rest, declared, out)
         if self._columns:
             n = entries.shape[1]
             columns = [values[piece].reshape(n, -1).T for _, values in self._columns]
             entries = np.concatenate([entries, *columns])
-        return entries if independent else self._gained(entries)
-
-    def _gained(self, entries):
         return self._read(entries, (self.used // self.n_parameters)[:, None])
-
-    def completed(self, rows):
-        """Make rows (n, n_entries) of rows of independent entries."""
-        first = self._features.n_entries(independent=True)
-        own = self._features.completed(rows[:, :first])
-        every = np.concatenate([own, rows[:, first:]], axis=1) if self._columns else own
-        return self._gained(every.T).T
 
     def spread(self, rows):
         """Put rows (n, n_entries) of entries back into matrices (n, nv, p)."""
@@ -479,12 +464,8 @@ class Segment:
                 yield first, made[0], None
                 continue
             even, odd = made[-2:]
-            difference = even - odd
-            if self.rows is None:
-                # Their mean takes the place of the halves.
-                even += odd
-                even *= 0.5
-            yield first, even if self.rows is None else made[0], difference
+            mean = 0.5 * (even + odd) if self.rows is None else made[0]
+            yield first, mean, even - odd
 
     def loads(self, lowpass, torques):
         """Range of the loads in filtered rows with weight, `SignalRanges`."""
@@ -520,14 +501,11 @@ def _filter_rows(made, seen, lowpass, count):
         for several in zip(*[rows.spans(seen, length) for rows in made]):
             yield several[0][0], [entries.T for _, entries in several]
         return
-    found = []
-    for rows in made:
-        into = None
-        for at, entries in rows.spans(seen, length, independent=True):
-            into = into or BlockFilter(lowpass, count, entries.shape[0])
+    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    for into, rows in zip(filters, made):
+        for at, entries in rows.spans(seen, length):
             into.add(at, entries.T)
-        found.append(rows.completed(into.outputs))
-    yield 0, found
+    yield 0, [into.outputs for into in filters]
 
 
 def edge_rows(n, state_estimator):

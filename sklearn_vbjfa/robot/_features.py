@@ -4,7 +4,6 @@ import copy
 import itertools
 import re
 import warnings
-from dataclasses import dataclass
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -184,8 +183,9 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         self._regressor = TreeRegressor(self.model_)
         # Which of the entries is which.
         support = self.support_
-        self._places = _numbered(support, self.n_joints_)
-        self._independent = Independent.of(self._regressor, support)
+        self._n_entries = np.count_nonzero(support)
+        places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
+        self._places = places.reshape(self.n_joints_, self.n_joints_, -1)
 
     def _check_width(self, X):
         nv = self.n_joints_
@@ -250,7 +250,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         columns = declared_columns(self.friction_, v, a, rest)
         return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
-    def entries(self, X, rest=None, declared=None, out=None, *, independent=False):
+    def entries(self, X, rest=None, declared=None, out=None):
         """Compute the entries of `support_` alone, samples last.
 
         Parameters
@@ -263,8 +263,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             Friction columns, where they are known already.
         out : ndarray of shape (n_entries, n_samples), default=None
             Is filled, where its shape is this one, instead of a new array.
-        independent : bool, default=False
-            Leave out those that are sums of others in every motion, for `completed`.
 
         Returns
         -------
@@ -273,27 +271,15 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         """
         nv = self.n_joints_
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
-        places = self._independent.places if independent else self._places
-        shape = self.n_entries(independent=independent), X.shape[0]
+        shape = self._n_entries, X.shape[0]
         if out is None or out.shape != shape:
             out = np.empty(shape)
-        self._regressor.entries(q, v, a, places[:, :, :10], out)
+        self._regressor.entries(q, v, a, self._places[:, :, :10], out)
         diagonal = np.arange(nv)
         if declared is None:
             declared = self.declared(X, rest)
-        out[places[diagonal, diagonal, 10:]] = declared
+        out[self._places[diagonal, diagonal, 10:]] = declared
         return out
-
-    def n_entries(self, *, independent=False):
-        """Count the entries that `entries` computes."""
-        return (
-            int((self._independent.places if independent else self._places).max()) + 1
-        )
-
-    def completed(self, rows):
-        """Put sums of independent entries among them, (n, n_entries)."""
-        # Linear filters of entries may be completed as entries are.
-        return self._independent.completed(rows)
 
     def one_by_one(self):
         """Return a function of one state (q, v, a), for control loops.
@@ -337,51 +323,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             ],
             dtype=object,
         )
-
-
-def _numbered(support, nv):
-    """Return numbers (nv, nv, p / nv) of the entries of a support (nv, p), else -1."""
-    places = np.where(support, np.cumsum(support).reshape(support.shape) - 1, -1)
-    return places.reshape(nv, nv, -1)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Independent:
-    """Entries of regressor matrices that are no sums of others in every motion."""
-
-    places: np.ndarray  # (nv, nv, k): their numbers, -1 for others
-    # for each torque, which of them are its own, which of all entries are, and the
-    # matrix that makes the latter of the former
-    sums: list
-
-    @classmethod
-    def of(cls, regressor, support):
-        """Tell the entries of a support (nv, p) apart."""
-        nv = regressor.nv
-        kept = support.reshape(nv, nv, -1).copy()
-        dependent, matrices = regressor.dependent()
-        kept[:, :, :10] &= ~dependent
-        sums, first, first_of_all = [], 0, 0
-        for j, own in enumerate(support.reshape(kept.shape)):
-            count = np.count_nonzero(kept[j])
-            whole = np.zeros((*own.shape, count))
-            whole[kept[j]] = np.eye(count)
-            # Of the bodies alone, without friction.
-            bodies = np.flatnonzero(np.nonzero(kept[j])[1] < 10)
-            at = np.nonzero(dependent[j])
-            whole[at[0][:, None], at[1][:, None], bodies] = matrices[j]
-            rows = slice(first, first + count)
-            every = slice(first_of_all, first_of_all + np.count_nonzero(own))
-            sums.append((rows, every, np.ascontiguousarray(whole[own].T)))
-            first, first_of_all = rows.stop, every.stop
-        return cls(places=_numbered(kept.reshape(support.shape), nv), sums=sums)
-
-    def completed(self, rows):
-        """Make rows (n, n_entries) of those of the independent entries."""
-        out = np.empty((rows.shape[0], self.sums[-1][1].stop))
-        for own, every, matrix in self.sums:
-            np.matmul(rows[:, own], matrix, out=out[:, every])
-        return out
 
 
 # -- names and checks of the columns ---------------------------------------------------

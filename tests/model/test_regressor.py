@@ -226,42 +226,6 @@ def test_zeros_are_at_least_those_of_the_recursion(compiled, kinds, seed):
     np.testing.assert_allclose(found, Phi, rtol=1e-10, atol=1e-10)
 
 
-@settings(max_examples=20, derandomize=True, deadline=None)
-@given(
-    kinds=st.lists(st.sampled_from(ALIGNED + OBLIQUE + OTHERS), min_size=1, max_size=6),
-    seed=st.integers(0, 2**32 - 1),
-)
-def test_sums_of_other_entries_are_what_pinocchio_says(kinds, seed):
-    rng = np.random.default_rng(seed)
-    model = build(rng, kinds)
-    tree = TreeRegressor(model)
-    dependent, matrices = tree.dependent()
-    assert not (dependent & ~tree.support).any()
-    expected = by_sample(model, *rng.normal(size=(3, 20, model.nv)))
-    expected[:, ~tree.support] = 0.0
-    for i, matrix in enumerate(matrices):
-        kept = expected[:, i, tree.support[i] & ~dependent[i]]
-        size = np.abs(expected[:, i]).max()
-        made = expected[:, i, dependent[i]]
-        np.testing.assert_allclose(kept @ matrix.T, made, rtol=0, atol=1e-12 * size)
-    for j, body in enumerate(dependent.any(axis=0)):
-        # Three columns of what turns, and none of what slides.
-        assert body.sum() <= 3
-        if model.joints[j + 1].shortname().startswith("JointModelP"):
-            assert not body.any()
-
-
-def test_three_columns_of_a_body_that_turns_say_nothing_new():
-    rng = np.random.default_rng(3)
-    model = pin.Model()
-    for j, kind in enumerate(("RX", "RevoluteUnaligned", "PZ", "RY")):
-        placement = random_placement(rng)
-        placement.translation = np.array([0.5, 0.3, 0.2])
-        model.addJoint(j, make_joint(kind, rng), placement, f"joint_{j}")
-    dependent, _ = TreeRegressor(model).dependent()
-    np.testing.assert_array_equal(dependent[0].sum(axis=1)[1:], [3, 0, 3])
-
-
 def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
     # Three axes through one point, in oblique directions, carried about.
     rng = np.random.default_rng(5)

@@ -66,7 +66,7 @@ STAGES = {
 
 
 def robot(arms):
-    """Serial arms of so many joints each on one base."""
+    """Return serial arms of so many joints each on one base."""
     import pinocchio as pin
 
     rng, model = np.random.default_rng(SEED), pin.Model()
@@ -111,6 +111,7 @@ class Stages:
 
     def __init__(self):
         self.seconds = dict.fromkeys([*STAGES, "rest"], 0.0)
+        self.gigabytes = {}
         self._open, self._since = ["rest"], time.perf_counter()
 
     def _turn(self):
@@ -119,7 +120,7 @@ class Stages:
         self._since = now
 
     def timed(self, stage):
-        """The function of a stage, timed."""
+        """Return the function of a stage, timed."""
         function = getattr(_discovery, STAGES[stage])
 
         def call(*given, **named):
@@ -130,6 +131,7 @@ class Stages:
             finally:
                 self._turn()
                 self._open.pop()
+                self.gigabytes[stage] = peak_gigabytes()
 
         return call
 
@@ -137,6 +139,13 @@ class Stages:
         """Return the seconds by stage."""
         self._turn()
         return self.seconds
+
+
+def peak_gigabytes():
+    """Peak memory of this process so far [GB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Kilobytes, but on macOS bytes.
+    return peak / (2**30 if sys.platform == "darwin" else 2**20)
 
 
 def run_here(arms, path):
@@ -153,15 +162,17 @@ def run_here(arms, path):
         loop.fit(q, tau)
     found = stages.done()
     text = str(loop.report_)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     return {
         "seconds": time.perf_counter() - started,
         "processor": time.process_time() - used,
-        # Kilobytes, but on macOS bytes.
-        "gigabytes": peak / (2**30 if sys.platform == "darwin" else 2**20),
+        "gigabytes": peak_gigabytes(),
         "stages": found,
+        "peaks": stages.gigabytes,
         "named": [[e.name, int(e.joint)] for e in loop.effects_],
-        "error": [float(np.mean(loop.error_before_)), float(np.mean(loop.error_after_))],
+        "error": [
+            float(np.mean(loop.error_before_)),
+            float(np.mean(loop.error_after_)),
+        ],
         "lines": text.count("\n"),
     }
 
@@ -183,7 +194,7 @@ def measure(name, arms, rows, folder):
 
 
 def exponents(found, cases):
-    """Exponents of seconds and gigabytes against rows, of one robot; nan for too few."""
+    """Exponents of seconds and gigabytes against rows of one robot, or nan."""
     own = [
         (cases[name][1], figures["seconds"], figures["gigabytes"])
         for name, figures in found.items()
@@ -227,12 +238,14 @@ def report(cases, chosen):
             cells = row(name, cases[name][1], found[name])
             print(" | ".join(map(str, cells)), file=sys.stderr, flush=True)
     rows = [row(name, cases[name][1], figures) for name, figures in found.items()]
-    seconds, memory = exponents(found, cases)
+    table, (seconds, memory) = rst_table(rows, HEADERS), exponents(found, cases)
+    if np.isnan(seconds):
+        return table
     line = (
         f"With the length, seven joints, from 3 minutes on: time to the power of "
         f"{seconds:.2f}, memory to the power of {memory:.2f}."
     )
-    return f"{rst_table(rows, HEADERS)}\n\n{line}"
+    return f"{table}\n\n{line}"
 
 
 def main(argv=None):

@@ -6,6 +6,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
+from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import stage, telling
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
@@ -20,6 +21,7 @@ from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import search
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+from sklearn_vbjfa.diagnosis.search._thinned import stretches
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
 from sklearn_vbjfa.inspection import inspect_channels
@@ -35,6 +37,7 @@ from sklearn_vbjfa.recording import (
     positions_in_order,
     survey,
     take_arrays,
+    take_rows,
     torques_in_order,
 )
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
@@ -199,6 +202,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     between branches are then not looked for. With `max_effects`, effects of one's own,
     or effects declared already, the robot is searched as a whole.
 
+    Of more than 50,000 rows the search looks at every so many samples, five for each
+    filtered row, and beyond 50,000 of these at stretches of equal motion; parameters,
+    errors and the spread of the torque are those of all rows.
+
     The untouched part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
     and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was
@@ -356,9 +363,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             commands = commands_among(offered.numbers(whole.n_samples), whole.q)
             if commands.size:
                 repetition = find_repetition(commands, whole.t, whole.segments)
-        given = {"origin": split.origin, "begins": begins, "repetition": repetition}
+        moving = split.amount.moving
+        near = split.narrowed(*self._seen(part, moving[split.search]))
+        given = {"origin": near.origin, "begins": begins, "repetition": repetition}
+        seen = part if near is split else near.searched(whole)
         with stage("search"):
-            found = self._search(part, silent, given, library)
+            found = self._search(seen, silent, given, library)
         with stage("held-out judgement"):
             self.judged_ = self.plain_
             if found.effects:
@@ -367,12 +377,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             models = Models(
                 declared=self.declared_, plain=self.plain_, judged=self.judged_
             )
-            judgement = judge(models, found, split, whole)
+            # Copies of most rows are not needed any more.
+            del part, seen
+            judgement = judge(models, found, split, near, whole)
         with stage("final model"):
-            final = self._hand_over(found, whole, silent, repetition)
+            final = self._hand_over(found, whole, moving, silent, repetition)
         asked = self.get_params(deep=False)
         with stage("explaining"):
-            return make_outcome(found, models, final, judgement, channels, asked, names)
+            return make_outcome(
+                found, models, final, judgement, channels, asked, whole, names
+            )
 
     def _check_parameters(self):
         if not isinstance(self.identifier, RobotIdentifier):
@@ -440,6 +454,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
+    def _seen(self, recording, moving):
+        """Return the rows of a recording that are looked at, and their stretches."""
+        robot = self.plain_.robot_
+        lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
+        return stretches(recording.segments, moving, lowpass)
+
     def _search(self, part, silent, given, library):
         """Search the robot, or its branches one by one where there are many joints."""
         settings = SearchSettings() if self.settings is None else self.settings
@@ -476,7 +496,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked["effects"] = (*asked["effects"], *effects)
         return clone(self.plain_).set_params(**asked)
 
-    def _hand_over(self, found, whole, silent, repetition):
+    def _hand_over(self, found, whole, moving, silent, repetition):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
@@ -484,12 +504,20 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
-        view = RecordingView(self.plain_, whole, silent, repetition=repetition)
+        rows, pieces = self._seen(whole, moving)
+        seen = whole
+        if rows.size < whole.n_samples:
+            seen = take_rows(whole, rows, pieces)
+        begins = tuple(whole.t[part.start] for part in whole.segments)
+        given = {"origin": whole.groups[rows], "begins": begins}
+        given |= {"repetition": repetition, "all_samples": True}
+        view = RecordingView(self.plain_, seen, silent, **given)
         effects = tuned_on(view, found.effects, found.settings)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
-        final = FinalFit(self.plain_, self.identifier_, view, effects)
+        share = seen.n_samples / whole.n_samples
+        final = FinalFit(self.plain_, self.identifier_, view, effects, share)
         self.identifier_.tell_spreads(final.effect_estimates)
         return final
 

@@ -4,6 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa._core._lowpass import decimate, filter_weight
+
 
 @dataclass(frozen=True, kw_only=True)
 class TorqueResiduals:
@@ -68,9 +70,29 @@ def torque_spread(*parts):
     return _weighted((torque - mean) ** 2, weight) ** 0.5
 
 
+def compare(segments, lowpass, theta):
+    """Residuals of `Segment` by parameters (p,); None predicts no torque."""
+    # Torques are predicted before the low-pass, which is linear: a filter of one column
+    # of each joint instead of all columns of the regressor.
+    found = []
+    for own in segments:
+        rows = lowpass.centres(own.n_rows)
+        torques = [own.torque]
+        torques.append(0 * own.torque if theta is None else own.rows.predict(theta))
+        weight = filter_weight(lowpass, own.counts(slice(None)))
+        found.append(
+            (own.first + rows, *(decimate(lowpass, x) for x in torques), weight)
+        )
+    return _joined(found)
+
+
 def collect_residuals(pieces, theta):
     """Residuals of pieces of `Equations`, which may be an iterator."""
-    found = [(one.index, one.tau, one.Phi @ theta, one.weight) for one in pieces]
+    return _joined((one.index, one.tau, one.Phi @ theta, one.weight) for one in pieces)
+
+
+def _joined(found):
+    """Put residuals (index, torque, predicted, weight) one after the other."""
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))
     return TorqueResiduals(
         index=index, torque=torque, predicted=predicted, weight=weight

@@ -54,7 +54,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_weight,
     check_widths,
 )
-from sklearn_vbjfa.robot._residuals import collect_residuals
+from sklearn_vbjfa.robot._residuals import compare
 from sklearn_vbjfa.robot._spreads import (
     ColumnPowers,
     TorqueSpread,
@@ -518,13 +518,21 @@ class IdentifiedRobot(SimulatesTorques):
                 theta=self.load,
                 rest=rest,
             )
-            return collect_residuals(equations(made, lowpass), self.theta_)
+            return compare(made, lowpass, self.theta_)
 
         found = compared(None)
         if not (found.weight > 0).all():
             # Weighted rows have the columns of the fit; rows at rest are predicted.
             found = found.filled(compared(rest))
         return found
+
+    def measured(self, recording):
+        """Torques of a `Recording` behind the low-pass of the fit, none predicted."""
+        states = self.query(recording.inputs, recording.groups)[0]
+        states = RecordingStates.of_rows(recording.segments, states)
+        plan = replace(self.plan, effects=(), repeats=False)
+        made = segments(recording, states, plan, self.features_)
+        return compare(made, plan.lowpass, None)
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.

@@ -44,6 +44,7 @@ def residuals(scale, index, tau):
         "kernels",
         "leave_one_set_out",
         "likelihood",
+        "long_recordings",
         "loop_time",
         "measured_robots",
         "measured_sets",

@@ -5,6 +5,7 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
+import bench_long_recordings
 import bench_loop_time
 import bench_measured_sets as bench
 
@@ -83,3 +84,22 @@ def test_loop_time_of_a_small_robot():
     assert len(cells) == len(bench_loop_time.HEADERS)
     # the strange torques are there, and have no name
     assert len(loop.unexplained_) == 6
+
+
+def test_long_recordings_of_small_robots():
+    cases = bench_long_recordings.QUICK
+    text = bench_long_recordings.report(cases, list(cases))
+    assert text.count("stribeck") == len(cases)
+    # two lengths of one robot are needed
+    assert "to the power" not in text
+
+
+def test_exponents_are_those_of_a_power():
+    cases = {f"{m} min": ((7,), 60_000 * m) for m in (1, 3, 30)}
+    found = {
+        name: {"seconds": 0.1 * rows, "gigabytes": rows**0.5}
+        for name, (_, rows) in cases.items()
+    }
+    # what is fixed shows in the shortest, which is not asked
+    found["1 min"] = {"seconds": 1e9, "gigabytes": 1e9}
+    assert np.allclose(bench_long_recordings.exponents(found, cases), (1.0, 0.5))

@@ -339,7 +339,7 @@ class Signals:
         """Take the signals of a `FoundModel`."""
         view, motion = model.view, model.motion
         robot = view.robot
-        dt = robot.dt or 1.0
+        dt = view.dt or 1.0
         still = np.maximum(robot.standstill_, 0.0)
         period = 1.0 / robot.cutoff_ if np.isfinite(robot.cutoff_) else view.step
         lags = [max(1, round(lag * period / dt)) for lag in _LAGS]

@@ -114,10 +114,10 @@ class Band:
     sample_rate: float  # [Hz]; nan if unknown
 
 
-def measure_band(view, asked, tau, longest):
+def measure_band(view, asked, longest):
     """Describe the band of a fitted declared model, as a `Band`."""
-    # view: of the part that was searched; asked: its cut-off; tau (n, nv): torques as
-    # recorded [N m or N]; longest: rows of its longest piece.
+    # view: of the part that was searched; asked: its cut-off; longest: rows of the
+    # longest piece of that part.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv
     bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan
@@ -136,7 +136,7 @@ def measure_band(view, asked, tau, longest):
         fastest=fastest,
         smoothed_at=smoothed_at,
         speed_share=power_share(velocity[view.index], view.filtered(velocity), weight),
-        torque_share=power_share(tau[view.index], view.equations.tau, weight),
+        torque_share=power_share(view.measured, view.equations.tau, weight),
         sample_rate=np.nan if robot.dt is None else 1.0 / robot.dt,
     )
 

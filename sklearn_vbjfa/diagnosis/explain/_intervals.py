@@ -54,11 +54,12 @@ class FinalFit:
 
     # declared, identifier: the declared and the completed model; view: of the search,
     # and then of the robot as effects correct it; effects: what was added, in the order
-    # of the model's last parameters.
+    # of the model's last parameters; share: of the rows that were fitted, those that
+    # the view holds.
 
-    def __init__(self, declared, identifier, view, effects):
+    def __init__(self, declared, identifier, view, effects, share=1.0):
         self.declared, self.identifier = declared, identifier
-        self.effects = list(effects)
+        self.effects, self.share = list(effects), share
         # What was declared has other values with other effects beside it.
         values = (*identifier.effects_[: len(declared.effects_)], *self.effects)
         held = held_columns(identifier.features_, identifier.effects_)
@@ -127,7 +128,7 @@ class FinalFit:
     def _compared(self, predicted):
         """Compare the torques with predicted ones (m, nv)."""
         return TorqueResiduals(
-            index=self.view.index,
+            index=self.view.recorded,
             torque=self.view.equations.tau,
             predicted=predicted,
             weight=self.view.equations.weight,
@@ -158,7 +159,8 @@ class FinalFit:
             at += made.shape[2]
             columns.append(made)
         found = self._variance(np.concatenate(columns, axis=2))
-        covariance = found.scores.T @ found.scores
+        # A mean over all rows scatters less, by the root of how many more these are.
+        covariance = self.share * found.scores.T @ found.scores
         return [
             EffectEstimate(
                 coef=coef,

@@ -298,9 +298,10 @@ class Judgement:
         return np.array([part.relative_error(self.spread) for part in parts])
 
 
-def judge(models, found, split, whole):
+def judge(models, found, split, near, whole):
     """Judge the `Models` of a loop on the part of a recording that is untouched."""
-    # They were fitted to the rows of the search, and `found` is what it found there.
+    # They were fitted to the rows of the search, `found` is what it found there; near:
+    # the split with those of these rows that it looked at.
     completed = models.judged
     model, dt = found.model, completed.dt
     memory = max(memory_seconds(model), default=0.0)
@@ -308,9 +309,8 @@ def judge(models, found, split, whole):
     guard = int(min(memory / dt, whole.n_samples))
     instants = [getattr(e, name) for e in found.effects for name in e.jumping]
     count = len(split.stretches)
-    split = split.decided(whole.t, instants).guarded(guard)
-    rows = split.test
-    rest = split.untouched(whole)
+    kept = split.decided(whole.t, instants).guarded(guard)
+    rows, rest = kept.test, kept.untouched(whole)
 
     three = models.declared, models.plain, completed
 
@@ -319,16 +319,22 @@ def judge(models, found, split, whole):
         return tuple(each[one] for one in three)
 
     before, plain, after = (_numbered(part, rows) for part in errors())
-    part, step = split.searched(whole), model.view.step
+    step = model.view.step
     added = added_effects(completed, len(found.effects))
     fit = FinalFit(models.plain, completed, model.view.corrected(()), added)
-    of_plain, of_completed = (_numbered(one, split.search) for one in fit.residuals())
+    of_plain, of_completed = (_numbered(one, near.search) for one in fit.residuals())
     of_declared = of_plain
     if models.declared is not models.plain:
-        own = _numbered(_residuals(models.declared, part), split.search)
+        own = _numbered(_residuals(models.declared, near.searched(whole)), near.search)
         of_declared = replace(own, weight=of_plain.weight)
     searched = of_declared, of_completed
-    spread = torque_spread(of_plain, before)
+    fitted = of_plain
+    if near is not split:
+        part = split.searched(whole)
+        # A joint whose channel carries no information counts nowhere here.
+        part = replace(part, weight=part.weight * model.view.root.any(axis=0))
+        fitted = models.plain.robot_.measured(part)
+    spread = torque_spread(fitted, before)
     intervals = error_intervals((before, after), searched, spread, step)
     beyond = error_intervals((plain, after), (of_plain, of_completed), spread, step)
     intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
@@ -347,7 +353,7 @@ def judge(models, found, split, whole):
         price = price_of(
             completed,
             (_numbered(free, rows), after),
-            (_numbered(of_free, split.search), of_completed),
+            (_numbered(of_free, near.search), of_completed),
             spread,
             step,
         )
@@ -362,14 +368,13 @@ def judge(models, found, split, whole):
         intervals=intervals,
         seconds=seconds,
         enough=2.0 * cutoff * seconds >= FEWEST_VALUES,
-        n_stretches=len(split.stretches),
-        n_undecided=count - len(split.stretches),
+        n_stretches=len(kept.stretches),
+        n_undecided=count - len(kept.stretches),
         guard=float(guard * dt),
         band=measure_band(
             model.view,
             models.plain.cutoff,
-            part.tau,
-            max(p.stop - p.start for p in part.segments),
+            int(np.unique(split.pieces, return_counts=True)[1].max()),
         ),
         price=price,
         outside=completed.robot_.outside_of(rest),

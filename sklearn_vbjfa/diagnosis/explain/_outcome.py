@@ -215,11 +215,11 @@ class Outcome:
     provenance: Provenance | None = None
 
 
-def make_outcome(search, models, final, judgement, channels, asked, recordings=()):
+def make_outcome(search, models, final, judgement, channels, asked, whole, recordings):
     """Collect what `Report` shows."""
     # `models` were fitted to the search part, `final` to all data; `asked` are the
-    # parameters of the loop, of which the report repeats some; `recordings` is what
-    # each recording is called.
+    # parameters of the loop, of which the report repeats some; `whole` is all data,
+    # `recordings` what each of it is called.
     robot = models.declared
     features, names = robot.features_, robot.joint_names_
     prismatic = is_prismatic(features.model_)
@@ -233,7 +233,7 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
     ceiling, maps = _ceiling(search.model, rest, names, asked)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
-    effects = tuple(_effects(search, final, names, prismatic))
+    effects = tuple(_effects(search, final, names, prismatic, float(whole.t[-1])))
     return Outcome(
         declared={
             "robot": features.model_.name,
@@ -282,14 +282,14 @@ def make_outcome(search, models, final, judgement, channels, asked, recordings=(
             parts, spread, float(asked["alpha"]), search.settings
         ),
         next_recording=next_recording(left_out, after, relative_floor),
-        curves=_curves(models.judged, final, judgement, maps, effects),
+        curves=_curves(models.judged, final, judgement, maps, effects, whole),
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
         departures=final.identifier.departures_,
         common_size=final.identifier.common_size_,
         parameters=parameter_values(final.identifier),
-        recorded=recorded_motion(final.view.states.shape[0], robot.dt),
+        recorded=recorded_motion(whole.n_samples, robot.dt),
     )
 
 
@@ -300,7 +300,7 @@ def _noise_floor(final, judged):
     return np.where(np.isfinite(own), own, judged.noise_floor_)
 
 
-def _effects(search, final, names, prismatic):
+def _effects(search, final, names, prismatic, seconds):
     """Yield each `DiscoveredEffect`, with the values of the final fit."""
     # The effects of the declared model come first.
     count = len(final.effects)
@@ -338,7 +338,7 @@ def _effects(search, final, names, prismatic):
             rivals=tuple(dict.fromkeys(told)),
             effect=effect,
             ranges=fitted,
-            afterwards=_afterwards(effect, estimate, float(final.view.clock[-1])),
+            afterwards=_afterwards(effect, estimate, seconds),
             doubt=doubt,
         )
 
@@ -469,7 +469,7 @@ def _settings(search, judgement, asked):
         "correlation_seconds": max(seconds, default=0.0),
         "too_short": tuple(too_short(search.model, seconds)),
         "error_seconds": NEXT_SECONDS,
-        "search_rows": int(view.states.shape[0]),
+        "search_rows": view.n_rows,
         "random_state": seed if isinstance(seed, (int, type(None))) else "given",
         "versions": {
             "sklearn_vbjfa": __version__,
@@ -490,9 +490,9 @@ def _ceiling(model, rest, names, asked):
     return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
 
 
-def _curves(judged, final, judgement, maps, effects):
+def _curves(judged, final, judgement, maps, effects, whole):
     """Residuals of the untouched part with their signals, thinned for pictures."""
-    before, after, view = judgement.before, judgement.after, final.view
+    before, after = judgement.before, judgement.after
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
@@ -512,5 +512,5 @@ def _curves(judged, final, judgement, maps, effects):
             for own, effect in zip(effect_curves(final), effects)
             if not effect.doubt
         ),
-        "line": time_line(judgement, view.clock, [p.start for p in view.parts]),
+        "line": time_line(judgement, whole.t, [p.start for p in whole.segments]),
     }

@@ -56,6 +56,13 @@ class Split:
         """Return the rows of a recording that are searched, as a recording."""
         return take_rows(recording, self.search, self.pieces)
 
+    def narrowed(self, kept, pieces):
+        """Return the split with some of its search rows, in pieces (n_kept,)."""
+        if kept.size == self.search.size:
+            return self
+        search, origin = self.search[kept], self.origin[kept]
+        return replace(self, search=search, pieces=pieces, origin=origin)
+
     def untouched(self, recording):
         """Return the untouched rows of a recording, as a recording."""
         return take_rows(recording, self.test, self.test_pieces)

@@ -423,7 +423,7 @@ class Path:
         frequency, power = [], []
         for part in self.view.parts:
             speed = self.motion.v[part, effect.joint]
-            frequency.append(np.fft.rfftfreq(speed.size, self.view.robot.dt))
+            frequency.append(np.fft.rfftfreq(speed.size, self.view.dt))
             power.append(np.abs(np.fft.rfft(speed)) ** 2 / speed.size)
         frequency, power = np.concatenate(frequency), np.concatenate(power)
         order = np.argsort(frequency, kind="stable")

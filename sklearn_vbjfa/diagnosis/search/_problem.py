@@ -13,6 +13,7 @@ from scipy.linalg import lapack
 from sklearn_vbjfa._core._groups import Excess, Groups
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
+from sklearn_vbjfa.diagnosis.search._view import root_mean_square
 from sklearn_vbjfa.effects import Effect
 
 # One in so many cosines of the scores is slow; and the slowest of them.
@@ -81,10 +82,10 @@ class Problem(Declared):
 
     def family(self, effect, motion):
         """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
-        found = self.view.family(effect, motion)
+        found = self.view.family(effect, motion, self.cosines)
         if not found.effects:
             return None
-        return Family.of(self, found.effects, found.columns)
+        return Family.in_frequency(self, found.effects, found.columns, found.size)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -96,8 +97,14 @@ class Family(Columns):
     @classmethod
     def of(cls, problem, effects, columns):
         """Take rows (nj, m, c, k) to frequency."""
+        joints = problem.view.joints_of(effects[0])
+        cosines = problem.cosines(columns, joints)
+        return cls.in_frequency(problem, effects, cosines, root_mean_square(columns))
+
+    @classmethod
+    def in_frequency(cls, problem, effects, cosines, size):
+        """Take cosines (nj, n, c, k) of columns, and the size (nj, c, k) of these."""
         joints = tuple(problem.view.joints_of(effects[0]))
-        size = np.sqrt((columns**2).mean(axis=1))
         torque = problem.torque[list(joints)][:, None, None]
         # An effect of all joints has the torque of that which it moves the most.
         share = np.where(torque > 0, size / np.where(torque > 0, torque, 1.0), 0.0)
@@ -105,7 +112,7 @@ class Family(Columns):
         unit = np.where(largest > 0, 1.0 / np.where(largest > 0, largest, 1.0), 0.0)
         return cls(
             effects=tuple(effects),
-            moments=Moments(joints, problem.cosines(columns, joints), problem.edges),
+            moments=Moments(joints, cosines, problem.edges),
             unit=unit,
         )
 

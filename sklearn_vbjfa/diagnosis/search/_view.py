@@ -14,14 +14,15 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
+from sklearn_vbjfa.diagnosis.search._thinned import coarser, coarser_rows, stride
 from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 
 # Directions of the scaled Gram matrix below this are never used.
 _RANK = 1e-12
-# Full-rate numbers of the columns that are filtered together.
-_AT_ONCE = 1 << 18
+# Numbers of the columns that are filtered together.
+_AT_ONCE = 1 << 20
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
 
@@ -32,10 +33,11 @@ class Family:
 
     # one for each shape; none where the motion leaves nothing to try
     effects: tuple[Effect, ...]
-    # (nj, m, c, k): in the equations of the nj joints that they act on, rows scaled by
-    # the root of the weights, with zeros behind those of a shape that has fewer; None
-    # without effects
+    # In the equations of the nj joints that they act on, rows scaled by the root of the
+    # weights, with zeros behind those of a shape that has fewer; None without effects:
+    # (nj, n, c, k), cosines of the columns, and (nj, c, k), root mean squares of rows
     columns: np.ndarray | None
+    size: np.ndarray | None
 
 
 class RecordingView:
@@ -43,14 +45,17 @@ class RecordingView:
 
     # Nothing of it changes once it is made. robot: fitted to the recording with the
     # declared model; leave_out: joints whose channel carries no information; begins:
-    # when recordings begin [s], if their first rows are not among these.
-    # At the full rate: states (n, 3 nv), their clock (n,) [s] or None, signals (n,) by
-    # name, and parts, recordings or pieces of them, across whose borders nothing is
-    # remembered.
-    # Filtered: index (m,), full-rate row at the middle of each row; equations of the
-    # declared model; root (m, nv) of the weights and target (nv, m), torques scaled by
-    # it; step [s]; starts, first row of each part; origin (m,), number of its
-    # recording; Z (nv, m, r) and back (p, r), see `reduced`.
+    # when recordings begin [s], if their first rows are not among these; all_samples:
+    # whether none of a long one is left aside.
+    # Samples of which effects' columns are made, all rows of the recording or, of a
+    # long one, every so many (`stride`): states (n, 3 nv), their clock (n,) [s] or
+    # None, signals (n,) by name, dt [s], and parts, recordings or pieces of them,
+    # across whose borders nothing is remembered.
+    # Filtered: index (m,), sample at the middle of each row, and recorded (m,), that
+    # row of the recording; equations of the declared model, made of all rows; root
+    # (m, nv) of the weights and target (nv, m), torques scaled by it; step [s]; starts,
+    # first row of each part; origin (m,), number of its recording; Z (nv, m, r) and
+    # back (p, r), see `reduced`.
     # blocks: by which folds are left out and evidence is tempered, spans of time or, of
     # a motion that repeats, phases; span_order: all of them, parts in an order that
     # does not depend on how they came; phases: motion of each filtered row and time in
@@ -66,25 +71,29 @@ class RecordingView:
         origin=None,
         begins=None,
         repetition=None,
+        all_samples=False,
     ):
         self.robot = robot = robot.robot_
         self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
-        self.parts = recording.segments
-        self.clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        self.states = robot.query(recording.inputs, recording.groups)[0]
-        self.signals = recording.signals
+        clock = check_clock(recording.t, recording.n_samples, robot.dt)
+        states = robot.query(recording.inputs, recording.groups)[0]
         self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
+        self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition
         self._families = {}
-        self._given = recording, leave_out
+        weight = recording.weight.astype(float)
+        weight[:, list(leave_out)] = 0.0
+        self._given = replace(recording, weight=weight, t=clock), states
         self._root, self._corrections, self._corrected = self, frozenset(), {}
         self._set_equations()
-        edges = np.array([part.start for part in self.parts])
-        self.starts = np.unique(np.searchsorted(self.index, edges))
-        self.starts = self.starts[self.starts < self.index.size]
+        self.recorded = self.equations.index
+        edges = np.array([part.start for part in recording.segments])
+        self.starts = np.unique(np.searchsorted(self.recorded, edges))
+        self.starts = self.starts[self.starts < self.recorded.size]
         origin = recording.groups if origin is None else origin
-        self.origin = origin[self.index]
+        self.origin = origin[self.recorded]
+        self._set_samples(all_samples)
         self._set_blocks()
         self._set_coordinates()
 
@@ -131,16 +140,25 @@ class RecordingView:
 
     def _set_equations(self):
         """Make the filtered equations of the declared model."""
-        recording, leave_out = self._given
-        weight = recording.weight.astype(float)
-        weight[:, list(leave_out)] = 0.0
-        weighted = replace(recording, weight=weight, t=self.clock)
-        self.equations = self.robot.equations(weighted, self.states)
-        self.index, tau = self.equations.index, self.equations.tau
+        recording, states = self._given
+        self.equations = self.robot.equations(recording, states)
+        tau = self.equations.tau
         self.root = np.sqrt(self.equations.weight)
         self.target = (tau * self.root).T
         self.nv = tau.shape[1]
-        self.step = (self.robot.dt or 1.0) * self._lowpass.step
+
+    def _set_samples(self, all_samples):
+        """Take the samples of which columns are made."""
+        recording, states = self._given
+        every = 1 if all_samples else stride(recording.n_samples, self._lowpass)
+        rows, self.parts = coarser_rows(recording.segments, self._lowpass, every)
+        t = recording.t
+        self.states, self.clock = states[rows], None if t is None else t[rows]
+        self.signals = {name: x[rows] for name, x in recording.signals.items()}
+        places = np.arange(recording.n_samples)[rows]
+        self.index = np.searchsorted(places, self.recorded)
+        self.dt = None if self.robot.dt is None else self.robot.dt * every
+        self._lowpass = coarser(self._lowpass, every)
 
     def _set_blocks(self):
         """Take blocks and joint weights from the robot's fit."""
@@ -155,7 +173,7 @@ class RecordingView:
         # What the low-pass spreads in time: the width of its main lobe.
         length = max(1.0 / robot.cutoff_, self.step)
         self.blocks = self.spans = make_blocks(
-            self.index * (robot.dt or 1.0),
+            self.recorded * (robot.dt or 1.0),
             self.starts,
             correlation,
             length,
@@ -189,6 +207,16 @@ class RecordingView:
         self.Z, self.back = reduced(self.equations, self.precision)
 
     @property
+    def n_rows(self):
+        """Number of rows of the recording."""
+        return self._given[0].n_samples
+
+    @property
+    def measured(self):
+        """Torques as recorded at the middle of each row, (m, nv) [N m or N]."""
+        return self._given[0].tau[self.recorded]
+
+    @property
     def rows(self):
         """Weight of each joint's rows together, (nv,)."""
         return (self.root.T**2).sum(axis=1)
@@ -203,7 +231,7 @@ class RecordingView:
             return np.sqrt((weight * (tau - mean) ** 2).sum(axis=0) / total)
 
     def motion(self, theta, effects=(), coefs=()):
-        """Signals at the full rate; the load from reduced coordinates or None."""
+        """Signals of the samples; the load from reduced coordinates or None."""
         # Effects, with the coefficients of all of them, are part of the torque.
         rigid, parameters = self.robot.features_.n_parameters_, None
         if theta is not None:
@@ -212,7 +240,7 @@ class RecordingView:
         return self.motion_of(parameters, effects)
 
     def motion_of(self, parameters, effects=()):
-        """Signals at the full rate, with the load of parameters; see `make_motion`."""
+        """Signals of the samples, with the load of parameters; see `make_motion`."""
         motion = make_motion(
             self.robot.features_,
             self.states,
@@ -228,7 +256,7 @@ class RecordingView:
     # -- columns of effects -----------------------------------------------------------
 
     def filtered(self, columns):
-        """Filter full-rate columns (n, ...) as the torques were."""
+        """Filter columns (n, ...) of the samples as the torques were."""
         return np.concatenate(
             [_lowpass.decimate(self._lowpass, columns[part]) for part in self.parts]
         )
@@ -260,7 +288,7 @@ class RecordingView:
         return out
 
     def _made(self, effect, motion):
-        """Columns of an effect at the full rate; those of one's own may be anything."""
+        """Columns of an effect at the samples; those of one's own may be anything."""
         columns = np.asarray(effect.columns(motion))
         named = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
         n, k = motion.q.shape[0], len(effect.coefficients)
@@ -286,17 +314,27 @@ class RecordingView:
         out[:, effect.joint] = columns * self.gains[effect.joint]
         return out
 
-    def family(self, effect, motion):
+    def family(self, effect, motion, cosines):
         """Effect with all shapes of its grid; kept until the load is another."""
+        # cosines: `Cosines` of this view; rows are too many to be kept.
         key = (effect.name, effect.joint)
         made_from, found = self._families.get(key, (None, None))
         stale = "load" in effect.needs and made_from is not motion
         if found is None or stale:
             effects = variants(effect, motion)
-            columns = self.columns(effects, motion) if effects else None
-            found = Family(effects=effects, columns=columns)
+            columns = size = None
+            if effects:
+                rows = self.columns(effects, motion)
+                size = root_mean_square(rows)
+                columns = cosines(rows, self.joints_of(effect))
+            found = Family(effects=effects, columns=columns, size=size)
             self._families[key] = motion, found
         return found
+
+
+def root_mean_square(rows):
+    """Size (nj, c, k) of columns (nj, m, c, k) of rows."""
+    return np.sqrt((rows**2).mean(axis=1))
 
 
 def _width(effects):

@@ -14,7 +14,7 @@ def band_of(recording=CLEAN, **settings):
     torque = recording.torque()
     robot = recording.robot(**settings)
     view = search(torque, [], recording, robot).view
-    return measure_band(view, robot.cutoff, torque, len(torque))
+    return measure_band(view, robot.cutoff, len(torque))
 
 
 def test_share_is_that_of_the_slow_part():
@@ -70,7 +70,7 @@ def sines(frequencies, as_states=False):
     measured = take_arrays(
         X, torque, groups, np.ones_like(q), dt=DT, joint_names=robot.joint_names_
     )
-    return measure_band(RecordingView(robot, measured), robot.cutoff, torque, len(t))
+    return measure_band(RecordingView(robot, measured), robot.cutoff, len(t))
 
 
 def test_a_slow_motion_leaves_it_to_the_length_of_the_recording():

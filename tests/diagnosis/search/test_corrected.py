@@ -6,6 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa.diagnosis.search._cosines import Cosines
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,
@@ -100,13 +101,15 @@ def test_views_that_are_let_go_are_made_again_as_they_were(view):
 
 def test_columns_pass_the_channel_as_the_torque_does(view):
     other = view.corrected([GAIN])
-    motion = view.motion(None)
+    motion, cosines = view.motion(None), Cosines(view)
     for effect in (Coulomb(1), Coulomb(0), Offset(1)):
         factor = 1.2 if effect.joint == 1 else 1.0
         plain = view.columns([effect], motion)
         assert_allclose(other.columns([effect], motion), factor * plain)
         assert_allclose(
-            other.family(effect, motion).columns[:, :, 0], factor * plain[:, :, 0]
+            other.family(effect, motion, cosines).columns[:, :, :1],
+            factor * cosines(plain, [effect.joint]),
+            atol=1e-12,
         )
         assert_allclose(
             other.in_equations(effect, motion),
@@ -114,8 +117,9 @@ def test_columns_pass_the_channel_as_the_torque_does(view):
         )
     # What was made for the one is not taken for the other.
     assert_allclose(
-        view.family(Coulomb(1), motion).columns[:, :, :1],
-        view.columns([Coulomb(1)], motion),
+        view.family(Coulomb(1), motion, cosines).columns[:, :, :1],
+        cosines(view.columns([Coulomb(1)], motion), [1]),
+        atol=1e-12,
     )
 
 

@@ -1,0 +1,276 @@
+"""How time and memory of the loop grow with the length of a recording.
+
+Run ``python tests/benchmarks/bench_long_recordings.py [--cases NAME ...] [--quick]
+[--write]``.
+
+Data, simulated without the code of the library (``_undeclared_robots.py``), seed 0:
+
+- ``7 joints``: a random serial arm in one motion (five sines in each joint, 0.1 to
+  1 Hz) of 1, 3, 10 and 30 minutes at 1 kHz. Every joint has viscous and Coulomb
+  friction, which are declared, and torque noise of 10 % of its spread; joint 3 also has
+  a Stribeck friction of 15 % of its torque, which is not declared.
+- ``23 joints``: three arms of seven joints and a pair on one base, 165,014 rows at
+  1 kHz, the same friction and noise.
+
+``EffectDiscovery.fit`` with all its effects and its defaults, and the report's text,
+each in a process of its own; the data are made in another one and read from a file,
+so that the peak memory (``ru_maxrss``) is that of reading, the loop and the report.
+Seconds by stage are those inside of a function of the loop, without what it calls of
+the other stages; processor time stands beside the time on the wall. The exponent is
+that of a straight line through the logarithms of length and figure, from 3 minutes on.
+Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
+"""
+
+import json
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+import warnings
+from pathlib import Path
+from unittest import mock
+
+import numpy as np
+from _report import parser, publish, rst_table
+from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_robot
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.diagnosis import _discovery
+
+DT = 0.001
+SEED = 0
+NOISE, FRICTION, UNDECLARED = 0.1, 0.15, 0.15
+JOINT = 2
+STRIBECK = 0.05
+# Rows of which a robot's torques are made at once.
+CHUNK = 50_000
+MINUTES = (1, 3, 10, 30)
+MANY_ROWS = 165_014
+CASES = {f"7 joints, {m} min": ((7,), m * 60_000) for m in MINUTES}
+CASES["23 joints"] = ((7, 7, 7, 2), MANY_ROWS)
+QUICK = {"2 joints, 20 s": ((2,), 20_000), "4 joints, 20 s": ((2, 2), 20_000)}
+TARGETS = {"7 joints, 30 min": (120.0, 2.0), "23 joints": (60.0, np.inf)}
+# Functions that the loop calls, by the name of their stage.
+STAGES = {
+    "channels": "inspect_channels",
+    "split": "split_in_time",
+    "fits": "_fitted",
+    "view": "RecordingView",
+    "search": "search",
+    "judging": "judge",
+    "tuning": "tuned_on",
+    "outcome": "make_outcome",
+}
+
+
+def robot(arms):
+    """Return serial arms of so many joints each on one base."""
+    import pinocchio as pin
+
+    rng, model = np.random.default_rng(SEED), pin.Model()
+    for k, joints in enumerate(arms):
+        arm = nominal_robot("serial", rng, joints)
+        last = 0
+        for i in range(1, arm.njoints):
+            name = f"arm_{k}_{arm.names[i]}"
+            last = model.addJoint(last, arm.joints[i], arm.jointPlacements[i], name)
+            inertia = arm.inertias[i]
+            model.appendBodyToJoint(last, inertia, pin.SE3.Identity())
+    return model
+
+
+def recording(arms, rows):
+    """Positions and torques of the arms, (rows, nv) each."""
+    rng, nominal = np.random.default_rng(SEED), robot(arms)
+    model, nv = true_robot(nominal, rng), nominal.nv
+    joint = min(JOINT, nv - 1)
+    frequency = rng.uniform(0.1, 1.0, size=(nv, 5))
+    amplitude = 0.1 / frequency * rng.uniform(0.5, 1.0, size=(nv, 5))
+    phase = rng.uniform(0.0, 2.0 * np.pi, size=(nv, 5))
+    motion = Motion(rng.uniform(-1, 1, size=nv), amplitude, frequency, phase)
+    q, tau = np.empty((2, rows, nv))
+    spread = None
+    for first in range(0, rows, CHUNK):
+        some = slice(first, min(first + CHUNK, rows))
+        q[some], v, a = motion.at(DT * np.arange(some.start, some.stop))
+        own = inverse_dynamics(model, q[some], v, a)
+        if spread is None:
+            spread, fast = own.std(axis=0), v.std(axis=0)
+        own += FRICTION * spread * (v / fast + np.tanh(v / 0.002))
+        slow = np.exp(-np.abs(v[:, joint]) / (STRIBECK * fast[joint]))
+        own[:, joint] += UNDECLARED * spread[joint] * np.sign(v[:, joint]) * slow
+        tau[some] = own + NOISE * spread * rng.normal(size=own.shape)
+        q[some] += 1e-5 * rng.normal(size=own.shape)
+    return q, tau
+
+
+class Stages:
+    """Seconds in the functions of the loop, each without the others."""
+
+    def __init__(self):
+        self.seconds = dict.fromkeys([*STAGES, "rest"], 0.0)
+        self.gigabytes = {}
+        self._open, self._since = ["rest"], time.perf_counter()
+
+    def _turn(self):
+        now = time.perf_counter()
+        self.seconds[self._open[-1]] += now - self._since
+        self._since = now
+
+    def timed(self, stage):
+        """Return the function of a stage, timed."""
+        function = getattr(_discovery, STAGES[stage])
+
+        def call(*given, **named):
+            self._turn()
+            self._open.append(stage)
+            try:
+                return function(*given, **named)
+            finally:
+                self._turn()
+                self._open.pop()
+                self.gigabytes[stage] = peak_gigabytes()
+
+        return call
+
+    def done(self):
+        """Return the seconds by stage."""
+        self._turn()
+        return self.seconds
+
+
+def peak_gigabytes():
+    """Peak memory of this process so far [GB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    # Kilobytes, but on macOS bytes.
+    return peak / (2**30 if sys.platform == "darwin" else 2**20)
+
+
+def run_here(arms, path):
+    """Figures of the loop on a file, in this process."""
+    started, used = time.perf_counter(), time.process_time()
+    with np.load(path) as file:
+        q, tau = file["q"], file["tau"]
+    identifier = RobotIdentifier(robot(arms), dt=DT, friction=("viscous", "coulomb"))
+    loop = EffectDiscovery(identifier, random_state=0)
+    stages = Stages()
+    timed = {name: stages.timed(stage) for stage, name in STAGES.items()}
+    with warnings.catch_warnings(), mock.patch.multiple(_discovery, **timed):
+        warnings.simplefilter("ignore", UserWarning)
+        loop.fit(q, tau)
+    found = stages.done()
+    text = str(loop.report_)
+    return {
+        "seconds": time.perf_counter() - started,
+        "processor": time.process_time() - used,
+        "gigabytes": peak_gigabytes(),
+        "stages": found,
+        "peaks": stages.gigabytes,
+        "named": [[e.name, int(e.joint)] for e in loop.effects_],
+        "error": [
+            float(np.mean(loop.error_before_)),
+            float(np.mean(loop.error_after_)),
+        ],
+        "lines": text.count("\n"),
+    }
+
+
+def measure(name, arms, rows, folder):
+    """Figures of the loop in a process of its own, the data made in another one."""
+    path = Path(folder, "recording.npz")
+    given = json.dumps({"arms": arms, "rows": rows, "path": str(path)})
+    for what in ("--make", "--run"):
+        command = [sys.executable, __file__, what, given]
+        environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+        environment = {**environment, **os.environ}
+        answer = subprocess.run(
+            command, capture_output=True, text=True, env=environment
+        )
+        if answer.returncode:
+            raise RuntimeError(f"{name} failed:\n{answer.stderr}")
+    return json.loads(answer.stdout.splitlines()[-1])
+
+
+def exponents(found, cases):
+    """Exponents of seconds and gigabytes against rows of one robot, or nan."""
+    own = [
+        (cases[name][1], figures["seconds"], figures["gigabytes"])
+        for name, figures in found.items()
+        if cases[name][0] == (7,) and cases[name][1] >= 180_000
+    ]
+    if len(own) < 2:
+        return np.nan, np.nan
+    rows, seconds, gigabytes = np.log(np.array(own)).T
+    return tuple(float(np.polyfit(rows, y, 1)[0]) for y in (seconds, gigabytes))
+
+
+HEADERS = ["recording", "rows", "time [s]", "processor time", "memory [GB]"]
+HEADERS += ["named", "mean before [%]", "mean after", *STAGES, "rest", "target"]
+
+
+def row(name, rows, figures):
+    """Row of the table."""
+    named = ", ".join(f"{effect} {joint + 1}" for effect, joint in figures["named"])
+    seconds, memory = TARGETS.get(name, (np.nan, np.nan))
+    target = "" if np.isnan(seconds) else f"{seconds:.0f} s"
+    target += f", {memory:.0f} GB" if np.isfinite(memory) else ""
+    return [
+        name,
+        rows,
+        f"{figures['seconds']:.0f}",
+        f"{figures['processor']:.0f}",
+        f"{figures['gigabytes']:.2f}",
+        named or "nothing",
+        *(f"{100 * error:.1f}" for error in figures["error"]),
+        *(f"{figures['stages'][stage]:.0f}" for stage in (*STAGES, "rest")),
+        target,
+    ]
+
+
+def report(cases, chosen):
+    """Table of the chosen cases, and a line of the exponents."""
+    found = {}
+    with tempfile.TemporaryDirectory() as folder:
+        for name in chosen:
+            found[name] = measure(name, *cases[name], folder)
+            cells = row(name, cases[name][1], found[name])
+            print(" | ".join(map(str, cells)), file=sys.stderr, flush=True)
+    rows = [row(name, cases[name][1], figures) for name, figures in found.items()]
+    table, (seconds, memory) = rst_table(rows, HEADERS), exponents(found, cases)
+    if np.isnan(seconds):
+        return table
+    line = (
+        f"With the length, seven joints, from 3 minutes on: time to the power of "
+        f"{seconds:.2f}, memory to the power of {memory:.2f}."
+    )
+    return f"{table}\n\n{line}"
+
+
+def main(argv=None):
+    """Print the table."""
+    arguments = parser(__doc__.splitlines()[0])
+    arguments.add_argument("--cases", nargs="+", help="names of the table")
+    arguments.add_argument(
+        "--quick", action="store_true", help="small robots for 20 s, as a smoke test"
+    )
+    arguments.add_argument("--make", help="for the script itself")
+    arguments.add_argument("--run", help="for the script itself")
+    arguments = arguments.parse_args(argv)
+    if arguments.make:
+        given = json.loads(arguments.make)
+        q, tau = recording(given["arms"], given["rows"])
+        np.savez(given["path"], q=q, tau=tau)
+        return
+    if arguments.run:
+        given = json.loads(arguments.run)
+        print(json.dumps(run_here(given["arms"], given["path"])))
+        return
+    cases = QUICK if arguments.quick else CASES
+    text = report(cases, arguments.cases or list(cases))
+    publish("long_recordings", text, write=arguments.write)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,181 @@
+"""What of a long recording the search looks at."""
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, effects
+from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis.search import _thinned
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.robot import RobotIdentifier
+
+LOWPASS = _lowpass.design(0.001, 5.0)
+
+
+def moving(n, joints=2):
+    return np.ones((n, joints), dtype=bool)
+
+
+@pytest.fixture
+def few(monkeypatch):
+    """Let recordings be long from 1500 samples on."""
+    monkeypatch.setattr(_thinned, "_SAMPLES", 1500)
+
+
+@pytest.fixture(scope="module")
+def recorded():
+    return make_robot_recording(
+        duration=40.0,
+        dt=0.005,
+        undeclared={"load_friction": (1, 0.3)},
+        random_state=0,
+    )
+
+
+def identifier(recorded):
+    return RobotIdentifier(
+        recorded.robot_model(),
+        dt=recorded.dt,
+        friction=("viscous", "coulomb", "offset", "rotor_inertia"),
+    )
+
+
+# -- every so many samples
+
+
+def test_short_recordings_are_looked_at_as_a_whole():
+    n = _thinned._SAMPLES
+    assert _thinned.stride(n, LOWPASS) == 1
+    parts = [slice(0, 20_000), slice(20_000, n)]
+    rows, label = _thinned.stretches(parts, moving(n), LOWPASS)
+    assert_array_equal(rows, np.arange(n))
+    assert_array_equal(label, np.arange(n) >= 20_000)
+    assert _thinned.coarser(LOWPASS, 1) is LOWPASS
+    assert _thinned.coarser_rows(parts, LOWPASS, 1) == (slice(None), tuple(parts))
+
+
+@pytest.mark.parametrize("cutoff", [2.0, 5.0, 23.0, 80.0, np.inf])
+def test_enough_samples_are_left_of_each_filtered_row(cutoff):
+    lowpass = _lowpass.design(0.001, cutoff)
+    every = _thinned.stride(10**7, lowpass)
+    assert lowpass.step % every == 0
+    assert every == 1 or lowpass.step // every >= _thinned._PER_ROW
+
+
+@pytest.mark.parametrize("every", [2, 5, 10])
+def test_a_coarser_filter_has_the_same_outputs_at_the_same_rows(every):
+    sizes = [700, 726, 727, 728, 1400, 5003]
+    edges = np.cumsum([0, *sizes])
+    parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+    t = 0.001 * np.arange(edges[-1])
+    slow = np.sin(2 * np.pi * 1.3 * t) + 0.3 * np.cos(2 * np.pi * 2.9 * t)
+    rows, made = _thinned.coarser_rows(parts, LOWPASS, every)
+    coarser = _thinned.coarser(LOWPASS, every)
+    for part, own in zip(parts, made):
+        n = part.stop - part.start
+        expected = part.start + LOWPASS.centres(n)
+        assert_array_equal(rows[own][coarser.centres(own.stop - own.start)], expected)
+        assert rows[own].min(initial=part.start) >= part.start
+        assert rows[own].max(initial=part.start) < part.stop
+        both = LOWPASS(slow[part]), coarser(slow[rows[own]])
+        assert_allclose(*both, atol=2e-3)
+
+
+# -- stretches
+
+
+def test_stretches_do_not_grow_with_the_recording():
+    counts = []
+    for n in (10**6, 4 * 10**6):
+        rows, label = _thinned.stretches([slice(0, n)], moving(n), LOWPASS)
+        most = _thinned._SAMPLES * _thinned.stride(n, LOWPASS)
+        assert 0.9 * most < rows.size <= most
+        counts.append(label.max())
+        # Each is much longer than the filter that takes its ends.
+        assert np.bincount(label).min() > 20 * LOWPASS.half
+        # They lie all over the recording, each in one piece.
+        assert rows[0] < 0.1 * n
+        assert rows[-1] > 0.9 * n
+        inside = np.diff(label) == 0
+        assert (np.diff(rows)[inside] == 1).all()
+        assert (np.diff(rows) >= 1).all()
+    assert counts[0] == counts[1]
+
+
+def test_a_joint_that_seldom_moves_has_its_share():
+    n = 2 * 10**6
+    moves = moving(n)
+    moves[:, 1] = False
+    moves[1_200_000:1_300_000, 1] = True
+    rows, _ = _thinned.stretches([slice(0, n)], moves, LOWPASS)
+    share = moves[rows].sum(axis=0) / moves.sum(axis=0)
+    assert share[1] > 1.5 * share[0]
+
+
+def test_short_recordings_come_in_turns_whatever_their_order():
+    rng = np.random.default_rng(0)
+    sizes = 8_000 + np.arange(300)
+    found = []
+    for order in (np.arange(300), rng.permutation(300)):
+        edges = np.cumsum(np.r_[0, sizes[order]])
+        parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
+        rows, label = _thinned.stretches(parts, moving(edges[-1]), LOWPASS)
+        most = _thinned._SAMPLES * _thinned.stride(edges[-1], LOWPASS)
+        assert rows.size <= most
+        own = np.searchsorted(edges, rows, side="right") - 1
+        found.append(set(sizes[order][own]))
+        assert np.unique(label).size == np.unique(own).size
+    assert found[0] == found[1]
+
+
+# -- in the loop
+
+
+def test_columns_of_fewer_samples_are_nearly_those_of_all(few, monkeypatch, recorded):
+    robot = identifier(recorded).fit(recorded.q, recorded.tau)
+    given = replace(recorded, weight=np.ones(recorded.tau.shape))
+    coarse = RecordingView(robot, given)
+    monkeypatch.setattr(_thinned, "_SAMPLES", 10**9)
+    fine = RecordingView(robot, given)
+    assert coarse.states.shape[0] < 0.5 * fine.states.shape[0]
+    assert_array_equal(coarse.recorded, fine.index)
+    assert_array_equal(coarse.clock[coarse.index], fine.clock[fine.index])
+    assert_array_equal(coarse.Z, fine.Z)
+    for effect in (
+        effects.LoadFriction(1),
+        effects.Stribeck(0, vs=0.5),
+        effects.Presliding(1),
+    ):
+        rows = [
+            view.columns([effect], view.motion_of(robot.theta_))
+            for view in (coarse, fine)
+        ]
+        size = np.sqrt((rows[1] ** 2).mean())
+        assert np.sqrt(((rows[0] - rows[1]) ** 2).mean()) < 0.1 * size
+
+
+def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded):
+    loop = EffectDiscovery(
+        identifier(recorded), effects=["load_friction", "spring"], random_state=0
+    )
+    thinned = loop.fit(recorded.q, recorded.tau)
+    assert [(e.name, e.joint) for e in thinned.effects_] == [("load_friction", 1)]
+    looked_at = thinned.report_.to_dict()["settings"]["search_rows"]
+    assert looked_at < 0.6 * recorded.n_samples
+    # Parameters are those of all rows.
+    whole = identifier(recorded).set_params(effects=[thinned.effects_[0].effect])
+    whole.set_params(cutoff=thinned.identifier_.cutoff_)
+    whole.set_params(standstill=thinned.identifier_.standstill_)
+    whole.fit(recorded.q, recorded.tau)
+    n = [one.estimator_.statistics_.n for one in (whole, thinned.identifier_)]
+    assert_array_equal(*n)
+    torques = [one.predict(recorded.q) for one in (whole, thinned.identifier_)]
+    apart = np.abs(np.subtract(*torques)).max(axis=0)
+    assert (apart < 1e-3 * torques[0].std(axis=0)).all()

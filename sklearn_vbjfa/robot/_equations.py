@@ -232,10 +232,11 @@ class RegressorRows:
         made = [(effect, columns(effect, own)) for effect, own in zip(effects, held)]
         return cls(features, states, made, rest)
 
-    def part(self, rows):
-        """Restrict to a slice of rows, renumbered from zero."""
+    def part(self, rows, states=None):
+        """Restrict to a slice of rows, renumbered from zero; states: of these rows."""
         columns = [(effect, values[rows]) for effect, values in self._columns]
-        return RegressorRows(self._features, self._states[rows], columns, self._rest)
+        states = self._states[rows] if states is None else states
+        return RegressorRows(self._features, states, columns, self._rest)
 
     def spans(self, rows, length):
         """Yield where blocks of at most `length` rows begin, and their entries."""
@@ -337,7 +338,8 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
         tangents=plan.tangents,
         ranges=plan.ranges,
     )
-    return [rows.part(part) for part in recording.segments]
+    # Splines are a third of the states of all rows, which end here.
+    return [rows.part(*both) for both in zip(recording.segments, states)]
 
 
 def motion_of(recording, states, plan, features, *, theta=None, rest=None):

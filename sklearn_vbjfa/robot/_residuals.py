@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
+from sklearn_vbjfa.robot._equations import velocities
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,7 +80,9 @@ def compare(segments, lowpass, theta):
         rows = lowpass.centres(own.n_rows)
         torques = [own.torque]
         torques.append(0 * own.torque if theta is None else own.rows.predict(theta))
-        weight = filter_weight(lowpass, own.counts(slice(None)))
+        every = slice(None)
+        weight = own.counts(every, velocities(own.states, every))
+        weight = filter_weight(lowpass, weight)
         found.append(
             (own.first + rows, *(decimate(lowpass, x) for x in torques), weight)
         )

@@ -12,9 +12,10 @@ Data, simulated without the code of the library (``_undeclared_robots.py``), see
 - ``23 joints``: three arms of seven joints and a pair on one base, 165,014 rows at
   1 kHz, the same friction and noise.
 
-``EffectDiscovery.fit`` with all its effects and its defaults, and the report's text,
-each in a process of its own; the data are made in another one and read from a file,
-so that the peak memory (``ru_maxrss``) is that of reading, the loop and the report.
+``EffectDiscovery.fit`` with all its effects and its defaults, fits in two threads
+(``n_jobs=2``), and the report's text, each in a process of its own; the data are made
+in another one and read from a file, so that the peak memory (``ru_maxrss``) is that of
+reading, the loop and the report.
 Seconds by stage are those inside of a function of the loop, without what it calls of
 the other stages; processor time stands beside the time on the wall. The exponent is
 that of a straight line through the logarithms of length and figure, from 3 minutes on.
@@ -153,7 +154,8 @@ def run_here(arms, path):
     started, used = time.perf_counter(), time.process_time()
     with np.load(path) as file:
         q, tau = file["q"], file["tau"]
-    identifier = RobotIdentifier(robot(arms), dt=DT, friction=("viscous", "coulomb"))
+    declared = {"friction": ("viscous", "coulomb"), "n_jobs": 2}
+    identifier = RobotIdentifier(robot(arms), dt=DT, **declared)
     loop = EffectDiscovery(identifier, random_state=0)
     stages = Stages()
     timed = {name: stages.timed(stage) for stage, name in STAGES.items()}

@@ -327,7 +327,12 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
     # Effects need all recordings together (time, largest speeds).
-    whole = np.concatenate([own[:] for own in states])
+    # The samples of a signal are next to each other, as effects take them.
+    whole = np.empty((recording.n_samples, 3 * recording.nv), order="F")
+    for part, own in zip(recording.segments, states):
+        for first in range(part.start, part.stop, _SPAN_ROWS):
+            rows = slice(first, min(first + _SPAN_ROWS, part.stop))
+            whole[rows] = own[rows.start - part.start : rows.stop - part.start]
     motion = motion_of(recording, whole, plan, features, theta=theta, rest=rest)
     rows = RegressorRows.with_effects(
         features,
@@ -449,7 +454,7 @@ class Segment:
         """Return the rows seen, and torque, weight and ranges of filtered rows."""
         chosen = lowpass.centres(self.n_rows, outputs)
         seen = slice(int(chosen[0]) - lowpass.half, int(chosen[-1]) + lowpass.half + 1)
-        q, v = positions(self.states, seen), velocities(self.states, seen)
+        q, v = (derivative(self.states, seen, order) for order in range(2))
         weight = filter_weight(lowpass, self.counts(seen, v))
         signals = decimate(lowpass, np.stack([self.torque[seen], q, v], axis=1))
         tau, q, v = (np.ascontiguousarray(signals[:, k]) for k in range(3))
@@ -473,26 +478,21 @@ class Segment:
         """Range of the loads in filtered rows with weight, `SignalRanges`."""
         # torques: (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
         # filtered before, which is the same for motion in the band of the filter.
-        states, rows = np.ascontiguousarray(self.states[:]), slice(0, self.n_rows)
-        v = np.split(states, 3, axis=1)[1]
-        weight = filter_weight(lowpass, self.counts(rows, v))
-        states = decimate(lowpass, states)
-        return SignalRanges.of([torques(*np.split(states, 3, axis=1))], weight > 0)
+        rows, made = slice(0, self.n_rows), []
+        for order in range(3):
+            signals = np.ascontiguousarray(derivative(self.states, rows, order))
+            if order == 1:
+                weight = filter_weight(lowpass, self.counts(rows, signals))
+            made.append(decimate(lowpass, signals))
+        return SignalRanges.of([torques(*made)], weight > 0)
 
 
-def positions(states, rows):
-    """Positions (n, nv) of a slice of rows."""
+def derivative(states, rows, order):
+    """Positions, velocities or accelerations (n, nv) of a slice of rows."""
     if not isinstance(states, np.ndarray):
-        return states.derivative(rows, 0)
-    return states[rows, : states.shape[1] // 3]
-
-
-def velocities(states, rows):
-    """Velocities (n, nv) of a slice of rows."""
-    if not isinstance(states, np.ndarray):
-        return states.derivative(rows, 1)
+        return states.derivative(rows, order)
     nv = states.shape[1] // 3
-    return states[rows, nv : 2 * nv]
+    return states[rows, order * nv : (order + 1) * nv]
 
 
 def _filter_rows(made, seen, lowpass, count):

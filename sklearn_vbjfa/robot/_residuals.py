@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
-from sklearn_vbjfa.robot._equations import velocities
+from sklearn_vbjfa.robot._equations import derivative
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +81,7 @@ def compare(segments, lowpass, theta):
         torques = [own.torque]
         torques.append(0 * own.torque if theta is None else own.rows.predict(theta))
         every = slice(None)
-        weight = own.counts(every, velocities(own.states, every))
+        weight = own.counts(every, derivative(own.states, every, 1))
         weight = filter_weight(lowpass, weight)
         found.append(
             (own.first + rows, *(decimate(lowpass, x) for x in torques), weight)

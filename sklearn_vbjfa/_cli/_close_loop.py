@@ -126,6 +126,7 @@ def close(
         torque_noise=torque_noise,
         gains=gains,
         known_masses=known_masses,
+        n_jobs=-1,
     )
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed

@@ -87,8 +87,11 @@ def block_variance(grams, scores, place, noise=1.0):
 
 def _pooled(K, s, noise):
     """Mean variance factor over all determined directions."""
-    after_fit = noise * (np.trace(K, axis1=1, axis2=2).sum() - np.vdot(K, K))
-    return float((s**2).sum() / after_fit) if after_fit > 0 else 1.0
+    # Of a single block a fit leaves nothing but rounding.
+    all_rows = np.trace(K, axis1=1, axis2=2).sum()
+    left = all_rows - np.vdot(K, K)
+    seen = noise > 0 and left > _RANK * all_rows
+    return float((s**2).sum() / (noise * left)) if seen else 1.0
 
 
 def _neighbours(K, s, place, noise):

@@ -30,6 +30,7 @@ _MODULES = {
     "_estimate": ("estimate", "project"),
     "_exports": ("LeftOut",),
     "_features": ("RigidBodyFeatures",),
+    "_fit": ("ModelValues",),
     "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
     "_identifier": ("RobotIdentifier",),
     "_joint_moments": (

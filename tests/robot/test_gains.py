@@ -13,9 +13,11 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
-from sklearn_vbjfa.robot import joint_moments  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    ModelValues,
+    joint_moments,
+)
 from sklearn_vbjfa.robot._estimate import PlainEstimate  # noqa: E402
-from sklearn_vbjfa.robot._fit import ModelValues  # noqa: E402
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
     RelativeGains,
     _grouped,

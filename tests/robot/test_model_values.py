@@ -26,10 +26,10 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     TorqueGain,
 )
 from sklearn_vbjfa.robot import (  # noqa: E402
+    ModelValues,
     _fit,
     joint_moments,
 )
-from sklearn_vbjfa.robot._fit import ModelValues  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 from tests.effects._faults import faulty, measured  # noqa: E402
 

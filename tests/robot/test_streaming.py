@@ -16,8 +16,7 @@ from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures, RobotIdentifi
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import MotionFacts, _equations
-from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot import MotionFacts, Numbering, _equations
 from sklearn_vbjfa.robot._plan import merge_all, n_fastest
 from tests.model._trees import build, by_sample
 

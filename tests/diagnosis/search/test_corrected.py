@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.search._cosines import Cosines
+from sklearn_vbjfa.diagnosis.search import Cosines
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Coulomb,

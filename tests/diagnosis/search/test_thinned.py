@@ -12,8 +12,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.search import _thinned
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search import RecordingView, _thinned
 from sklearn_vbjfa.robot import RobotIdentifier
 
 LOWPASS = _lowpass.design(0.001, 5.0)

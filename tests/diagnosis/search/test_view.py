@@ -8,7 +8,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._cosines import Cosines
+from sklearn_vbjfa.diagnosis.search import Cosines
 from sklearn_vbjfa.diagnosis.search._view import reduced
 from sklearn_vbjfa.robot import Equations
 from tests.diagnosis._recordings import DT

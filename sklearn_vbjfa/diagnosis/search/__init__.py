@@ -4,7 +4,7 @@ from sklearn_vbjfa import _lazily
 
 # For what follows from a search, and for tests.
 _MODULES = {
-    "_cosines": ("Cosines",),
+    "_cosines": ("Cosines", "Spectrum"),
     "_found": ("Evidence",),
     "_held_out": ("HeldOut", "Worth", "fold_of"),
     "_posterior": ("SMALL", "UNDECIDED", "search"),

@@ -6,7 +6,6 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import stage, telling
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
@@ -365,9 +364,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 repetition = find_repetition(commands, whole.t, whole.segments)
         moving = split.amount.moving
         near = split.narrowed(*self._seen(part, moving[split.search]))
-        given = {"origin": near.origin, "begins": begins, "repetition": repetition}
+        known = {"begins": begins, "repetition": repetition}
         seen = part if near is split else near.searched(whole)
         with stage("search"):
+            given = {"origin": near.origin, **known}
             found = self._search(seen, silent, given, library)
         with stage("held-out judgement"):
             self.judged_ = self.plain_
@@ -381,7 +381,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             del part, seen
             judgement = judge(models, found, split, near, whole)
         with stage("final model"):
-            final = self._hand_over(found, whole, moving, silent, repetition)
+            final = self._hand_over(found, whole, moving, silent, known)
         asked = self.get_params(deep=False)
         with stage("explaining"):
             return make_outcome(
@@ -456,9 +456,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _seen(self, recording, moving):
         """Return the rows of a recording that are looked at, and their stretches."""
-        robot = self.plain_.robot_
-        lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
-        return stretches(recording.segments, moving, lowpass)
+        return stretches(recording.segments, moving, self.plain_.robot_.plan.lowpass)
 
     def _search(self, part, silent, given, library):
         """Search the robot, or its branches one by one where there are many joints."""
@@ -496,8 +494,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked["effects"] = (*asked["effects"], *effects)
         return clone(self.plain_).set_params(**asked)
 
-    def _hand_over(self, found, whole, moving, silent, repetition):
+    def _hand_over(self, found, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
+        # known: when recordings begin, and the motion that they repeat.
         band = {}
         if isinstance(self.identifier.cutoff, str):
             cutoff = self.judged_.cutoff_
@@ -508,9 +507,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         seen = whole
         if rows.size < whole.n_samples:
             seen = take_rows(whole, rows, pieces)
-        begins = tuple(whole.t[part.start] for part in whole.segments)
-        given = {"origin": whole.groups[rows], "begins": begins}
-        given |= {"repetition": repetition, "all_samples": True}
+        given = {"origin": whole.groups[rows], "all_samples": True, **known}
         view = RecordingView(self.plain_, seen, silent, **given)
         effects = tuned_on(view, found.effects, found.settings)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)

@@ -437,7 +437,7 @@ def fit_correlated(data, noise, labels, solve, *, select, cross=None, dof=np.inf
         _warn_excess(m.S / m.n, psi, data, labels)
     if not select:
         known = np.zeros((d, d)) if psi is None else psi
-        return _fit_all(m, known, partial(solve, cross=cross), solve, dof)
+        return _fit_all(m, known, partial(solve, cross=cross), dof)
     R, r = m.S / m.n, m.xy / m.n
     as_they_are = solve(m, np.zeros((d, d)))
     found = find_dependencies(R)
@@ -489,9 +489,8 @@ def fit_correlated(data, noise, labels, solve, *, select, cross=None, dof=np.inf
     )
 
 
-def _fit_all(m, psi, solve, as_exact, dof=np.inf):
+def _fit_all(m, psi, solve, dof=np.inf):
     """Fit all inputs with a known noise covariance (d, d), for both queries."""
-    # solve, as_exact: with and without noise that inputs and output have in common
     solution = solve(m, psi)
     state, latent = solution.state, solution.latent
     in_common = _in_common(m, psi, solution, solve)
@@ -501,7 +500,7 @@ def _fit_all(m, psi, solve, as_exact, dof=np.inf):
     )
     noisy = noiseless
     if not latent.exact:
-        noisy = _noisy_model(m, solution, as_exact)
+        noisy = _noisy_model(m, solution, solve)
     variance = np.diagonal(posterior_covariance(m.n, psi, solution, dof))
     return CorrelatedFit(
         noisy=noisy,

@@ -78,7 +78,7 @@ class RecordingView:
         self.floor = robot.noise_floor_**2
         clock = check_clock(recording.t, recording.n_samples, robot.dt)
         states = robot.query(recording.inputs, recording.groups)[0]
-        self._lowpass = _lowpass.design(robot.dt or 1.0, robot.cutoff_)
+        self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition
         self._families = {}

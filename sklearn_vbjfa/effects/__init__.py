@@ -30,6 +30,7 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding, dahl, play
 from sklearn_vbjfa.effects._in_model import (
     BaseTilt,
+    CommandDelay,
     JointAxis,
     JointZero,
     ModelEffect,

@@ -11,12 +11,15 @@ from numbers import Real
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._between import between
 from sklearn_vbjfa.effects._base import POSITION, Effect
 from sklearn_vbjfa.effects._channels import model_torque
 
 # Farther out than this a tilt, a zero or an axis is no error of assembly but another
 # robot [rad]; of a prismatic joint, in m.
 _LEANS, _TURNS = np.deg2rad(15.0), np.deg2rad(10.0)
+# A longer delay of a command is no delay of a bus but another recording [s].
+_LATE = 0.1
 _NONE = ("1", "1")
 # Size of a column beside the largest of its effect below which it is rounding.
 _ROUNDING = 1e-9
@@ -85,6 +88,9 @@ class ModelEffect(Effect):
     ----------
     idle : tuple of float
         Values that correct nothing.
+    of_bodies : bool
+        Whether it may stand for bodies that are not as described, so that its values
+        are fitted beside free ones.
     subject : tuple of str
         What it is about in a sentence, with a place for the joint and one for several;
         empty: its label.
@@ -97,6 +103,7 @@ class ModelEffect(Effect):
     """
 
     in_model = True
+    of_bodies = True
     needs = ("load",)
     idle = ()
     subject = ()
@@ -532,3 +539,83 @@ class TorqueGain(ModelEffect):
         Rows of the joint are multiplied with the gain, which the derivative has not.
         """
         return model_torque(motion, self.joint)[:, None] / self.gain
+
+
+class CommandDelay(ModelEffect):
+    r"""The drive follows its commands later than the log says.
+
+    With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
+    a `PDDrive`, the drive makes tau(t) + c(t - delay) - c(t) where tau(t) is its law at
+    no delay.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        0; the delay is that of all drives.
+    delay : float, default=0.0
+        Present value [s].
+
+    Notes
+    -----
+    The column is the slope of c at t - delay. It shows wherever commands change. Where
+    the robot follows closely, v_d is nearly v, and a delay nearly viscous friction of
+    K times the delay: the parameters know it, by their covariance. Delays within 0.1 s
+    count as plausible, also negative ones, of logs whose positions are old.
+
+    References
+    ----------
+    .. [1] F. Bjelonic et al., "Towards bridging the gap: systematic sim-to-real
+       transfer for diverse legged robots", 2025 (delay of the command among the
+       parameters of a drive).
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import CommandDelay
+    >>> CommandDelay(delay=0.004).at([0.001]).delay
+    0.005
+    """
+
+    name = "command_delay"
+    label = "delayed command"
+    told = "commands act {delay} s after they are logged"
+    subject = ("the delay of the commands", "the delay of the commands")
+    no_urdf = no_mjcf = "torques of the file act at once"
+    formula = r"c(t - \mathrm{delay}) - c(t)"
+    coefficients = ("delay",)
+    units = (("s", "s"),)
+    tangent = ("delay",)
+    idle = (0.0,)
+    of_bodies = False
+    needs = ()
+    whole_robot = True
+    scope = "robot"
+    owner = "drive"
+    visible = "commands that change"
+    record = "faster commands, and some that the robot does not follow closely"
+
+    def __init__(self, joint=0, delay=0.0):
+        super().__init__(joint)
+        self.delay = delay
+
+    def bounds(self):
+        """Within 0.1 s; see `ModelEffect.bounds`."""
+        return np.array([-_LATE]), np.array([_LATE])
+
+    def correct(self, robot):
+        """Nothing of the robot itself; see `ModelEffect.correct`."""
+
+    def applies(self, motion):
+        """Only where commands were recorded; see `Effect.applies`."""
+        if motion.command is None:
+            return "needs the commands of a drive, drive=PDDrive(...)"
+        return Effect.applies(self, motion)
+
+    def change(self, command, parts, t):
+        """Torque (n, nv) that the delay adds to the law at no delay."""
+        # command (n, nv): c(t) [N m or N]
+        return between(command, parts, t, self.delay) - command
+
+    def columns(self, motion):
+        """Slope of the command as it acts, (n, nv, 1); see `Effect.columns`."""
+        known = motion.command, motion.parts, motion.t
+        return between(*known, self.delay, 1)[:, :, None]

@@ -144,6 +144,8 @@ class Motion:
     signals : mapping of str to ndarray of shape (n,)
         What was recorded beside the motion (a temperature, a voltage), by name, in
         units of its own.
+    command : ndarray of shape (n, nv) or None
+        Torques that follow from commands alone, see `CommandDelay`.
     """
 
     q: np.ndarray
@@ -162,6 +164,7 @@ class Motion:
     rest: Rest | None = None
     since: float | None = None
     signals: Mapping = field(default_factory=dict)
+    command: np.ndarray | None = None
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):

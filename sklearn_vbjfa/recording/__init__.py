@@ -16,6 +16,7 @@ _MODULES = {
         "survey",
         "torques_in_order",
     ),
+    "_drives": ("COMMANDS", "Drive", "PDDrive"),
     "_faults": (
         "ChannelFinding",
         "at_rest",

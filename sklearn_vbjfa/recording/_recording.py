@@ -125,6 +125,9 @@ class Recording:
         Standard deviation of the white noise of a torque sample [see `torque_units`],
         measured before rows were interpolated, which attenuates noise; None if no row
         was. A parameter of `RobotIdentifier`.
+    command : ndarray of shape (n_samples, nv) or None, default=None
+        What of `tau` follows from commands alone [see `torque_units`], where the drive
+        made it of commands and positions; see `PDDrive`.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     left_out : mapping of str to str, default={}
@@ -170,6 +173,7 @@ class Recording:
     states: np.ndarray | None = None
     weight: np.ndarray | None = None
     torque_noise: np.ndarray | None = None
+    command: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
@@ -189,7 +193,12 @@ class Recording:
             )
         n_samples, nv = q.shape
         _check_shape("tau", _finite_array("tau", self.tau), (n_samples, nv))
-        for key, width in (("v", nv), ("states", 3 * nv), ("weight", nv)):
+        for key, width in (
+            ("v", nv),
+            ("states", 3 * nv),
+            ("weight", nv),
+            ("command", nv),
+        ):
             values = getattr(self, key)
             if values is not None:
                 _check_shape(key, _finite_array(key, values), (n_samples, width))
@@ -290,7 +299,8 @@ class Recording:
                 f"Name at least one recording to keep, out of {self.group_names}."
             )
         rows = np.isin(self.groups, labels)
-        optional = {key: getattr(self, key) for key in ("t", "v", "states", "weight")}
+        names = "t", "v", "states", "weight", "command"
+        optional = {key: getattr(self, key) for key in names}
         return replace(
             self,
             q=self.q[rows],
@@ -340,12 +350,21 @@ class Recording:
 
 
 def take_arrays(
-    X, y, groups=None, weight=None, t=None, *, dt, joint_names, signals=None
+    X,
+    y,
+    groups=None,
+    weight=None,
+    t=None,
+    *,
+    dt,
+    joint_names,
+    signals=None,
+    command=None,
 ):
     """Make a recording of the validated arguments of a fit."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
     # nv); groups: labels in any form; t: time stamps; dt [s]; signals (n_samples,) by
-    # name.
+    # name; command (n_samples, nv).
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
     lengths = [rows.stop - rows.start for rows in segments]
@@ -362,6 +381,7 @@ def take_arrays(
         torque_units=nv * ("",),
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
+        command=command,
         signals={} if signals is None else signals,
     )
 
@@ -369,9 +389,8 @@ def take_arrays(
 def take_rows(recording, rows, groups):
     """Make a recording of some rows (ascending) of another, in new segments."""
     # groups (n_kept,): labels of the segments in any form.
-    t, weight = (
-        None if x is None else x[rows] for x in (recording.t, recording.weight)
-    )
+    optional = recording.t, recording.weight, recording.command
+    t, weight, command = (None if x is None else x[rows] for x in optional)
     return take_arrays(
         recording.inputs[rows],
         recording.tau[rows],
@@ -381,6 +400,7 @@ def take_rows(recording, rows, groups):
         dt=recording.dt,
         joint_names=recording.joint_names,
         signals={name: values[rows] for name, values in recording.signals.items()},
+        command=command,
     )
 
 

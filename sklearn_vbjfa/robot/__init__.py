@@ -6,6 +6,7 @@ __all__ = [
     "EffectOfTime",
     "JointTorqueRegressor",
     "LeftOut",
+    "PDDrive",
     "RigidBodyFeatures",
     "RobotIdentifier",
     "SimulationCriteria",
@@ -32,6 +33,7 @@ _MODULES = {
     "_features": ("RigidBodyFeatures",),
     "_fit": ("ModelValues",),
     "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
+    "_closed_loop": ("Drive", "PDDrive"),
     "_identifier": ("RobotIdentifier",),
     "_joint_moments": (
         "JointMoments",

@@ -12,11 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa._core._lowpass import decimate
+from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.recording import Drive, PDDrive
 from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
 from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
-from sklearn_vbjfa.simulation._controller import PositionController
 
 _MOST_ROUNDS = 20
 # A step is halved so many times at most.
@@ -46,8 +47,10 @@ class Loop:
         for part, own in zip(recording.segments, states.own):
             start = own[slice(0, 1)].reshape(-1)
             q_ref = reference[part]
-            v_ref = np.gradient(q_ref, recording.dt, axis=0)
-            control = _follow(controller, q_ref, v_ref)
+            v_ref = 0.0 * q_ref
+            if controller.feedforward:
+                v_ref = np.gradient(q_ref, recording.dt, axis=0)
+            control = _follow(controller, q_ref, v_ref, predictor.joint_names_)
             n = part.stop - part.start
             t = recording.dt * np.arange(n)
             if plan.timed:
@@ -70,7 +73,7 @@ class Loop:
         )
 
 
-def _follow(controller, q_ref, v_ref):
+def _follow(controller, q_ref, v_ref, names):
     """Let a controller follow a reference (n, nv), which goes straight between rows."""
 
     def at(values, row):
@@ -78,7 +81,7 @@ def _follow(controller, q_ref, v_ref):
         return values[i] + (row - i) * (values[i + 1] - values[i])
 
     def control(row, q, v):
-        return controller.torque(at(q_ref, row), at(v_ref, row), q, v)
+        return controller.torque(at(q_ref, row), at(v_ref, row), q, v, names)
 
     return control
 
@@ -148,21 +151,19 @@ def refine_controlled(
 # -- a controller and its reference ----------------------------------------------------
 
 
-def check_reference(controller, reference, y, dt):
+def check_reference(controller, reference, y, dt, names):
     """Return the reference (n, nv) of a closed loop, refusing what does not suit it."""
     n, nv = y.shape
     if controller is None:
         if reference is not None:
             raise ValueError(
                 "reference is given without a controller: set controller to a "
-                "PositionController with criterion='simulation'."
+                "PDDrive with criterion='simulation'."
             )
         return None
-    if not isinstance(controller, PositionController):
-        raise ValueError(
-            f"controller must be a PositionController or None; got {controller!r}."
-        )
-    controller.gains(nv)
+    if not isinstance(controller, PDDrive):
+        raise ValueError(f"controller must be a PDDrive or None; got {controller!r}.")
+    controller.gains(names)
     controller.updates(dt)
     if reference is None:
         raise ValueError(
@@ -184,3 +185,35 @@ def check_reference(controller, reference, y, dt):
             f"{bad[0][1]}."
         )
     return reference
+
+
+# -- drives that are told something else than torques ----------------------------------
+
+
+def check_drive(settings):
+    """Refuse a drive that is none, or beside what it does not go with."""
+    drive = settings.drive
+    if drive is None:
+        return
+    if not isinstance(drive, Drive):
+        raise ValueError(
+            f"drive must be a PDDrive or None; got {drive!r}. Torques need no drive."
+        )
+    taken = [
+        name
+        for name, given in (("gains", settings.gains), ("period", settings.period))
+        if given is not None
+    ]
+    if taken:
+        raise ValueError(
+            f"drive does not go with {taken[0]}: leave {taken[0]}=None, or make the "
+            "torques yourself."
+        )
+
+
+def delay_of(drive, declared):
+    """Return the delay of a drive's commands as declared effects, a tuple."""
+    if not isinstance(drive, PDDrive) or drive.waits is not None:
+        return ()
+    own = [effect for effect in declared if isinstance(effect, CommandDelay)]
+    return () if own else (CommandDelay(),)

@@ -19,7 +19,12 @@ from sklearn_vbjfa._core._lowpass import (
     filter_weight,
 )
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
+from sklearn_vbjfa.effects import (
+    CommandDelay,
+    Motion,
+    declared_columns,
+    own_motions,
+)
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
@@ -100,6 +105,7 @@ def make_motion(
     since=None,
     signals=None,
     ranges=(),
+    command=None,
 ):
     """Build the `Motion` that effects are computed from."""
     # states (n, 3 nv); t (n,) [s] or None; parts: slices of the segments; theta:
@@ -107,7 +113,7 @@ def make_motion(
     # `plain_coefficients` picks of the effects' coefficients, for the whole torque;
     # bandwidth: cut-off of the low-pass [Hz]; rest: velocity signs at rest; since:
     # first time of the fit [s]; signals: recorded beside the motion; ranges: what the
-    # effects' motion is held within, see `Plan`.
+    # effects' motion is held within, see `Plan`; command (n, nv): see `Recording`.
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
     if theta is not None:
@@ -150,6 +156,7 @@ def make_motion(
         rest=rest,
         since=since,
         signals={} if signals is None else signals,
+        command=command,
     )
     if torque is not None and coefs.size:
         # The torque is the motion's own array.
@@ -163,7 +170,7 @@ def make_motion(
 
 def is_plain(effect):
     """Whether an effect needs no load, so that its torque is part of the load's."""
-    return "load" not in effect.needs
+    return "load" not in effect.needs and not effect.in_model
 
 
 def plain_coefficients(effects, coefs):
@@ -361,7 +368,25 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         None if plan.time is None else plan.time[0],
         recording.signals,
         plan.ranges,
+        recording.command,
     )
+
+
+def as_driven(recording, plan):
+    """Return a recording whose torques are what the drive made of late commands."""
+    for effect in plan.effects:
+        if isinstance(effect, CommandDelay) and effect.corrects:
+            if recording.command is None:
+                raise ValueError(
+                    f"The robot follows its commands {effect.delay:.4g} s late, and "
+                    "without them its torques are not known: give commands as in the "
+                    "fit (drive=PDDrive(...)), or predict torques without measured "
+                    "ones."
+                )
+            known = recording.command, recording.segments, plan.clock(recording)
+            tau = recording.tau + effect.change(*known)
+            recording = replace(recording, tau=tau)
+    return recording
 
 
 # -- segments --------------------------------------------------------------------------
@@ -532,6 +557,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
 
+    recording = as_driven(recording, plan)
     parts = recording.segments
     average = states.halves is not None and plan.corrects_noise
     rows = len(parts) * [None] if average else rows_of(states.own)

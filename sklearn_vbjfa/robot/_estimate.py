@@ -157,18 +157,27 @@ def estimate(
     )
 
 
-def plain_estimate(moments, joint_weights="auto"):
+def plain_estimate(moments, joint_weights="auto", bodies=None):
     """Estimate by weighted least squares without a prior, input noise corrected for."""
     # Its covariance accounts for residuals correlated in time. Directions that the data
-    # do not determine are left out. Returns a `PlainEstimate`.
+    # do not determine are left out. bodies: `BodyPosterior` of an estimate, whose prior
+    # is taken as it is, or None. Returns a `PlainEstimate`.
     weight = resolve_weights(joint_weights, moments)
     if isinstance(joint_weights, str):
         with np.errstate(divide="ignore"):
             weight = np.minimum(weight, _FINEST * moments.n / moments.yy)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = total.S_xx if noise is None else denoised(total, noise)
+    right, held = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)
+    if bodies is not None:
+        prior, held = bodies.noise * bodies.prior, bodies.before == 0
+        right = right + prior @ bodies.centre
+        right = np.where(held, 0.0, right - metric @ np.where(held, bodies.centre, 0.0))
+        metric = np.where(held | held[:, None], 0.0, metric + prior)
     found = scaled_eigen(metric, IDENTIFIABLE)
-    theta = found.solve(total.S_xy)
+    theta = found.solve(right)
+    if held.any():
+        theta[held] = bodies.centre[held]
     variance = _noise_variance(moments, weight, theta, found.rank)
     wider, _ = _correlation(moments, weight, theta)
     return PlainEstimate(

@@ -327,9 +327,11 @@ def _corrected(recipe, fit, source, relative):
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
             zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
-        values = ModelValues.of(
-            moments.zeroed(zeros), robot.effects_, n_rigid, recipe.joint_weights
-        )
+        # Beside bodies that are held, a value of the geometry would stay where it is.
+        free = any(one.in_model and one.of_bodies for one in robot.effects_)
+        bodies = None if free else fit.found.bodies
+        known = robot.effects_, n_rigid, recipe.joint_weights, bodies
+        values = ModelValues.of(moments.zeroed(zeros), *known)
         if values.stay() or (relative is not None and relative.vague(values).any()):
             break
         fit = recipe.of_source(_at(robot, values.corrected()), source)
@@ -427,17 +429,18 @@ class ModelValues:
     estimate: PlainEstimate | None = None
 
     @classmethod
-    def of(cls, moments, effects, n_rigid, joint_weights):
+    def of(cls, moments, effects, n_rigid, joint_weights, bodies=None):
         """Fit the values beside everything else to the moments of equations."""
         # Columns of the moments are those of the features, `n_rigid` of them, and then
-        # those of the effects, with derivatives by the values.
+        # those of the effects, with derivatives by the values; bodies: as for
+        # `plain_estimate`.
         places, at = [], n_rigid
         for effect in effects:
             stop = at + len(effect.coefficients)
             if effect.in_model:
                 places += range(at, stop)
             at = stop
-        found = plain_estimate(moments, joint_weights)
+        found = plain_estimate(moments, joint_weights, bodies)
         shown = found.known[places]
         return cls(
             effects=tuple(effects),

@@ -22,8 +22,8 @@ from sklearn_vbjfa.recording import (
     torques_in_order,
 )
 from sklearn_vbjfa.robot._bodies import described_bodies
-from sklearn_vbjfa.robot._closed_loop import check_reference
-from sklearn_vbjfa.robot._equations import numbered
+from sklearn_vbjfa.robot._closed_loop import check_drive, check_reference, delay_of
+from sklearn_vbjfa.robot._equations import as_driven, numbered
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
     refuse_followers,
@@ -122,6 +122,10 @@ class RecordingRegressorMixin(RegressorMixin):
         float
             R^2, the mean over the joints.
         """
+        if getattr(self, "drive", None) is not None:
+            told = self._take(X, y, groups, None, t, signals)
+            _, signals = self.drive.taken(y, signals)
+            y = as_driven(told, self.robot_.plan).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -214,7 +218,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ``"auto"``: five times as long as friction takes to slow the slowest joint to
         1 / e, but at least five periods of the fastest motion, and so that there are at
         least eight windows. A controller simulates whole recordings.
-    controller : PositionController or None, default=None
+    controller : PDDrive or None, default=None
         Controller of the recording, for ``criterion="simulation"``: the closed loop is
         simulated with the `reference` given to `fit`. None drives the robot with the
         measured torques.
@@ -227,6 +231,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         say nothing of. ``"fixed"``: the bodies are those of the description. Bodies
         without mass or extension are free, and so are all with `gains` or a
         `regressor` of one's own.
+    drive : PDDrive or None, default=None
+        What the robot was told in place of torques, where no torque was measured: y is
+        then that, and torques are what the drive makes of it (``docs/drives.rst``). A
+        delay of the commands is found with the other parameters.
     verbose : int, default=0
         Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
         line every ten seconds (:ref:`progress <progress>`). 0 is silent.
@@ -390,6 +398,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         window="auto",
         controller=None,
         bodies="prior",
+        drive=None,
         verbose=0,
     ):
         self.model = model
@@ -414,6 +423,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.window = window
         self.controller = controller
         self.bodies = bodies
+        self.drive = drive
         self.verbose = verbose
 
     def fit(
@@ -439,7 +449,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             here and in `predict`.
         y : array-like of shape (n_samples, nv)
             Joint torques [N m] or forces [N]; columns of a data frame are matched by
-            name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``.
+            name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``. With a `drive`
+            what that was told: positions q_desired of a `PDDrive`.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings; nothing is differentiated or filtered
             across their boundaries.
@@ -453,7 +464,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, such as a temperature, by name (or a
             data frame), for effects that vary with them (`effects.Signal`). Columns of
-            a data frame X that are no channel of a joint are taken as well.
+            a data frame X that are no channel of a joint are taken as well. A `drive`
+            takes its further channels from here, (n_samples, nv) each: ``v_desired``,
+            ``tau_ff``, ``kp``, ``kd``.
         reference : array-like of shape (n_samples, nv), default=None
             Commanded positions [rad or m], for `controller`.
         progress : callable, default=None
@@ -508,7 +521,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     def _fit(self, recording, reference):
         """Fit to a checked recording."""
-        reference = check_reference(self.controller, reference, recording.tau, self.dt)
+        given = recording.tau, self.dt, self.joint_names_
+        reference = check_reference(self.controller, reference, *given)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
         noise = given_noise(
@@ -683,6 +697,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._masses = check_masses(self.known_masses, self.gains, model)
         if self.gains is not None:
             declared = declared_gains(declared, model.nv)
+        check_drive(self)
+        declared += delay_of(self.drive, declared)
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         if self.criterion == "simulation":
@@ -709,12 +725,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
         self._check_rows(X, groups, t, contiguous_groups(groups, X.shape[0]))
+        told = {}
+        if self.drive is not None:
+            told, signals = self.drive.taken(y, signals)
         used = signals_for(self.effects_, signals, beside, X.shape[0])
         weight = check_weight(sample_weight, y.shape)
         known = groups, weight, t, used
         recording = recording_of(self.joint_names_, self.dt, X, y, *known)
         check_useful(signals, recording)
-        return recording
+        if self.drive is None:
+            return recording
+        recording = self.drive.driven(replace(recording, signals=told))
+        return replace(recording, signals=used)
 
     def _checked(self, recording):
         """Return a recording with the signals that are needed, rejecting others."""
@@ -727,6 +749,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             )
         validate_data(self, X, skip_check_array=True)
         self._check_rows(X, recording.groups, recording.t, recording.segments)
+        if self.drive is not None:
+            recording = self.drive.driven(recording)
         offered = OfferedSignals(columns=recording.signals)
         used = signals_for(self.effects_, None, offered, recording.n_samples)
         weight = recording.weight
@@ -1083,6 +1107,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         friction has its mean, as there.
         """
         known = groups, sample_weight, t, signals
+        if self.drive is not None:
+            check_is_fitted(self)
+            recording = self._take(X, y, *known)
+            return self.robot_.residuals_of(recording, cutoff=cutoff)
         return self.robot_.residuals(X, y, *known, cutoff=cutoff)
 
     def to_urdf(self, path):

@@ -17,6 +17,7 @@ from sklearn_vbjfa.effects import (
     SPEED,
     Effect,
     EffectRange,
+    CommandDelay,
     Follower,
     available,
     resolve,
@@ -334,8 +335,9 @@ def _classes(effects):
     """Return classes of effects by their names."""
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
-    # A robot that has followers declares them; the library has none to search for.
-    found = {Follower.name: Follower}
+    # A robot declares its followers and the delay of its commands; the library has
+    # none to search for.
+    found = {one.name: one for one in (Follower, CommandDelay)}
     for one in effects:
         kind = one if isinstance(one, type) else type(one)
         if not issubclass(kind, Effect):

@@ -31,6 +31,7 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
+    as_driven,
     equations,
     is_plain,
     joined,
@@ -531,6 +532,7 @@ class IdentifiedRobot(SimulatesTorques):
         states = self.query(recording.inputs, recording.groups)[0]
         states = RecordingStates.of_rows(recording.segments, states)
         plan = replace(self.plan, effects=(), repeats=False)
+        recording = as_driven(recording, self.plan)
         made = segments(recording, states, plan, self.features_)
         return compare(made, plan.lowpass, None)
 
@@ -924,7 +926,7 @@ class IdentifiedRobot(SimulatesTorques):
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
-        found = []
+        found, recording = [], as_driven(recording, self.plan)
         for rows in map(rows_looked_at, recording.segments):
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}

@@ -5,7 +5,6 @@ and estimator are put away. Names that are not in ``__all__`` are for other room
 package and for tests.
 """
 
-from sklearn_vbjfa.simulation._controller import PositionController
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics, with_bodies
 from sklearn_vbjfa.simulation._integrate import Integrator
 from sklearn_vbjfa.simulation._simulate import (
@@ -17,4 +16,4 @@ from sklearn_vbjfa.simulation._simulate import (
 from sklearn_vbjfa.simulation._stepper import Stepper, causal, why_left_out
 from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
-__all__ = ["Load", "PositionController", "SimulationError", "TorqueModel"]
+__all__ = ["Load", "SimulationError", "TorqueModel"]

@@ -214,6 +214,9 @@ def robots(data_home):
     scaled = datasets.make_robot_recording("arm.urdf", torque_gain={1: 1.3}, **made)
     geometry = (effects.BaseTilt(), effects.JointZero(1))
     payload = effects.Payload(joint=1, instant=8.0, centre=(0.1, 0.0, 0.0))
+    # under its name in states before drives
+    controller = getattr(simulation, "PositionController", None)
+    controller = controller or sklearn_vbjfa.robot.PDDrive
     # Name -> recording, settings.
     cases = {
         "prior": (plain, {}),
@@ -231,7 +234,7 @@ def robots(data_home):
             plain,
             {
                 "criterion": "simulation",
-                "controller": simulation.PositionController(100.0, 5.0),
+                "controller": controller(100.0, 5.0),
             },
         ),
     }

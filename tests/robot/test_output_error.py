@@ -21,6 +21,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
 )
 from sklearn_vbjfa.physical import is_consistent  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
+    PDDrive,
     RecordingStates,
     slopes,
 )
@@ -32,7 +33,6 @@ from sklearn_vbjfa.robot._output_error import (  # noqa: E402
 )
 from sklearn_vbjfa.robot._sensitivities import propagate  # noqa: E402
 from sklearn_vbjfa.simulation import (  # noqa: E402
-    PositionController,
     simulate,
     simulate_controlled,
 )
@@ -414,9 +414,7 @@ def test_what_the_simulation_does_not_see_stays():
 
 # -- closed loop -----------------------------------------------------------------------
 
-CONTROLLER = PositionController(
-    stiffness=(400.0, 300.0), damping=(40.0, 20.0), period=1e-3
-)
+CONTROLLER = PDDrive(kp=(400.0, 300.0), kd=(40.0, 20.0), period=1e-3)
 
 
 def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=False):
@@ -426,7 +424,7 @@ def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=Fa
     nv = model.nv
     controller = copy.copy(CONTROLLER).set_params(feedforward=feedforward)
     q_ref = states[:, :nv]
-    v_ref = np.gradient(q_ref, DT, axis=0)
+    v_ref = np.gradient(q_ref, DT, axis=0) if feedforward else 0.0 * q_ref
 
     def control(row, q, v):
         here = [[np.interp(row * DT, t, x) for x in y.T] for y in (q_ref, v_ref)]
@@ -465,12 +463,13 @@ def test_a_closed_loop_is_recovered(feedforward):
 
 
 def test_the_controller_sets_the_torque():
-    controller = PositionController(stiffness=[2.0, 3.0], damping=0.5)
+    controller = PDDrive(kp=[2.0, 3.0], kd=0.5)
     q_ref, v_ref = np.array([1.0, 1.0]), np.array([4.0, 4.0])
     q, v = np.array([0.5, 2.0]), np.array([1.0, -1.0])
-    assert_allclose(controller.torque(q_ref, v_ref, q, v), [0.5, -2.5])
-    controller.feedforward = True
+    assert_allclose(controller.torque(q_ref, 0.0 * v_ref, q, v), [0.5, -2.5])
     assert_allclose(controller.torque(q_ref, v_ref, q, v), [2.5, -0.5])
+    controller.saturation = [1.0, 0.2]
+    assert_allclose(controller.torque(q_ref, v_ref, q, v), [1.0, -0.2])
 
 
 def test_a_controlled_mass_follows_the_solution_of_its_equation():
@@ -481,7 +480,7 @@ def test_a_controlled_mass_follows_the_solution_of_its_equation():
     quiet = robot.robot_.torque_model()
     quiet = replace(quiet, friction=0.0 * quiet.friction)
     K, D = 4.0 * m, 2.0 * m  # poles at -1 +- i sqrt(3)
-    loop = PositionController(K, D)
+    loop = PDDrive(K, D)
     t = 1e-3 * np.arange(3000)
 
     def control(i, q, v):
@@ -509,7 +508,7 @@ BAD = {
         {},
         "needs criterion='simulation'",
     ),
-    "no controller": ({"controller": "pd"}, {}, "must be a PositionController"),
+    "no controller": ({"controller": "pd"}, {}, "must be a PDDrive"),
     "no reference": ({"controller": CONTROLLER}, {}, "needs the commanded positions"),
     "reference alone": ({}, {"reference": np.zeros((4, 2))}, "without a controller"),
     "width": (
@@ -523,19 +522,19 @@ BAD = {
         "reference holds nan in row 0",
     ),
     "gains": (
-        {"controller": PositionController([1.0, 2.0, 3.0], 1.0)},
+        {"controller": PDDrive([1.0, 2.0, 3.0], 1.0)},
         {"reference": np.zeros((1200, 2))},
-        "stiffness must be one finite number or 2",
+        "kp must be one finite number or 2",
     ),
     "period of the controller": (
-        {"controller": PositionController(1.0, 1.0, period=0.1)},
+        {"controller": PDDrive(1.0, 1.0, period=0.1)},
         {"reference": np.zeros((1200, 2))},
         "at most the sample period of 0.01 s",
     ),
     "negative gains": (
-        {"controller": PositionController(1.0, -1.0)},
+        {"controller": PDDrive(1.0, -1.0)},
         {"reference": np.zeros((1200, 2))},
-        "damping is negative",
+        "kd is negative",
     ),
 }
 

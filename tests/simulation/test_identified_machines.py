@@ -7,7 +7,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import PhysicalProjector, RobotIdentifier, load_identified
 from sklearn_vbjfa.effects import Backlash, Delay, LoadFriction, Payload, TorqueGain
-from sklearn_vbjfa.simulation import PositionController, SimulationError
+from sklearn_vbjfa.simulation import SimulationError
 from tests.simulation._machines import GRAVITY, Arm, pendulum, wheel
 
 DT, INERTIA, MASS, LENGTH, OWN = 0.01, 0.5, 1.5, 0.4, 0.02
@@ -175,10 +175,3 @@ def test_a_payload_is_there_from_its_instant_on(tmp_path):
     for at in range(298, 303):
         found = stepper.step(q[at], v[at], a[at], t[at])
         np.testing.assert_allclose(found, tau[at], atol=1e-5)
-
-
-def test_a_controller_damps_the_velocity_or_its_error():
-    q_ref, v_ref, q, v = np.array([[0.5], [2.0], [0.2], [1.0]])
-    for feedforward, expected in ((False, 30.0 - 5.0), (True, 30.0 + 5.0)):
-        own = PositionController(100.0, 5.0, feedforward=feedforward)
-        assert own.torque(q_ref, v_ref, q, v) == pytest.approx(expected)

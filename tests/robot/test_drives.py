@@ -1,0 +1,280 @@
+"""Robots that are told positions: torques of the law, its delay, and bad input."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.interpolate import CubicSpline
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
+from sklearn_vbjfa.recording import take_arrays  # noqa: E402
+from sklearn_vbjfa.robot import PDDrive  # noqa: E402
+from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
+
+DT = 0.005
+ARM = arm("ZYX")
+NAMES = tuple(ARM.names[1:])
+KP, KD = np.array([40.0, 60.0, 20.0]), np.array([1.0, 2.0, 0.5])
+ARMATURE, VISCOUS = np.array([0.1, 0.2, 0.05]), np.array([0.4, 0.6, 0.2])
+FRICTION = ("viscous", "rotor_inertia")
+# States as they are, all rows, no filter and no projection.
+EXACT = {"projector": None, "cutoff": None, "standstill": None, "friction": FRICTION}
+
+
+def states(t, seed=0):
+    """Make sums of sines at any times: positions, velocities, accelerations."""
+    rng = np.random.default_rng(seed)
+    out = np.zeros((3, t.size, 3))
+    for j in range(3):
+        for f in rng.uniform(0.2, 1.5, size=6):
+            w, phase = 2 * np.pi * f, rng.uniform(0, 2 * np.pi)
+            for k in range(3):
+                out[k, :, j] += 0.3 * w**k * np.sin(w * t + phase + 0.5 * np.pi * k)
+    return out
+
+
+def torques(q, v, a):
+    """Torque that moves the arm so."""
+    rigid = inverse_dynamics(ARM, np.hstack([q, v, a]))
+    return rigid + ARMATURE * a + VISCOUS * v
+
+
+def command(t, delay, rate=0.0, ahead=0.0):
+    """Positions that, a delay later, make the drive move the arm as `states` does."""
+    q, v, a = states(t + delay)
+    return q + (torques(q, v, a) + KD * (v - rate) - ahead) / KP
+
+
+def told(delay=0.0, duration=12.0, **signals):
+    """Record a motion of the arm, with its commands."""
+    t = DT * np.arange(round(duration / DT))
+    q, v, a = states(t)
+    whole = take_arrays(
+        np.hstack([q, v, a]), np.zeros(q.shape), dt=DT, joint_names=NAMES
+    )
+    return replace(whole, signals={"q_desired": command(t, delay), **signals})
+
+
+def identify(recording, drive=None, **settings):
+    """Fit to states without a filter."""
+    drive = PDDrive(KP, KD) if drive is None else drive
+    given = {**EXACT, "dt": DT, "drive": drive, **settings}
+    return RobotIdentifier(ARM, **given).fit_recording(recording)
+
+
+def delay_of(robot):
+    """Return the delay and its deviation."""
+    k = robot.parameter_names_.index("drive:delay")
+    return robot.theta_[k], robot.theta_std_[k]
+
+
+def test_the_law_makes_the_torque():
+    recording = told()
+    found = PDDrive(KP, KD).driven(recording)
+    exact = torques(*np.split(recording.states, 3, axis=1))
+    assert_allclose(found.tau, exact, rtol=1e-9, atol=1e-9)
+    feedback = KP * recording.q + KD * recording.states[:, 3:6]
+    assert_allclose(found.command, found.tau + feedback, atol=1e-9)
+
+
+def test_all_channels_of_the_law_are_used():
+    t = DT * np.arange(2000)
+    q, v, a = states(t)
+    rate, ahead = 0.7 * v, 0.2 * torques(q, v, a)
+    beside = {
+        "v_desired": rate,
+        "tau_ff": ahead,
+        "kp": 0.0 * q + KP,
+        "kd": 0.0 * q + KD,
+    }
+    recording = told(duration=10.0, **beside)
+    recording.signals["q_desired"] = command(t, 0.0, rate, ahead)
+    found = PDDrive().driven(recording)
+    assert_allclose(found.tau, torques(q, v, a), rtol=1e-9, atol=1e-9)
+
+
+def test_a_velocity_that_was_not_recorded_is_the_slope_of_the_positions():
+    recording = told()
+    bare = replace(recording, states=None)
+    exact, found = (PDDrive(KP, KD).driven(one).tau for one in (recording, bare))
+    assert_allclose(found[5:-5], exact[5:-5], atol=1e-3 * exact.std())
+
+
+@pytest.mark.parametrize("delay", [-0.004, 0.0, 0.0072, 0.03])
+def test_the_delay_is_found(delay):
+    """Between samples, of commands that are known for the time before."""
+    robot = identify(told(delay))
+    found, std = delay_of(robot)
+    assert found == pytest.approx(delay, abs=1e-5)
+    assert 0 < std < 1e-3
+    theta = robot.theta_[:-1].reshape(3, -1)
+    assert_allclose(theta[:, 10], VISCOUS, rtol=0.02)
+    (effect,) = robot.effects_
+    assert isinstance(effect, CommandDelay)
+    assert effect.delay == pytest.approx(delay, abs=1e-5)
+
+
+def test_a_known_delay_is_no_parameter():
+    robot = identify(told(0.012), PDDrive(KP, KD, delay=0.012))
+    assert "drive:delay" not in robot.parameter_names_
+    wrong = identify(told(0.012), PDDrive(KP, KD, delay=0.0))
+    at = robot.parameter_names_.index("joint_2:viscous")
+    assert robot.theta_[at] == pytest.approx(VISCOUS[1], rel=0.02)
+    # A part of K d: the arm does not follow closely.
+    assert VISCOUS[1] + 0.1 < wrong.theta_[at] < VISCOUS[1] + 0.012 * KP[1]
+
+
+def test_the_column_is_the_derivative_by_the_delay():
+    recording = PDDrive(KP, KD).driven(told(0.01))
+    robot = identify(recording)
+    step = 1e-4
+
+    def torque(delay):
+        effect = CommandDelay(delay=delay)
+        t = recording.clock()
+        return effect.change(recording.command, recording.segments, t)
+
+    slope = (torque(0.01 + step) - torque(0.01 - step)) / (2 * step)
+    at = replace(robot.robot_.plan, effects=(CommandDelay(delay=0.01),))
+    made = replace(robot.robot_, plan=at).equations(recording)
+    # The law moves by minus what the column adds to the model.
+    assert_allclose(made.Phi[20:-20, :, -1], -slope[20:-20], rtol=1e-4, atol=1e-3)
+
+
+def test_commands_may_come_in_any_way():
+    recording = told(0.006)
+    whole = identify(recording)
+    X, aim = recording.states, recording.signals["q_desired"]
+    settings = {**EXACT, "dt": DT, "drive": PDDrive(KP, KD)}
+    other = RobotIdentifier(ARM, **settings).fit(X, aim)
+    assert_array_equal(other.theta_, whole.theta_)
+    assert other.score(X, aim) > 0.999
+    left = other.residuals(X, aim)
+    assert left.normalised_error().max() < 1e-3
+    named = PDDrive(
+        dict(zip(("_1", "_2", "_3"), KP)), dict(zip(NAMES, KD)), delay="auto"
+    )
+    assert_array_equal(identify(recording, named).theta_, whole.theta_)
+    geared = PDDrive(KP / 5.0, KD / 5.0, gear=5.0)
+    assert_allclose(identify(recording, geared).theta_, whole.theta_, rtol=1e-5)
+
+
+def test_units_do_not_matter():
+    recording = told(0.008)
+    rng = np.random.default_rng(0)
+    recording.signals["q_desired"] += 1e-3 * rng.normal(size=recording.q.shape)
+    one = identify(recording, bodies="free")
+    milli = identify(recording, PDDrive(1e3 * KP, 1e3 * KD), bodies="free")
+    assert_allclose(delay_of(milli), delay_of(one), rtol=1e-6)
+
+
+def test_the_deviation_of_the_delay_is_its_scatter():
+    found = []
+    for seed in range(30):
+        recording = told(0.008)
+        noise = np.random.default_rng(seed).normal(size=recording.q.shape)
+        recording = replace(recording, v=recording.states[:, 3:6] + 2.0 * noise)
+        found.append(delay_of(identify(recording, cutoff=20.0)))
+    values, stds = np.transpose(found)
+    assert values.mean() == pytest.approx(0.008, abs=3 * values.std() / np.sqrt(30))
+    assert 0.6 < values.std() / np.median(stds) < 1.5
+
+
+def test_a_saved_robot_keeps_the_delay(tmp_path):
+    recording = told(0.007)
+    robot = identify(recording)
+    robot.save(tmp_path / "arm.json")
+    again = load_identified(tmp_path / "arm.json")
+    assert again.effects_ == robot.effects_ or repr(again.effects_) == repr(
+        robot.effects_
+    )
+    driven = PDDrive(KP, KD).driven(recording)
+    one, other = (x.residuals_of(driven) for x in (robot.robot_, again))
+    assert_allclose(other.torque, one.torque)
+    # a prediction needs no commands
+    assert_allclose(again.predict(recording.states), robot.predict(recording.states))
+    with pytest.raises(ValueError, match="without them its torques are not known"):
+        again.residuals(recording.states, driven.tau)
+
+
+def test_saturated_samples_count_nothing():
+    recording = told()
+    exact = PDDrive(KP, KD).driven(recording)
+    most = np.quantile(np.abs(exact.tau), 0.8, axis=0)
+    found = PDDrive(KP, KD, saturation=most).driven(recording)
+    full = np.abs(exact.tau) >= most
+    assert_array_equal(found.weight == 0, full)
+    assert (np.abs(found.tau) <= most).all()
+    with pytest.raises(ValueError, match="at its limit of .* for .* % of the samples"):
+        PDDrive(KP, KD, saturation=0.1 * most).driven(recording)
+
+
+def test_before_a_recording_its_first_command_is_held():
+    t = DT * np.arange(400)
+    values = np.cos(3.0 * t)[:, None]
+    parts = slice(0, 200), slice(200, 400)
+    made = CommandDelay(delay=0.02).change(values, parts, t) + values
+    for part in parts:
+        spline = CubicSpline(t[part], values[part, 0])
+        assert_allclose(made[part][4:, 0], spline(t[part][4:] - 0.02), atol=1e-6)
+        assert_allclose(made[part][:4, 0], values[part][0, 0], atol=1e-9)
+
+
+BAD = {
+    "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive or None"),
+    "gains of channels": ({"gains": "unknown"}, {}, "does not go with gains"),
+    "period": ({"period": 1.0}, {}, "does not go with period"),
+    "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),
+    "wrong number": (
+        {"drive": PDDrive(KP[:2], KD)},
+        {},
+        "kp must be one finite number or 3, one for each joint in the order joint_1",
+    ),
+    "negative": ({"drive": PDDrive(KP, -KD)}, {}, "kd is negative"),
+    "by name": (
+        {"drive": PDDrive({"joint_1": 1.0}, KD)},
+        {},
+        "one key in each joint's name; none of its keys is in 'joint_2'",
+    ),
+    "two names": (
+        {"drive": PDDrive({"joint": 1.0, "_1": 2.0}, KD)},
+        {},
+        "2 of its keys are in 'joint_1'",
+    ),
+    "delay": ({"drive": PDDrive(KP, KD, delay="long")}, {}, "'auto' or a time in s"),
+    "no commands": ({}, {"q_desired": None}, "needs the channel 'q_desired'"),
+    "constant": ({}, {"q_desired": np.ones((2400, 3))}, "constant on every joint"),
+    "shape": ({}, {"q_desired": np.ones((2400, 2))}, r"shape \(2400, 3\)"),
+    "nan": (
+        {},
+        {"v_desired": np.full((2400, 3), np.nan)},
+        "v_desired holds nan in row",
+    ),
+    "recorded gains": (
+        {"drive": PDDrive()},
+        {"kp": np.full((2400, 3), -1.0)},
+        "kp of the recording is negative",
+    ),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named(case):
+    settings, signals, message = BAD[case]
+    recording = told()
+    recording.signals.update(signals)
+    for name, values in signals.items():
+        if values is None:
+            del recording.signals[name]
+    drive = settings.pop("drive", PDDrive(KP, KD)) if settings else PDDrive(KP, KD)
+    with pytest.raises(ValueError, match=message):
+        identify(recording, drive, **settings)
+
+
+def test_a_delay_longer_than_plausible_is_told():
+    with pytest.warns(UserWarning, match="went to the end of what is plausible"):
+        identify(told(0.2))

@@ -329,12 +329,50 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         library = self._check_parameters()
         model = load_model(self.identifier.model)
         whole = self._recording(model, X, y, groups, sample_weight, t)
-        declared = check_effects(self.identifier.effects, model.nv)
+        drive = self.identifier.drive
+        if drive is not None:
+            told, signals = drive.taken(whole.tau, signals)
+            whole = drive.driven(replace(whole, signals=told))
         beside = columns_beside(X, self.joint_names_)
+        given = signals, beside, _names(whole, groups), progress
+        return self._fit(model, whole, library, *given)
+
+    @one_blas_thread()
+    def fit_recording(self, recording, signals=None, *, progress=None):
+        """Close the loop on a recording as it is.
+
+        Parameters
+        ----------
+        recording : Recording
+            Of the identifier's robot; of a `drive`, its channels or what
+            `PDDrive.driven` made of them.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            As for `fit`.
+        progress : callable, default=None
+            As for `fit`.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        library = self._check_parameters()
+        model = load_model(self.identifier.model)
+        labels = np.array(recording.group_names, dtype=object)[recording.groups]
+        if self.identifier.drive is not None:
+            recording = self.identifier.drive.driven(recording)
+        known = recording.groups, recording.weight, None
+        whole = self._recording(model, recording.inputs, recording.tau, *known)
+        whole = replace(whole, command=recording.command)
+        given = signals, OfferedSignals(), _names(whole, labels), progress
+        return self._fit(model, whole, library, *given)
+
+    def _fit(self, model, whole, library, signals, beside, names, progress):
+        """Close the loop on a checked recording, with what was recorded beside it."""
+        declared = check_effects(self.identifier.effects, model.nv)
         offered = signals if isinstance(signals, OfferedSignals) else beside
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
-        names = _names(whole, groups)
         with telling(self.verbose, progress):
             outcome = self._close(model, whole, offered, library, unusable, names)
         return self._set(outcome)

@@ -324,7 +324,7 @@ class PDDrive(Drive):
         for name in ("kp", "kd"):
             if getattr(self, name) is None:
                 raise ValueError(
-                    f"PDDrive: {name} is missing: give {name}=, a number for each joint."
+                    f"PDDrive: {name} is missing: give {name}=, one for each joint."
                 )
         gear = _by_joint("gear", self.gear, names, least=None)
         return tuple(

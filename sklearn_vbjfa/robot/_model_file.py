@@ -15,9 +15,9 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._whole_files import write_whole
 from sklearn_vbjfa.effects import (
     SPEED,
+    CommandDelay,
     Effect,
     EffectRange,
-    CommandDelay,
     Follower,
     available,
     resolve,

@@ -155,6 +155,8 @@ class RecordingView:
         t = recording.t
         self.states, self.clock = states[rows], None if t is None else t[rows]
         self.signals = {name: x[rows] for name, x in recording.signals.items()}
+        command = recording.command
+        self.command = None if command is None else command[rows]
         places = np.arange(recording.n_samples)[rows]
         self.index = np.searchsorted(places, self.recorded)
         self.dt = None if self.robot.dt is None else self.robot.dt * every
@@ -250,6 +252,7 @@ class RecordingView:
             self.robot.cutoff_,
             effects=effects,
             signals=self.signals,
+            command=self.command,
         )
         return replace(motion, begins=self._begins)
 

@@ -265,7 +265,7 @@ def _probe(model):
     found = [
         effect.columns(motion) if effect.whole_robot else _on_joint(effect, motion)
         for effect in (*view.robot.effects_, *model.effects)
-        if effect.in_model
+        if effect.in_model and effect.of_bodies
     ]
     return np.concatenate([features.matrices(states), *found], axis=2), motion
 

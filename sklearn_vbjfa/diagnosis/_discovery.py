@@ -371,6 +371,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Close the loop on a checked recording, with what was recorded beside it."""
         declared = check_effects(self.identifier.effects, model.nv)
         offered = signals if isinstance(signals, OfferedSignals) else beside
+        drive = self.identifier.drive
+        if drive is not None and drive.unsigned and whole.command is None:
+            # Signs of rows that are not fitted follow from what was.
+            known = self.identifier, whole.inputs, whole.groups, self.test_size
+            part = split_in_time(*known).searched(whole)
+            whole = _fitted(clone(self.identifier), part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with telling(self.verbose, progress):
@@ -460,7 +466,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 f"got {type(self.settings).__name__}."
             )
         library = resolve(self.effects)
-        if self.identifier.gains is not None:
+        if self.identifier.asked_gains is not None:
             # They are declared on every channel.
             library = [one for one in library if not isinstance(one, TorqueGain)]
         return library
@@ -487,7 +493,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         errors = [f.message for f in findings if f.severity == "error"]
         if errors:
             raise ValueError(" ".join(errors))
-        if self.identifier.gains is not None:
+        if self.identifier.asked_gains is not None:
             findings = tuple(f for f in findings if f.kind != _OF_GAIN)
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent

@@ -13,6 +13,7 @@ from sklearn_vbjfa.inspection._units import (
     gear_factors,
     sample_periods,
     too_fast,
+    unsigned_torques,
     velocities,
 )
 from sklearn_vbjfa.model import (
@@ -94,7 +95,8 @@ def inspect_channels(model, q, tau, dt, groups=None):
           "shuffled_rows", "wrapped_position", "position_degrees", "position_counts",
           "velocity_as_position", "wrong_dt", "constant_torque", "two_torques" if no
           torque has more than two values, "still_joint" if no joint moves,
-          "torque_sign", "flipped_joint" (both signs), "swapped_torques",
+          "unsigned_torque" if only sizes were logged, "torque_sign", "flipped_joint"
+          (both signs), "swapped_torques",
           "swapped_positions", "swapped_joints" (both), "joint_order" (three joints or
           more);
         - doubts, which rule out a favourable verdict: "gear_factor", "position_zero",
@@ -148,6 +150,10 @@ def inspect_channels(model, q, tau, dt, groups=None):
     # Such positions allow no further question.
     if _names(findings, "position_counts"):
         return in_order(findings)
+    found = unsigned_torques(model, names, q, tau, dt, parts)
+    if found:
+        # Neither do torques without signs.
+        return in_order(findings + found)
     signals = channel_signals(q, tau, dt, parts, usable)
     if signals is None or not signals.informative().any():
         return in_order(findings + impossible)

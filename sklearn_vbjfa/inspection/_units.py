@@ -13,11 +13,17 @@ from sklearn_vbjfa.inspection._rivals import (
 )
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import ChannelFinding, listed_joints
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._signs import most_explaining, signed_columns
+from sklearn_vbjfa.robot._states import StateEstimator
 
 # Nominal inertias (without payload and rotor) are not wrong by more than this.
 _GEAR_FACTOR = 20.0
 # A joint without limits does not turn farther than this within a recording [rad].
 _LARGEST_TURN = 25.0
+# Signs must lower the squared error of a torque of one sign by this factor, and both
+# must be had by this share of the rows.
+_SIGN_GAIN, _RARE = 2.0, 0.02
 # Positions in degrees run beyond the joint's limits by more than this [rad].
 _FAR_BEYOND = 5.0
 # Another reading of the positions must lower the squared errors by this factor.
@@ -241,6 +247,41 @@ def gear_factors(model, names, signals):
 
 
 # -- time -----------------------------------------------------------------------------
+
+
+def unsigned_torques(model, names, q, tau, dt, parts):
+    """Find torques of which only sizes were logged."""
+    # Where they are, all of one sign are: what loads a joint little shows nothing.
+    one_way = (tau >= 0).all(axis=0) | (tau <= 0).all(axis=0)
+    one_way = np.flatnonzero(one_way & (np.ptp(tau, axis=0) > 0)).tolist()
+    if not one_way:
+        return []
+    labels = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
+    rows = np.concatenate([np.arange(p.start, p.stop) for p in parts])
+    states = StateEstimator(dt).fit_transform(q[rows], groups=labels)
+    explanations = signed_columns(RigidBodyFeatures(model).load(), states)
+    found = []
+    for j in one_way:
+        columns, sizes = explanations[j], np.abs(tau[rows, j])
+        own = columns @ most_explaining(columns, sizes)
+        plain = columns @ np.linalg.lstsq(columns, sizes)[0]
+        left = ((sizes - np.abs(own)) ** 2).sum(), ((sizes - plain) ** 2).sum()
+        least = min((own < 0).mean(), (own > 0).mean())
+        if _SIGN_GAIN * left[0] < left[1] and least > _RARE:
+            found.append(left[1] / left[0])
+    if not found:
+        return []
+    return [
+        ChannelFinding(
+            kind="unsigned_torque",
+            joints=tuple(one_way),
+            severity="error",
+            message=f"{listed_joints(names, one_way)}: torques have one sign only, and "
+            f"with signs that change the motion explains them up to {max(found):.2g} "
+            "times better: sizes of currents. Give drive=CurrentDrive(signed=False), "
+            'or --drive "current signed=false", which finds the signs.',
+        )
+    ]
 
 
 def fastest(model):

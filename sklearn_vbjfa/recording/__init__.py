@@ -16,7 +16,7 @@ _MODULES = {
         "survey",
         "torques_in_order",
     ),
-    "_drives": ("COMMANDS", "Drive", "PDDrive"),
+    "_drives": ("COMMANDS", "CurrentDrive", "Drive", "PDDrive", "VoltageDrive"),
     "_faults": (
         "ChannelFinding",
         "at_rest",

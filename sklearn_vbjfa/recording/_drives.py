@@ -37,6 +37,9 @@ class Drive(BaseEstimator):
 
     told = ""
     beside = ()
+    delayed = False  # whether the delay of its commands is to be found
+    unsigned = False  # whether only sizes of torques are known
+    gains = None  # "unknown" where torques are known up to a factor of each channel
 
     def driven(self, recording):
         """Return a recording whose torques are what the drive was told.
@@ -62,7 +65,9 @@ class Drive(BaseEstimator):
 
     def taken(self, y, signals):
         """Split signals that were given for a fit, with y, into those of the drive."""
-        signals = {} if signals is None else dict(signals)
+        if signals is None or not self.beside:
+            return {self.told: y}, signals
+        signals = dict(signals)
         own = {name: signals.pop(name) for name in self.beside if name in signals}
         return {self.told: y, **own}, signals
 
@@ -79,6 +84,8 @@ class Drive(BaseEstimator):
         values = np.asarray(values, dtype=float)
         if values.ndim == 1:
             values = values[:, None]
+        if name == "supply" and values.shape[1] == 1:
+            values = np.broadcast_to(values, (len(values), recording.nv))
         shape = (recording.n_samples, recording.nv)
         if values.shape != shape:
             raise ValueError(
@@ -180,6 +187,11 @@ class PDDrive(Drive):
         self.period = period
 
     @property
+    def delayed(self):
+        """Whether the delay is to be found."""
+        return self.waits is None
+
+    @property
     def waits(self):
         """Known delay [s]; None if it is to be found."""
         if isinstance(self.delay, str) and self.delay == "auto":
@@ -192,7 +204,7 @@ class PDDrive(Drive):
 
     def driven(self, recording):
         """Return a recording of the torques that the law asks for; see `Drive`."""
-        if recording.command is not None and self.waits is None:
+        if recording.command is not None:
             return recording
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
@@ -212,14 +224,8 @@ class PDDrive(Drive):
         command = gear * (kp * aim + kd * rate + (0.0 if ahead is None else ahead))
         if self.waits is not None:
             command = between(command, parts, clock, self.waits)
-        v = recording.v
-        if v is None and recording.states is not None:
-            v = recording.states[:, recording.nv : 2 * recording.nv]
-        if v is None:
-            v = between(recording.q, parts, clock, order=1)
-        tau = command - gear * (kp * recording.q + kd * v)
+        tau = command - gear * (kp * recording.q + kd * velocities(recording))
         made = replace(recording, tau=tau, command=command)
-        made = made if self.waits is None else replace(made, command=None)
         return made if self.saturation is None else self._saturated(made)
 
     def _recorded(self, recording, name, given):
@@ -303,7 +309,7 @@ class PDDrive(Drive):
             )
         return max(round(dt / period), 1)
 
-    def gains(self, names):
+    def law(self, names):
         """Gains of position and velocity of joints, with the gear.
 
         Parameters
@@ -350,7 +356,7 @@ class PDDrive(Drive):
         """
         nv = np.shape(q)[-1]
         names = [str(j) for j in range(nv)] if names is None else names
-        kp, kd = self.gains(names)
+        kp, kd = self.law(names)
         tau = kp * (q_desired - q) + kd * (v_desired - v)
         if self.saturation is not None:
             most = _by_joint("saturation", self.saturation, names)
@@ -358,10 +364,199 @@ class PDDrive(Drive):
         return tau
 
 
-def _by_joint(name, given, joints, least=0.0):
+class CurrentDrive(Drive):
+    r"""Motor currents, signed or as sizes.
+
+    .. math:: \tau = \mathrm{gear} \, k_t \, i
+
+    Parameters
+    ----------
+    torque_constant : "unknown", float, array-like of shape (nv,) or dict, \
+            default="unknown"
+        Torque by current k_t [N m/A]. ``"unknown"`` leaves y as it is and finds the
+        gains of the channels, as ``gains="unknown"`` does.
+    signed : bool, default=True
+        Whether currents have their sign. False for sizes, as some drives log them: the
+        sign is then that of the torque of the model, and both signs in proportion to
+        their probability where that is near zero; see Notes.
+    gear : float or array-like of shape (nv,), default=1.0
+        Ratio of the gear.
+
+    Notes
+    -----
+    The sign of a torque is not that of the motion: gravity holds a joint that moves
+    down. Signs are found by expectation and maximisation. With the predicted torque f
+    and the variance :math:`\sigma^2` of what is left, a size m counts as
+    :math:`m \tanh(m f / \sigma^2)`, the mean over both signs, and the robot is fitted
+    to that until nothing moves; the first signs are, joint by joint, those with which
+    rigid bodies as described, friction and an offset explain most. Signs of rows that
+    were not fitted follow from the model that was.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.robot import CurrentDrive
+    >>> CurrentDrive(torque_constant=0.1, gear=50.0)
+    CurrentDrive(gear=50.0, torque_constant=0.1)
+    """
+
+    told = "current"
+
+    def __init__(self, torque_constant="unknown", *, signed=True, gear=1.0):
+        self.torque_constant = torque_constant
+        self.signed = signed
+        self.gear = gear
+
+    @property
+    def unsigned(self):
+        """Whether only sizes of torques are known."""
+        return not self.signed
+
+    @property
+    def gains(self):
+        """Unknown, if the torque constant is."""
+        return "unknown" if isinstance(self.torque_constant, str) else None
+
+    def driven(self, recording):
+        """Return a recording of the torques of the currents; see `Drive`.
+
+        Without channels ``current`` its torques are taken for currents. `command` is
+        None until the signs are known.
+        """
+        if recording.command is not None:
+            return recording
+        current = self._channel(recording, "current")
+        current = recording.tau if current is None else current
+        names = recording.joint_names
+        if self.gains is None:
+            known = {"least": None, "owner": "CurrentDrive"}
+            constant = _by_joint(
+                "torque_constant", self.torque_constant, names, **known
+            )
+            current = constant * _by_joint("gear", self.gear, names, **known) * current
+        elif self.torque_constant != "unknown":
+            raise ValueError(
+                "CurrentDrive: torque_constant must be 'unknown' or numbers in N m/A; "
+                f"got {self.torque_constant!r}."
+            )
+        if self.signed:
+            return replace(recording, tau=current, command=current)
+        below = np.flatnonzero((current < 0).any(axis=0))
+        if below.size:
+            raise ValueError(
+                "CurrentDrive(signed=False) takes sizes of currents, and "
+                f"{names[below[0]]} has negative ones: they have their sign, leave "
+                "signed=True."
+            )
+        return replace(recording, tau=current)
+
+
+class VoltageDrive(Drive):
+    r"""Motor voltage, or duty cycle times supply: hobby servos, Dynamixel in PWM mode.
+
+    .. math:: \tau = \frac{n k_t}{R} V - \frac{(n k_t)^2}{R} v
+
+    Parameters
+    ----------
+    torque_constant : "unknown", float, array-like of shape (nv,) or dict, \
+            default="unknown"
+        Torque by current of the motor k_t [N m/A]. ``"unknown"``: torques are in volts,
+        gains are found as with ``gains="unknown"``, and the back-EMF is part of the
+        viscous friction, of which it has the column.
+    resistance : float, array-like of shape (nv,), dict or None, default=None
+        Of the motor's winding R [ohm]; needed with a torque constant.
+    supply : float, array-like of shape (nv,), dict or None, default=None
+        Voltage of the supply, by which a duty cycle is multiplied; None takes the
+        channel ``supply`` of the recording, or y for volts.
+    gear : float or array-like of shape (nv,), default=1.0
+        Ratio of the gear n.
+
+    Notes
+    -----
+    Friction of the motor and its back-EMF have one column, the speed: what is found is
+    their sum, and no recording of voltages tells them apart. In a simulator with a
+    voltage input the sum belongs into the damping.
+
+    References
+    ----------
+    .. [1] M. Duclusaud, G. Passault, V. Padois, O. Ly, "Extended friction models for
+       the physics simulation of servo actuators", ICRA 2025.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.robot import VoltageDrive
+    >>> VoltageDrive(supply=7.4)
+    VoltageDrive(supply=7.4)
+    """
+
+    told = "voltage"
+    beside = ("supply",)
+
+    def __init__(
+        self, torque_constant="unknown", resistance=None, *, supply=None, gear=1.0
+    ):
+        self.torque_constant = torque_constant
+        self.resistance = resistance
+        self.supply = supply
+        self.gear = gear
+
+    @property
+    def gains(self):
+        """Unknown, if the torque constant is."""
+        return "unknown" if isinstance(self.torque_constant, str) else None
+
+    def driven(self, recording):
+        """Return a recording of the torques of the voltages; see `Drive`.
+
+        Without channels ``voltage`` its torques are taken for voltages.
+        """
+        if recording.command is not None:
+            return recording
+        names, owner = recording.joint_names, "VoltageDrive"
+        volts = self._channel(recording, "voltage")
+        volts = recording.tau if volts is None else volts
+        supply = self._channel(recording, "supply")
+        if self.supply is not None:
+            supply = _by_joint("supply", self.supply, names, owner=owner)
+        if supply is not None:
+            volts = volts * supply
+        if self.gains is not None:
+            if self.torque_constant != "unknown":
+                raise ValueError(
+                    "VoltageDrive: torque_constant must be 'unknown' or numbers in "
+                    f"N m/A; got {self.torque_constant!r}."
+                )
+            return replace(recording, tau=volts, command=volts)
+        if self.resistance is None:
+            raise ValueError(
+                "VoltageDrive: a torque constant needs the resistance of the winding: "
+                "give resistance= in ohm, or torque_constant='unknown'."
+            )
+        constant, resistance, gear = (
+            _by_joint(name, getattr(self, name), names, owner=owner)
+            for name in ("torque_constant", "resistance", "gear")
+        )
+        if not (resistance > 0).all():
+            raise ValueError("VoltageDrive: resistance must be positive, in ohm.")
+        constant = gear * constant
+        command = constant / resistance * volts
+        tau = command - constant**2 / resistance * velocities(recording)
+        return replace(recording, tau=tau, command=command)
+
+
+def velocities(recording):
+    """Velocities (n, nv) as recorded, given as states, or slopes of the positions."""
+    if recording.v is not None:
+        return recording.v
+    if recording.states is not None:
+        return recording.states[:, recording.nv : 2 * recording.nv]
+    clock = check_dt(recording.dt) * np.arange(recording.n_samples)
+    return between(recording.q, recording.segments, clock, order=1)
+
+
+def _by_joint(name, given, joints, least=0.0, owner="PDDrive"):
     """Return one number for each of some joints, (nv,), as given in one of the ways."""
     if isinstance(given, Mapping):
-        return _by_name(name, given, joints, least)
+        return _by_name(name, given, joints, least, owner)
     try:
         values = np.asarray(given, dtype=float)
     except (TypeError, ValueError):
@@ -369,18 +564,18 @@ def _by_joint(name, given, joints, least=0.0):
     nv = len(joints)
     if values.shape not in {(), (nv,)} or not np.isfinite(values).all():
         raise ValueError(
-            f"PDDrive: {name} must be one finite number or {nv}, one for each joint in "
+            f"{owner}: {name} must be one finite number or {nv}, one for each joint in "
             f"the order {', '.join(joints)}; got {given!r}."
         )
     if least is not None and (values < least).any():
         raise ValueError(
-            f"PDDrive: {name} is negative, which drives a joint away from its command; "
+            f"{owner}: {name} is negative, which drives a joint away from its command; "
             f"got {given!r}."
         )
     return np.broadcast_to(values, (nv,)).copy()
 
 
-def _by_name(name, given, joints, least):
+def _by_name(name, given, joints, least, owner):
     """Numbers (nv,) of joints by parts of their names."""
     found = []
     for joint in joints:
@@ -390,8 +585,8 @@ def _by_name(name, given, joints, least):
         if len(own) != 1:
             said = f"{len(own)} of its keys are" if own else "none of its keys is"
             raise ValueError(
-                f"PDDrive: {name} must have one key in each joint's name; {said} in "
+                f"{owner}: {name} must have one key in each joint's name; {said} in "
                 f"{joint!r}: {', '.join(map(repr, own or given))}."
             )
         found.append(given[own[0]])
-    return _by_joint(name, found, joints, least)
+    return _by_joint(name, found, joints, least, owner)

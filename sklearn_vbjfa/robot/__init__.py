@@ -3,6 +3,7 @@
 from sklearn_vbjfa import _lazily
 
 __all__ = [
+    "CurrentDrive",
     "EffectOfTime",
     "JointTorqueRegressor",
     "LeftOut",
@@ -12,6 +13,7 @@ __all__ = [
     "SimulationCriteria",
     "StateEstimator",
     "TorqueResiduals",
+    "VoltageDrive",
 ]
 
 # Values and findings that are not in __all__ are for other rooms and for tests.
@@ -33,8 +35,8 @@ _MODULES = {
     "_features": ("RigidBodyFeatures",),
     "_fit": ("ModelValues",),
     "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
-    "_closed_loop": ("Drive", "PDDrive"),
     "_identifier": ("RobotIdentifier",),
+    ".recording._drives": ("CurrentDrive", "PDDrive", "VoltageDrive"),
     "_joint_moments": (
         "JointMoments",
         "Numbering",

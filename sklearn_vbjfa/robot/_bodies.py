@@ -408,7 +408,7 @@ def described_bodies(settings):
             f"bodies must be one of {', '.join(map(repr, WAYS))}; got {bodies!r}."
         )
     found, why = None, ""
-    if settings.gains is not None:
+    if settings.asked_gains is not None:
         why = "gains: torques of unknown size tell no mass from another"
     elif settings.regressor is not None:
         why = "a regressor: it estimates the bodies by itself"

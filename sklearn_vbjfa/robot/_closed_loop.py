@@ -163,7 +163,7 @@ def check_reference(controller, reference, y, dt, names):
         return None
     if not isinstance(controller, PDDrive):
         raise ValueError(f"controller must be a PDDrive or None; got {controller!r}.")
-    controller.gains(names)
+    controller.law(names)
     controller.updates(dt)
     if reference is None:
         raise ValueError(
@@ -197,23 +197,23 @@ def check_drive(settings):
         return
     if not isinstance(drive, Drive):
         raise ValueError(
-            f"drive must be a PDDrive or None; got {drive!r}. Torques need no drive."
+            "drive must be a PDDrive, CurrentDrive, VoltageDrive or None; got "
+            f"{drive!r}. Torques need no drive."
         )
-    taken = [
-        name
-        for name, given in (("gains", settings.gains), ("period", settings.period))
-        if given is not None
-    ]
-    if taken:
+    gains = settings.gains
+    if gains is not None and drive.gains is None:
         raise ValueError(
-            f"drive does not go with {taken[0]}: leave {taken[0]}=None, or make the "
-            "torques yourself."
+            "drive has gains of its own, and does not go with gains: leave gains=None."
+        )
+    if settings.period is not None:
+        raise ValueError(
+            "drive does not go with period: leave period=None; what repeats is found."
         )
 
 
 def delay_of(drive, declared):
     """Return the delay of a drive's commands as declared effects, a tuple."""
-    if not isinstance(drive, PDDrive) or drive.waits is not None:
+    if drive is None or not drive.delayed:
         return ()
     own = [effect for effect in declared if isinstance(effect, CommandDelay)]
     return () if own else (CommandDelay(),)

@@ -164,8 +164,9 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
     # is taken as it is, or None. Returns a `PlainEstimate`.
     weight = resolve_weights(joint_weights, moments)
     if isinstance(joint_weights, str):
-        with np.errstate(divide="ignore"):
-            weight = np.minimum(weight, _FINEST * moments.n / moments.yy)
+        most = np.full(weight.size, np.inf)
+        np.divide(_FINEST * moments.n, moments.yy, out=most, where=moments.yy > 0)
+        weight = np.minimum(weight, most)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = total.S_xx if noise is None else denoised(total, noise)
     right, held = total.S_xy, np.zeros(total.S_xy.size, dtype=bool)

@@ -59,6 +59,7 @@ from sklearn_vbjfa.robot._robot import (
     SimulatesTorques,
     recording_of,
 )
+from sklearn_vbjfa.robot._signs import signed, with_signs
 from sklearn_vbjfa.robot._spreads import Spread
 from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import (
@@ -231,7 +232,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         say nothing of. ``"fixed"``: the bodies are those of the description. Bodies
         without mass or extension are free, and so are all with `gains` or a
         `regressor` of one's own.
-    drive : PDDrive or None, default=None
+    drive : PDDrive, CurrentDrive, VoltageDrive or None, default=None
         What the robot was told in place of torques, where no torque was measured: y is
         then that, and torques are what the drive makes of it (``docs/drives.rst``). A
         delay of the commands is found with the other parameters.
@@ -450,7 +451,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         y : array-like of shape (n_samples, nv)
             Joint torques [N m] or forces [N]; columns of a data frame are matched by
             name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``. With a `drive`
-            what that was told: positions q_desired of a `PDDrive`.
+            what that was told: positions of a `PDDrive`, currents, or
+            voltages.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings; nothing is differentiated or filtered
             across their boundaries.
@@ -466,7 +468,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             data frame), for effects that vary with them (`effects.Signal`). Columns of
             a data frame X that are no channel of a joint are taken as well. A `drive`
             takes its further channels from here, (n_samples, nv) each: ``v_desired``,
-            ``tau_ff``, ``kp``, ``kd``.
+            ``tau_ff``, ``kp``, ``kd``, ``supply``.
         reference : array-like of shape (n_samples, nv), default=None
             Commanded positions [rad or m], for `controller`.
         progress : callable, default=None
@@ -538,6 +540,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             n_jobs=self.n_jobs,
         )
         recipe, before, self._before = self._recipe(), self._before, None
+        if self.drive is not None and self.drive.unsigned and recording.command is None:
+            source = with_signs(recipe, robot, source, before)
+            recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
         if periods is None and self.torque_noise is None:
             facts = fit.robot.noise_facts(recording, plan.clock(recording))
@@ -554,7 +559,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """Return the settings of the estimation, with the bodies that are described."""
         names = "regressor", "joint_weights", "block_noise", "projector", "bodies"
         return Recipe(
-            gains=self.gains,
+            gains=self._found_gains,
             masses=self._masses,
             description=self._description,
             **{name: getattr(self, name) for name in names},
@@ -642,6 +647,21 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         robot = self._robot_of(plan, np.full(self.features_.n_joints_, np.nan))
         return self._recipe().of_equations(robot, pieces).found
 
+    def signed(self, recording):
+        """Give sizes of torques the signs that the fitted robot predicts.
+
+        Parameters
+        ----------
+        recording : Recording
+            Torques of a drive that is ``unsigned``.
+
+        Returns
+        -------
+        Recording
+            With `tau` and `command` of both signs.
+        """
+        return signed(self.robot_, self.drive.driven(recording))
+
     def begin_with(self, fitted):
         """Begin the next fit with the load of a fitted identifier, where it has one.
 
@@ -684,6 +704,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             spreads = (*self._robot.spreads[: -len(own)], *own)
             self._robot = replace(self._robot, spreads=spreads)
 
+    @property
+    def asked_gains(self):
+        """`gains`, or unknown ones where the drive's are."""
+        if self.gains is None and self.drive is not None:
+            return self.drive.gains
+        return self.gains
+
     # -- from the arguments to a plan --------------------------------------------------
 
     def _declare(self):
@@ -693,11 +720,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         declared = check_effects(self.effects, self.features_.n_joints_)
         self.gains_ = None
         model = self.features_.model_
-        check_gains(self.gains, self.joint_names_)
-        self._masses = check_masses(self.known_masses, self.gains, model)
-        if self.gains is not None:
-            declared = declared_gains(declared, model.nv)
         check_drive(self)
+        gains = self._found_gains = self.asked_gains
+        if self.gains is None and len(self.joint_names_) == 1:
+            # In the unit of the only channel.
+            gains = self._found_gains = None
+        check_gains(gains, self.joint_names_)
+        self._masses = check_masses(self.known_masses, gains, model)
+        if gains is not None:
+            declared = declared_gains(declared, model.nv)
         declared += delay_of(self.drive, declared)
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)

@@ -225,7 +225,7 @@ def test_before_a_recording_its_first_command_is_held():
 
 
 BAD = {
-    "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive or None"),
+    "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive, CurrentDrive"),
     "gains of channels": ({"gains": "unknown"}, {}, "does not go with gains"),
     "period": ({"period": 1.0}, {}, "does not go with period"),
     "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),

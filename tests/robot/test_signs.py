@@ -1,0 +1,137 @@
+"""Torques of currents and voltages, and signs of currents logged as sizes."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.inspection import inspect_channels  # noqa: E402
+from sklearn_vbjfa.recording import take_arrays  # noqa: E402
+from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive  # noqa: E402
+from sklearn_vbjfa.robot._signs import expected, most_explaining  # noqa: E402
+
+ARM = make_robot_recording(duration=20.0, dt=0.01, random_state=3)
+
+
+def identify(y, drive=None, **settings):
+    """Fit the arm to what its drives were told."""
+    robot = RobotIdentifier(ARM.urdf, dt=ARM.dt, drive=drive, **settings)
+    return robot.fit(ARM.q, y)
+
+
+def test_sizes_count_with_their_mean_sign():
+    rng = np.random.default_rng(0)
+    truth = 3.0 * rng.normal(size=(400, 2))
+    sizes = np.abs(truth + 0.5 * rng.normal(size=truth.shape))
+    found = expected(sizes, truth)
+    variance = ((sizes - np.abs(truth)) ** 2).mean(axis=0)
+    # The mean over both signs of a normal distribution, written out.
+    up, down = (np.exp(-0.5 * (s * sizes - truth) ** 2 / variance) for s in (1, -1))
+    assert_allclose(found, sizes * (up - down) / (up + down), rtol=1e-9)
+    assert_array_equal(expected(sizes, -truth), -found)
+    # What is exact has its sign.
+    assert_array_equal(expected(np.abs(truth), truth), truth)
+
+
+def test_signs_explain_a_torque_of_gravity_and_friction():
+    """Where neither gravity nor the motion has the sign of the torque."""
+    t = np.arange(0.0, 20.0, 0.01)
+    q, v = 1.2 * np.sin(t), 1.2 * np.cos(t)
+    one = np.ones_like(t)
+    columns = np.column_stack([np.sin(q), np.sign(v), v, -q, one])
+    for friction in (0.05, 0.5, 1.0, 5.0):
+        torque = columns @ [1.0, friction, 0.1, 0.2, 0.1]
+        coef = most_explaining(columns, np.abs(torque))
+        found = np.sign(columns @ coef)
+        assert abs((found * np.sign(torque)).mean()) == 1.0
+
+
+@pytest.mark.parametrize("constant", [0.5, "unknown"])
+def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
+    one = identify(ARM.tau, CurrentDrive(constant))
+    other = identify(np.abs(ARM.tau), CurrentDrive(constant, signed=False))
+    exact, found = one.predict(ARM.q), other.predict(ARM.q)
+    left = (found - exact).std(axis=0) / exact.std(axis=0)
+    assert left.max() < 0.03
+    if constant != "unknown":
+        assert_allclose(exact, 0.5 * identify(ARM.tau).predict(ARM.q), rtol=1e-6)
+    else:
+        assert other.gains_ is not None
+
+
+def test_the_loop_is_closed_on_sizes():
+    recording = make_robot_recording(
+        duration=40.0, dt=0.01, undeclared={"load_friction": (1, 0.15)}, random_state=3
+    )
+    drive = CurrentDrive(1.0, signed=False)
+    robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
+    loop = EffectDiscovery(robot, random_state=0, ceiling=False)
+    loop.fit(recording.q, np.abs(recording.tau))
+    assert [(e.name, e.joint) for e in loop.effects_] == [("load_friction", 1)]
+
+
+def test_sizes_are_told_from_torques_with_their_sign():
+    names = {
+        f.kind: f.joints
+        for f in inspect_channels(ARM.urdf, ARM.q, np.abs(ARM.tau), ARM.dt)
+    }
+    assert names == {"unsigned_torque": tuple(range(6))}
+    for tau in (ARM.tau, ARM.tau + 2 * np.abs(ARM.tau).max()):
+        found = inspect_channels(ARM.urdf, ARM.q, tau, ARM.dt)
+        assert "unsigned_torque" not in {f.kind for f in found}
+
+
+def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():
+    drive = CurrentDrive(1.0, signed=False)
+    half = slice(0, len(ARM.q) // 2)
+    robot = RobotIdentifier(ARM.urdf, dt=ARM.dt, drive=drive)
+    robot.fit(ARM.q[half], np.abs(ARM.tau[half]))
+    rest = take_arrays(
+        ARM.q, np.abs(ARM.tau), dt=ARM.dt, joint_names=robot.joint_names_
+    )
+    found = robot.signed(rest).tau
+    wrong = (found * ARM.tau < 0) & (np.abs(ARM.tau) > 0.3 * ARM.tau.std(axis=0))
+    assert wrong[half.stop :].mean() < 0.002
+
+
+def test_a_voltage_makes_a_torque_and_its_back_emf():
+    constant, resistance, gear = 0.02, 3.0, 40.0
+    t = ARM.dt * np.arange(len(ARM.q))
+    v = np.gradient(ARM.q, t, axis=0)
+    volts = (ARM.tau + (gear * constant) ** 2 / resistance * v) * resistance
+    volts /= gear * constant
+    recording = take_arrays(ARM.q, volts / 24.0, dt=ARM.dt, joint_names=ARM.joint_names)
+    recording = replace(recording, v=v, signals={"supply": np.full(len(t), 24.0)})
+    drive = VoltageDrive(constant, resistance, gear=gear)
+    assert_allclose(drive.driven(recording).tau, ARM.tau, atol=1e-9)
+    # without constants, in volts
+    plain = VoltageDrive().driven(recording)
+    assert_allclose(plain.tau, volts, rtol=1e-9)
+    fixed = VoltageDrive(supply=24.0).driven(replace(recording, signals={}))
+    assert_allclose(fixed.tau, volts, rtol=1e-9)
+
+
+BAD = {
+    "negative": (CurrentDrive(signed=False), ARM.tau, "has negative ones: they have"),
+    "word": (CurrentDrive("known"), ARM.tau, "'unknown' or numbers in N m/A"),
+    "no resistance": (VoltageDrive(0.1), ARM.tau, "needs the resistance"),
+    "zero resistance": (VoltageDrive(0.1, 0.0), ARM.tau, "resistance must be positive"),
+    "several": (
+        CurrentDrive([0.1, 0.2]),
+        ARM.tau,
+        "CurrentDrive: torque_constant must",
+    ),
+    "volts": (VoltageDrive("x"), ARM.tau, "VoltageDrive: torque_constant must be"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_input_is_named(case):
+    drive, y, message = BAD[case]
+    with pytest.raises(ValueError, match=message):
+        identify(y, drive)

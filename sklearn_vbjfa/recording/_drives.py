@@ -209,10 +209,7 @@ class PDDrive(Drive):
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
         self._check_aim(aim, recording)
-        kp, kd = (
-            self._recorded(recording, name, getattr(self, name))
-            for name in ("kp", "kd")
-        )
+        kp, kd = self.feedback(recording)
         gear = _by_joint("gear", self.gear, names, least=None)
         dt = check_dt(recording.dt)
         parts = recording.segments
@@ -221,12 +218,20 @@ class PDDrive(Drive):
         if rate is None:
             rate = between(aim, parts, clock, order=1) if self.feedforward else 0.0
         ahead = self._channel(recording, "tau_ff")
-        command = gear * (kp * aim + kd * rate + (0.0 if ahead is None else ahead))
+        command = kp * aim + kd * rate + gear * (0.0 if ahead is None else ahead)
         if self.waits is not None:
             command = between(command, parts, clock, self.waits)
-        tau = command - gear * (kp * recording.q + kd * velocities(recording))
+        tau = command - kp * recording.q - kd * velocities(recording)
         made = replace(recording, tau=tau, command=command)
         return made if self.saturation is None else self._saturated(made)
+
+    def feedback(self, recording):
+        """Gains of position and velocity with the gear, (nv,) or (n, nv) each."""
+        gear = _by_joint("gear", self.gear, recording.joint_names, least=None)
+        return tuple(
+            gear * self._recorded(recording, name, getattr(self, name))
+            for name in ("kp", "kd")
+        )
 
     def _recorded(self, recording, name, given):
         """Gain, (nv,) or (n, nv), from the drive or the recording."""
@@ -258,7 +263,7 @@ class PDDrive(Drive):
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
         names = recording.joint_names
-        most = _by_joint("saturation", self.saturation, names)
+        most = self.most(names)
         full = np.abs(recording.tau) >= most
         share = full.mean(axis=0)
         j = int(np.argmax(share))
@@ -309,6 +314,11 @@ class PDDrive(Drive):
             )
         return max(round(dt / period), 1)
 
+    def most(self, names):
+        """Return the largest torque of joints, (nv,); infinite where none is given."""
+        limit = np.inf if self.saturation is None else self.saturation
+        return _by_joint("saturation", limit, names, finite=False)
+
     def law(self, names):
         """Gains of position and velocity of joints, with the gear.
 
@@ -358,10 +368,8 @@ class PDDrive(Drive):
         names = [str(j) for j in range(nv)] if names is None else names
         kp, kd = self.law(names)
         tau = kp * (q_desired - q) + kd * (v_desired - v)
-        if self.saturation is not None:
-            most = _by_joint("saturation", self.saturation, names)
-            tau = np.clip(tau, -most, most)
-        return tau
+        most = self.most(names)
+        return np.clip(tau, -most, most)
 
 
 class CurrentDrive(Drive):
@@ -553,7 +561,7 @@ def velocities(recording):
     return between(recording.q, recording.segments, clock, order=1)
 
 
-def _by_joint(name, given, joints, least=0.0, owner="PDDrive"):
+def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):
     """Return one number for each of some joints, (nv,), as given in one of the ways."""
     if isinstance(given, Mapping):
         return _by_name(name, given, joints, least, owner)
@@ -562,7 +570,8 @@ def _by_joint(name, given, joints, least=0.0, owner="PDDrive"):
     except (TypeError, ValueError):
         values = np.full(0, np.nan)
     nv = len(joints)
-    if values.shape not in {(), (nv,)} or not np.isfinite(values).all():
+    wrong = np.isnan(values) | (finite & np.isinf(values))
+    if values.shape not in {(), (nv,)} or wrong.any():
         raise ValueError(
             f"{owner}: {name} must be one finite number or {nv}, one for each joint in "
             f"the order {', '.join(joints)}; got {given!r}."

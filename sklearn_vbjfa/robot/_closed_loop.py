@@ -148,6 +148,57 @@ def refine_controlled(
     )
 
 
+# -- from commands alone ---------------------------------------------------------------
+
+# Drives set their torque at least so often, in simulation [s].
+_DRIVE_PERIOD = 1e-3
+
+
+def follow(robot, drive, recording, window=None):
+    """Simulate a robot from its commands, from the states of a recording on."""
+    # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
+    # recorded state again, None for whole recordings. Returns states (n, 3 nv).
+    made = drive.driven(recording)
+    clock = recording.clock()
+    command = made.command
+    for effect in robot.effects_:
+        if isinstance(effect, CommandDelay):
+            command = command + effect.change(command, recording.segments, clock)
+    kp, kd = (np.broadcast_to(x, command.shape) for x in drive.feedback(recording))
+    names = recording.joint_names
+    most = drive.most(names)
+    measured, _ = robot.query(recording.inputs, recording.groups)
+    model, dt, nv = robot.torque_model(), recording.dt, recording.nv
+    period = _DRIVE_PERIOD if drive.period is None else drive.period
+    updates = max(round(dt / period), 1)
+    length = recording.n_samples if window is None else max(round(window / dt), 2)
+    states = np.empty((recording.n_samples, 3 * nv))
+    for part in recording.segments:
+        for first in range(part.start, part.stop, length):
+            last = min(first + length, part.stop) - 1
+
+            def control(row, q, v, first=first, last=last, part=part):
+                i = min(first + int(row), last)
+                j, share = min(i + 1, part.stop - 1), row - int(row)
+                asked = command[i] + share * (command[j] - command[i])
+                return np.clip(asked - kp[i] * q - kd[i] * v, -most, most)
+
+            start = measured[first]
+            rows = slice(first, last + 1)
+            own = {name: x[rows] for name, x in recording.signals.items()}
+            own = {name: x for name, x in own.items() if x.ndim == 1}
+            states[rows], _ = simulate_controlled(
+                model,
+                control,
+                start[:nv],
+                start[nv : 2 * nv],
+                clock[rows],
+                own,
+                updates,
+            )
+    return states
+
+
 # -- a controller and its reference ----------------------------------------------------
 
 

@@ -22,6 +22,7 @@ from sklearn_vbjfa.recording._columns import (
     signals_for,
     torques_in_order,
 )
+from sklearn_vbjfa.recording._drives import PDDrive
 from sklearn_vbjfa.recording._recording import (
     Recording,
     check_clock,
@@ -29,6 +30,7 @@ from sklearn_vbjfa.recording._recording import (
     check_dt,
     take_arrays,
 )
+from sklearn_vbjfa.robot._closed_loop import follow
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     as_driven,
@@ -219,6 +221,70 @@ class SimulatesTorques:
         model = self.robot_.torque_model()
         tau = torques_in_order(tau, model.joint_names)
         return simulate(model, tau, q0, v0, t, signals=signals)
+
+    def follow(self, recording, drive=None, *, window=None):
+        """Simulate the identified robot under its drive, from commands alone.
+
+        Parameters
+        ----------
+        recording : Recording
+            With the commands, channels of the drive in `signals`; its positions are
+            only the start.
+        drive : PDDrive, default=None
+            What it is told and with which law; None is the identifier's `drive`. The
+            delay is that of the fit, or of the drive.
+        window : float, default=None
+            Length [s] after which the simulation starts from the recorded state again;
+            None simulates each recording as a whole.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, 3 * nv)
+            States [q | v | a], row by row as the recording.
+
+        Raises
+        ------
+        ValueError
+            If there is no drive that takes positions, or a channel is missing.
+        SimulationError
+            A ValueError; if the motion diverges.
+
+        Notes
+        -----
+        The law acts on simulated positions and velocities, at least a thousand times a
+        second (`PDDrive.period`), with commands that go straight between rows, within
+        its `saturation`. Where a robot is followed closely, positions say little of
+        its parameters: compare the errors with the range of what was commanded minus
+        what was reached.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from dataclasses import replace
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> from sklearn_vbjfa.robot import PDDrive
+        >>> recording = load_demo_recording().select(0)
+        >>> kp = np.array([1000.0, 2000.0, 1000.0, 100.0, 100.0, 10.0])
+        >>> v = np.gradient(recording.q, recording.dt, axis=0)
+        >>> aim = recording.q + (recording.tau + kp / 50.0 * v) / kp
+        >>> recording = replace(recording, signals={"q_desired": aim})
+        >>> drive = PDDrive(kp=kp, kd=kp / 50.0, delay=0.0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
+        >>> robot = robot.fit_recording(recording)
+        >>> states = robot.follow(recording, window=0.5)
+        >>> bool(np.abs(states[:, :6] - recording.q).max() < 0.1)
+        True
+        """
+        drive = getattr(self, "drive", None) if drive is None else drive
+        if not isinstance(drive, PDDrive):
+            raise ValueError(
+                "follow needs a drive that takes positions, drive=PDDrive(...); got "
+                f"{drive!r}."
+            )
+        if window is not None and not window > 0:
+            raise ValueError(f"window must be a positive time in s; got {window!r}.")
+        return follow(self.robot_, drive, recording, window)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)

@@ -278,3 +278,53 @@ def test_bad_input_is_named(case):
 def test_a_delay_longer_than_plausible_is_told():
     with pytest.warns(UserWarning, match="went to the end of what is plausible"):
         identify(told(0.2))
+
+
+# -- the closed loop, from commands alone ----------------------------------------------
+
+
+@pytest.mark.parametrize("settings", [{}, {"delay": 0.011}])
+def test_a_robot_follows_its_commands_as_it_did(settings):
+    recording = told(0.011)
+    # Torques are held for a period, which is a delay of half of it.
+    robot = identify(recording, PDDrive(KP, KD, period=2.5e-4, **settings))
+    whole = robot.follow(recording)
+    moved = np.sqrt((recording.states[:, :3] ** 2).mean(axis=0))
+    left = np.sqrt(((whole - recording.states)[:, :3] ** 2).mean(axis=0))
+    assert (left < 2e-3 * moved).all()
+    # from every second's state again
+    windows = robot.follow(recording, window=1.0)
+    rows = np.arange(0, len(windows), 200)
+    assert_array_equal(windows[rows, :6], recording.states[rows, :6])
+    late = replace(recording, signals={"q_desired": command(recording.clock(), 0.0)})
+    other = robot.follow(late)
+    assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
+
+
+def test_recorded_gains_and_a_limit_hold_in_simulation():
+    recording = told()
+    beside = {"kp": 0.0 * recording.q + KP, "kd": 0.0 * recording.q + KD}
+    robot = identify(recording)
+    recorded = replace(recording, signals={**recording.signals, **beside})
+    one, other = robot.follow(recording), robot.follow(recorded, PDDrive())
+    assert_allclose(other, one, atol=1e-9)
+    weak = robot.follow(
+        recording,
+        PDDrive(
+            KP,
+            KD,
+            saturation=np.abs(PDDrive(KP, KD).driven(recording).tau).max(axis=0)
+            * [0.8, 0.8, 0.8],
+        ),
+    )
+    assert np.abs(weak - one)[:, :3].max() > 0.02
+
+
+def test_what_follows_nothing_is_refused():
+    recording = told()
+    robot = RobotIdentifier(ARM, **EXACT, dt=DT)
+    robot.fit(recording.states, torques(*np.split(recording.states, 3, axis=1)))
+    with pytest.raises(ValueError, match="needs a drive that takes positions"):
+        robot.follow(recording)
+    with pytest.raises(ValueError, match="window must be a positive time"):
+        robot.follow(recording, PDDrive(KP, KD), window=0.0)

@@ -125,7 +125,7 @@ ROOMS = (
 )
 # Rooms that stay apart although the order would allow it.
 APART = {
-    "effects": set(),
+    "effects": {"_core"},
     "physical": {"_core", "effects"},
     "regression": {"_core"},
     "model": {"physical"},

@@ -363,7 +363,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             recording = self.identifier.drive.driven(recording)
         known = recording.groups, recording.weight, None
         whole = self._recording(model, recording.inputs, recording.tau, *known)
-        whole = replace(whole, command=recording.command)
+        known = {"command": recording.command, "feedback": recording.feedback}
+        whole = replace(whole, **known)
         given = signals, OfferedSignals(), _names(whole, labels), progress
         return self._fit(model, whole, library, *given)
 

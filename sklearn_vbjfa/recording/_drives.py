@@ -222,7 +222,8 @@ class PDDrive(Drive):
         if self.waits is not None:
             command = between(command, parts, clock, self.waits)
         tau = command - kp * recording.q - kd * velocities(recording)
-        made = replace(recording, tau=tau, command=command)
+        shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
+        made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
         return made if self.saturation is None else self._saturated(made)
 
     def feedback(self, recording):

@@ -128,6 +128,9 @@ class Recording:
     command : ndarray of shape (n_samples, nv) or None, default=None
         What of `tau` follows from commands alone [see `torque_units`], where the drive
         made it of commands and positions; see `PDDrive`.
+    feedback : ndarray of shape (2, nv) or None, default=None
+        Gains with which the drive made the rest of the measured positions and
+        velocities: noise of positions is noise of `tau`, that many times.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     left_out : mapping of str to str, default={}
@@ -174,6 +177,7 @@ class Recording:
     weight: np.ndarray | None = None
     torque_noise: np.ndarray | None = None
     command: np.ndarray | None = None
+    feedback: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
     left_out: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
@@ -360,11 +364,12 @@ def take_arrays(
     joint_names,
     signals=None,
     command=None,
+    feedback=None,
 ):
     """Make a recording of the validated arguments of a fit."""
     # X: positions (n_samples, nv) or states (n_samples, 3 nv); y, weight (n_samples,
     # nv); groups: labels in any form; t: time stamps; dt [s]; signals (n_samples,) by
-    # name; command (n_samples, nv).
+    # name; command (n_samples, nv), feedback (2, nv): see `Recording`.
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
     lengths = [rows.stop - rows.start for rows in segments]
@@ -382,6 +387,7 @@ def take_arrays(
         states=X if X.shape[1] == 3 * nv else None,
         weight=weight,
         command=command,
+        feedback=feedback,
         signals={} if signals is None else signals,
     )
 
@@ -401,6 +407,7 @@ def take_rows(recording, rows, groups):
         joint_names=recording.joint_names,
         signals={name: values[rows] for name, values in recording.signals.items()},
         command=command,
+        feedback=recording.feedback,
     )
 
 

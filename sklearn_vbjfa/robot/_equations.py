@@ -245,6 +245,11 @@ class RegressorRows:
         states = self._states[rows] if states is None else states
         return RegressorRows(self._features, states, columns, self._rest)
 
+    @property
+    def states(self):
+        """States of the rows, (n, 3 nv) or `SplineStates`."""
+        return self._states
+
     def spans(self, rows, length):
         """Yield where blocks of at most `length` rows begin, and their entries."""
         # States are evaluated, and declared columns made, for many blocks at once. The
@@ -408,6 +413,8 @@ class Segment:
     weight: np.ndarray
     standstill: np.ndarray  # (nv,): speeds at or below which a joint's rows are masked
     edge: int = 0  # rows at each end that are masked
+    # gains (2, nv) by which the torque was made of the positions and their slopes
+    feedback: np.ndarray | None = None
     number: int = 0
 
     @property
@@ -470,6 +477,7 @@ class Segment:
             measured["weight"],
             numbering and numbering.parts(self.number, outputs),
             noise=self.halves is not None,
+            apart=self._apart(lowpass, seen),
         )
         for first, rows, difference in self._filtered(lowpass, seen, outputs):
             sums.add(first, rows, difference)
@@ -486,6 +494,18 @@ class Segment:
         ways = np.sign(v) * (np.abs(v) > self.standstill)
         ranges = SignalRanges.of([q, np.abs(v), ways], weight > 0)
         return seen, {"tau": tau, "weight": weight, "ranges": ranges}
+
+    def _apart(self, lowpass, seen):
+        """Torque that a drive made of the even samples minus that of the odd ones."""
+        if self.halves is None or self.feedback is None:
+            return None
+        even, odd = (
+            [derivative(rows.states, seen, k) for k in range(2)] for rows in self.halves
+        )
+        apart = sum(
+            gain * (one - other) for gain, one, other in zip(self.feedback, even, odd)
+        )
+        return -decimate(lowpass, np.ascontiguousarray(apart))
 
     def _filtered(self, lowpass, seen, outputs):
         """Yield the first of some filtered rows, entries and their difference."""
@@ -577,6 +597,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
             weight=weight[part],
             standstill=plan.standstill,
             edge=edge_rows(part.stop - part.start, plan.smoother),
+            feedback=recording.feedback,
             number=first + i,
         )
         for i, part in enumerate(parts)

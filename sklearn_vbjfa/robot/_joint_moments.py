@@ -169,6 +169,8 @@ class JointMoments:
     yy: np.ndarray  # (nv,): sum of w tau^2
     # (nv, p, p) or None: contribution of input noise to G, if measured
     noise: np.ndarray | None = None
+    # (nv, p) or None: contribution to g of noise that inputs and torques have in common
+    in_common: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
     # ranges of positions, speeds and directions in the joint's rows with weight, where
@@ -184,6 +186,7 @@ class JointMoments:
             g=self.g + other.g,
             yy=self.yy + other.yy,
             noise=None if self.noise is None else self.noise + other.noise,
+            in_common=_sum_or_none(self.in_common, other.in_common),
             blocks=_merge_blocks(self.blocks, other.blocks),
             ranges=sum_ranges([self.ranges, other.ranges]),
         )
@@ -193,15 +196,17 @@ class JointMoments:
         keep = ~entries
         both = keep[:, :, None] * keep[:, None, :]
         noise = None if self.noise is None else self.noise * both
-        return replace(self, G=self.G * both, g=self.g * keep, noise=noise)
+        common = None if self.in_common is None else self.in_common * keep
+        known = {"noise": noise, "in_common": common}
+        return replace(self, G=self.G * both, g=self.g * keep, **known)
 
     def columns(self, chosen):
         """Return the moments of some of the columns, without blocks of time."""
         both = np.ix_(range(self.n.size), chosen, chosen)
         noise = None if self.noise is None else self.noise[both]
-        return replace(
-            self, G=self.G[both], g=self.g[:, chosen], noise=noise, blocks=None
-        )
+        common = None if self.in_common is None else self.in_common[:, chosen]
+        known = {"noise": noise, "in_common": common, "blocks": None}
+        return replace(self, G=self.G[both], g=self.g[:, chosen], **known)
 
     def residual_squares(self, theta):
         """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
@@ -224,11 +229,14 @@ class JointMoments:
 
     def total(self, weight):
         """Return the moments about zero of all joints' rows, with weights (nv,)."""
-        p = self.g.shape[1]
+        # Without what noise in common adds to the products of inputs and torques.
+        p, g = self.g.shape[1], self.g
+        if self.in_common is not None:
+            g = g - self.in_common
         used = weight > 0
         scatter = np.empty((p + 1, p + 1))
         scatter[:-1, :-1] = np.einsum("j,jik->ik", weight, self.G)
-        scatter[-1, :-1] = scatter[:-1, -1] = weight @ self.g
+        scatter[-1, :-1] = scatter[:-1, -1] = weight @ g
         scatter[-1, -1] = weight @ self.yy
         return Moments(
             n_rows=int(self.n_rows[used].sum()),
@@ -276,7 +284,10 @@ class MomentSums:
     # those of all (a slice or numbers) and which columns (k,) they are. Entries that
     # are zero in every motion are nowhere.
 
-    def __init__(self, entries, p, tau, weight, parts=None, *, noise=False):
+    # apart (n, nv): torque of the even samples minus that of the odd ones, of a drive
+    # that makes it of positions.
+
+    def __init__(self, entries, p, tau, weight, parts=None, *, noise=False, apart=None):
         self._entries, self._tau, self._weight = entries, tau, weight
         self._keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
         self._starts, self._p = starts, p
@@ -285,6 +296,8 @@ class MomentSums:
         self._G = [np.zeros((starts.size, k, k)) for k in widths]
         self._g = [np.zeros((starts.size, k)) for k in widths]
         self._noise = [np.zeros((k, k)) for k in widths] if noise else None
+        self._apart = apart if noise else None
+        self._common = [np.zeros(k) for k in widths]
 
     def add(self, first, rows, difference=None):
         """Add entries (n, n_entries) of rows from the piece's row `first` on."""
@@ -310,6 +323,9 @@ class MomentSums:
                 apart = difference[:, where]
                 apart = apart if same[j] else apart * root
                 self._noise[j] += _gram(apart, 0.25 * factor[j])
+                if self._apart is not None:
+                    also = self._apart[own, j] * (1.0 if same[j] else root[:, 0])
+                    self._common[j] += 0.25 * factor[j] * (also @ apart)
 
     def moments(self):
         """Return the `JointMoments`, for `sum_moments`."""
@@ -338,6 +354,11 @@ class MomentSums:
         if self._noise is not None:
             wide = [self._spread(j, own[None])[0] for j, own in enumerate(self._noise)]
             noise = tuple(zip(ranges, wide))
+        common = None
+        if self._apart is not None:
+            common = np.zeros(g.shape)
+            for j, (_, columns) in enumerate(self._entries):
+                common[j, columns] = self._common[j]
         return JointMoments(
             n=weight.sum(axis=0),
             n_rows=(weight > 0).sum(axis=0),
@@ -345,6 +366,7 @@ class MomentSums:
             g=g,
             yy=np.einsum("nj,nj->j", weight, tau**2),
             noise=noise,
+            in_common=common,
             blocks=blocks,
         )
 
@@ -433,10 +455,15 @@ def sum_moments(several):
             g=total.g + moments.g,
             yy=total.yy + moments.yy,
             noise=None if total.noise is None else _added(total.noise, moments.noise),
+            in_common=_sum_or_none(total.in_common, moments.in_common),
             blocks=_merge_blocks(total.blocks, moments.blocks),
             ranges=sum_ranges([total.ranges, moments.ranges]),
         )
     return total
+
+
+def _sum_or_none(one, other):
+    return None if one is None or other is None else one + other
 
 
 def _added(total, G):

@@ -12,7 +12,8 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.robot import PDDrive  # noqa: E402
+from sklearn_vbjfa.robot import PDDrive, RecordingStates  # noqa: E402
+from sklearn_vbjfa.robot._equations import segments  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
 
 DT = 0.005
@@ -278,6 +279,84 @@ def test_bad_input_is_named(case):
 def test_a_delay_longer_than_plausible_is_told():
     with pytest.warns(UserWarning, match="went to the end of what is plausible"):
         identify(told(0.2))
+
+
+# -- noise that positions and torques have in common ----------------------------------
+
+
+def pendulum(where, sigma=3e-3, kp=200.0, kd=2.0, seconds=60.0, seed=0):
+    """Simulate a joint under its drive at 1 kHz, logged at 200 Hz with noise."""
+    rng = np.random.default_rng(seed)
+    weight, moment, viscous, coulomb = 1.962, 0.09, 0.3, 0.4
+    dt, sub = 1e-3, 4
+    t = dt * np.arange(round(seconds / dt))
+    f, phase = rng.uniform(0.2, 2.5, 8), rng.uniform(0, 2 * np.pi, 8)
+    aim = (0.25 / np.sqrt(f) * np.sin(2 * np.pi * f * t[:, None] + phase)).sum(axis=1)
+    noise = sigma * rng.normal(size=t.size)
+    rows, q, v = np.empty((t.size, 2)), 0.0, 0.0
+    for i in range(t.size):
+        read = q + noise[i]
+        tau = kp * (aim[i] - (read if where == "loop" else q)) - kd * v
+        rows[i] = read, v
+        for _ in range(sub):
+            dry = coulomb * np.tanh(v / 0.005)
+            v += (tau - weight * np.sin(q) - viscous * v - dry) / moment * dt / sub
+            q += v * dt / sub
+    (q, v), aim = rows[::5].T, aim[::5]
+    recording = take_arrays(q[:, None], 0.0 * q[:, None], dt=DT, joint_names=("j",))
+    signals = {"q_desired": aim[:, None]}
+    recording = replace(recording, v=v[:, None], signals=signals)
+    return PDDrive(kp, kd, delay=0.0), recording
+
+
+def bob():
+    """Describe the pendulum but for its rotor of 0.05 kg m^2."""
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRY(), pin.SE3.Identity(), "j")
+    lever = np.array([0.0, 0.0, -0.2])
+    model.inertias[joint] = pin.Inertia(1.0, lever, 1e-6 * np.eye(3))
+    return model
+
+
+@pytest.mark.parametrize("where", ["log", "loop"])
+def test_noise_in_inputs_and_torques_is_taken_off_both(where):
+    """Whether the controller applied the encoder's noise, or the log alone has it."""
+    drive, recording = pendulum(where)
+    settings = {"dt": DT, "cutoff": 40.0, "state_cutoff": 70.0, "bodies": "fixed"}
+
+    def rotor(recording, **more):
+        robot = RobotIdentifier(bob(), drive=drive, **settings, **more)
+        robot.fit_recording(recording)
+        return robot.theta_[robot.parameter_names_.index("j:rotor_inertia")] / 0.05 - 1
+
+    apart = replace(drive.driven(recording), feedback=None)
+    assert abs(rotor(recording)) < 0.06
+    # of the inputs alone, and of none
+    assert rotor(apart) > rotor(recording) + 0.06
+    assert rotor(recording, input_noise=None) < -0.5
+
+
+def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
+    """Written out, row by row, from the even and the odd samples."""
+    drive, recording = pendulum("log", seconds=20.0)
+    robot = RobotIdentifier(
+        bob(), dt=DT, cutoff=None, standstill=None, bodies="fixed", drive=drive
+    ).fit_recording(recording)
+    estimator = robot.state_estimator_
+    even, odd = estimator.split_transform(recording.q, groups=recording.groups)
+    made = drive.driven(recording)
+    own = RecordingStates.of_rows(
+        made.segments, robot.robot_.query(made.q, made.groups)[0], (even, odd)
+    )
+    (segment,) = segments(made, own, robot.robot_.plan, robot.features_)
+    lowpass = robot.robot_.plan.lowpass
+    moments = segment.moments(lowpass, slice(0, segment.n_rows))
+    first, second = (robot.features_.matrices(x) for x in (even, odd))
+    difference = first - second
+    apart = -(200.0 * (even - odd)[:, 0] + 2.0 * (even - odd)[:, 1])
+    weight = segment.counts(slice(0, segment.n_rows), own.own[0][:, 1:2])[:, 0]
+    expected = 0.25 * (weight * apart) @ difference[:, 0]
+    assert_allclose(np.asarray(moments.in_common)[0], expected, rtol=1e-9)
 
 
 # -- the closed loop, from commands alone ----------------------------------------------

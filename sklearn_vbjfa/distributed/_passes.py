@@ -60,9 +60,8 @@ _DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
 _MISSING = "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
-# Results that come back together: of many tasks to tell of each, of two files since
-# these are large.
-_AT_ONCE, _READ_AHEAD = 8, 2
+# Results that come back together: of many tasks to tell of each.
+_AT_ONCE = 8
 # Results that are merged in one task: few enough to be in memory together.
 _FAN_IN = 8
 
@@ -199,7 +198,8 @@ def _close_loop(discovery, files, dask):
     """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
     names = joint_names(load_model(discovery.identifier.model))
     load = _loader(discovery.identifier, names)
-    read = _on_workers(dask, load, [(file,) for file in files], at_once=_READ_AHEAD)
+    # What a file takes while it is read is several times what it holds.
+    read = _on_workers(dask, load, [(file,) for file in files], at_once=1)
     with telling(discovery.verbose):
         whole = store(counted(read, "reading", "files", len(files) * [1]))
         with workers():

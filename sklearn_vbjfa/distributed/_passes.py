@@ -6,6 +6,7 @@ second moments of the filtered equations; the noise of the torques. Every pass r
 files again, so that no worker holds more than the recordings that it is working on.
 """
 
+import contextvars
 import functools
 import operator
 import warnings
@@ -292,8 +293,9 @@ def _on_workers(dask, function, tasks, at_once=_AT_ONCE):
 
 def _alone(function, *arguments):
     """Call a function with one thread of the linear algebra."""
+    # Without listeners, as on another machine: who asked for it counts it.
     with one_blas_thread():
-        return function(*arguments)
+        return contextvars.Context().run(function, *arguments)
 
 
 def _files(source):

@@ -27,18 +27,17 @@ def run(arguments, folder):
     source, default = _input.named(files), _input.default_folder(files)
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    seed, taken = _input.seed(arguments.seed), _input.taken(arguments, folder)
+    seed, taken = (
+        _input.seed(arguments.seed),
+        _input.taken(arguments, folder, stored=True),
+    )
     recording = taken.recording
     taken.check(settings)
-    signals, groups = taken.signals(arguments.signals), None
-    if len(files) > 1:
-        # The report calls recordings after their files.
-        groups = np.array(recording.group_names, dtype=object)[recording.groups]
+    signals = taken.signals(arguments.signals)
     with _input.workers(arguments.workers), blaming(source):
         loop = close(
             recording,
             str(taken.urdf),
-            groups=groups,
             effects=library,
             ceiling=arguments.ceiling,
             seed=seed,
@@ -111,10 +110,9 @@ def close(
     known_masses=None,
     signals=None,
     t=None,
-    groups=None,
 ):
     """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
-    # groups: labels of the rows, by default those of the recording.
+    # signals: by name, or those offered.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -131,8 +129,10 @@ def close(
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed
     )
-    groups = recording.groups if groups is None else groups
-    return loop.fit(recording.q, recording.tau, groups, t=t, signals=signals)
+    if recording.stored:
+        # The report calls recordings after their files.
+        return loop.fit_recording(recording, signals)
+    return loop.fit(recording.q, recording.tau, recording.groups, t=t, signals=signals)
 
 
 def _report(loop, warned, file, description, held):

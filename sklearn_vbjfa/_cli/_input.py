@@ -113,13 +113,14 @@ class Taken:
         return lines
 
 
-def taken(arguments, folder, *, assumed=None):
+def taken(arguments, folder, *, assumed=None, stored=False):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
-    # assumed: gains of the channels where none are given.
+    # assumed: gains of the channels where none are given; stored: whether several files
+    # are kept on disk.
     urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
     known = gains(arguments.gain)
     urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
-    recording = read(arguments, urdf, joints, known or assumed)
+    recording = read(arguments, urdf, joints, known or assumed, stored=stored)
     urdf, held = _hold_others(urdf, recording, held, folder)
     source = named(sources(arguments.recording))
     return Taken(
@@ -255,9 +256,10 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(arguments, urdf, joints, gains, *, identified=True):
+def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
     """Read a recording that is long enough."""
-    # identified: whether gains that are unknown can be identified.
+    # identified: whether gains that are unknown can be identified; stored: whether
+    # several files are kept on disk.
     from sklearn_vbjfa.datasets import read_recording
     from sklearn_vbjfa.recording import RecordingRefused
 
@@ -275,6 +277,7 @@ def read(arguments, urdf, joints, gains, *, identified=True):
             gains=gains,
             time_unit=arguments.time_unit,
             on_bad_files="warn",
+            stored=stored and len(files) > 1,
         )
     except RecordingRefused as error:
         if identified or error.options.get("gains") != "unknown":
@@ -293,14 +296,18 @@ def read(arguments, urdf, joints, gains, *, identified=True):
             f"{'' if one else ', or have them identified'} (--gain)",
             {} if one else {"gains": "unknown"},
         )
-    longest = int(np.bincount(recording.groups).max())
+    longest = max(rows.stop - rows.start for rows in recording.segments)
     if longest < _MIN_SAMPLES:
         raise ValueError(
             f"{source}: the longest recording has {longest} samples in a row "
             f"({longest * recording.dt:.3g} s), too few; record some tens of seconds "
             "of motion."
         )
-    if not np.ptp(recording.q, axis=0).any():
+    ends = [
+        [x.min(axis=0), x.max(axis=0)]
+        for x in (np.asarray(recording.q[rows]) for rows in recording.segments)
+    ]
+    if not np.ptp(np.concatenate(ends), axis=0).any():
         raise ValueError(
             f"{source}: no joint moves in any row; expected a motion. Check the "
             "columns of positions."

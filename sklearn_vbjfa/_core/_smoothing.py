@@ -157,7 +157,7 @@ def acceleration_spectra(segments, dt):
     n_fft = fft_length(longest, dt)
     power, energy = 0.0, 0.0
     for x in segments:
-        more = acceleration_power(x, dt, n_fft)
+        more = acceleration_power(np.asarray(x), dt, n_fft)
         power, energy = power + more[0], energy + more[1]
     return spectrum(power, energy, n_fft, dt)
 

@@ -33,6 +33,7 @@ from sklearn_vbjfa.recording import (
     columns_beside,
     commands_among,
     find_repetition,
+    in_memory,
     positions_in_order,
     survey,
     take_arrays,
@@ -345,7 +346,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         ----------
         recording : Recording
             Of the identifier's robot; of a `drive`, its channels or what
-            `PDDrive.driven` made of them.
+            `PDDrive.driven` made of them. One that `read_recording` has ``stored`` may
+            be larger than memory, unless there is a `drive`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             As for `fit`.
         progress : callable, default=None
@@ -358,14 +360,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """
         library = self._check_parameters()
         model = load_model(self.identifier.model)
-        labels = np.array(recording.group_names, dtype=object)[recording.groups]
+        names = tuple(map(str, recording.group_names))
         if self.identifier.drive is not None:
-            recording = self.identifier.drive.driven(recording)
-        known = recording.groups, recording.weight, None
-        whole = self._recording(model, recording.inputs, recording.tau, *known)
-        known = {"command": recording.command, "feedback": recording.feedback}
-        whole = replace(whole, **known)
-        given = signals, OfferedSignals(), _names(whole, labels), progress
+            recording = self.identifier.drive.driven(in_memory(recording))
+        if recording.stored:
+            whole = self._stored(model, recording)
+        else:
+            known = recording.groups, recording.weight, None
+            whole = self._recording(model, recording.inputs, recording.tau, *known)
+            known = {"command": recording.command, "feedback": recording.feedback}
+            whole = replace(whole, **known)
+        given = signals, OfferedSignals(), names, progress
         return self._fit(model, whole, library, *given)
 
     def _fit(self, model, whole, library, signals, beside, names, progress):
@@ -393,9 +398,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             channels, silent = self._check_channels(model, whole)
             channels += unusable
         with stage("declared model"):
-            split = split_in_time(
-                self.identifier, whole.inputs, whole.groups, self.test_size
-            )
+            split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
             self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
             if set(declarable()) - set(self.declared_.features_.friction_):
@@ -408,9 +411,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             if commands.size:
                 repetition = find_repetition(commands, whole.t, whole.segments)
         moving = split.amount.moving
-        near = split.narrowed(*self._seen(part, moving[split.search]))
+        searched = np.concatenate([moving[own] for own in split.searched_parts])
+        near = split.narrowed(*self._seen(part, searched))
+        del searched
         known = {"begins": begins, "repetition": repetition}
-        seen = part if near is split else near.searched(whole)
+        seen = in_memory(part if near is split else near.searched(whole))
         with stage("search"):
             given = {"origin": near.origin, **known}
             found = self._search(seen, silent, given, library)
@@ -486,6 +491,17 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_widths(names, X, y)
         return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
 
+    def _stored(self, model, recording):
+        """Give a recording whose rows are not in memory weights and a clock."""
+        self.joint_names_ = names = joint_names(model)
+        validate_data(self, recording.q, skip_check_array=True)
+        check_widths(names, recording.q, recording.tau)
+        shape, dt = recording.tau.shape, check_dt(self.identifier.dt)
+        weight = check_weight(recording.weight, shape, stored=True)
+        known = {"dt": dt, "joint_names": names, "weight": weight}
+        whole = replace(recording, t=None, signals={}, **known)
+        return replace(whole, t=whole.clock())
+
     def _check_channels(self, model, whole):
         """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
@@ -549,10 +565,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
         rows, pieces = self._seen(whole, moving)
-        seen = whole
-        if rows.size < whole.n_samples:
+        seen = in_memory(whole) if rows.size == whole.n_samples else None
+        if seen is None:
             seen = take_rows(whole, rows, pieces)
-        given = {"origin": whole.groups[rows], "all_samples": True, **known}
+        origin = np.asarray(whole.groups[rows])
+        given = {"origin": origin, "all_samples": True, **known}
         view = RecordingView(self.plain_, seen, silent, **given)
         effects = tuned_on(view, found.effects, found.settings)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)

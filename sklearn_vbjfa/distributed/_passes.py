@@ -6,6 +6,7 @@ second moments of the filtered equations; the noise of the torques. Every pass r
 files again, so that no worker holds more than the recordings that it is working on.
 """
 
+import contextvars
 import functools
 import operator
 import warnings
@@ -19,6 +20,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._moments import from_data
+from sklearn_vbjfa._core._progress import counted, telling
 from sklearn_vbjfa.diagnosis import EffectDiscovery
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
@@ -27,6 +29,7 @@ from sklearn_vbjfa.recording import (
     check_dt,
     levels,
     read_recording,
+    store,
 )
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
@@ -58,6 +61,8 @@ _DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
 _MISSING = "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
+# Results that come back together: of many tasks to tell of each.
+_AT_ONCE = 8
 # Results that are merged in one task: few enough to be in memory together.
 _FAN_IN = 8
 
@@ -133,6 +138,12 @@ def fit_recordings(estimator, source):
             "estimator must be a RobotIdentifier or an EffectDiscovery; got "
             f"{type(identifier).__name__}."
         )
+    with telling(identifier.verbose):
+        return _identify(identifier, files, dask)
+
+
+def _identify(identifier, files, dask):
+    """Fit an identifier to files, to sums that workers make of them."""
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
     identifier.load()
@@ -140,26 +151,28 @@ def fit_recordings(estimator, source):
     names = identifier.joint_names_
     load = _loader(identifier, names)
 
-    def sums(function, merge, *arguments):
+    def sums(text, function, merge, *arguments):
         """Run a pass over the files; its other arguments are sent once."""
         task = dask.delayed(function, pure=False)
         shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
-        (total,) = dask.compute(
-            _merged(merge, [task(load, file, *shared) for file in files])
-        )
-        return total
+        some = [files[i : i + _AT_ONCE] for i in range(0, len(files), _AT_ONCE)]
+        totals = []
+        for own in counted(some, text, "files", list(map(len, some))):
+            tasks = [task(load, file, *shared) for file in own]
+            totals += dask.compute(_merged(merge, tasks))
+        return _reduce(merge, totals)
 
-    extent = sums(_measure, _merge_extents)
+    extent = sums("lengths", _measure, _merge_extents)
     longest = max(extent["lengths"])
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
-    power = sums(_spectra, _add_pairs, dt, n_fft)
+    power = sums("spectra", _spectra, _add_pairs, dt, n_fft)
     spectra = _smoothing.spectrum(*power, n_fft, dt) if power[1] else None
     estimator = choose_states(
         dt, identifier.state_cutoff, longest, extent["moving"], spectra
     )
     keep = n_fastest(sum(extent["lengths"]))
     merge = partial(MotionFacts.merge, keep=keep)
-    motion = sums(_summarise, merge, estimator, keep)
+    motion = sums("speeds", _summarise, merge, estimator, keep)
     plan = make_plan(identifier, (), extent["lengths"], estimator, motion)
     stops = np.cumsum(extent["lengths"]).tolist()
     parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
@@ -169,10 +182,10 @@ def fit_recordings(estimator, source):
     numbering = Numbering.of([plan.lowpass.centres(n).size for n in extent["lengths"]])
     numbers = _first_numbers(files, extent["recordings"])
     halves = identifier.input_noise is not None
-    moments = sums(
-        _moments, _add, plan, identifier.features_, halves, numbering, numbers
-    )
-    return identifier.fit_moments(plan, moments, partial(sums, _noise, operator.add))
+    given = plan, identifier.features_, halves, numbering, numbers
+    moments = sums("equations", _moments, _add, *given)
+    noise = partial(sums, "noise", _noise, operator.add)
+    return identifier.fit_moments(plan, moments, noise)
 
 
 def _loader(identifier, names):
@@ -185,24 +198,14 @@ def _loader(identifier, names):
 def _close_loop(discovery, files, dask):
     """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
     names = joint_names(load_model(discovery.identifier.model))
-    load = dask.delayed(_loader(discovery.identifier, names), pure=False)
-    parts = dask.compute(*[load(file) for file in files])
-    labels, count = [], 0
-    for one in parts:
-        labels.append(count + np.asarray(one.groups))
-        count += len(one.segments)
-    q, tau, groups = (
-        np.concatenate(x)
-        for x in ([p.q for p in parts], [p.tau for p in parts], labels)
-    )
-    signals = {
-        name: np.concatenate([p.signals[name] for p in parts])
-        for name, values in parts[0].signals.items()
-        if values.ndim == 1 and all(name in p.signals for p in parts)
-    }
-    offered = OfferedSignals(columns=signals)
-    with workers():
-        return discovery.fit(q, tau, groups, signals=offered)
+    load = _loader(discovery.identifier, names)
+    # What a file takes while it is read is several times what it holds.
+    read = _on_workers(dask, load, [(file,) for file in files], at_once=1)
+    with telling(discovery.verbose):
+        whole = store(counted(read, "reading", "files", len(files) * [1]))
+        with workers():
+            offered = OfferedSignals(columns=whole.signals)
+            return discovery.fit_recording(whole, offered)
 
 
 @contextmanager
@@ -276,20 +279,23 @@ def _client(where):
         yield
 
 
-def _on_workers(dask, function, tasks):
-    """Results of ``function(*task)`` for each task, wherever Dask computes."""
+def _on_workers(dask, function, tasks, at_once=_AT_ONCE):
+    """Yield ``function(*task)`` for each task, wherever Dask computes."""
     # Arguments go with the task, so that one lost with its worker can be run again:
     # data that are sent ahead of it would be lost as well.
     task = dask.delayed(_alone, pure=False, traverse=False)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", message="Sending large graph")
-        return dask.compute(*[task(function, *one) for one in tasks], traverse=False)
+    for first in range(0, len(tasks), at_once):
+        some = [task(function, *one) for one in tasks[first : first + at_once]]
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            yield from dask.compute(*some, traverse=False)
 
 
 def _alone(function, *arguments):
     """Call a function with one thread of the linear algebra."""
+    # Without listeners, as on another machine: who asked for it counts it.
     with one_blas_thread():
-        return function(*arguments)
+        return contextvars.Context().run(function, *arguments)
 
 
 def _files(source):

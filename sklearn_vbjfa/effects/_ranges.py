@@ -181,16 +181,15 @@ class OutsideRange:
     held: tuple = ()
 
 
-def outside(ranges, held, signals, counts):
+def outside(ranges, held, signals):
     """Find what lies outside the ranges of effects, a tuple of `OutsideRange`."""
-    # held: whether predictions hold each effect within its range; signals, counts (n,
-    # nv): positions, speeds and loads by quantity, and the rows to judge.
+    # held: whether predictions hold each effect within its range; signals (n,) in the
+    # rows to judge, by quantity (positions, speeds, loads) and joint.
     found = {}
     for one, holds in zip(ranges, held, strict=True):
         for quantity in one.depends:
             joint = one.joint
-            values = signals[quantity][counts[quantity][:, joint], joint]
-            said = _outside(one, holds, quantity, values)
+            said = _outside(one, holds, quantity, signals[quantity, joint])
             if said is not None:
                 found.setdefault((joint, quantity), []).append(said)
     return tuple(

@@ -134,9 +134,57 @@ def inspect_channels(model, q, tau, dt, groups=None):
     >>> [(finding.kind, finding.joints) for finding in findings]
     [('torque_sign', (1,))]
     """
-    model = load_model(model)
+    model, dt = load_model(model), check_dt(dt)
+    blocks = list(_blocks(contiguous_groups(groups, len(q)), model.nv))
+    if len(blocks) == 1:
+        return _inspected(model, q, tau, dt, groups)
+    found = [
+        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), b.start)
+        for b in blocks
+    ]
+    return in_order(_agreed(found))
+
+
+# Values of the positions that are looked at together, and what of some recordings holds
+# for all: what is found in any of them, what is found in each, and else what is found
+# in most.
+_AT_ONCE = 1 << 22
+_OF_ANY = ("repeated_rows", "frozen_position", "frozen_recording", "held_position")
+_OF_ANY += ("held_torque", "clipped_torque", "position_jumps", "position_spikes")
+_OF_ANY += ("torque_spikes",)
+_OF_EACH = ("still_joint", "coarse_torque")
+
+
+def _blocks(parts, nv):
+    """Yield rows of some recordings that are inspected together, slices."""
+    start, stop = 0, 0
+    for part in parts:
+        if stop > start and nv * (part.stop - start) > _AT_ONCE:
+            yield slice(start, stop)
+            start = stop
+        stop = part.stop
+    yield slice(start, stop)
+
+
+def _agreed(found):
+    """Return findings that hold for all recordings, from those of some of them."""
+    times, first = {}, {}
+    for findings in found:
+        for one in findings:
+            key = one.kind, one.joints
+            times[key] = times.get(key, 0) + 1
+            first.setdefault(key, one)
+    least = {
+        **dict.fromkeys(_OF_ANY, 1),
+        **dict.fromkeys(_OF_EACH, len(found)),
+    }
+    most = len(found) // 2 + 1
+    return [one for k, one in first.items() if times[k] >= least.get(k[0], most)]
+
+
+def _inspected(model, q, tau, dt, groups, first=0):
+    """Inspect recordings whose rows begin with row `first` of all."""
     q, tau = _check_arrays(model, q, tau)
-    dt = check_dt(dt)
     names = joint_names(model)
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
     rows, parts = long_parts(len(q), groups)
@@ -144,7 +192,8 @@ def inspect_channels(model, q, tau, dt, groups=None):
         return tuple(shuffled)
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
-    findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
+    numbers = rows + first
+    findings, usable, q = inspect_samples(names, q, tau, dt, parts, numbers, revolute)
     impossible, ratio = too_fast(model, names, q, dt, parts)
     findings += counts(model, names, q, ratio)
     # Such positions allow no further question.

@@ -37,6 +37,10 @@ _MODULES = {
         "check_cutoff",
         "check_dt",
         "contiguous_groups",
+        "in_memory",
+        "labels_of",
+        "on_disk",
+        "store",
         "take_arrays",
         "take_rows",
     ),
@@ -52,6 +56,7 @@ _MODULES = {
         "prediction_errors",
         "resample_uniform",
     ),
+    "_stored": ("StoredRows", "pieces", "put_together"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded",),
 }

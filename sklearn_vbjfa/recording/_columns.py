@@ -46,7 +46,9 @@ class OfferedSignals:
             if values.ndim == 1:
                 columns[name] = values
             elif name != "a":
-                columns |= {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+                columns |= {
+                    f"{name}{k + 1}": x for k, x in enumerate(np.asarray(values).T)
+                }
         return cls(columns=columns, left_out=recording.left_out)
 
     def column(self, name, n_samples):

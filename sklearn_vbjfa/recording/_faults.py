@@ -186,7 +186,8 @@ def shuffled_rows(names, q, parts, labels=None):
     # parts: slices of the recordings; labels (n,): their names, if any.
     if labels is not None:
         runs_ = len(parts)
-        if runs_ >= _RUNS_PER_LABEL * len(set(np.asarray(labels).tolist())) and (
+        different = {labels[part.start] for part in parts if part.stop > part.start}
+        if runs_ >= _RUNS_PER_LABEL * len(different) and (
             q.shape[0] < _SHORT_RUN * runs_
         ):
             return [
@@ -196,11 +197,12 @@ def shuffled_rows(names, q, parts, labels=None):
                     f"{q.shape[0]} rows",
                 )
             ]
-    n, square = 0, np.zeros(q.shape[1])
+    n, square, spread = 0, np.zeros(q.shape[1]), []
     for part in parts:
+        x = np.asarray(q[part])
         n += part.stop - part.start - 1
-        square += (np.diff(q[part], axis=0) ** 2).sum(axis=0)
-    spread = np.array([q[part].var(axis=0) for part in parts if part.stop > part.start])
+        square += (np.diff(x, axis=0) ** 2).sum(axis=0)
+        spread += [x.var(axis=0)] if len(x) else []
     sizes = [part.stop - part.start for part in parts if part.stop > part.start]
     variance = np.average(spread, axis=0, weights=sizes)
     moves = variance > _LEAST_MOTION**2
@@ -661,28 +663,29 @@ def _frozen(name, j, x, dt, parts, lost, rows):
 # -- spikes and jumps ------------------------------------------------------------------
 
 
-def position_jumps(names, q, parts, rows):
+def position_jumps(names, q, parts):
     """Find jumps of positions (n, nv), as between concatenated recordings."""
     # These are the findings of `inspect_samples` of the kind "position_jumps".
-    nothing = np.zeros(q.shape[0], dtype=bool)
     found = []
-    for j in range(q.shape[1]):
-        if _steps_off(q[:, j], parts):
-            found += _outliers(names[j], j, "position", q[:, j], parts, nothing, rows)[
-                0
-            ]
+    for j in _steps_off(q, parts):
+        nothing, rows = np.zeros(q.shape[0], dtype=bool), np.arange(q.shape[0])
+        x = np.concatenate([np.asarray(q[part])[:, j] for part in parts])
+        found += _outliers(names[j], j, "position", x, parts, nothing, rows)[0]
     return [finding for finding in found if finding.kind == "position_jumps"]
 
 
-def _steps_off(x, parts):
-    """Whether any step is large enough to be a jump; a fast pre-check."""
-    # Interpolated, a jump takes two steps.
-    least = 0.4 * _LEAST_JUMP * np.ptp(x)
+def _steps_off(q, parts):
+    """Joints with steps that are large enough to be a jump; a fast pre-check."""
+    low, high, bends = [], [], [np.zeros(q.shape[1])]
     for part in parts:
-        step = np.diff(x[part])
-        if step.size > 2 and (np.abs(np.diff(step)) > least).any():
-            return True
-    return False
+        x = np.asarray(q[part])
+        low.append(x.min(axis=0))
+        high.append(x.max(axis=0))
+        if len(x) > 3:
+            bends.append([np.abs(np.diff(own, 2)).max() for own in x.T])
+    travel = np.max(high, axis=0) - np.min(low, axis=0)
+    # Interpolated, a jump takes two steps.
+    return np.flatnonzero(np.max(bends, axis=0) > 0.4 * _LEAST_JUMP * travel)
 
 
 def _outliers(name, j, what, x, parts, known, rows):

@@ -17,7 +17,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from sklearn_vbjfa.recording._recording import check_dt
+from sklearn_vbjfa.recording._recording import check_dt, labels_of
+from sklearn_vbjfa.recording._stored import StoredRows, put_together, to_disk
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -447,16 +448,17 @@ def _channels_of(one):
 def _fields(pieces: Sequence[_Piece], dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
     columns = {
-        key: np.concatenate([piece.channels[key] for piece in pieces])
+        key: put_together([piece.channels[key] for piece in pieces])
         for key in pieces[0].channels
     }
+    stored = isinstance(columns["q"], StoredRows)
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": np.concatenate([piece.t for piece in pieces]),
+        "t": put_together([piece.t for piece in pieces]),
         "dt": dt,
-        "groups": np.repeat(np.arange(len(pieces)), [len(x.t) for x in pieces]),
+        "groups": labels_of([len(x.t) for x in pieces], stored=stored),
         "group_names": tuple(piece.name for piece in pieces),
         "signals": columns,
     }
@@ -690,11 +692,18 @@ def on_one_grid(recordings, names, dt):
         tally = _Tally()
         for rows in one.segments:
             values = _rows_of(channels, rows)
-            t = dt * np.arange(rows.stop - rows.start)
+            n = rows.stop - rows.start
+            t = StoredRows.clock(n, dt) if one.stored else dt * np.arange(n)
             if abs(one.dt - dt) >= _SAME_DT * dt:
-                own = one.dt * np.arange(t.size)
+                own = one.dt * np.arange(n)
+                values = {key: np.asarray(x) for key, x in values.items()}
                 tally.off_grid.append((own, values["tau"]))
                 t, values = interpolate(own, values, dt)
+                if one.stored:
+                    values = {
+                        key: to_disk(x) if x.ndim > 1 else x
+                        for key, x in values.items()
+                    }
             pieces.append(_Piece(next(names), t, values))
         if tally.off_grid:
             moved.append(k)

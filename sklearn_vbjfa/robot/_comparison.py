@@ -3,10 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.base import clone
-from sklearn.cross_decomposition import PLSRegression
+from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
-from sklearn.model_selection import GridSearchCV, KFold
+from sklearn.model_selection import KFold
 
 from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.regression import (
@@ -27,6 +26,72 @@ PROJECTED = (OURS, "VB + description")
 _BLOCKS = KFold(5)
 
 
+class PartialLeastSquares(RegressorMixin, BaseEstimator):
+    """Partial least squares, its number of directions chosen on blocks of time."""
+
+    # That of scikit-learn (PLSRegression, without scaling, in a GridSearchCV), from the
+    # triangle of an orthogonal decomposition of each block in place of its rows: what
+    # is fitted and judged are lengths and angles of columns, which are the same.
+
+    def __init__(self, components=(1,)):
+        self.components = components
+
+    def fit(self, X, y):
+        """Fit to X (n, p) and y (n,), whose means are taken off."""
+        rows = np.column_stack([np.ones(len(X)), X, y])
+        blocks = [_triangle(rows[own]) for _, own in _BLOCKS.split(rows)]
+        sizes = [own.size for _, own in _BLOCKS.split(rows)]
+        errors = np.zeros(len(self.components))
+        for k, (block, size) in enumerate(zip(blocks, sizes)):
+            others = _triangle(np.concatenate([*blocks[:k], *blocks[k + 1 :]]))
+            for i, (first, coef) in enumerate(_directions(others, self.components)):
+                left = block @ np.concatenate([[-first], -coef, [1.0]])
+                errors[i] += left @ left / size
+        best = [self.components[int(np.argmin(errors))]]
+        self.n_components_ = best[0]
+        whole = _triangle(np.concatenate(blocks))
+        ((self.intercept_, self.coef_),) = _directions(whole, best)
+        return self
+
+    def predict(self, X):
+        """Predict y (n,) for X (n, p)."""
+        return X @ self.coef_ + self.intercept_
+
+
+def _triangle(rows):
+    """Triangle of an orthogonal decomposition of rows (n, k)."""
+    return np.linalg.qr(rows, mode="r")
+
+
+def _directions(triangle, components):
+    """Intercept and coefficients (p,) of so many directions, for each number."""
+    # triangle: of [1, X, y]; below its first row are X and y without their means.
+    means = triangle[0, 1:] / triangle[0, 0]
+    X, y = triangle[1:, 1:-1].copy(), triangle[1:, -1].copy()
+    weights, loadings, shares, found = [], [], [], {0: np.zeros(X.shape[1])}
+    # Directions beyond those that the data have would be rounding.
+    least = X.size * np.finfo(float).eps * np.linalg.norm(X) * np.linalg.norm(y)
+    for count in range(1, max(components) + 1):
+        weight = X.T @ y
+        size = np.linalg.norm(weight)
+        if not size > least:
+            break
+        weight /= size
+        score = X @ weight
+        power = score @ score
+        loading, share = score @ X / power, score @ y / power
+        X -= np.outer(score, loading)
+        y -= share * score
+        weights.append(weight)
+        loadings.append(loading)
+        shares.append(share)
+        W, P = np.transpose(weights), np.transpose(loadings)
+        found[count] = W @ np.linalg.solve(P.T @ W, shares)
+    for count in components:
+        coef = found[min(count, max(found))]
+        yield means[-1] - means[:-1] @ coef, coef
+
+
 def methods(n_parameters):
     """Return name -> settings of `RobotIdentifier` for every method."""
     # All share states, filter, mask and joint weights (except ordinary least squares);
@@ -34,12 +99,7 @@ def methods(n_parameters):
     components = sorted(
         {int(c) for c in np.geomspace(3, max(4, 0.8 * n_parameters), 8)}
     )
-    pls = GridSearchCV(
-        PLSRegression(scale=False, max_iter=5000),
-        {"n_components": components},
-        cv=_BLOCKS,
-        scoring="neg_mean_squared_error",
-    )
+    pls = PartialLeastSquares(components=components)
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=_BLOCKS)
     lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
     plain = {"projector": None, "block_noise": False}

@@ -4,6 +4,7 @@ A plan follows from statistics of each recording (`MotionFacts`, spectra) that c
 merged: recordings may be processed in sequence, in parallel, or on several machines.
 """
 
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -232,14 +233,6 @@ class MotionFacts:
         return _top_quantile(self.fastest, self.n)
 
 
-def merge_all(facts, keep):
-    """Merge the statistics of several recordings."""
-    first, *others = facts
-    for other in others:
-        first = first.merge(other, keep)
-    return first
-
-
 def _fastest_period(facts, accelerations):
     """Return periods (nv,) [s] of sines of the joints' top speed and acceleration."""
     # That is 2 pi times top speed over top acceleration (n, nv); zero without.
@@ -274,11 +267,11 @@ def smooth(recording, estimator, halves, keep, n_jobs):
     # there would be fewer tasks.
     parts, nv = recording.segments, recording.q.shape[1]
     shares = [slice(j, j + 1) for j in range(nv)] if len(parts) < nv else [slice(nv)]
-    tasks = [
+    tasks = (
         (recording.q[part, own], part.start, of_joints(estimator, own), halves, keep)
         for part in parts
         for own in shares
-    ]
+    )
     # Each joint is its share of the rows, in whole numbers.
     ends = np.arange(len(shares) + 1)
     rows = [
@@ -287,20 +280,20 @@ def smooth(recording, estimator, halves, keep, n_jobs):
         for n in np.diff((part.stop - part.start) * ends // len(shares))
     ]
     done = run(smooth_with_facts, tasks, n_jobs)
-    found = list(counted(done, "states", "rows", rows))
-    found = [found[i : i + len(shares)] for i in range(0, len(found), len(shares))]
-    own = [SplineStates.of_joints([one[0] for one in several]) for several in found]
-    both = None
-    if halves:
-        both = tuple(
-            [
-                SplineStates.of_joints([one[1][k] for one in several])
-                for several in found
-            ]
-            for k in range(2)
-        )
-    facts = [MotionFacts.of_joints([one[2] for one in several]) for several in found]
-    return RecordingStates(own=own, halves=both), merge_all(facts, keep)
+    done = iter(counted(done, "states", "rows", rows))
+    own, both, facts = [], ([], []), None
+    for _ in parts:
+        splines, apart, several = zip(*itertools.islice(done, len(shares)))
+        own.append(SplineStates.of_joints(splines))
+        if halves:
+            for k, half in enumerate(both):
+                half.append(SplineStates.of_joints([one[k] for one in apart]))
+        # The fastest rows of each are merged at once: those of all would be many.
+        one = MotionFacts.of_joints(several)
+        facts = one if facts is None else facts.merge(one, keep)
+    # The stage ends with its last item.
+    next(done, None)
+    return RecordingStates(own=own, halves=both if halves else None), facts
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):

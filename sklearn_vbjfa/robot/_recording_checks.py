@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
+    StoredRows,
     at_rest,
     nothing_moves,
     position_jumps,
@@ -140,8 +141,7 @@ def warn_of_disorder(names, positions, parts, groups):
     # positions (n, nv); parts: slices of the recordings; groups (n,): labels or None.
     found = shuffled_rows(names, positions, parts, groups)
     if not found:
-        rows = np.arange(positions.shape[0])
-        found = position_jumps(names, positions, parts, rows)
+        found = position_jumps(names, positions, parts)
     for finding in found:
         warnings.warn(finding.message, UserWarning, stacklevel=5)
 
@@ -183,8 +183,11 @@ def check_count(stats, standstill, n_parameters):
         )
 
 
-def check_weight(sample_weight, shape):
+def check_weight(sample_weight, shape, *, stored=False):
     """Return validated weights for torques of this shape (n, nv); ones for None."""
+    # stored: whether the rows of the recording are, see `StoredRows`.
+    if stored:
+        return sample_weight or StoredRows.constant(1.0, shape)
     if sample_weight is None:
         return np.ones(shape)
     weight = np.asarray(sample_weight, dtype=float)

@@ -78,8 +78,8 @@ def compare(segments, lowpass, theta):
     found = []
     for own in segments:
         rows = lowpass.centres(own.n_rows)
-        torques = [own.torque]
-        torques.append(0 * own.torque if theta is None else own.rows.predict(theta))
+        torques = [np.asarray(own.torque)]
+        torques.append(0 * torques[0] if theta is None else own.rows.predict(theta))
         every = slice(None)
         weight = own.counts(every, derivative(own.states, every, 1))
         weight = filter_weight(lowpass, weight)

@@ -29,6 +29,7 @@ from sklearn_vbjfa.recording._recording import (
     check_cutoff,
     check_dt,
     take_arrays,
+    take_rows,
 )
 from sklearn_vbjfa.robot._closed_loop import follow
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
@@ -573,8 +574,8 @@ class IdentifiedRobot(SimulatesTorques):
         lowpass = _lowpass.design(self.plan.dt or 1.0, cutoff)
         check_length(recording.segments, lowpass, cutoff)
         recording = self._on_clock(recording)
-        states, rest = self.query(recording.inputs, recording.groups)
-        states = RecordingStates.of_rows(recording.segments, states)
+        smoother = self.smoother(recording.inputs, recording.groups)
+        states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
 
         def compared(rest):
             made = segments(
@@ -595,8 +596,8 @@ class IdentifiedRobot(SimulatesTorques):
 
     def measured(self, recording):
         """Torques of a `Recording` behind the low-pass of the fit, none predicted."""
-        states = self.query(recording.inputs, recording.groups)[0]
-        states = RecordingStates.of_rows(recording.segments, states)
+        smoother = self.smoother(recording.inputs, recording.groups)
+        states = RecordingStates.of(recording, smoother)
         plan = replace(self.plan, effects=(), repeats=False)
         recording = as_driven(recording, self.plan)
         made = segments(recording, states, plan, self.features_)
@@ -801,10 +802,16 @@ class IdentifiedRobot(SimulatesTorques):
 
     def smoothed(self, X, groups, estimator):
         """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
+        rest = self._rest(estimator)
         if estimator is None:
-            return X, self.plan.rest(np.zeros(self.features_.n_joints_))
-        states = estimator.transform(X, groups=groups)
-        return states, self.plan.rest(estimator.velocity_noise())
+            return X, rest
+        return estimator.transform(X, groups=groups), rest
+
+    def _rest(self, estimator):
+        """Return the `Rest` of the velocities of an estimator, or of given ones."""
+        if estimator is None:
+            return self.plan.rest(np.zeros(self.features_.n_joints_))
+        return self.plan.rest(estimator.velocity_noise())
 
     def query(self, X, groups):
         """States (n, 3 nv) of a query as the fit smooths, and the `Rest` of them."""
@@ -859,15 +866,21 @@ class IdentifiedRobot(SimulatesTorques):
 
     def outside(self, asked):
         """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
-        inertial = None
-        if any("load" in one.depends for one in self.effect_ranges_):
-            inertial = self.inertial()
-        signals = asked.signals(self.features_, inertial)
+        return self._outside(self._judged(asked))
+
+    def _judged(self, asked):
+        """Signals of a `Query` in the rows to judge, by quantity and joint."""
+        wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
+        load = any(name == "load" for name, _ in wanted)
+        signals = asked.signals(self.features_, self.inertial() if load else None)
+        counts = asked.counts(self.plan.standstill)
+        return {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
+
+    def _outside(self, signals):
+        """Find where signals leave what was fitted."""
         held = [one is not None for one in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
-        return outside(
-            self.effect_ranges_, held, signals, asked.counts(self.plan.standstill)
-        )
+        return outside(self.effect_ranges_, held, signals)
 
     def said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""
@@ -994,17 +1007,31 @@ class IdentifiedRobot(SimulatesTorques):
             return []
         found, recording = [], as_driven(recording, self.plan)
         for rows in map(rows_looked_at, recording.segments):
-            t = None if clock is None else clock[rows]
+            t = None if clock is None else np.asarray(clock[rows])
             own = {name: values[rows] for name, values in recording.signals.items()}
-            asked = self.ask(recording.inputs[rows], t=t, signals=own)
-            asked, y = asked.noiseless(self.plan), recording.tau[rows]
+            asked = self.ask(np.asarray(recording.inputs[rows]), t=t, signals=own)
+            asked, y = asked.noiseless(self.plan), np.asarray(recording.tau[rows])
             facts = noise_facts(y - self.torques(asked), y, asked.states, *band)
             found.append(facts)
         return found
 
     def outside_of(self, recording):
         """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
-        return self.outside(self.ask_of(recording))
+        if not recording.stored:
+            return self.outside(self.ask_of(recording))
+        found = [
+            self._judged(self.ask_of(_alone(recording, k)))
+            for k in range(len(recording.segments))
+        ]
+        signals = {key: np.concatenate([x[key] for x in found]) for key in found[0]}
+        return self._outside(signals)
+
+
+def _alone(recording, k):
+    """Return one recording of several, in memory."""
+    part = recording.segments[k]
+    rows = np.arange(part.start, part.stop)
+    return take_rows(recording, rows, np.zeros(rows.size, dtype=int))
 
 
 def _note_of_gravity(gravity):

@@ -7,7 +7,12 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
+from sklearn_vbjfa.recording import (
+    StoredRows,
+    check_cutoff,
+    check_dt,
+    contiguous_groups,
+)
 
 # Shortest recording that the spline can be fitted to.
 _MIN_SAMPLES = 8
@@ -105,14 +110,18 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        dt = check_dt(self.dt)
-        X = validate_data(self, X, dtype=np.float64)
+        return self._look_at(validate_data(self, X, dtype=np.float64), groups)
+
+    def _look_at(self, X, groups):
+        """Choose the cut-offs by positions (n, nv) that were checked."""
+        dt, self.n_features_in_ = check_dt(self.dt), X.shape[1]
         parts = contiguous_groups(groups, X.shape[0])
         longest = max(part.stop - part.start for part in parts)
         moving, spectra = None, None
         if longest >= SAMPLES_FOR_NOISE:
             segments = [X[part] for part in parts]
-            moving = np.any([np.ptp(x, axis=0) > 0 for x in segments], axis=0)
+            travel = [np.ptp(np.asarray(x), axis=0) for x in segments]
+            moving = np.any(np.array(travel) > 0, axis=0)
             spectra = _smoothing.acceleration_spectra(segments, dt)
         return self._choose(longest, moving, spectra)
 
@@ -385,13 +394,26 @@ class RecordingStates:
             both = tuple([half[part] for part in segments] for half in halves)
         return cls(own=[states[part] for part in segments], halves=both)
 
+    @classmethod
+    def of(cls, recording, estimator):
+        """Smooth the positions of a recording, or take its states (no estimator)."""
+        if estimator is None:
+            return cls.of_rows(recording.segments, recording.inputs)
+        return cls(
+            own=[
+                smooth_segment(recording.q[part], part.start, estimator, halves=False)[
+                    0
+                ]
+                for part in recording.segments
+            ]
+        )
+
 
 def smooth_segment(x, start, estimator, *, halves):
     """Fit splines to the positions (n, nv) of a segment that begins at row `start`."""
     # Returns its `SplineStates`, and with `halves` those of the even and of the odd
     # samples, or else None.
-    n = x.shape[0]
-    both = None
+    x, n, both = np.asarray(x), x.shape[0], None
     if halves:
         splines = estimator._half_splines(x, start)
         both = tuple(SplineStates(half, n) for half in splines)
@@ -400,7 +422,10 @@ def smooth_segment(x, start, estimator, *, halves):
 
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification, with slightly raised cut-offs."""
-    return lighter(StateEstimator(dt, cutoff=cutoff).fit(X, groups=groups))
+    estimator = StateEstimator(dt, cutoff=cutoff)
+    if isinstance(X, StoredRows):
+        return lighter(estimator._look_at(X, groups))
+    return lighter(estimator.fit(X, groups=groups))
 
 
 def choose_states(dt, cutoff, longest, moving, spectra):

@@ -1,7 +1,7 @@
 """How time and memory of the loop grow with the length of a recording.
 
 Run ``python tests/benchmarks/bench_long_recordings.py [--cases NAME ...] [--quick]
-[--write]``.
+[--files] [--write]``.
 
 Data, simulated without the code of the library (``_undeclared_robots.py``), seed 0:
 
@@ -20,6 +20,11 @@ Seconds by stage are those inside of a function of the loop, without what it cal
 the other stages; processor time stands beside the time on the wall. The exponent is
 that of a straight line through the logarithms of length and figure, from 3 minutes on.
 Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
+
+``--files`` is another table, of recordings that lie in many files: the same arm and
+motion, which goes on from file to file (npz), for 1 and 2 hours in files of 5 minutes
+and 10 hours in files of 30. ``fit_recordings`` closes the loop on the folder, without
+a cluster. Target: whatever their number, the memory of 30 minutes, 2 GB.
 """
 
 import json
@@ -39,6 +44,7 @@ from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_rob
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis import _discovery
+from sklearn_vbjfa.distributed import fit_recordings
 
 DT = 0.001
 SEED = 0
@@ -52,7 +58,15 @@ MANY_ROWS = 165_014
 CASES = {f"7 joints, {m} min": ((7,), m * 60_000) for m in MINUTES}
 CASES["23 joints"] = ((7, 7, 7, 2), MANY_ROWS)
 QUICK = {"2 joints, 20 s": ((2,), 20_000), "4 joints, 20 s": ((2, 2), 20_000)}
+# Files and the minutes of each.
+FILES = {"1 h": (12, 5), "2 h": (24, 5), "10 h": (20, 30)}
+FILES = {
+    f"7 joints, {name} in {count} files": ((7,), minutes * 60_000, count)
+    for name, (count, minutes) in FILES.items()
+}
+QUICK_FILES = {"2 joints, 40 s in 2 files": ((2,), 20_000, 2)}
 TARGETS = {"7 joints, 30 min": (120.0, 2.0), "23 joints": (60.0, np.inf)}
+TARGETS |= dict.fromkeys(FILES, (np.nan, 2.0))
 # Functions that the loop calls, by the name of their stage.
 STAGES = {
     "channels": "inspect_channels",
@@ -82,8 +96,8 @@ def robot(arms):
     return model
 
 
-def recording(arms, rows):
-    """Positions and torques of the arms, (rows, nv) each."""
+def recording(arms, rows, first=0):
+    """Positions and torques of the arms, (rows, nv) each, from a row of the motion."""
     rng, nominal = np.random.default_rng(SEED), robot(arms)
     model, nv = true_robot(nominal, rng), nominal.nv
     joint = min(JOINT, nv - 1)
@@ -92,13 +106,14 @@ def recording(arms, rows):
     phase = rng.uniform(0.0, 2.0 * np.pi, size=(nv, 5))
     motion = Motion(rng.uniform(-1, 1, size=nv), amplitude, frequency, phase)
     q, tau = np.empty((2, rows, nv))
-    spread = None
-    for first in range(0, rows, CHUNK):
-        some = slice(first, min(first + CHUNK, rows))
-        q[some], v, a = motion.at(DT * np.arange(some.start, some.stop))
+    at, v, a = motion.at(DT * np.arange(min(CHUNK, rows)))
+    spread, fast = inverse_dynamics(model, at, v, a).std(axis=0), v.std(axis=0)
+    if first:
+        rng = np.random.default_rng((SEED, first))
+    for begin in range(0, rows, CHUNK):
+        some = slice(begin, min(begin + CHUNK, rows))
+        q[some], v, a = motion.at(DT * np.arange(first + some.start, first + some.stop))
         own = inverse_dynamics(model, q[some], v, a)
-        if spread is None:
-            spread, fast = own.std(axis=0), v.std(axis=0)
         own += FRICTION * spread * (v / fast + np.tanh(v / 0.002))
         slow = np.exp(-np.abs(v[:, joint]) / (STRIBECK * fast[joint]))
         own[:, joint] += UNDECLARED * spread[joint] * np.sign(v[:, joint]) * slow
@@ -149,11 +164,21 @@ def peak_gigabytes():
     return peak / (2**30 if sys.platform == "darwin" else 2**20)
 
 
+def make(arms, rows, path, count=0):
+    """Write a file, or so many into a folder."""
+    if not count:
+        q, tau = recording(arms, rows)
+        np.savez(path, q=q, tau=tau)
+        return
+    Path(path).mkdir(exist_ok=True)
+    for k in range(count):
+        q, tau = recording(arms, rows, k * rows)
+        np.savez(Path(path, f"{k:03d}.npz"), q=q, tau=tau, dt=DT)
+
+
 def run_here(arms, path):
-    """Figures of the loop on a file, in this process."""
+    """Figures of the loop on a file, or the files of a folder, in this process."""
     started, used = time.perf_counter(), time.process_time()
-    with np.load(path) as file:
-        q, tau = file["q"], file["tau"]
     declared = {"friction": ("viscous", "coulomb"), "n_jobs": 2}
     identifier = RobotIdentifier(robot(arms), dt=DT, **declared)
     loop = EffectDiscovery(identifier, random_state=0)
@@ -161,7 +186,11 @@ def run_here(arms, path):
     timed = {name: stages.timed(stage) for stage, name in STAGES.items()}
     with warnings.catch_warnings(), mock.patch.multiple(_discovery, **timed):
         warnings.simplefilter("ignore", UserWarning)
-        loop.fit(q, tau)
+        if Path(path).is_dir():
+            fit_recordings(loop, path)
+        else:
+            with np.load(path) as file:
+                loop.fit(file["q"], file["tau"])
     found = stages.done()
     text = str(loop.report_)
     return {
@@ -179,10 +208,11 @@ def run_here(arms, path):
     }
 
 
-def measure(name, arms, rows, folder):
+def measure(name, arms, rows, folder, count=0):
     """Figures of the loop in a process of its own, the data made in another one."""
-    path = Path(folder, "recording.npz")
-    given = json.dumps({"arms": arms, "rows": rows, "path": str(path)})
+    path = Path(folder, "files" if count else "recording.npz")
+    given = {"arms": arms, "rows": rows, "path": str(path), "count": count}
+    given = json.dumps(given)
     for what in ("--make", "--run"):
         command = [sys.executable, __file__, what, given]
         environment = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
@@ -201,6 +231,7 @@ def exponents(found, cases):
         (cases[name][1], figures["seconds"], figures["gigabytes"])
         for name, figures in found.items()
         if cases[name][0] == (7,) and cases[name][1] >= 180_000
+        if len(cases[name]) == 2
     ]
     if len(own) < 2:
         return np.nan, np.nan
@@ -216,8 +247,8 @@ def row(name, rows, figures):
     """Row of the table."""
     named = ", ".join(f"{effect} {joint + 1}" for effect, joint in figures["named"])
     seconds, memory = TARGETS.get(name, (np.nan, np.nan))
-    target = "" if np.isnan(seconds) else f"{seconds:.0f} s"
-    target += f", {memory:.0f} GB" if np.isfinite(memory) else ""
+    target = [] if np.isnan(seconds) else [f"{seconds:.0f} s"]
+    target += [f"{memory:.0f} GB"] if np.isfinite(memory) else []
     return [
         name,
         rows,
@@ -227,19 +258,19 @@ def row(name, rows, figures):
         named or "nothing",
         *(f"{100 * error:.1f}" for error in figures["error"]),
         *(f"{figures['stages'][stage]:.0f}" for stage in (*STAGES, "rest")),
-        target,
+        ", ".join(target),
     ]
 
 
 def report(cases, chosen):
     """Table of the chosen cases, and a line of the exponents."""
-    found = {}
-    with tempfile.TemporaryDirectory() as folder:
-        for name in chosen:
-            found[name] = measure(name, *cases[name], folder)
-            cells = row(name, cases[name][1], found[name])
-            print(" | ".join(map(str, cells)), file=sys.stderr, flush=True)
-    rows = [row(name, cases[name][1], figures) for name, figures in found.items()]
+    found, rows = {}, []
+    for name in chosen:
+        arms, n, *count = cases[name]
+        with tempfile.TemporaryDirectory() as folder:
+            found[name] = measure(name, arms, n, folder, *count)
+        rows.append(row(name, n * sum(count or [1]), found[name]))
+        print(" | ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
     table, (seconds, memory) = rst_table(rows, HEADERS), exponents(found, cases)
     if np.isnan(seconds):
         return table
@@ -257,21 +288,26 @@ def main(argv=None):
     arguments.add_argument(
         "--quick", action="store_true", help="small robots for 20 s, as a smoke test"
     )
+    arguments.add_argument(
+        "--files", action="store_true", help="the table of recordings in many files"
+    )
     arguments.add_argument("--make", help="for the script itself")
     arguments.add_argument("--run", help="for the script itself")
     arguments = arguments.parse_args(argv)
     if arguments.make:
-        given = json.loads(arguments.make)
-        q, tau = recording(given["arms"], given["rows"])
-        np.savez(given["path"], q=q, tau=tau)
+        make(**json.loads(arguments.make))
         return
     if arguments.run:
         given = json.loads(arguments.run)
         print(json.dumps(run_here(given["arms"], given["path"])))
         return
-    cases = QUICK if arguments.quick else CASES
+    cases, name = (QUICK if arguments.quick else CASES), "long_recordings"
+    command = "python tests/benchmarks/bench_long_recordings.py"
+    if arguments.files:
+        cases, name = (QUICK_FILES if arguments.quick else FILES), "recordings_in_files"
+        command += " --files"
     text = report(cases, arguments.cases or list(cases))
-    publish("long_recordings", text, write=arguments.write)
+    publish(name, text, write=arguments.write, command=command)
 
 
 if __name__ == "__main__":

@@ -107,7 +107,7 @@ def split_of(loop, q, tau, groups):
     whole = take_arrays(
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_
     )
-    split = split_in_time(loop.identifier, whole.inputs, whole.groups, loop.test_size)
+    split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.judged_.effects_
     instants = [getattr(e, name) for e in effects for name in e.jumping]
     guard = round(loop.report_.outcome.settings["guard_seconds"] / dt)

@@ -94,6 +94,14 @@ def test_long_recordings_of_small_robots():
     assert "to the power" not in text
 
 
+def test_recordings_in_files_of_small_robots():
+    cases = bench_long_recordings.QUICK_FILES
+    text = bench_long_recordings.report(cases, list(cases))
+    assert "stribeck" in text
+    # rows of all files
+    assert "40000" in text
+
+
 def test_exponents_are_those_of_a_power():
     cases = {f"{m} min": ((7,), 60_000 * m) for m in (1, 3, 30)}
     found = {

@@ -16,6 +16,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Effect
+from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import inverse_dynamics, play_sample_by_sample
@@ -279,7 +280,9 @@ def test_intervals_of_the_errors_hold_them(one):
 
 def split_of(robot, position, share=0.25, groups=None):
     """Rows of the search, of the untouched stretches, and their labels."""
-    split = split_in_time(robot, position, groups, share)
+    names = [f"joint_{k}" for k in range(position.shape[1])]
+    whole = take_arrays(position, position, groups, dt=robot.dt, joint_names=names)
+    split = split_in_time(robot, whole, share)
     return split.search, split.pieces, split
 
 

@@ -22,9 +22,13 @@ from sklearn_vbjfa import (
     VBJFARegressor,
 )
 from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.diagnosis import _discovery
 from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import fit_array, fit_recordings
+from sklearn_vbjfa.inspection import _inspect
+from sklearn_vbjfa.recording import StoredRows, take_rows
 
 FITTED = (
     "cutoff_",
@@ -133,6 +137,17 @@ def test_files_are_the_recordings_in_memory(recording, folder, settings):
     assert found.predict(recording.q[:50]).shape == (50, 6)
 
 
+def test_passes_over_files_are_told(recording, folder):
+    told = []
+    with telling(tell=told.append):
+        fit_recordings(robot(recording), folder)
+        fit_recordings(loop(recording), folder)
+    stages = [now.stage for now in told if now.unit == "files" and now.done]
+    passes_ = ["lengths", "spectra", "speeds", "equations", "noise", "reading"]
+    assert list(dict.fromkeys(stages)) == passes_
+    assert {now.total for now in told if now.unit == "files"} == {3}
+
+
 def test_a_list_of_files_in_any_order(recording, folder):
     files = sorted(folder.iterdir())[::-1]
     assert_same(fit_recordings(robot(recording), files), in_memory(recording))
@@ -201,6 +216,46 @@ def closed(recording):
 def test_the_loop_of_files_is_that_in_memory(cluster, recording, tmp_path, closed):
     source = save(sprung(recording), tmp_path)
     assert_same_loop(fit_recordings(loop(recording), source), closed)
+
+
+@pytest.mark.parametrize("sizes", [(1, 1, 1, 1), (3, 1), (4,)])
+def test_the_loop_does_not_know_the_files(recording, tmp_path, closed, sizes):
+    own, labels = sprung(recording), list(recording.group_names)
+    for k, size in enumerate(sizes):
+        part = own.select(*labels[:size])
+        del labels[:size]
+        known = {"q": part.q, "tau": part.tau, "segment": part.groups}
+        np.savez(tmp_path / f"{k}.npz", dt=part.dt, **known)
+    found = fit_recordings(loop(recording), tmp_path)
+    assert_same_loop(found, closed)
+    assert str(found.report_) == str(closed.report_)
+
+
+def test_the_loop_holds_a_piece_of_the_files_at_a_time(
+    recording, tmp_path, monkeypatch
+):
+    source = save(sprung(recording), tmp_path)
+    most, read = [], StoredRows.__array__
+
+    def watched(rows, dtype=None, copy=None):
+        if rows.ndim == 2:
+            most.append(len(rows))
+        return read(rows, dtype, copy)
+
+    monkeypatch.setattr(StoredRows, "__array__", watched)
+    monkeypatch.setattr(_discovery, "in_memory", in_pieces)
+    monkeypatch.setattr(_inspect, "_AT_ONCE", 1)
+    fit_recordings(loop(recording), source)
+    # The longest file holds two recordings.
+    assert 0 < max(most) <= 2 * max(p.stop - p.start for p in recording.segments)
+
+
+def in_pieces(recording):
+    """Take a recording into memory by its segments."""
+    if not recording.stored:
+        return recording
+    rows = np.arange(recording.n_samples)
+    return take_rows(recording, rows, np.asarray(recording.groups))
 
 
 def test_the_loop_does_not_notice_a_worker_that_dies(

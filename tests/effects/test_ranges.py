@@ -29,7 +29,8 @@ def judged(ranges, values, quantity="position", joint=1, counts=None, held=None)
     if counts is None:
         counts = np.ones(both.shape, dtype=bool)
     held = len(ranges) * [True] if held is None else held
-    return outside(ranges, held, {quantity: both}, {quantity: counts})
+    signals = {(quantity, j): both[counts[:, j], j] for j in range(2)}
+    return outside(ranges, held, signals)
 
 
 @pytest.mark.parametrize(

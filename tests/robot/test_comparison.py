@@ -2,7 +2,9 @@
 
 import numpy as np
 import pytest
+from sklearn.cross_decomposition import PLSRegression
 from sklearn.linear_model import LinearRegression
+from sklearn.model_selection import GridSearchCV, KFold
 
 pytest.importorskip("pinocchio")
 
@@ -33,6 +35,32 @@ def compared(simulated, parts):
     told = [name for name in names if f"comparing methods, {name}" in seen]
     assert told == names
     return {result.name: result for result in results}, base
+
+
+@pytest.mark.parametrize("noise", [0.1, 3.0])
+def test_partial_least_squares_are_those_of_their_rows(noise):
+    rng, components = np.random.default_rng(0), [1, 2, 3, 5, 8]
+    X = 2.0 + rng.normal(size=(997, 9)) * np.geomspace(1, 1e-3, 9)
+    y = X @ rng.normal(size=9) + noise * np.cumsum(rng.normal(size=997)) / 30
+    of_rows = GridSearchCV(
+        PLSRegression(scale=False),
+        {"n_components": components},
+        cv=KFold(5),
+        scoring="neg_mean_squared_error",
+    ).fit(X, y)
+    found = _comparison.PartialLeastSquares(components=components).fit(X, y)
+    assert found.n_components_ == of_rows.best_params_["n_components"]
+    expected = of_rows.best_estimator_
+    np.testing.assert_allclose(found.coef_, np.ravel(expected.coef_), rtol=1e-9)
+    np.testing.assert_allclose(found.predict(X), np.ravel(expected.predict(X)))
+
+
+def test_partial_least_squares_end_where_nothing_is_left():
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(200, 3)) @ rng.normal(size=(3, 6))
+    y = X @ rng.normal(size=6)
+    found = _comparison.PartialLeastSquares(components=[1, 5, 6]).fit(X, y)
+    np.testing.assert_allclose(found.predict(X), y, atol=1e-10)
 
 
 def test_every_method_is_fitted_and_judged(compared):

@@ -1,5 +1,6 @@
 """Statistics piece by piece against those of the whole regressor matrix."""
 
+import functools
 import itertools
 from types import SimpleNamespace
 
@@ -17,7 +18,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
 from sklearn_vbjfa.robot import MotionFacts, Numbering, _equations
-from sklearn_vbjfa.robot._plan import merge_all, n_fastest
+from sklearn_vbjfa.robot._plan import n_fastest
 from tests.model._trees import build, by_sample
 
 FRICTION = ("viscous", "coulomb")
@@ -318,7 +319,7 @@ def test_fastest_speeds_merge_to_the_quantile(n, cuts, seed):
     keep = n_fastest(n)
     edges = [0, *sorted(c for c in cuts if c < n), n]
     parts = [MotionFacts.of(q[a:b], v[a:b], keep) for a, b in itertools.pairwise(edges)]
-    facts = merge_all(parts, keep)
+    facts = functools.reduce(lambda one, other: one.merge(other, keep), parts)
     assert facts.fastest.shape[0] <= keep
     expected = np.quantile(np.abs(v), 0.995, axis=0)
     assert_allclose(facts.fast(), expected, rtol=1e-15)

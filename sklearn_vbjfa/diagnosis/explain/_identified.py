@@ -38,6 +38,8 @@ class RecordedMotion:
     samples: int  # rows
     seconds: float  # nan if the sample period is not known
     rate: float  # [Hz]; nan if it is not known
+    # rows that the search looked at, of more than it might; 0 if at all
+    looked_at: int = 0
 
 
 def parameter_values(robot):
@@ -77,12 +79,13 @@ def parameter_values(robot):
     return tuple(found)
 
 
-def recorded_motion(n_samples, dt):
+def recorded_motion(n_samples, dt, looked_at=0):
     """Return what was recorded; `dt` is the sample period [s] or None."""
     return RecordedMotion(
         samples=int(n_samples),
         seconds=float("nan") if dt is None else float(n_samples * dt),
         rate=float("nan") if dt is None else float(1.0 / dt),
+        looked_at=looked_at,
     )
 
 

@@ -290,6 +290,7 @@ class Judgement:
     price: ProjectionPrice | None
     # where the untouched part leaves what the completed model was fitted on
     outside: tuple = ()
+    looked_at: int = 0  # see `RecordedMotion`
 
     @property
     def errors(self):
@@ -330,10 +331,10 @@ def judge(models, found, split, near, whole):
     searched = of_declared, of_completed
     fitted = of_plain
     if near is not split:
-        part = split.searched(whole)
+        fitted = models.plain.robot_.measured(split.searched(whole))
         # A joint whose channel carries no information counts nowhere here.
-        part = replace(part, weight=part.weight * model.view.root.any(axis=0))
-        fitted = models.plain.robot_.measured(part)
+        heard = model.view.root.any(axis=0)
+        fitted = replace(fitted, weight=fitted.weight * heard)
     spread = torque_spread(fitted, before)
     intervals = error_intervals((before, after), searched, spread, step)
     beyond = error_intervals((plain, after), (of_plain, of_completed), spread, step)
@@ -374,11 +375,19 @@ def judge(models, found, split, near, whole):
         band=measure_band(
             model.view,
             models.plain.cutoff,
-            int(np.unique(split.pieces, return_counts=True)[1].max()),
+            max(part.stop - part.start for part in split.searched_parts),
         ),
         price=price,
         outside=completed.robot_.outside_of(rest),
+        looked_at=_looked_at(model.view, split),
     )
+
+
+def _looked_at(view, split):
+    """Count the samples that a view has of the search part; 0 if all."""
+    there = sum(part.stop - part.start for part in split.searched_parts)
+    seen = view.states.shape[0]
+    return seen if seen < there else 0
 
 
 def _residuals(model, part, **band):

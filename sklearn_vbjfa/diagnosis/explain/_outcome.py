@@ -289,7 +289,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         departures=final.identifier.departures_,
         common_size=final.identifier.common_size_,
         parameters=parameter_values(final.identifier),
-        recorded=recorded_motion(whole.n_samples, robot.dt),
+        recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
     )
 
 

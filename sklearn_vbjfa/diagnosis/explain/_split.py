@@ -1,17 +1,20 @@
 """The untouched part: stretches of motion that are kept for the end."""
 
+from bisect import bisect_right
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.recording import contiguous_groups, take_rows
-from sklearn_vbjfa.robot._plan import (
-    MotionFacts,
-    n_fastest,
-    resolve_cutoff,
-    resolve_standstill,
+from sklearn_vbjfa.diagnosis.search._thinned import even_weight
+from sklearn_vbjfa.recording import (
+    contiguous_groups,
+    pieces,
+    take_rows,
 )
+from sklearn_vbjfa.robot._equations import derivative
+from sklearn_vbjfa.robot._plan import observe, resolve_cutoff, resolve_standstill
 from sklearn_vbjfa.robot._states import fit_states
 
 # Stretches of a single recording: a robot does not do the same all the time, and what
@@ -42,11 +45,10 @@ _GROWTH = 1.2
 class Split:
     """Rows of the search and untouched stretches beside them."""
 
-    search: np.ndarray  # rows
-    # label of each of them: nothing is filtered or differentiated from one piece to the
-    # next
-    pieces: np.ndarray
-    origin: np.ndarray  # number of the recording that each of them is from
+    # slices of rows of the search: nothing is filtered or differentiated from one to
+    # the next
+    searched_parts: tuple
+    origins: tuple  # number of the recording that each of them is from
     stretches: tuple  # untouched rows
     # whether rows of the search lie right before and right after each stretch
     borders: tuple
@@ -54,29 +56,50 @@ class Split:
 
     def searched(self, recording):
         """Return the rows of a recording that are searched, as a recording."""
-        return take_rows(recording, self.search, self.pieces)
+        parts = self.searched_parts
+        return take_rows(recording, parts, range(len(parts)))
 
     def narrowed(self, kept, pieces):
         """Return the split with some of its search rows, in pieces (n_kept,)."""
-        if kept.size == self.search.size:
+        edges = [0, *accumulate(s.stop - s.start for s in self.searched_parts)]
+        if kept.size == edges[-1]:
             return self
-        search, origin = self.search[kept], self.origin[kept]
-        return replace(self, search=search, pieces=pieces, origin=origin)
+        parts, origins = [], []
+        for own in contiguous_groups(pieces, kept.size):
+            k = bisect_right(edges, kept[own.start]) - 1
+            start = self.searched_parts[k].start + int(kept[own.start]) - edges[k]
+            parts.append(slice(start, start + own.stop - own.start))
+            origins.append(self.origins[k])
+        return replace(self, searched_parts=tuple(parts), origins=tuple(origins))
 
     def untouched(self, recording):
         """Return the untouched rows of a recording, as a recording."""
-        return take_rows(recording, self.test, self.test_pieces)
+        return take_rows(recording, self.stretches, range(len(self.stretches)))
+
+    @property
+    def search(self):
+        """Rows of the search, ndarray of int."""
+        return _rows(self.searched_parts)
+
+    @property
+    def pieces(self):
+        """Label of each row of the search, its slice, ndarray of int."""
+        return _labels(self.searched_parts, range(len(self.searched_parts)))
+
+    @property
+    def origin(self):
+        """Number of the recording that each row of the search is from, ndarray."""
+        return _labels(self.searched_parts, self.origins)
 
     @property
     def test(self):
         """Untouched rows, ndarray of int."""
-        return np.concatenate([np.arange(s.start, s.stop) for s in self.stretches])
+        return _rows(self.stretches)
 
     @property
     def test_pieces(self):
-        """Label of each untouched row, its stretch."""
-        lengths = [s.stop - s.start for s in self.stretches]
-        return np.repeat(np.arange(len(lengths)), lengths)
+        """Label of each untouched row, its stretch, ndarray of int."""
+        return _labels(self.stretches, range(len(self.stretches)))
 
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps."""
@@ -123,6 +146,14 @@ class Split:
         return replace(self, stretches=tuple(stretches))
 
 
+def _rows(slices):
+    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
+
+
+def _labels(slices, labels):
+    return np.repeat(np.asarray(labels, dtype=int), [s.stop - s.start for s in slices])
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Amount:
     """How much of each joint's motion rows hold."""
@@ -164,25 +195,22 @@ def check_share(test_size):
     return share
 
 
-def split_in_time(identifier, X, groups, test_size):
+def split_in_time(identifier, recording, test_size):
     """Choose the untouched stretches from the motion; torques are not looked at."""
     # At both ends of each of several recordings, or at several places of a single one;
     # of recordings that are too short to be cut, some as a whole. The identifier is the
-    # declared model, not fitted; X are positions or states, groups labels or None.
-    share = check_share(test_size)
-    parts = contiguous_groups(groups, X.shape[0])
-    return _divide(_amount(identifier, X, groups, parts), parts, share)
+    # declared model, not fitted.
+    share, parts = check_share(test_size), recording.segments
+    return _divide(_amount(identifier, recording, parts), parts, share)
 
 
-def _amount(identifier, X, groups, parts):
+def _amount(identifier, recording, parts):
     """Which joints move in which rows, and what a verdict needs of that."""
-    nv = X.shape[1] // 3 if X.shape[1] == 3 * _joints(identifier) else X.shape[1]
-    estimator, states, dt = None, X, identifier.dt or 1.0
-    if X.shape[1] == nv:
-        estimator = fit_states(identifier.dt, identifier.state_cutoff, X, groups)
-        states = estimator.transform(X, groups=groups)
-    v = states[:, nv : 2 * nv]
-    facts = MotionFacts.of(states[:, :nv], v, n_fastest(len(v)))
+    estimator, dt = None, identifier.dt or 1.0
+    if recording.states is None:
+        known = recording.q, recording.groups
+        estimator = fit_states(identifier.dt, identifier.state_cutoff, *known)
+    states, facts = observe(recording, estimator, None, False, identifier.n_jobs)
     limit = resolve_standstill(identifier.standstill, facts.fast())
     cutoff = resolve_cutoff(
         identifier.cutoff,
@@ -191,17 +219,16 @@ def _amount(identifier, X, groups, parts):
         estimator,
     )
     band = min(cutoff, 0.5 / dt)
+    moving = np.empty((recording.n_samples, recording.nv), dtype=bool)
+    for part, own in zip(parts, states.own):
+        for rows in pieces(part.stop - part.start):
+            at = slice(part.start + rows.start, part.start + rows.stop)
+            moving[at] = np.abs(derivative(own, rows, 1)) > np.maximum(limit, 0.0)
     return Amount(
-        moving=np.abs(v) > np.maximum(limit, 0.0),
+        moving=moving,
         half=_lowpass.design(dt, cutoff).half,
         need=FEWEST_VALUES / (2.0 * band * dt),
     )
-
-
-def _joints(identifier):
-    from sklearn_vbjfa.model import load_model
-
-    return load_model(identifier.model).nv
 
 
 def _divide(amount, parts, share):
@@ -220,8 +247,7 @@ def _best_count(amount, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
     moving, length = amount.moving, amount.length
     total = moving.sum(axis=0)
-    # Each joint's motion counts the same, however little of it there is.
-    weight = (moving / np.maximum(total, 1)).sum(axis=1)
+    weight = even_weight(moving)
     if not weight.any():
         weight = np.ones(moving.shape[0])
     more = amount.length_of_more
@@ -232,11 +258,9 @@ def _best_count(amount, parts, share):
     for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         counts = [min(count, limit) for limit in most]
         stretches = _place(weight, parts, counts, share, length, more)
-        rows = np.zeros(moving.shape[0], dtype=bool)
-        for stretch in stretches:
-            rows[stretch] = True
+        kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
         # A joint that never moves has nothing due.
-        due = (moving[rows].sum(axis=0) / np.maximum(total, 1) / share)[total > 0]
+        due = (kept / np.maximum(total, 1) / share)[total > 0]
         least = min(float(np.min(due, initial=_DUE)), _DUE)
         enough = bool((amount.of(stretches) >= amount.need)[can].all())
         if (enough, least) > best:
@@ -321,24 +345,22 @@ def _ends(weight, share, length, more):
 
 
 def _described(amount, parts, stretches):
-    n = amount.moving.shape[0]
-    test = np.zeros(n, dtype=bool)
-    for stretch in stretches:
-        test[stretch] = True
-    recording = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
-    first = np.zeros(n, dtype=bool)
-    first[[part.start for part in parts]] = True
-    pieces = np.cumsum(first | np.r_[False, test[1:] != test[:-1]])
-    search = np.flatnonzero(~test)
-    borders = []
-    for s in stretches:
-        before = s.start > 0 and not first[s.start] and not test[s.start - 1]
-        after = s.stop < n and not first[s.stop] and not test[s.stop]
-        borders.append((bool(before), bool(after)))
+    # Of each recording, what lies between its stretches is searched.
+    ends = {p.start for p in parts} | {p.stop for p in parts}
+    starts, stops = {s.start for s in stretches}, {s.stop for s in stretches}
+    borders = [
+        (s.start not in ends | stops, s.stop not in ends | starts) for s in stretches
+    ]
+    searched, origins = [], []
+    for k, part in enumerate(parts):
+        own = [s for s in stretches if part.start <= s.start < part.stop]
+        edges = [part.start, *(e for s in own for e in (s.start, s.stop)), part.stop]
+        between = [slice(a, b) for a, b in zip(edges[::2], edges[1::2]) if a < b]
+        searched += between
+        origins += len(between) * [k]
     return Split(
-        search=search,
-        pieces=pieces[search],
-        origin=recording[search],
+        searched_parts=tuple(searched),
+        origins=tuple(origins),
         stretches=tuple(stretches),
         borders=tuple(borders),
         amount=amount,

@@ -280,6 +280,18 @@ def recording_sentences(outcome, verdict):
         *contradiction_sentences(outcome),
         *repeated_sentences(outcome),
         *motion_sentences(outcome),
+        *looked_at_sentences(outcome),
+    )
+
+
+def looked_at_sentences(outcome):
+    """Say how much of a long recording the search looked at."""
+    one = outcome.recorded
+    if one is None or not one.looked_at:
+        return ()
+    return (
+        f"The search looked at {one.looked_at:,} of {one.samples:,} samples; fits and "
+        "errors use all.",
     )
 
 

@@ -10,6 +10,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from sklearn_vbjfa.recording import pieces
+
 # Most samples that are looked at, and of more than that the fewest for each filtered
 # row (of which there are four in a period of the cut-off).
 _SAMPLES, _PER_ROW = 50_000, 5
@@ -68,8 +70,7 @@ def stretches(parts, moving, lowpass):
     if share == 1.0:
         kept = list(parts)
     else:
-        # Each joint's motion counts the same, however little of it there is.
-        weight = (moving / np.maximum(moving.sum(axis=0), 1)).sum(axis=1)
+        weight = even_weight(moving)
         kept, due = [], 0.0
         # Short recordings come in turns, which do not know the order of these.
         for part in sorted(
@@ -82,6 +83,14 @@ def stretches(parts, moving, lowpass):
         kept.sort(key=lambda one: one.start)
     rows = [np.arange(one.start, one.stop) for one in kept]
     return np.concatenate(rows), np.repeat(np.arange(len(kept)), list(map(len, rows)))
+
+
+def even_weight(moving):
+    """Motion in each row (n,), all joints counting the same, however little they do."""
+    total, weight = np.maximum(moving.sum(axis=0), 1), np.empty(len(moving))
+    for rows in pieces(len(moving)):
+        weight[rows] = (moving[rows] / total).sum(axis=1)
+    return weight
 
 
 def _within(part, weight, most, length):

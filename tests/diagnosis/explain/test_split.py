@@ -8,6 +8,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import split_in_time
+from sklearn_vbjfa.recording import take_arrays
 from tests.effects._arms import arm
 
 DT = 0.02
@@ -32,6 +33,13 @@ def motion(seconds, still=(), seed=0):
     return np.sin(2 * np.pi * path * [0.5, 0.4]) + 1e-6 * rng.normal(size=(t.size, 2))
 
 
+def divided(robot, X, groups, share):
+    """Split of a recording of positions or states by a robot that is not fitted."""
+    known = {"dt": robot.dt, "joint_names": ("a", "b")}
+    whole = take_arrays(X, np.zeros((len(X), 2)), groups, **known)
+    return split_in_time(robot, whole, share)
+
+
 def moving(q):
     """Rows in which each joint clearly moves, (n, 2)."""
     return np.abs(np.gradient(q, DT, axis=0)) > 0.05
@@ -51,7 +59,7 @@ def whole(split, n):
 
 def test_several_stretches_of_a_single_recording():
     q = motion(60.0)
-    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
+    split = divided(robot(cutoff=4.0), q, None, 0.25)
     whole(split, len(q))
     assert len(split.stretches) == 3
     assert split.test.size == pytest.approx(0.25 * len(q), rel=0.05)
@@ -64,7 +72,7 @@ def test_several_stretches_of_a_single_recording():
 def test_both_ends_of_each_of_several_recordings():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = split_in_time(robot(cutoff=8.0), q, groups, 0.25)
+    split = divided(robot(cutoff=8.0), q, groups, 0.25)
     whole(split, len(q))
     edges = [(s.start, s.stop) for s in split.stretches]
     assert [a for a, _ in edges[::2]] == [0, 2000, 3000]
@@ -78,7 +86,7 @@ def test_both_ends_of_each_of_several_recordings():
 def test_the_end_of_each_where_both_would_be_too_short():
     q = motion(90.0)
     groups = np.repeat([7, 3, 7], [2000, 1000, 1500])
-    split = split_in_time(robot(cutoff=1.2), q, groups, 0.25)
+    split = divided(robot(cutoff=1.2), q, groups, 0.25)
     whole(split, len(q))
     assert [s.stop for s in split.stretches][-1] == 4500
     assert split.borders[-1] == (True, False)
@@ -87,7 +95,7 @@ def test_the_end_of_each_where_both_would_be_too_short():
 
 def test_a_robot_that_comes_to_rest_is_judged_in_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
-    split = split_in_time(robot(), q, None, 0.25)
+    split = divided(robot(), q, None, 0.25)
     whole(split, len(q))
     share = moving(q)[split.test].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
@@ -98,7 +106,7 @@ def test_a_robot_that_comes_to_rest_is_judged_in_motion():
 def test_joints_that_move_one_at_a_time_are_all_judged():
     q = motion(80.0, still=[(0, 40.0, 80.0), (1, 0.0, 40.0)])
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
-        split = split_in_time(robot(), q, groups, 0.25)
+        split = divided(robot(), q, groups, 0.25)
         whole(split, len(q))
         share = moving(q)[split.test].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
@@ -107,7 +115,7 @@ def test_joints_that_move_one_at_a_time_are_all_judged():
 
 def test_two_seconds_of_motion_in_sixty():
     q = motion(60.0, still=[(j, a, b) for j in (0, 1) for a, b in ((0, 30), (32, 60))])
-    split = split_in_time(robot(cutoff=5.0), q, None, 0.25)
+    split = divided(robot(cutoff=5.0), q, None, 0.25)
     whole(split, len(q))
     assert moving(q)[split.test].any()
     assert moving(q)[split.search].any()
@@ -116,7 +124,7 @@ def test_two_seconds_of_motion_in_sixty():
 def test_short_recordings_are_kept_as_a_whole():
     q = motion(40.0)
     groups = np.repeat(np.arange(20), 100)  # 2 s each, the low-pass is 1.4 s long
-    split = split_in_time(robot(cutoff=2.5), q, groups, 0.25)
+    split = divided(robot(cutoff=2.5), q, groups, 0.25)
     whole(split, len(q))
     assert [s.stop - s.start for s in split.stretches] == [100] * 5
     assert all(border == (False, False) for border in split.borders)
@@ -124,7 +132,7 @@ def test_short_recordings_are_kept_as_a_whole():
 
 def test_the_guard_leaves_half_of_every_stretch():
     q = motion(60.0)
-    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
+    split = divided(robot(cutoff=4.0), q, None, 0.25)
     near = split.guarded(10)
     assert near.test.size == split.test.size - 10 * 5
     assert near.stretches[-1].stop == len(q)
@@ -137,7 +145,7 @@ def test_the_guard_leaves_half_of_every_stretch():
 
 def test_the_guard_leaves_what_a_verdict_needs():
     q = motion(24.0)
-    split = split_in_time(robot(cutoff=2.0), q, None, 0.25)
+    split = divided(robot(cutoff=2.0), q, None, 0.25)
     need = split.amount.need
     assert np.all(split.amount.of(split.stretches) >= need)
     far = split.guarded(10**6)
@@ -146,23 +154,23 @@ def test_the_guard_leaves_what_a_verdict_needs():
 
 def test_a_short_recording_gives_more_for_a_verdict():
     q = motion(16.0)
-    split = split_in_time(robot(cutoff=2.2), q, None, 0.15)
+    split = divided(robot(cutoff=2.2), q, None, 0.15)
     share = split.test.size / len(q)
     assert 0.16 < share < 0.41
     assert np.all(split.amount.of(split.stretches) >= split.amount.need)
     # Not in vain, where even that is too little.
-    short = split_in_time(robot(cutoff=2.2), q[:400], None, 0.15)
+    short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
     assert short.test.size == pytest.approx(0.15 * 400, rel=0.6)
 
 
 def test_units_and_time_do_not_matter():
     """A robot ten times slower, recorded ten times slower, is cut at the same rows."""
     q = motion(60.0, still=[(0, 10.0, 15.0)])
-    fast = split_in_time(robot(), q, None, 0.25)
-    slow = split_in_time(robot(dt=10 * DT), q, None, 0.25)
+    fast = divided(robot(), q, None, 0.25)
+    slow = divided(robot(dt=10 * DT), q, None, 0.25)
     assert_array_equal(fast.search, slow.search)
     states = np.hstack([q, np.gradient(q, DT, axis=0), np.zeros_like(q)])
-    given = split_in_time(robot(cutoff=2.5), states, None, 0.25)
+    given = divided(robot(cutoff=2.5), states, None, 0.25)
     whole(given, len(q))
     assert given.test.size == pytest.approx(fast.test.size, rel=0.05)
 
@@ -170,12 +178,12 @@ def test_units_and_time_do_not_matter():
 @pytest.mark.parametrize("share", [0, 1, 1.5, -0.1, np.nan, None, "a quarter", [0.2]])
 def test_wrong_shares_are_refused(share):
     with pytest.raises(ValueError, match="test_size must be the share"):
-        split_in_time(robot(), motion(20.0), None, share)
+        divided(robot(), motion(20.0), None, share)
 
 
 def test_a_stretch_in_which_something_jumps_is_not_judged():
     q = motion(60.0)
-    split = split_in_time(robot(cutoff=4.0), q, None, 0.25)
+    split = divided(robot(cutoff=4.0), q, None, 0.25)
     clock = np.arange(len(q)) * DT
     first, second, last = split.stretches
     inside = clock[(second.start + second.stop) // 2]

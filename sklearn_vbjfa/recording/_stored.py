@@ -1,0 +1,145 @@
+"""Rows that are read when they are looked at: of recordings too long for memory."""
+
+import tempfile
+import threading
+from bisect import bisect_right
+from itertools import accumulate, pairwise
+
+import numpy as np
+
+# Rows that are looked at together where any number would do, and gaps between rows that
+# are read rather than skipped.
+_AT_ONCE, _NEAR = 1 << 16, 1 << 12
+
+
+class StoredRows(np.lib.mixins.NDArrayOperatorsMixin):
+    """Array whose slices are views, and whose rows are read by `numpy.asarray`."""
+
+    # read: (start, stop) -> these rows, an array (stop - start, *shape[1:]). What is
+    # done to it as a whole is done in memory: pieces of it are for that.
+
+    def __init__(self, read, shape, dtype=float):
+        self._read, self.shape, self.dtype = read, tuple(shape), np.dtype(dtype)
+
+    @classmethod
+    def constant(cls, value, shape):
+        """Return rows that are all the same, which take no room."""
+        value = np.asarray(value)
+
+        def read(start, stop):
+            return np.broadcast_to(value, (stop - start, *shape[1:]))
+
+        return cls(read, shape, value.dtype)
+
+    @classmethod
+    def clock(cls, n, dt):
+        """Return the time of n rows [s]."""
+        return cls(lambda start, stop: np.arange(start, stop) * dt, (n,))
+
+    @property
+    def ndim(self):
+        """Number of axes."""
+        return len(self.shape)
+
+    @property
+    def size(self):
+        """Number of values."""
+        return int(np.prod(self.shape))
+
+    def __len__(self):
+        return self.shape[0]
+
+    def __array__(self, dtype=None, copy=None):
+        rows = self._read(0, self.shape[0])
+        return rows.astype(dtype) if dtype not in (None, rows.dtype) else rows
+
+    def __array_ufunc__(self, ufunc, method, *inputs, **kwargs):
+        inputs = [np.asarray(x) if isinstance(x, StoredRows) else x for x in inputs]
+        return getattr(ufunc, method)(*inputs, **kwargs)
+
+    def __reduce__(self):
+        # Another process gets the rows.
+        return np.array, (np.asarray(self),)
+
+    def __getitem__(self, key):
+        rows, *rest = key if isinstance(key, tuple) else (key,)
+        if isinstance(rows, (int, np.integer)):
+            row = int(rows) % self.shape[0]
+            return self._read(row, row + 1)[(0, *rest)]
+        if not isinstance(rows, slice):
+            return self._chosen(np.asarray(rows))[(slice(None), *rest)]
+        start, stop, step = rows.indices(self.shape[0])
+        if step != 1:
+            own = slice(None, None, step)
+            return self._read(start, max(stop, start))[(own, *rest)]
+        read, shape = self._read, (max(stop - start, 0), *self.shape[1:])
+        if not rest:
+            return StoredRows(
+                lambda a, b: read(start + a, start + b), shape, self.dtype
+            )
+        own = (slice(None), *rest)
+        width = np.empty((0, *shape[1:]))[own].shape[1:]
+
+        def some(a, b):
+            out = np.empty((b - a, *width), self.dtype)
+            for rows in pieces(b - a):
+                rows_ = read(start + a + rows.start, start + a + rows.stop)
+                out[rows] = rows_[own]
+            return out
+
+        return StoredRows(some, (shape[0], *width), self.dtype)
+
+    def _chosen(self, rows):
+        """Rows by their numbers, or those that are marked."""
+        if rows.dtype == bool:
+            rows = np.flatnonzero(rows)
+        order = np.argsort(rows, kind="stable")
+        sorted_, out = rows[order], np.empty((rows.size, *self.shape[1:]), self.dtype)
+        edges = np.flatnonzero(np.diff(sorted_) > _NEAR) + 1
+        for first, last in pairwise([0, *edges.tolist(), rows.size]):
+            if last > first:
+                low, high = int(sorted_[first]), int(sorted_[last - 1])
+                some = sorted_[first:last] - low
+                out[order[first:last]] = self._read(low, high + 1)[some]
+        return out
+
+
+def to_disk(rows):
+    """Write rows (n, ...) to a file without a name; return them as `StoredRows`."""
+    # The file ends with the last who reads it.
+    rows, lock = np.ascontiguousarray(rows, dtype=float), threading.Lock()
+    file, width, size = tempfile.TemporaryFile(), rows.shape[1:], rows[:1].nbytes
+    file.write(rows.data)
+
+    def read(start, stop):
+        out = np.empty((stop - start, *width))
+        with lock:
+            file.seek(start * size)
+            file.readinto(out.data)
+        return out
+
+    return StoredRows(read, rows.shape)
+
+
+def put_together(parts):
+    """Rows of several arrays, one after the other; stored if one of them is."""
+    if not any(isinstance(part, StoredRows) for part in parts):
+        return np.concatenate(parts)
+    edges = [0, *accumulate(map(len, parts))]
+
+    def read(start, stop):
+        first, rows = max(bisect_right(edges, start) - 1, 0), []
+        for part, (low, high) in zip(parts[first:], pairwise(edges[first:])):
+            if low >= stop and rows:
+                break
+            rows.append(np.asarray(part[max(start - low, 0) : min(stop, high) - low]))
+        return rows[0] if len(rows) == 1 else np.concatenate(rows)
+
+    one = next(part for part in parts if isinstance(part, StoredRows))
+    return StoredRows(read, (edges[-1], *one.shape[1:]), one.dtype)
+
+
+def pieces(n):
+    """Yield slices of n rows that are looked at one by one."""
+    for first in range(0, n, _AT_ONCE):
+        yield slice(first, min(first + _AT_ONCE, n))

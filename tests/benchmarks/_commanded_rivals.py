@@ -2,8 +2,8 @@
 
 Least squares, with the delay on a grid, and instrumental variables know the torque of
 the PD law; CMA-ES minimises errors of positions that are simulated from the commands
-alone, as users of PACE do. All keep to the bodies of the description, but for one least
-squares that frees them.
+alone, as users of PACE do, and least squares of the same, as mujoco.sysid. All keep to
+the bodies of the description, but for one least squares that frees them.
 """
 
 from dataclasses import dataclass, replace
@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from _commanded_robots import DT, ClosedLoop, Numbers
 from _undeclared_robots import inverse_dynamics, regressor
-from scipy import interpolate, signal
+from scipy import interpolate, optimize, signal
 
 from sklearn_vbjfa import InstrumentalVariables
 
@@ -280,15 +280,44 @@ def branches(described):
     ]
 
 
-def evolution(
-    described, gains, log, *, population, generations, seed=0, starts=(0,), rows=None
-):
+class Box:
+    """Points of a unit box for each branch of a robot, and the robots they stand for.
+
+    A branch has logarithms of armature, damping and Coulomb friction of its joints, and
+    a delay of its own: branches do not feel each other while the base is held, so that
+    one simulation of the robot serves all.
+    """
+
+    def __init__(self, described):
+        self.legs = branches(described)
+        self.sizes = [3 * len(leg) + 1 for leg in self.legs]
+        terms = np.zeros((described.nv, 4))
+        self._empty = numbers_of(described, terms, 0.0, vectors(described))
+
+    def robot(self, points):
+        """Robot of one point (size,) of each branch."""
+        nv = len(self._empty.armature)
+        values = {name: np.zeros(nv) for name in (*VALUES, "delay")}
+        for leg, x in zip(self.legs, points):
+            terms = LOWEST * (HIGHEST / LOWEST) ** x[:-1].reshape(-1, 3)
+            for name, column in zip(VALUES, terms.T):
+                values[name][leg] = column
+            values["delay"][leg] = LATEST * x[-1]
+        return replace(self._empty, **values)
+
+    def found(self, points, gains, shift):
+        """Return what was found: best points, and shifts of the positions (nv,)."""
+        best = self.robot(points)
+        delay = float(np.median(best.delay))
+        numbers = replace(best, delay=delay, offset=gains.kp * shift)
+        return Found(numbers=numbers, deviations={})
+
+
+def evolution(described, gains, log, *, population, generations, seed=0):
     """Armature, damping, friction loss and delay whose simulated positions are closest.
 
-    Legs do not feel each other while the base is held: each has a search and a delay
-    of its own, and one simulation of the robot serves all. Every joint has a constant
-    shift of its position beside these, in closed form, which becomes a torque: it takes
-    what gravity does to bodies that are not as described.
+    Every joint has a constant shift of its position beside these, in closed form, which
+    becomes a torque: it takes what gravity does to bodies that are not as described.
 
     Parameters
     ----------
@@ -302,60 +331,94 @@ def evolution(
         Budget: their product is the number of simulated recordings.
     seed : int, default=0
         Random state.
-    starts, rows
-        Windows that are simulated, as for `ClosedLoop.positions`; by default all.
 
     Returns
     -------
     Found
-        The delay is the median of those of the legs.
+        The delay is the median of those of the branches.
     """
     import cma
 
     loop = ClosedLoop(described, gains, vectors(described), SLOW_STEP)
-    legs = branches(described)
-    length = len(log.q) if rows is None else rows
-    target = np.array([log.q[s : s + length] for s in starts])
-    power = log.q.var(axis=0)
+    box, power = Box(described), log.q.var(axis=0)
+    options = {"popsize": population, "bounds": [0, 1], "verbose": -9}
     searches = [
         cma.CMAEvolutionStrategy(
-            np.full(3 * len(leg) + 1, 0.5),
-            0.25,
-            {
-                "popsize": population,
-                "bounds": [0, 1],
-                "seed": seed + 1 + k,
-                "verbose": -9,
-                "tolfun": 0,
-                "tolx": 0,
-                "tolfunhist": 0,
-                "tolstagnation": 10**9,
-            },
+            np.full(n, 0.5), 0.25, {**options, "seed": seed + 1 + k}
         )
-        for k, leg in enumerate(legs)
+        for k, n in enumerate(box.sizes)
     ]
-    nothing = np.zeros(described.nv)
-    empty = numbers_of(described, np.zeros((described.nv, 4)), 0.0, vectors(described))
-
-    def robot(points):
-        values = {name: nothing.copy() for name in (*VALUES, "delay")}
-        for leg, x in zip(legs, points):
-            terms = LOWEST * (HIGHEST / LOWEST) ** x[:-1].reshape(-1, 3)
-            for name, column in zip(VALUES, terms.T):
-                values[name][leg] = column
-            values["delay"][leg] = LATEST * x[-1]
-        return replace(empty, **values)
-
     for _ in range(generations):
         asked = [search.ask() for search in searches]
-        robots = [robot(points) for points in zip(*asked)]
-        found = loop.positions(robots, log, starts, rows)
-        missed = (found - target).var(axis=(1, 2)) / power
+        found = loop.positions([box.robot(points) for points in zip(*asked)], log)[:, 0]
+        missed = (found - log.q).var(axis=1) / power
         # A simulation that diverged is as bad as any.
         missed = np.where(np.isfinite(missed), missed, 1e6)
-        for search, points, leg in zip(searches, asked, legs):
+        for search, points, leg in zip(searches, asked, box.legs):
             search.tell(points, missed[:, leg].sum(axis=1).tolist())
-    best = robot([search.result.xbest for search in searches])
-    return Found(
-        numbers=replace(best, delay=float(np.median(best.delay))), deviations={}
+    best = [search.result.xbest for search in searches]
+    shift = (loop.positions([box.robot(best)], log)[0, 0] - log.q).mean(axis=0)
+    return box.found(best, gains, shift)
+
+
+def output_error(described, gains, log, *, steps=25):
+    """Least squares of the same simulated positions, as mujoco.sysid has it.
+
+    Differences of the simulation are taken for all branches at once. It begins at the
+    middle of the box.
+
+    Parameters
+    ----------
+    described : pinocchio.Model
+        Robot.
+    gains : Gains
+        Drive.
+    log : Log
+        Recording.
+    steps : int, default=25
+        Most evaluations of positions with their derivatives.
+
+    Returns
+    -------
+    Found
+        The delay is the median of those of the branches.
+    """
+    loop = ClosedLoop(described, gains, vectors(described), SLOW_STEP)
+    box = Box(described)
+    ends = np.cumsum(box.sizes)[:-1]
+    scale = 1 / log.q.std(axis=0)
+
+    def missed(points):
+        robots = [box.robot(np.split(x, ends)) for x in points]
+        away = (loop.positions(robots, log)[:, 0] - log.q) * scale
+        return away - away.mean(axis=1, keepdims=True)
+
+    def slopes(x):
+        step, nv = 1e-3, len(scale)
+        towards = np.where(x > 0.5, -step, step)
+        points = [x]
+        for i in range(max(box.sizes)):
+            moved = [part.copy() for part in np.split(x, ends)]
+            for part, way in zip(moved, np.split(towards, ends)):
+                if i < len(part):
+                    part[i] += way[i]
+            points.append(np.concatenate(moved))
+        here, *others = missed(points)
+        J = np.zeros((*here.shape, len(x)))
+        for first, size, leg in zip(np.r_[0, ends], box.sizes, box.legs):
+            for i in range(size):
+                change = (others[i] - here)[:, leg] / towards[first + i]
+                J[:, leg, first + i] = change
+        return J.reshape(len(here) * nv, -1)
+
+    start = np.full(sum(box.sizes), 0.5)
+    fit = optimize.least_squares(
+        lambda x: missed([x])[0].ravel(),
+        start,
+        slopes,
+        bounds=(0.0, 1.0),
+        max_nfev=steps,
     )
+    best = np.split(fit.x, ends)
+    shift = (loop.positions([box.robot(best)], log)[0, 0] - log.q).mean(axis=0)
+    return box.found(best, gains, shift)

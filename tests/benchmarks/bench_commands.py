@@ -21,7 +21,8 @@ Ways: ``package`` (RobotIdentifier on the torque of the PD law without a delay; 
 ``drive=`` where there is such a parameter, ``package, drive``), least squares with four
 terms at no delay and with the delay on a grid, bodies free as well, instrumental
 variables with the motion simulated from the commands (``_commanded_rivals.py``), CMA-ES
-on simulated positions (bodies as described, as PACE has them; every eighth robot), and
+on simulated positions (bodies as described, as PACE has them; every eighth robot),
+least squares on the same positions (``output error``, as mujoco.sysid has it), and
 ``oracle``: least squares with true states, true delay, true bodies and the hold of the
 drive, which says how well anybody could know the values. The others do not know of that
 hold: half a millisecond of the feedback is some 2 % of the armature and 4 % of the
@@ -38,13 +39,18 @@ damping.
 
 A cell "proves nothing" where least squares without a delay is within 1 % of the truth.
 Seeds 0 to 19 are for work, from 5000 on to confirm, once.
+
+``--measured``: the ten runs of the Go2 itself, one motion. Fitted on runs 0 to 6,
+judged on runs 7 to 9, by torque and by positions in windows of 1 s that begin with a
+measured state; nothing there tells a right value from one that repeats.
 """
 
 import functools
 import inspect
 import time
 import warnings
-from dataclasses import replace
+import xml.etree.ElementTree as ET
+from dataclasses import fields, replace
 
 import numpy as np
 from _commanded_rivals import (
@@ -55,14 +61,25 @@ from _commanded_rivals import (
     evolution,
     free_least_squares,
     instruments,
+    late_torque,
     least_squares,
     lowpass,
     moving,
     numbers_of,
+    output_error,
     own_columns,
+    states,
     vectors,
 )
-from _commanded_robots import TICK, ClosedLoop, Gains, Numbers, is_physical, recorded
+from _commanded_robots import (
+    TICK,
+    ClosedLoop,
+    Gains,
+    Log,
+    Numbers,
+    is_physical,
+    recorded,
+)
 from _ledger import Ledger, results_of
 from _report import fixed, parser, publish, rst_table, rst_title
 from _undeclared_robots import inverse_dynamics
@@ -88,6 +105,9 @@ POPULATION, GENERATIONS = 16, 120
 CMA_EVERY = 8
 PACKAGE, DRIVE, ORACLE, CMA = "package", "package, drive", "oracle", "CMA-ES"
 Z90 = 1.645
+# Of the measured robot's runs.
+FITTED, JUDGED, CMA_RUNS = range(7), range(7, 10), (0, 3, 6)
+WINDOW = 1.0  # [s]
 
 
 # -- the robots ------------------------------------------------------------------------
@@ -269,9 +289,9 @@ WAYS = {
     "least squares, grid": functools.partial(least_squares, delays=DELAYS),
     "least squares, bodies free": free_least_squares,
     "instrumental variables": instruments,
+    "output error": output_error,
     CMA: functools.partial(evolution, population=POPULATION, generations=GENERATIONS),
 }
-SMALLER = {**WAYS, CMA: functools.partial(evolution, population=6, generations=3)}
 
 
 # -- the judgement ---------------------------------------------------------------------
@@ -458,6 +478,126 @@ def report(results, first, last):
     return "\n\n".join(parts)
 
 
+# -- the measured robot ----------------------------------------------------------------
+
+
+def measured_logs(data_home):
+    """Return logs of the ten runs, and the values that the robot's MJCF has."""
+    recording, model, _ = go2(data_home)
+    logs = []
+    for name in recording.group_names:
+        run = recording.select(name)
+        logs.append(Log(q=run.q, v=run.v, wanted=run.signals["q_ref"]))
+    joints = {x.get("name"): x for x in ET.parse(recording.urdf).iter("joint")}
+    own = [joints[name] for name in recording.joint_names]
+    words = ("armature", "damping", "frictionloss")
+    terms = [[float(joint.get(word)) for word in words] + [0.0] for joint in own]
+    return logs, Found(
+        numbers=numbers_of(model, terms, 0.0, vectors(model)), deviations={}
+    )
+
+
+def mean_of(found):
+    """Mean of what was found in several runs."""
+    names = [x.name for x in fields(Numbers)]
+    means = {n: np.mean([getattr(f.numbers, n) for f in found], axis=0) for n in names}
+    return Found(numbers=Numbers(**means), deviations={})
+
+
+def window_error(numbers, described, gains, logs):
+    """Error of windows of `WINDOW` seconds [mrad], the mean over joints.
+
+    Each begins with the measured positions and speeds; commands alone go in.
+    """
+    if not is_physical(numbers.bodies):
+        return np.nan
+    floor = {name: np.maximum(getattr(numbers, name), 1e-5) for name in VALUES}
+    loop = ClosedLoop(described, gains, numbers.bodies)
+    rows = round(WINDOW / DT) + 1
+    squares = []
+    for log in logs:
+        # A second before the first window, so that late commands are there.
+        starts = range(round(1.0 / DT), len(log.q) - rows, rows - 1)
+        robot = replace(numbers, **floor)
+        found = loop.positions([robot], log, starts, rows)[0]
+        measured = np.array([log.q[k : k + rows] for k in starts])
+        squares.append(((found - measured) ** 2).mean(axis=1))
+    return 1e3 * float(np.sqrt(np.concatenate(squares).mean(axis=0)).mean())
+
+
+def measured_torque_error(numbers, described, gains, logs):
+    """Share of the torque, as late as the way has it, that is missed [%]."""
+    errors = []
+    for log in logs:
+        motion = states(log.q)
+        told = late_torque(log, gains, numbers.delay)
+        said = torques(numbers, described, motion)
+        errors.append(torque_error(said, told, motion[1]))
+    return 100 * float(np.mean(errors))
+
+
+def measured_row(label, singles, together, described, gains, judged, seconds):
+    """Cells of a way on the measured robot."""
+    numbers = together.numbers
+    scatter, between = np.nan, np.nan
+    if len(singles) > 1:
+        armatures = np.array([one.numbers.armature for one in singles])
+        scatter = 100 * np.median(
+            armatures.std(axis=0, ddof=1) / armatures.mean(axis=0)
+        )
+    legs = numbers.armature.reshape(4, 3)
+    between = 100 * np.mean(legs.std(axis=0) / np.abs(legs.mean(axis=0)))
+    return [
+        label,
+        str(len(singles)),
+        *fixed(legs.mean(axis=0), 4),
+        *fixed([scatter, between], 0),
+        *fixed([1e3 * numbers.delay], 1),
+        *fixed([measured_torque_error(numbers, described, gains, judged)], 1),
+        *fixed([window_error(numbers, described, gains, judged)], 1),
+        *fixed([seconds], 1),
+    ]
+
+
+def measured(data_home, ways):
+    """Table of the ways on the measured robot."""
+    _, described, gains = go2(data_home)
+    logs, own = measured_logs(data_home)
+    judged = [logs[k] for k in JUDGED]
+    rows = [measured_row("MJCF's values", [], own, described, gains, judged, np.nan)]
+    for label in ways:
+        runs = CMA_RUNS if label == CMA else range(len(logs))
+        started = time.process_time()
+        singles = [WAYS[label](described, gains, logs[k]) for k in runs]
+        seconds = (time.process_time() - started) / len(singles)
+        together = mean_of([one for k, one in zip(runs, singles) if k in FITTED])
+        rows.append(
+            measured_row(label, singles, together, described, gains, judged, seconds)
+        )
+        print(" | ".join(rows[-1]), flush=True)
+    headers = [
+        "way",
+        "fits",
+        *(f"armature, {name} [kg m²]" for name in ("hip", "thigh", "calf")),
+        "scatter between runs [%]",
+        "between legs [%]",
+        "delay [ms]",
+        "torque [%]",
+        f"windows of {WINDOW:g} s [mrad]",
+        "s per fit",
+    ]
+    still = [log.wanted - log.q for log in judged]
+    note = (
+        "Each run is fitted alone; judged on runs 7 to 9 is the mean of the fits of "
+        f"runs 0 to 6 (CMA-ES: of runs {', '.join(map(str, CMA_RUNS))}, "
+        f"{POPULATION} x {GENERATIONS} simulations each). The torque is that of the PD "
+        "law as late as each way says. The commands themselves are "
+        f"{1e3 * np.sqrt(np.mean(np.concatenate(still) ** 2)):.0f} mrad from the "
+        "positions."
+    )
+    return f"{note}\n\n{rst_table(rows, headers)}"
+
+
 def main(argv=None):
     """Print the tables."""
     arguments = parser(__doc__.splitlines()[0])
@@ -466,9 +606,20 @@ def main(argv=None):
     arguments.add_argument("--seeds", type=int, nargs=2, default=(0, 19))
     arguments.add_argument("--ways", nargs="+", choices=[*WAYS, ORACLE], default=None)
     arguments.add_argument("--jobs", type=int, default=1)
+    arguments.add_argument(
+        "--measured", action="store_true", help="the ten runs of the measured robot"
+    )
     arguments = arguments.parse_args(argv)
     first, last = arguments.seeds
     ways = [way for way in (ORACLE, *WAYS) if way != DRIVE or has_drive()]
+    if arguments.measured:
+        chosen = [way for way in ways[1:] if way in (arguments.ways or ways)]
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            text = measured(arguments.data_home, chosen)
+        command = "python tests/benchmarks/bench_commands.py --measured"
+        publish("commands_measured", text, write=arguments.write, command=command)
+        return
     ledger = Ledger(arguments.out, KEYS)
     tasks = [
         {"seed": seed, "way": way, "data_home": arguments.data_home}

@@ -138,6 +138,9 @@ def test_evolution_comes_closer_with_more_generations(case):
         away = loop.positions([found.numbers], log)[0, 0] - log.q
         errors.append(np.sum(away.var(axis=0) / log.q.var(axis=0)))
     assert errors[1] < errors[0]
+    found = commands.WAYS["output error"](described, GAINS, log)
+    away = loop.positions([found.numbers], log)[0, 0] - log.q
+    assert np.sum(away.var(axis=0) / log.q.var(axis=0)) < errors[1]
     assert branches(described) == [[0, 1, 2]]
 
 

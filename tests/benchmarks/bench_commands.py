@@ -103,10 +103,11 @@ DRAWN = {
 AMPLITUDES = (0.2, 0.5)
 POPULATION, GENERATIONS = 16, 120
 CMA_EVERY = 8
-PACKAGE, DRIVE, ORACLE, CMA = "package", "package, drive", "oracle", "CMA-ES"
+PACKAGE, DRIVE, ORACLE = "package", "package, drive", "oracle"
+CMA, SIMULATED = "CMA-ES", "output error"
 Z90 = 1.645
 # Of the measured robot's runs.
-FITTED, JUDGED, CMA_RUNS = range(7), range(7, 10), (0, 3, 6)
+FITTED, JUDGED, SEARCHED = range(7), range(7, 10), (0, 3, 6)
 WINDOW = 1.0  # [s]
 
 
@@ -289,7 +290,7 @@ WAYS = {
     "least squares, grid": functools.partial(least_squares, delays=DELAYS),
     "least squares, bodies free": free_least_squares,
     "instrumental variables": instruments,
-    "output error": output_error,
+    SIMULATED: output_error,
     CMA: functools.partial(evolution, population=POPULATION, generations=GENERATIONS),
 }
 
@@ -559,14 +560,18 @@ def measured_row(label, singles, together, described, gains, judged, seconds):
     ]
 
 
-def measured(data_home, ways):
+def _listed(runs):
+    return f"run{'s' * (len(runs) > 1)} {', '.join(map(str, runs))}"
+
+
+def measured(data_home, ways, cma_runs=SEARCHED):
     """Table of the ways on the measured robot."""
     _, described, gains = go2(data_home)
     logs, own = measured_logs(data_home)
     judged = [logs[k] for k in JUDGED]
     rows = [measured_row("MJCF's values", [], own, described, gains, judged, np.nan)]
     for label in ways:
-        runs = CMA_RUNS if label == CMA else range(len(logs))
+        runs = {CMA: cma_runs, SIMULATED: SEARCHED}.get(label, range(len(logs)))
         started = time.process_time()
         singles = [WAYS[label](described, gains, logs[k]) for k in runs]
         seconds = (time.process_time() - started) / len(singles)
@@ -589,7 +594,7 @@ def measured(data_home, ways):
     still = [log.wanted - log.q for log in judged]
     note = (
         "Each run is fitted alone; judged on runs 7 to 9 is the mean of the fits of "
-        f"runs 0 to 6 (CMA-ES: of runs {', '.join(map(str, CMA_RUNS))}, "
+        f"runs 0 to 6 (output error: {_listed(SEARCHED)}; CMA-ES: {_listed(cma_runs)}, "
         f"{POPULATION} x {GENERATIONS} simulations each). The torque is that of the PD "
         "law as late as each way says. The commands themselves are "
         f"{1e3 * np.sqrt(np.mean(np.concatenate(still) ** 2)):.0f} mrad from the "
@@ -609,6 +614,13 @@ def main(argv=None):
     arguments.add_argument(
         "--measured", action="store_true", help="the ten runs of the measured robot"
     )
+    arguments.add_argument(
+        "--cma-runs",
+        type=int,
+        nargs="+",
+        default=SEARCHED,
+        help="runs of the measured robot that CMA-ES is fitted to, a minute or two each",
+    )
     arguments = arguments.parse_args(argv)
     first, last = arguments.seeds
     ways = [way for way in (ORACLE, *WAYS) if way != DRIVE or has_drive()]
@@ -616,7 +628,7 @@ def main(argv=None):
         chosen = [way for way in ways[1:] if way in (arguments.ways or ways)]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            text = measured(arguments.data_home, chosen)
+            text = measured(arguments.data_home, chosen, arguments.cma_runs)
         command = "python tests/benchmarks/bench_commands.py --measured"
         publish("commands_measured", text, write=arguments.write, command=command)
         return

@@ -179,7 +179,7 @@ def figaroh(name, protocol, recording, python, fitted, held_out):
 
 
 def torques_of(task, protocol, recording, fitted, held_out):
-    """Torques (n, nv), seconds, lines, consistent, named, of a peer fitted to a part."""
+    """Torques, seconds, lines, consistency and names of a peer fitted to a part."""
     name, peer = task["set"], task["peer"]
     if peer == FIGAROH:
         return figaroh(name, protocol, recording, task["python"], fitted, held_out)
@@ -258,7 +258,7 @@ def _spread(torque, part, cutoff):
 
 
 def by_the_board(data_home):
-    """Table of EMPS by its authors' rule, fitted to one recording, judged on another."""
+    """Table of EMPS by its authors' rule: one recording fitted, another judged."""
     recording = fetch_emps(data_home=data_home)
     parts = [recording.select(name) for name in (emps.FITTED, emps.JUDGED)]
     states = [emps.authors_states(part.q[:, 0], part.dt) for part in parts]

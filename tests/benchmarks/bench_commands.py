@@ -619,7 +619,7 @@ def main(argv=None):
         type=int,
         nargs="+",
         default=SEARCHED,
-        help="runs of the measured robot that CMA-ES is fitted to, a minute or two each",
+        help="runs of the measured robot that CMA-ES fits, some minutes each",
     )
     arguments = arguments.parse_args(argv)
     first, last = arguments.seeds

@@ -543,9 +543,8 @@ def measured_row(label, singles, together, described, gains, judged, seconds):
     scatter, between = np.nan, np.nan
     if len(singles) > 1:
         armatures = np.array([one.numbers.armature for one in singles])
-        scatter = 100 * np.median(
-            armatures.std(axis=0, ddof=1) / armatures.mean(axis=0)
-        )
+        mean = np.abs(armatures.mean(axis=0))
+        scatter = 100 * np.median(armatures.std(axis=0, ddof=1) / mean)
     legs = numbers.armature.reshape(4, 3)
     between = 100 * np.mean(legs.std(axis=0) / np.abs(legs.mean(axis=0)))
     return [
@@ -592,11 +591,14 @@ def measured(data_home, ways, cma_runs=SEARCHED):
         "s per fit",
     ]
     still = [log.wanted - log.q for log in judged]
+    of_some = {SIMULATED: _listed(SEARCHED)}
+    budget = f"{POPULATION} x {GENERATIONS} simulations each"
+    of_some[CMA] = f"{_listed(cma_runs)}, {budget}"
+    said = "; ".join(f"{way}: {of_some[way]}" for way in ways if way in of_some)
     note = (
         "Each run is fitted alone; judged on runs 7 to 9 is the mean of the fits of "
-        f"runs 0 to 6 (output error: {_listed(SEARCHED)}; CMA-ES: {_listed(cma_runs)}, "
-        f"{POPULATION} x {GENERATIONS} simulations each). The torque is that of the PD "
-        "law as late as each way says. The commands themselves are "
+        f"runs 0 to 6{f' ({said})' if said else ''}. The torque is that of the PD law "
+        "as late as each way says. The commands themselves are "
         f"{1e3 * np.sqrt(np.mean(np.concatenate(still) ** 2)):.0f} mrad from the "
         "positions."
     )

@@ -211,6 +211,8 @@ class Effect(TransformerMixin, BaseEstimator):
     in_channel = False
     # True for one that changes the last body's `inertial` parameters at an `instant`.
     in_last_body = False
+    # True for one whose coefficients a mirrored joint has as well, see `_alike`.
+    alike = False
     # False for one that needs the load, and not the torque of the whole model.
     reads_torque = True
     # Name of the joint parameter of files, and declared friction, that it adds to.

@@ -25,6 +25,7 @@ VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 # What an effect's torque is said by, and what is said of it elsewhere.
 _TORQUE = frozenset({"law", "column", "columns"})
 _OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "reads_torque"})
+_OF_TORQUE |= {"alike"}
 _OF_TORQUE |= {"joint_parameter", "mjcf", "in_files", "no_place", "no_urdf", "no_mjcf"}
 
 

@@ -127,6 +127,14 @@ class BodyPosterior:
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
 
+    @classmethod
+    def of_nothing(cls, theta, covariance, noise):
+        """Posterior without a prior."""
+        p = theta.size
+        none = {"prior": np.zeros((p, p)), "before": np.full(p, np.nan)}
+        known = {"theta": theta, "covariance": covariance, "noise": noise}
+        return cls(**known, **none, centre=np.zeros(p))
+
 
 def little_learned(std, before):
     """Whether data leave most of the deviation that a description has."""
@@ -136,9 +144,10 @@ def little_learned(std, before):
 
 @dataclass(frozen=True, eq=False)
 class Site:
-    """What the prior of a body, or of alike joints, says in a Gaussian model: precision and its product."""
+    """What the prior of a body, or of alike joints, says in a Gaussian model."""
 
-    # scale: root mean square of the scale that it turned out to have.
+    # Its precision, the product of that with its mean, and the root mean square of the
+    # scale that it turned out to have.
 
     precision: np.ndarray
     right: np.ndarray
@@ -307,6 +316,9 @@ def propagated(sites, marginals):
     for number in range(_PASSES):
         share, moved, new = (0.5 if number else 1.0), 0.0, []
         for site, (precision, product) in zip(sites, marginals(sites)):
+            if not product.size:
+                new.append(site)
+                continue
             found, step = _matched(precision, product, site)
             moved = max(moved, step)
             new.append(

@@ -21,6 +21,7 @@ from sklearn_vbjfa.recording import (
     signals_for,
     torques_in_order,
 )
+from sklearn_vbjfa.robot._alike import alike_joints
 from sklearn_vbjfa.robot._bodies import described_bodies
 from sklearn_vbjfa.robot._closed_loop import check_drive, check_reference, delay_of
 from sklearn_vbjfa.robot._equations import as_driven, numbered
@@ -400,6 +401,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         controller=None,
         bodies="prior",
         drive=None,
+        alike=None,
         verbose=0,
     ):
         self.model = model
@@ -425,6 +427,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.controller = controller
         self.bodies = bodies
         self.drive = drive
+        self.alike = alike
         self.verbose = verbose
 
     def fit(
@@ -562,6 +565,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             gains=self._found_gains,
             masses=self._masses,
             description=self._description,
+            alike=self._alike,
             **{name: getattr(self, name) for name in names},
         )
 
@@ -741,6 +745,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._online = None
         self._description = described_bodies(self)
+        self._alike = alike_joints(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
@@ -853,6 +858,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._bodies = bodies = found.bodies
         self.departures_ = () if bodies is None else bodies.departures
         self.common_size_ = 1.0 if bodies is None else bodies.common
+        self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
         self.input_noise_torque_ = found.noise()[0]
         return self
 

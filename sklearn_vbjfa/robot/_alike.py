@@ -38,8 +38,10 @@ _SIDES = frozenset(
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
 # Masses and moments of inertia that are equal but for the digits of a description.
 _EQUAL = 1e-4
-# Scales by which drives that are alike may differ: no more than descriptions err.
-_USUAL = SCALES[SCALES <= DESCRIBED]
+# Logarithm of the weight of the scales by which drives that are alike differ, where one
+# of them is asked whether it is further off: half-normal, as two would else be alike at
+# any distance.
+_USUAL = np.log(SCALES) - 0.5 * (SCALES / DESCRIBED) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -308,14 +310,13 @@ class _Apart:
     @classmethod
     def of(cls, y, S):
         """Compare values at each scale of the others, which is summed over."""
-        V = S + (_USUAL**2)[:, None, None] * np.eye(y.size)
+        V = S + (SCALES**2)[:, None, None] * np.eye(y.size)
         inverse = np.linalg.inv(V)
         ones = inverse.sum(axis=2)
         free = inverse - ones[:, :, None] * ones[:, None] / ones.sum(1)[:, None, None]
         q, h = free @ y, np.diagonal(free, axis1=1, axis2=2)
         size = np.linalg.slogdet(V)[1] + np.log(ones.sum(axis=1))
-        ratio = _USUAL / DESCRIBED
-        along = np.log(ratio / (1 + ratio**2)) - 0.5 * (size + q @ y)
+        along = _USUAL - 0.5 * (size + q @ y)
         one = [
             Groups(
                 H=own[:, None, None],
@@ -338,7 +339,7 @@ class _Apart:
         rest = np.flatnonzero(np.arange(n) != k)
         if n > 2:
             weight = np.exp(self.evidence[:, k] - self.log_odds[k])
-            scale = np.sqrt(weight @ _USUAL**2)
+            scale = np.sqrt(weight @ SCALES**2)
             problem = _Problem(self.y, self.S, (rest,))
             y, S = problem.solved([Site.of_scale(scale, n - 2)])
         else:

@@ -35,12 +35,13 @@ WAYS = ("prior", "free", "fixed")
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one is heavier or lighter than the description has it."""
+    """Bodies of which one is not as described, or joints of which one is not alike."""
 
-    # joints that carry them, the most probable first: another size of any of them
-    # explains the torques about as well, within three nats
+    # joints (that carry the bodies), the most probable first: another value of any of
+    # them explains the torques about as well, within three nats
     bodies: tuple[str, ...]
-    # how many times the body of the description each of them would be
+    # how many times the body of the description, or the mean of the other joints, each
+    # of them would be
     factors: tuple[float, ...]
     stds: tuple[float, ...]  # standard deviations of the factors
     # logarithm of the odds that the first of them departs further than descriptions

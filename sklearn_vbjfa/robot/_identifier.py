@@ -237,6 +237,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         What the robot was told in place of torques, where no torque was measured: y is
         then that, and torques are what the drive makes of it (``docs/drives.rst``). A
         delay of the commands is found with the other parameters.
+    alike : None, "auto", str or sequence, default=None
+        Joints that have the same drive, such as those of the legs of a quadruped: their
+        rotor inertia, viscous and Coulomb friction, and coefficients of effects that
+        have no sign (`Stribeck`, `LoadFriction`, ...), are near each other. The mean of
+        a group is free; the scatter between its joints, as a share of that mean, is
+        integrated over, a half-Cauchy distribution around 0.2, so that torques that
+        tell a value otherwise are believed; offsets are not shared. A sequence of
+        groups: each the names of its joints, or a pattern that is a part of them, with
+        wildcards; or all patterns in one text, ``"hip thigh calf"``. ``"auto"``: joints
+        whose names differ in a leg, a side or a number alone, and whose bodies in the
+        description have the same mass and principal inertias; none with `gains` or a
+        `regressor` of one's own. None: no joints. See `alike_`.
     verbose : int, default=0
         Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
         line every ten seconds (:ref:`progress <progress>`). 0 is silent.
@@ -272,6 +284,11 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Bodies that are not as described, the surest first, each with `bodies` (joints
         whose bodies explain the torques about as well, within three nats), `factors`
         (how many times as heavy each would be), `stds` and `log_odds`.
+    alike_ : tuple of AlikeValue
+        Values that joints share: `group`, `parameter`, the `joints`, their mean `value`
+        with its deviation `std` and its `unit`, the `scatter` between them as a share
+        of the mean, and `apart`, joints whose value is another one: each a `Departure`
+        with `factors` over the mean of the other joints. They are not shared.
     effects_ : tuple of Effect
         Effects in use: first the bodies of joints that follow others (``mimic`` of a
         URDF), each with its ten inertial parameters.

@@ -149,7 +149,15 @@ def _found(model):
         if "" in key:
             groups.setdefault((key, bool(slides[j])), []).append(int(j))
     equal = [part for own in groups.values() for part in _equal(own, model)]
-    return _named([("", joints) for joints in equal if len(joints) > 1], names)
+    equal = [joints for joints in equal if len(joints) > 1 and _abreast(joints, model)]
+    return _named([("", joints) for joints in equal], names)
+
+
+def _abreast(joints, model):
+    """Whether no joint carries another one: joints of a chain have drives of a size."""
+    return not any(
+        j + 1 in list(model.supports[k + 1])[:-1] for j in joints for k in joints
+    )
 
 
 def _equal(joints, model):
@@ -394,8 +402,9 @@ def _unit(y, S):
 class _Seen:
     """An estimate, as far as values that are alike are concerned."""
 
-    # at: places of these values; unit: size of the mean of each one's part; ratio (p,):
-    # factors by which residuals correlated in time widen the deviations.
+    # at: places of these values; parts: which of them are alike; unit: size of the mean
+    # of each one's part; ratio (p,): factors by which residuals correlated in time
+    # widen the deviations; C (p, p): covariance, zero where it is infinite.
 
     found: object
     at: np.ndarray
@@ -425,47 +434,44 @@ class _Seen:
         )
 
     @property
-    def wide(self):
-        """Covariance (p, p) whose diagonal has the squared deviations."""
-        return self.C * np.outer(self.ratio, self.ratio)
-
-    @property
     def problem(self):
-        """The values in units of their means."""
-        at, unit = self.at, self.unit
-        S = self.wide[np.ix_(at, at)] / np.outer(unit, unit)
-        return _Problem(self.found.theta_unconstrained[at] / unit, S, self.parts)
+        """The values in units of their means, as well known as their deviations say."""
+        scale = self.ratio[self.at] / self.unit
+        S = self.C[np.ix_(self.at, self.at)] * np.outer(scale, scale)
+        y = self.found.theta_unconstrained[self.at] / self.unit
+        return _Problem(y, S, self.parts)
 
-    def beside(self, problem, sites, noise):
+    def beside(self, problem, sites):
         """Return the `Estimate` with what sites say of the values."""
-        found, at, wide = self.found, self.at, self.wide
-        square = np.outer(self.unit, self.unit)
-        precision, right = problem.told(sites)
+        found, at, scale = self.found, self.at, self.unit / self.ratio[self.at]
         mean, covariance = problem.solved(sites)
-        precision, right = precision / square, right / self.unit
-        theta = found.theta_unconstrained
-        # wide[at] (I + precision S)^-1
-        move = wide[:, at] @ (np.eye(at.size) - precision @ (covariance * square))
-        theta = theta + move @ (right - precision @ theta[at])
-        gain = move @ precision
-        wide = wide - gain @ wide[at]
-        std = np.sqrt(np.maximum(np.diagonal(wide), 0.0))
-        std = np.where(np.isfinite(found.std), std, found.std)
-        # The same with the one factor that the covariance has.
-        passed = self.C - gain @ self.C[at]
-        C = passed - passed[:, at] @ gain.T + wide[:, at] @ precision @ wide[at]
+        move = self.unit * (mean - problem.y)
+        less = (problem.S - covariance) * np.outer(scale, scale)
+        # All other parameters follow as the data have it.
+        follow = scaled_eigen(self.C[np.ix_(at, at)]).solve(self.C[at]).T
+        theta = found.theta_unconstrained + follow @ move
+        C = self.C - follow @ less @ follow.T
+        std = self.ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
         C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
-        known = {"theta": theta, "covariance": C}
-        before = found.bodies
-        if before is None:
-            before = BodyPosterior.of_nothing(**known, noise=noise)
-        prior, centre = before.prior.copy(), before.centre.copy()
-        prior[np.ix_(at, at)] += precision
-        centre[at] += self.unit * problem.centre(sites, mean)
-        bodies = replace(before, **known, prior=prior, centre=centre)
         return replace(
-            found, **known, theta_unconstrained=theta, std=std, bodies=bodies
+            found,
+            theta=theta,
+            theta_unconstrained=theta,
+            std=np.where(np.isfinite(found.std), std, found.std),
+            covariance=C,
+            bodies=self._prior(theta, C, problem, sites),
         )
+
+    def _prior(self, theta, C, problem, sites):
+        """Return the `BodyPosterior` whose prior has what sites say as well."""
+        at, known = self.at, {"theta": theta, "covariance": C}
+        before = self.found.bodies
+        if before is None:
+            before = BodyPosterior.of_nothing(**known, noise=noise_of(self.found))
+        prior, centre = before.prior.copy(), before.centre.copy()
+        prior[np.ix_(at, at)] += problem.told(sites)[0] / np.outer(self.unit, self.unit)
+        centre[at] += self.unit * problem.centre(sites, theta[at] / self.unit)
+        return replace(before, **known, prior=prior, centre=centre)
 
 
 def beside_each_other(found, groups, robot):
@@ -479,7 +485,7 @@ def beside_each_other(found, groups, robot):
     seen = _Seen.of(found, [one.places for one in shared])
     labels = [robot.parameter_names_[i].partition(":")[0] for i in seen.at]
     left, sites, apart = _depart(seen.problem, labels)
-    beside = seen.beside(left, sites, noise_of(found))
+    beside = seen.beside(left, sites)
     mean, covariance = left.solved(sites)
     values = []
     for one, part, others in zip(shared, left.parts, apart):

@@ -49,7 +49,6 @@ _LONGEST = 900
 
 # What is declared of every joint where no option says so.
 FRICTION = "viscous,coulomb,offset,rotor_inertia"
-ALIKE = "none"
 # A designed motion [s], unless an option or a report says otherwise.
 DURATION, PERIOD = 20.0, 0.01
 
@@ -138,13 +137,13 @@ _ARGUMENTS = {
         "(fixed); by default prior",
     },
     "--alike": {
-        "default": ALIKE,
+        "default": "auto",
         "metavar": "GROUPS",
         "help": "joints with the same drive, whose values are near each other unless "
         'the torques say otherwise: a part of their names for each group, such as "hip '
         'thigh calf", or their names with commas between; auto: joints whose names '
         "differ in leg, side or number alone and whose bodies are equal or mirrored; "
-        f"none: no joints; by default {ALIKE}",
+        "none: no joints; by default auto",
     },
     "--cutoff": {
         "default": "auto",

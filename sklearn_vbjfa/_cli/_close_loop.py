@@ -102,7 +102,7 @@ def close(
     *,
     friction,
     bodies="prior",
-    alike=None,
+    alike="auto",
     effects="all",
     cutoff="auto",
     ceiling=True,

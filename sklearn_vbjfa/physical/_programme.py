@@ -169,7 +169,10 @@ def raised(matrices, floor):
 def _null_space(root):
     """Orthonormal basis (n_features, n_hidden) of what a metric does not see."""
     # Up to the rounding of the metric, which is the square of its root.
-    # By QR: divide and conquer does not converge for some roots with rows of zeros.
-    _, values, rows = svd(root, lapack_driver="gesvd")
+    try:
+        _, values, rows = np.linalg.svd(root)
+    except np.linalg.LinAlgError:
+        # Divide and conquer does not converge for some roots with rows of zeros.
+        _, values, rows = svd(root, lapack_driver="gesvd")
     limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
     return rows[values <= limit].T

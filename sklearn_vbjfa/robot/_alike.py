@@ -36,12 +36,14 @@ _SIDES = frozenset(
     "front rear back hind mid middle".split()
 )
 _WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+# What is known so many times worse than the same value of another joint is not told.
+_SILENT = 1e6
 # Masses and moments of inertia that are equal but for the digits of a description.
 _EQUAL = 1e-4
 # Logarithm of the weight of the scales by which drives that are alike differ, where one
-# of them is asked whether it is further off: half-normal, as two would else be alike at
-# any distance.
-_USUAL = np.log(SCALES) - 0.5 * (SCALES / DESCRIBED) ** 2
+# of them is asked whether it is further off: half-normal around a tenth, as two drives
+# would else be alike at any distance.
+_USUAL = np.log(SCALES) - 0.5 * (SCALES / 0.1) ** 2
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -99,6 +101,11 @@ def _given(alike, model):
     names, slides = joint_names(model), is_prismatic(model)
     if isinstance(alike, str):
         alike = [x.split(",") if "," in x else x for x in alike.split()]
+    if not _is_groups(alike):
+        raise ValueError(
+            "alike must be 'auto', None or groups of joints, each a pattern or names, "
+            f"such as 'hip thigh calf' or [('FL_hip', 'FR_hip')]; got {alike!r}."
+        )
     groups = [_group(one, names) for one in alike]
     count = Counter(j for _, joints in groups for j in joints)
     twice = [names[j] for j, times in count.items() if times > 1]
@@ -113,6 +120,18 @@ def _given(alike, model):
                 f"({', '.join(names[j] for j in joints)}); expected joints of one kind."
             )
     return _named(groups, names)
+
+
+def _is_groups(alike):
+    """Whether a value holds patterns or sequences of names."""
+
+    def sequence(one):
+        return isinstance(one, (list, tuple)) and len(one) > 0
+
+    return sequence(alike) and all(
+        isinstance(one, str) or (sequence(one) and all(isinstance(x, str) for x in one))
+        for one in alike
+    )
 
 
 def _group(one, names):
@@ -205,9 +224,12 @@ class _Shared:
     parameter: str
     places: np.ndarray
 
-    def among(self, told):
-        """Return it without values that are not `told` (p,)."""
-        return replace(self, places=self.places[told[self.places]])
+    def told(self, std):
+        """Return it without values of which deviations (p,) say that nothing tells."""
+        own = std[self.places]
+        known = np.isfinite(own) & (own > 0)
+        known &= own < _SILENT * own[known].min(initial=np.inf)
+        return replace(self, places=self.places[known])
 
 
 def shared_values(groups, robot):
@@ -477,8 +499,7 @@ class _Seen:
 def beside_each_other(found, groups, robot):
     """Return an `Estimate` in which values of alike joints are near each other."""
     # What a joint stood still for is not told, and is not shared.
-    told = np.isfinite(found.std) & (found.std > 0)
-    shared = [s.among(told) for s in shared_values(groups, robot)]
+    shared = [one.told(found.std) for one in shared_values(groups, robot)]
     shared = [one for one in shared if one.places.size > 1]
     if not shared:
         return found

@@ -238,6 +238,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         then that, and torques are what the drive makes of it (``docs/drives.rst``). A
         delay of the commands is found with the other parameters.
     alike : None, "auto", str or sequence, default=None
+    alike : "auto", None, str or sequence, default="auto"
         Joints that have the same drive, such as those of the legs of a quadruped: their
         rotor inertia, viscous and Coulomb friction, and coefficients of effects that
         have no sign (`Stribeck`, `LoadFriction`, ...), are near each other. The mean of
@@ -246,9 +247,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         tell a value otherwise are believed; offsets are not shared. A sequence of
         groups: each the names of its joints, or a pattern that is a part of them, with
         wildcards; or all patterns in one text, ``"hip thigh calf"``. ``"auto"``: joints
-        whose names differ in a leg, a side or a number alone, and whose bodies in the
-        description have the same mass and principal inertias; none with `gains` or a
-        `regressor` of one's own. None: no joints. See `alike_`.
+        of which none carries another, whose names differ in a leg, a side or a number
+        alone, and whose bodies in the description have the same mass and principal
+        inertias; none with `gains` or a `regressor` of one's own. None: no joints.
     verbose : int, default=0
         Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
         line every ten seconds (:ref:`progress <progress>`). 0 is silent.
@@ -419,6 +420,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         bodies="prior",
         drive=None,
         alike=None,
+        alike="auto",
         verbose=0,
     ):
         self.model = model

@@ -276,21 +276,30 @@ class _Problem:
     parts: tuple
 
     def told(self, sites):
-        """Precision and its product with the mean that sites say of all values."""
-        precision, right = np.zeros(self.S.shape), np.zeros(self.y.size)
+        """Precision (k, k) that sites say of all values."""
+        precision = np.zeros(self.S.shape)
         for part, site in zip(self.parts, sites):
             root = _contrasts(part.size)
             precision[np.ix_(part, part)] += root.T @ site.precision @ root
-            right[part] += root.T @ site.right
-        return precision, right
+        return precision
 
     def solved(self, sites):
-        """Mean and covariance of all values with some sites."""
-        precision, right = self.told(sites)
-        root = scaled_eigen(self.S, 0.0).root()
-        inner = np.eye(len(root)) + root @ precision @ root.T
-        covariance = root.T @ np.linalg.solve(inner, root)
-        return self.y + covariance @ (right - precision @ self.y), covariance
+        """Mean and covariance of all values; None is a site that says nothing."""
+        told = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
+        if not told:
+            return self.y, self.S
+        root = np.zeros((sum(p.size - 1 for p, _ in told), self.y.size))
+        spread, aim, at = np.zeros((len(root), len(root))), [], 0
+        for part, site in told:
+            rows = slice(at, at := at + part.size - 1)
+            root[rows, part] = _contrasts(part.size)
+            spread[rows, rows] = np.linalg.inv(site.precision)
+            aim.append(spread[rows, rows] @ site.right)
+        across = self.S @ root.T
+        gain = np.linalg.solve(root @ across + spread, across.T).T
+        covariance = self.S - gain @ across.T
+        mean = self.y + gain @ (np.concatenate(aim) - root @ self.y)
+        return mean, 0.5 * (covariance + covariance.T)
 
     def sites(self):
         """Sites of the parts, see `propagated`."""
@@ -323,9 +332,7 @@ class _Problem:
 
     def without(self, k, sites):
         """Mean and covariance of a part but for what its own site says."""
-        size = self.parts[k].size - 1
-        none = Site(np.zeros((size, size)), np.zeros(size))
-        mean, covariance = self.solved([*sites[:k], none, *sites[k + 1 :]])
+        mean, covariance = self.solved([*sites[:k], None, *sites[k + 1 :]])
         return mean[self.parts[k]], covariance[np.ix_(self.parts[k], self.parts[k])]
 
 
@@ -491,7 +498,7 @@ class _Seen:
         if before is None:
             before = BodyPosterior.of_nothing(**known, noise=noise_of(self.found))
         prior, centre = before.prior.copy(), before.centre.copy()
-        prior[np.ix_(at, at)] += problem.told(sites)[0] / np.outer(self.unit, self.unit)
+        prior[np.ix_(at, at)] += problem.told(sites) / np.outer(self.unit, self.unit)
         centre[at] += self.unit * problem.centre(sites, theta[at] / self.unit)
         return replace(before, **known, prior=prior, centre=centre)
 

@@ -414,21 +414,23 @@ def test_another_drive_is_named_where_it_can_be():
 def test_robots_hold_their_truth():
     # Twenty robots whose drives scatter by 10 %, one in two with another motor.
     model, inside, told, false = a_quadruped(), [], [], []
-    alone, shared = [], []
+    squares = {None: 0.0, "auto": 0.0}
     for seed in range(20):
         true = drives(model, 0.1, seed)
         if seed % 2:
             true[3, 2] *= 3.0
         weak = recorded(model, true, noise=0.2, amplitude=0.2, seed=seed, n=1500)
-        robot = fitted(model, weak)
+        for alike in squares:
+            robot = fitted(model, weak, alike=alike)
+            away = found_drives(robot) - true
+            squares[alike] += ((away / true) ** 2).mean(axis=0) / 20
         std = robot.theta_std_.reshape(8, -1)[:, [10, 11, 13]]
-        away = np.abs(found_drives(robot) - true)
-        inside.append(away < 1.645 * std)
-        shared.append(away / true)
-        alone.append(np.abs(found_drives(fitted(model, weak, alike=None)) / true - 1))
+        inside.append(np.abs(away) < 1.645 * std)
         other = [x for one in robot.alike_ for d in one.apart for x in d.bodies]
         told.append("FR_calf_joint" in other) if seed % 2 else false.append(other)
     assert 0.8 < np.mean(inside) < 0.97
-    assert np.median(shared) < 0.9 * np.median(alone)
+    print(squares, np.mean(inside), np.mean(told), false)
+    assert np.all(squares["auto"] < squares[None])
+    assert squares["auto"][2] < 0.5 * squares[None][2]
     assert np.mean(told) >= 0.6
     assert sum(map(bool, false)) <= 2

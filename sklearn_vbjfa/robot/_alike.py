@@ -29,6 +29,7 @@ from sklearn_vbjfa.robot._bodies import (
     propagated,
 )
 from sklearn_vbjfa.robot._estimate import noise_of
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 # What tells one leg, arm or finger from another in the names of joints, beside numbers.
 _SIDES = frozenset(
@@ -57,7 +58,9 @@ class AlikeValue:
     value: float  # mean of the joints
     std: float  # standard deviation of that mean
     unit: str
-    scatter: float  # standard deviation between the joints, as a share of the mean
+    # standard deviation between the joints, as a share of the mean; nan where the mean
+    # may as well be zero
+    scatter: float
     # joints whose value is another one, with the factors by which it differs from the
     # mean of the others; joints in one `Departure` cannot be told apart
     apart: tuple[Departure, ...] = ()
@@ -199,7 +202,8 @@ def _named(groups, names):
     called = [name or _common([names[j] for j in joints]) for name, joints in groups]
     return tuple(
         AlikeJoints(
-            name if called.count(name) == 1 else f"like {names[joints[0]]}", joints
+            name if called.count(name) == 1 else _listed([names[j] for j in joints]),
+            joints,
         )
         for name, (_, joints) in zip(called, groups)
     )
@@ -210,7 +214,12 @@ def _common(names):
     words = [_WORDS.findall(name) for name in names]
     common = [w for w in words[0] if all(w in other for other in words)]
     kept = [w for w in common if w.lower() not in {"joint", *_SIDES}]
-    return " ".join(kept or common) or f"like {names[0]}"
+    return " ".join(kept or common) or _listed(names)
+
+
+def _listed(names):
+    """Write the first of some names."""
+    return "/".join([*names[:2], "..."] if len(names) > 2 else names)
 
 
 # -- which values ----------------------------------------------------------------------
@@ -539,8 +548,10 @@ def _spread(y, S, unit):
     # Expected variance between them: of their means, and of what is not known.
     about = np.eye(n) - 1.0 / n
     between = (y @ about @ y + np.trace(about @ S)) / max(n - 1, 1)
+    std = np.sqrt(S.sum()) / n
+    told = abs(mean) > HALF_WIDTH * std
     return {
         "value": float(size * mean),
-        "std": float(size * np.sqrt(S.sum()) / n),
-        "scatter": float(np.sqrt(between) / abs(mean)),
+        "std": float(size * std),
+        "scatter": float(np.sqrt(between) / abs(mean)) if told else np.nan,
     }

@@ -127,7 +127,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 9
+    assert report["schema_version"] == 10
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -312,13 +312,15 @@ def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
     options = ["--effects", "none", "--no-ceiling", "--out", "shared"]
     command = ["close-loop", "arm.csv", "--urdf", str(urdf), *options]
     assert main([*command, "--alike", "shoulder,elbow"]) == 0
-    assert "like shoulder: " in capsys.readouterr().out
+    assert "the shoulder/elbow joints" in capsys.readouterr().out
     with open("shared/parameters.csv", newline="", encoding="utf-8") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
-    own = [float(rows[f"{j}:viscous"]["value"]) for j in ("shoulder", "elbow")]
-    row = rows["like shoulder:viscous"]
-    assert float(row["value"]) == pytest.approx(np.mean(own))
-    assert float(row["scatter"]) > 0
+    shared = [row for name, row in rows.items() if name.startswith("shoulder/elbow:")]
+    assert shared
+    for row in shared:
+        term = row["parameter"].partition(":")[2]
+        own = [float(rows[f"{j}:{term}"]["value"]) for j in ("shoulder", "elbow")]
+        assert float(row["value"]) == pytest.approx(np.mean(own))
     assert main([*command, "--alike", "wrist", "--force"]) == 2
     assert "'wrist', which matches 0 joint(s)" in capsys.readouterr().err
 

@@ -356,8 +356,8 @@ def test_groups_may_be_given():
     }
     rear = ("RL_hip_joint", "RR_hip_joint")
     assert set(groups_of(model, [pair, rear])) == {
-        "like FL_hip_joint",
-        "like RL_hip_joint",
+        "FL_hip_joint/FR_hip_joint",
+        "RL_hip_joint/RR_hip_joint",
     }
     assert groups_of(model, None) == {}
 

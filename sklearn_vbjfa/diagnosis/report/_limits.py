@@ -220,8 +220,9 @@ def alike_sentences(outcome, verdict):
             half = HALF_WIDTH * one.std
             interval = one.value - half, one.value + half
             text = f"{label} {words.with_error(one.value, interval, one.unit)}"
-            text += f", scatter between {len(one.joints)} joints "
-            text += words.whole_percent(one.scatter)
+            if np.isfinite(one.scatter):
+                text += f", scatter between {len(one.joints)} joints "
+                text += words.whole_percent(one.scatter)
             groups.setdefault(one.group, []).append(text)
         others += [_not_alike(other, label, one.group) for other in one.apart]
     shared = [f"{name}: {'; '.join(texts)}." for name, texts in groups.items()]

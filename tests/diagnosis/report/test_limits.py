@@ -421,14 +421,14 @@ def test_a_departure_names_its_rivals():
 
 
 def test_alike_joints_share_values_and_those_that_do_not_are_named():
-    def shared(parameter, apart=(), joints=("j1", "j2", "j3"), value=0.0105):
-        known = {"std": 0.0003 / 1.645, "unit": "kg m^2", "scatter": 0.04}
+    def shared(parameter, apart=(), joints=("j1", "j2", "j3"), scatter=0.04):
+        known = {"std": 0.0003 / 1.645, "unit": "kg m^2", "value": 0.0105}
         return AlikeValue(
             group="hip",
             parameter=parameter,
             joints=joints,
             places=(),
-            value=value,
+            scatter=scatter,
             apart=apart,
             **known,
         )
@@ -440,13 +440,13 @@ def test_alike_joints_share_values_and_those_that_do_not_are_named():
     outcome = make_outcome(
         alike=(
             shared("rotor_inertia", (one,)),
-            shared("my_own:k"),
+            shared("my_own:k", scatter=np.nan),
             shared("viscous", (both,), joints=()),
         )
     )
     assert sentences("Alike joints", outcome) == (
         "hip: rotor inertia 0.0105 +- 0.0003 kg m^2, scatter between 3 joints 4 %; my "
-        "own 0.0105 +- 0.0003 kg m^2, scatter between 3 joints 4 %.",
+        "own 0.0105 +- 0.0003 kg m^2.",
         "The rotor inertia of j2 (1.98 +- 0.05 times) is not that of the other hip "
         "joints.",
         "The viscous friction of one of the hip joints is not that of the others: of "

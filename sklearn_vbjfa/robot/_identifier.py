@@ -237,7 +237,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         What the robot was told in place of torques, where no torque was measured: y is
         then that, and torques are what the drive makes of it (``docs/drives.rst``). A
         delay of the commands is found with the other parameters.
-    alike : None, "auto", str or sequence, default=None
     alike : "auto", None, str or sequence, default="auto"
         Joints that have the same drive, such as those of the legs of a quadruped: their
         rotor inertia, viscous and Coulomb friction, and coefficients of effects that
@@ -419,7 +418,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         controller=None,
         bodies="prior",
         drive=None,
-        alike=None,
         alike="auto",
         verbose=0,
     ):

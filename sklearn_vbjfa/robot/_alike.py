@@ -88,7 +88,7 @@ def alike_joints(settings):
     if alike is None:
         return ()
     why = ""
-    if settings.gains is not None:
+    if settings.asked_gains is not None:
         why = "gains: values of channels with unknown factors cannot be compared"
     elif settings.regressor is not None:
         why = "a regressor: it estimates each value by itself"

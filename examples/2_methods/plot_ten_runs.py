@@ -93,7 +93,8 @@ if found is not None:
 # -----------------
 # Each run alone, with the bodies in three ways: free, which is least squares within
 # what is physically possible; near those of the description (``"prior"``, the default);
-# and as described (``"fixed"``).
+# and as described (``"fixed"``). Each motor is fitted for itself, ``alike=None``: by
+# default those of the four legs have values near each other.
 
 
 def fit(run, bodies):
@@ -105,6 +106,7 @@ def fit(run, bodies):
         friction=("viscous", "coulomb", "offset", "rotor_inertia"),
         cutoff=10.0,
         bodies=bodies,
+        alike=None,
     )
     q, tau = recording.q[part], recording.tau[part]
     return robot.fit(q[LATE:], tau[:-LATE])
@@ -234,7 +236,8 @@ if found is not None:
 # and most inertias of the hips are the description's: the torques do not depend on
 # them, or only on their sums with others. On the thighs and the front calves the
 # torques ask for so much else that the description hardly counts; on the rear calves it
-# does. Each body decides by itself, so that legs that are alike are not treated alike.
+# does. Each body decides by itself, so that legs that are alike are not treated alike
+# (``alike="auto"``, the default, does so with their motors).
 #
 # What this does not show
 # -----------------------

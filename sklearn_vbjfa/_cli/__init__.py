@@ -136,6 +136,15 @@ _ARGUMENTS = {
         "say otherwise (prior), from the torques alone (free), or as described "
         "(fixed); by default prior",
     },
+    "--alike": {
+        "default": "auto",
+        "metavar": "GROUPS",
+        "help": "joints with the same drive, whose values are near each other unless "
+        'the torques say otherwise: a part of their names for each group, such as "hip '
+        'thigh calf", or their names with commas between; auto: joints whose names '
+        "differ in leg, side or number alone and whose bodies are equal or mirrored; "
+        "none: no joints; by default auto",
+    },
     "--cutoff": {
         "default": "auto",
         "metavar": "HZ",
@@ -230,7 +239,7 @@ _SHORT = {"--quiet": ("-q",)}
 # How a recording is read, and what is identified of it, in the order of the help.
 READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
 _READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit --gain"
-_IDENTIFIED = "--friction --known-mass --bodies --cutoff"
+_IDENTIFIED = "--friction --known-mass --bodies --alike --cutoff"
 _REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
 
 # Command -> where it is done, its arguments, what is different of them, and its help.
@@ -329,7 +338,7 @@ _COMMANDS = {
     "identify": {
         "run": "_identify:identify",
         "arguments": f"recording --urdf --data --data-home {_READ} --friction --bodies "
-        "--cutoff --quiet",
+        "--alike --cutoff --quiet",
         "own": {"recording": {"nargs": "*"}},
         "help": "identify a recording and compare methods on its held-out part",
         "description": "Identify a recording and compare the torque errors of fifteen "

@@ -16,7 +16,7 @@ _FILES = (_PAGE, "report.json", "parameters.csv")
 # The robot, as a description, for MuJoCo, and with all that was identified.
 _FILES += ("identified.urdf", "identified.xml", "identified.json")
 _COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
-_COLUMNS += ("description", "description_std", "learned")
+_COLUMNS += ("description", "description_std", "learned", "scatter")
 # Verdicts on a joint that answer nothing, or say not to trust the model.
 _NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
@@ -101,6 +101,7 @@ def close(
     *,
     friction,
     bodies="prior",
+    alike="auto",
     effects="all",
     cutoff="auto",
     ceiling=True,
@@ -120,6 +121,7 @@ def close(
         dt=recording.dt,
         friction=friction,
         bodies=bodies,
+        alike=alike,
         cutoff=cutoff,
         torque_noise=torque_noise,
         gains=gains,
@@ -215,23 +217,27 @@ def _left_out_text(left):
 
 def write_parameters(robot, values, path):
     """Write one row per parameter; empty where data or description are silent."""
-    # values: what `parameter_values` says of each.
+    # values: what `parameter_values` says of each. What alike joints share comes last.
+    from sklearn_vbjfa.diagnosis.explain._identified import alike_values
+
     relative = ""
     if robot.gains_ is not None and not robot.gains_.absolute:
         names = [robot.joint_names_[j] for j in robot.gains_.references]
         relative = " or ".join(names) or "each channel"
+
+    def cells(one, std, alone, scatter=np.nan):
+        unit = one.unit
+        if relative and unit.startswith(("N", "kg")):
+            unit = f"{unit}, times the gain of {relative}"
+        numbers = (one.value, std, one.nominal, one.before, one.learned, scatter)
+        value, std, *rest = (repr(float(x)) if np.isfinite(x) else "" for x in numbers)
+        row = [one.name, value, unit, std, "yes" if alone else "no", one.known, *rest]
+        return map(_input.no_formula, row)
+
     with path.open("w", newline="", encoding="utf-8") as file:
         table = csv.writer(file)
         table.writerow(_COLUMNS)
         for one, std, alone in zip(values, robot.theta_std_, robot.identifiable_):
-            unit = one.unit
-            if relative and unit.startswith(("N", "kg")):
-                unit = f"{unit}, times the gain of {relative}"
-            numbers = (one.value, std, one.nominal, one.before, one.learned)
-            value, std, nominal, before, learned = (
-                repr(float(x)) if np.isfinite(x) else "" for x in numbers
-            )
-            alone = "yes" if alone else "no"
-            row = [one.name, value, unit, std, alone, one.known]
-            row += [nominal, before, learned]
-            table.writerow(map(_input.no_formula, row))
+            table.writerow(cells(one, std, alone))
+        for one, std, scatter in alike_values(robot.alike_):
+            table.writerow(cells(one, std, True, scatter))

@@ -137,6 +137,7 @@ def settings(arguments):
     return {
         "friction": names("--friction", arguments.friction, known),
         "bodies": arguments.bodies,
+        "alike": None if arguments.alike == "none" else arguments.alike,
         "cutoff": cutoff(arguments.cutoff),
         # factors that are known are in the recording that is read with them
         "gains": "unknown" if factors == "unknown" else None,

@@ -22,7 +22,7 @@ _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
 _OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "effects")
-_OF_IDENTIFICATION += ("cutoff", "known_mass")
+_OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
 _OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
 # Most pictures, and most windows that failed and are named.
 _MOST_PICTURES, _MOST_NAMED = 12, 5

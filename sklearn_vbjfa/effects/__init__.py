@@ -45,6 +45,7 @@ from sklearn_vbjfa.effects._library import (
     check_declared,
     closure,
     declarable,
+    declared_alike,
     declared_columns,
     declared_nonnegative,
     declared_unit,

@@ -25,6 +25,7 @@ VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 # What an effect's torque is said by, and what is said of it elsewhere.
 _TORQUE = frozenset({"law", "column", "columns"})
 _OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "reads_torque"})
+_OF_TORQUE |= {"alike"}
 _OF_TORQUE |= {"joint_parameter", "mjcf", "in_files", "no_place", "no_urdf", "no_mjcf"}
 
 
@@ -211,6 +212,8 @@ class Effect(TransformerMixin, BaseEstimator):
     in_channel = False
     # True for one that changes the last body's `inertial` parameters at an `instant`.
     in_last_body = False
+    # True for one whose coefficients a mirrored joint has as well, see `_alike`.
+    alike = False
     # False for one that needs the load, and not the torque of the whole model.
     reads_torque = True
     # Name of the joint parameter of files, and declared friction, that it adds to.

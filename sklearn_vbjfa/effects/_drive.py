@@ -47,6 +47,7 @@ class RotorInertia(JointEffect):
     """
 
     name = "rotor_inertia"
+    alike = True
     label = "rotor inertia"
     formula = r"I_r\,a"
     coefficients = ("Ir",)

@@ -47,6 +47,7 @@ class Viscous(JointEffect):
     """
 
     name = "viscous"
+    alike = True
     label = "viscous friction"
     formula = r"F_v\,v"
     coefficients = ("Fv",)
@@ -92,6 +93,7 @@ class Coulomb(_Smoothed, JointEffect):
     """
 
     name = "coulomb"
+    alike = True
     label = "Coulomb friction"
     formula = (
         r"F_c\,\mathrm{sign}(v) \quad\text{or}\quad"
@@ -196,6 +198,7 @@ class Stribeck(Effect):
     """
 
     name = "stribeck"
+    alike = True
     label = "Stribeck friction"
     formula = r"F_s\,e^{-|v/v_s|^k}\,\mathrm{sign}(v)"
     coefficients = ("Fs",)
@@ -263,6 +266,7 @@ class ViscousQuadratic(Effect):
     """
 
     name = "viscous_quadratic"
+    alike = True
     label = "friction with the square of speed"
     formula = r"F_2\,v\,|v|"
     coefficients = ("F2",)
@@ -313,6 +317,7 @@ class LoadFriction(_Smoothed):
     """
 
     name = "load_friction"
+    alike = True
     label = "load-dependent friction"
     formula = (
         r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v) \quad\text{or}\quad"

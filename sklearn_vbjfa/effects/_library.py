@@ -173,6 +173,11 @@ def declared_unit(name, prismatic):
     return units[int(bool(prismatic))]
 
 
+def declared_alike(name):
+    """Whether a mirrored joint has the same coefficient."""
+    return _DECLARED[name].alike
+
+
 def declared_nonnegative(name):
     """Whether physics asks for a coefficient that is not negative."""
     return bool(_DECLARED[name].nonnegative)

@@ -18,6 +18,7 @@ __all__ = [
 
 # Values and findings that are not in __all__ are for other rooms and for tests.
 _MODULES = {
+    "_alike": ("AlikeValue",),
     "_bodies": ("Departure",),
     "_comparison": ("OURS", "compare_methods", "methods"),
     "_corrections": (

@@ -18,10 +18,10 @@ DESCRIBED = 0.2
 # before the data.
 _LITTLE = 0.7
 # What departs as probably as the most probable body, within so many nats, is its rival.
-_RIVALS = 3.0
+RIVALS = 3.0
 # Scales that are summed over, up to that at which a body is no longer consistent, and
 # the share of the usual precision that a body keeps.
-_SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
+SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
 # Passes over all bodies, and the change of a mean in deviations that ends them.
@@ -35,12 +35,13 @@ WAYS = ("prior", "free", "fixed")
 
 @dataclass(frozen=True)
 class Departure:
-    """Bodies of which one is heavier or lighter than the description has it."""
+    """Bodies of which one is not as described, or joints of which one is not alike."""
 
-    # joints that carry them, the most probable first: another size of any of them
-    # explains the torques about as well, within three nats
+    # joints (that carry the bodies), the most probable first: another value of any of
+    # them explains the torques about as well, within three nats
     bodies: tuple[str, ...]
-    # how many times the body of the description each of them would be
+    # how many times the body of the description, or the mean of the other joints, each
+    # of them would be
     factors: tuple[float, ...]
     stds: tuple[float, ...]  # standard deviations of the factors
     # logarithm of the odds that the first of them departs further than descriptions
@@ -127,6 +128,14 @@ class BodyPosterior:
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
 
+    @classmethod
+    def of_nothing(cls, theta, covariance, noise):
+        """Posterior without a prior."""
+        p = theta.size
+        none = {"prior": np.zeros((p, p)), "before": np.full(p, np.nan)}
+        known = {"theta": theta, "covariance": covariance, "noise": noise}
+        return cls(**known, **none, centre=np.zeros(p))
+
 
 def little_learned(std, before):
     """Whether data leave most of the deviation that a description has."""
@@ -135,19 +144,20 @@ def little_learned(std, before):
 
 
 @dataclass(frozen=True, eq=False)
-class _Site:
-    """What the prior of a body says in a Gaussian model: precision and its product."""
+class Site:
+    """What the prior of a body, or of alike joints, says in a Gaussian model."""
 
-    # scale: root mean square of the scale that the body turned out to have.
+    # Its precision, the product of that with its mean, and the root mean square of the
+    # scale that it turned out to have.
 
     precision: np.ndarray
     right: np.ndarray
     scale: float = DESCRIBED
 
     @classmethod
-    def of_scale(cls, scale):
-        """Site of a body with a given scale."""
-        return cls(np.eye(10) / scale**2, np.zeros(10), scale)
+    def of_scale(cls, scale, size=10):
+        """Site of a given scale in so many directions."""
+        return cls(np.eye(size) / scale**2, np.zeros(size), scale)
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,32 +242,18 @@ class _Problem:
         """Precision and its product with the mean of a body, everything in."""
         at, root = self.description.places[k], self.description.root[k]
         around = root @ solution.covariance[np.ix_(at, at)] @ root.T
-        inverse = _inverse(around)
+        inverse = inverse_of(around)
         return inverse, inverse @ (root @ solution.mean[at])
 
     def sites(self):
-        """Sites by expectation propagation: they match mean and covariance."""
-        # T. Minka, UAI 2001; for scale mixtures M. Seeger, J. Machine Learning Research
-        # 9, 2008.
-        sites = [_Site.of_scale(DESCRIBED)] * len(self.description.names)
-        for number in range(_PASSES):
+        """Sites of the bodies, see `propagated`."""
+
+        def marginals(sites):
             solution = self.solved(sites)
-            share, moved, new = (0.5 if number else 1.0), 0.0, []
-            for k, site in enumerate(sites):
-                precision, product = self.marginal(solution, k)
-                found, step = _matched(precision, product, site)
-                moved = max(moved, step)
-                new.append(
-                    _Site(
-                        site.precision + share * (found.precision - site.precision),
-                        site.right + share * (found.right - site.right),
-                        found.scale,
-                    )
-                )
-            sites = new
-            if moved < _STAYS:
-                break
-        return sites
+            return (self.marginal(solution, k) for k in range(len(sites)))
+
+        usual = [Site.of_scale(DESCRIBED)] * len(self.description.names)
+        return propagated(usual, marginals)
 
     def departures(self):
         """Bodies larger or smaller than descriptions usually err, one by one."""
@@ -268,7 +264,7 @@ class _Problem:
         size = np.einsum("kij,kj->ki", root, self.description.centre)
         length = np.linalg.norm(size, axis=1)
         size /= length[:, None]
-        sites, open_ = [_Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
+        sites, open_ = [Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
         found = []
         while open_.any():
             solution = self.solved(sites)
@@ -289,7 +285,7 @@ class _Problem:
             first = int(np.argmax(odds))
             if odds[first] <= 0:
                 break
-            near = np.flatnonzero(odds > odds[first] - _RIVALS)
+            near = np.flatnonzero(odds > odds[first] - RIVALS)
             near = near[np.argsort(-odds[near], kind="stable")]
             found.append(
                 Departure(
@@ -303,15 +299,40 @@ class _Problem:
             opened = np.outer(along, along) * (wide[first] ** -2 - DESCRIBED**-2)
             usual = sites[first]
             sites = list(sites)
-            sites[first] = _Site(usual.precision + opened, usual.right)
+            sites[first] = Site(usual.precision + opened, usual.right)
             open_[near] = 0.0
         return tuple(found)
 
 
-def _inverse(covariance):
+def inverse_of(covariance):
     """Inverse of a covariance whose smallest deviations may be rounding."""
     size, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
     return (axes / np.maximum(size, _ROUNDING * size[-1])) @ axes.T
+
+
+def propagated(sites, marginals):
+    """Sites by expectation propagation: they match mean and covariance."""
+    # T. Minka, UAI 2001; for scale mixtures M. Seeger, J. Machine Learning Research 9,
+    # 2008. marginals: from sites to the precision and product of each, everything in.
+    for number in range(_PASSES):
+        share, moved, new = (0.5 if number else 1.0), 0.0, []
+        for site, (precision, product) in zip(sites, marginals(sites)):
+            if not product.size:
+                new.append(site)
+                continue
+            found, step = _matched(precision, product, site)
+            moved = max(moved, step)
+            new.append(
+                Site(
+                    site.precision + share * (found.precision - site.precision),
+                    site.right + share * (found.right - site.right),
+                    found.scale,
+                )
+            )
+        sites = new
+        if moved < _STAYS:
+            break
+    return sites
 
 
 def _matched(precision, product, site):
@@ -321,7 +342,7 @@ def _matched(precision, product, site):
     value, vectors = np.linalg.eigh(precision - site.precision)
     value = np.maximum(value, 0.0)
     rest = vectors.T @ (product - site.right)
-    s2, ratio = (_SCALES**2)[:, None], _SCALES / DESCRIBED
+    s2, ratio = (SCALES**2)[:, None], SCALES / DESCRIBED
     along = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
     prior = ratio / (1 + ratio**2)
     prior[[0, -1]] *= 0.5  # the trapezoidal rule
@@ -331,7 +352,7 @@ def _matched(precision, product, site):
     mean = weight @ means
     away = means - mean
     covariance = np.diag(weight @ variance) + (away.T * weight) @ away
-    inverse = _inverse(covariance)
+    inverse = inverse_of(covariance)
     # A prior takes no precision away.
     left, turned = np.linalg.eigh(inverse - np.diag(value))
     own = (turned * np.maximum(left, _LEAST / DESCRIBED**2)) @ turned.T
@@ -339,7 +360,7 @@ def _matched(precision, product, site):
     before = vectors.T @ np.linalg.solve(precision, product)
     step = np.abs(mean - before) / np.sqrt(np.diagonal(covariance))
     scale = float(np.sqrt(weight @ s2[:, 0]))
-    made = _Site(vectors @ own @ vectors.T, vectors @ right, scale)
+    made = Site(vectors @ own @ vectors.T, vectors @ right, scale)
     return made, float(step.max())
 
 

@@ -102,15 +102,16 @@ def methods(n_parameters):
     pls = PartialLeastSquares(components=components)
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=_BLOCKS)
     lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
-    plain = {"projector": None, "block_noise": False}
+    alone = {"regressor": None, "bodies": "free", "alike": None}
+    plain = {"projector": None, "block_noise": False, "alike": None}
     return {
-        OURS: {"regressor": None, "projector": "default", "bodies": "free"},
+        OURS: {**alone, "projector": "default"},
         "VB + description": {
             "regressor": None,
             "projector": "default",
             "bodies": "prior",
         },
-        "VB": {"regressor": None, "projector": None, "bodies": "free"},
+        "VB": {**alone, "projector": None},
         "OLS": {**plain, "regressor": LinearRegression(), "joint_weights": None},
         "WLS": {"regressor": LinearRegression(), **plain},
         "ridge": {"regressor": ridge, **plain},

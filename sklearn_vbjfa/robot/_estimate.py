@@ -60,6 +60,7 @@ class Estimate:
     # (p,): factors by which residuals correlated in time widen the deviations
     wider: np.ndarray | None = None
     pooled: float = 1.0  # that of the variance in the mean of all directions
+    alike: tuple = ()  # `AlikeValue` of joints that are near each other
 
     @property
     def identifiable(self):
@@ -198,14 +199,18 @@ def _noise_variance(moments, weight, theta, rank):
     return squares / moments.n[used].sum() * count / max(count - rank, 1)
 
 
-def beside_description(found, description, bodies="prior"):
-    """Return an `Estimate` with the bodies near their description, or as described."""
+def noise_of(found):
+    """Variance by which the normal equations of an `Estimate` are divided."""
     # The likelihood is worth what its scatter between blocks of time leaves of it.
     moments, weight = found.moments, found.joint_weights
-    total = moments.total(weight)
     rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
     start = found.theta_unconstrained
-    noise = _noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+    return _noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+
+
+def beside_description(found, description, bodies="prior"):
+    """Return an `Estimate` with the bodies near their description, or as described."""
+    total, noise = found.moments.total(found.joint_weights), noise_of(found)
     way = around if bodies == "prior" else as_described
     posterior = way(description, found.metric / noise, total.S_xy / noise)
     # Deviations: what the prior leaves, and the noise as it scatters in time.

@@ -15,6 +15,7 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa._core._progress import stage
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.robot._alike import beside_each_other
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._equations import (
     accumulate,
@@ -153,6 +154,7 @@ class Recipe:
     description: object = None  # that bodies are near, a `Description`
     gains: object = None
     masses: dict  # known ones [kg], by names of bodies
+    alike: tuple = ()  # `AlikeJoints`
 
     def of_moments(self, robot, moments, rows=(), made=()):
         """Fit a robot to second moments of all its equations."""
@@ -168,6 +170,8 @@ class Recipe:
         )
         if self.description is not None:
             found = beside_description(found, self.description, self.bodies)
+        if self.alike:
+            found = beside_each_other(found, self.alike, robot)
         with stage("consistent bodies"):
             found = project(found, self.projector, robot.features_)
         return Fit.of(robot, found, self._shown(found), made)

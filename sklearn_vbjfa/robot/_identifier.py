@@ -23,6 +23,7 @@ from sklearn_vbjfa.recording import (
     signals_for,
     torques_in_order,
 )
+from sklearn_vbjfa.robot._alike import alike_joints
 from sklearn_vbjfa.robot._bodies import described_bodies
 from sklearn_vbjfa.robot._closed_loop import check_drive, check_reference, delay_of
 from sklearn_vbjfa.robot._equations import as_driven, numbered
@@ -238,6 +239,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         What the robot was told in place of torques, where no torque was measured: y is
         then that, and torques are what the drive makes of it (``docs/drives.rst``). A
         delay of the commands is found with the other parameters.
+    alike : "auto", None, str or sequence, default="auto"
+        Joints that have the same drive, such as those of the legs of a quadruped: their
+        rotor inertia, viscous and Coulomb friction, and coefficients of effects that
+        have no sign (`Stribeck`, `LoadFriction`, ...), are near each other. The mean of
+        a group is free; the scatter between its joints, as a share of that mean, is
+        integrated over, a half-Cauchy distribution around 0.2, so that torques that
+        tell a value otherwise are believed; offsets are not shared. A sequence of
+        groups: each the names of its joints, or a pattern that is a part of them, with
+        wildcards; or all patterns in one text, ``"hip thigh calf"``. ``"auto"``: joints
+        of which none carries another, whose names differ in a leg, a side or a number
+        alone, and whose bodies in the description have the same mass and principal
+        inertias; none with `gains` or a `regressor` of one's own. None: no joints.
     verbose : int, default=0
         Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
         line every ten seconds (:ref:`progress <progress>`). 0 is silent.
@@ -273,6 +286,11 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Bodies that are not as described, the surest first, each with `bodies` (joints
         whose bodies explain the torques about as well, within three nats), `factors`
         (how many times as heavy each would be), `stds` and `log_odds`.
+    alike_ : tuple of AlikeValue
+        Values that joints share: `group`, `parameter`, the `joints`, their mean `value`
+        with its deviation `std` and its `unit`, the `scatter` between them as a share
+        of the mean, and `apart`, joints whose value is another one: each a `Departure`
+        with `factors` over the mean of the other joints. They are not shared.
     effects_ : tuple of Effect
         Effects in use: first the bodies of joints that follow others (``mimic`` of a
         URDF), each with its ten inertial parameters.
@@ -402,6 +420,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         controller=None,
         bodies="prior",
         drive=None,
+        alike="auto",
         verbose=0,
     ):
         self.model = model
@@ -427,6 +446,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.controller = controller
         self.bodies = bodies
         self.drive = drive
+        self.alike = alike
         self.verbose = verbose
 
     def fit(
@@ -564,6 +584,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             gains=self._found_gains,
             masses=self._masses,
             description=self._description,
+            alike=self._alike,
             **{name: getattr(self, name) for name in names},
         )
 
@@ -743,6 +764,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._online = None
         self._description = described_bodies(self)
+        self._alike = alike_joints(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
@@ -859,6 +881,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._bodies = bodies = found.bodies
         self.departures_ = () if bodies is None else bodies.departures
         self.common_size_ = 1.0 if bodies is None else bodies.common
+        self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
         self.input_noise_torque_ = found.noise()[0]
         return self
 

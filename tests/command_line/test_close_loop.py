@@ -22,7 +22,7 @@ from sklearn_vbjfa._cli._close_loop import left_out_lines, write_parameters
 from sklearn_vbjfa._cli._run import STOPS
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
-from sklearn_vbjfa.robot import LeftOut
+from sklearn_vbjfa.robot import Departure, LeftOut
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -127,7 +127,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 9
+    assert report["schema_version"] == 10
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]
@@ -275,6 +275,18 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
         theta_std_=np.array([np.inf, 0.25]),
         identifiable_=np.array([False, True]),
         gains_=None,
+        alike_=[
+            SimpleNamespace(
+                group="hip",
+                parameter="viscous",
+                joints=("a", "b"),
+                value=0.5,
+                std=0.25,
+                unit="N m s/rad",
+                scatter=0.125,
+                apart=[Departure(("c",), (2.0,), (0.5,), 9.0)],
+            )
+        ],
     )
     path = tmp_path / "parameters.csv"
     mass = value("a,b:m", 1.0, "kg", "from the description", 2.0, 0.4, 0.75)
@@ -282,16 +294,35 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
     write_parameters(robot, values, path)
     assert path.read_text().splitlines() == [
         "parameter,value,unit,std,identifiable,known,description,description_std,"
-        "learned",
-        '"a,b:m",1.0,kg,,no,from the description,2.0,0.4,0.75',
-        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes,yes,,,",
+        "learned,scatter",
+        '"a,b:m",1.0,kg,,no,from the description,2.0,0.4,0.75,',
+        "a:viscous,0.30000000000000004,N m s/rad,0.25,yes,yes,,,,",
+        "hip:viscous,0.5,N m s/rad,0.25,yes,yes,,,,0.125",
+        "c:viscous over the other hip joints,2.0,times,0.5,yes,yes,,,,",
     ]
     pandas = pytest.importorskip("pandas")
     table = pandas.read_csv(path)
     assert table["std"].dtype == float
-    assert table["std"].isna().tolist() == [True, False]
-    np.testing.assert_array_equal(table["value"], robot.theta_)
-    assert (table["identifiable"] == "yes").tolist() == [False, True]
+    assert table["std"].isna().tolist() == [True, False, False, False]
+    np.testing.assert_array_equal(table["value"][:2], robot.theta_)
+    assert (table["identifiable"] == "yes").tolist() == [False, True, True, True]
+
+
+def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
+    options = ["--effects", "none", "--no-ceiling", "--out", "shared"]
+    command = ["close-loop", "arm.csv", "--urdf", str(urdf), *options]
+    assert main([*command, "--alike", "shoulder,elbow"]) == 0
+    assert "the shoulder/elbow joints" in capsys.readouterr().out
+    with open("shared/parameters.csv", newline="", encoding="utf-8") as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    shared = [row for name, row in rows.items() if name.startswith("shoulder/elbow:")]
+    assert shared
+    for row in shared:
+        term = row["parameter"].partition(":")[2]
+        own = [float(rows[f"{j}:{term}"]["value"]) for j in ("shoulder", "elbow")]
+        assert float(row["value"]) == pytest.approx(np.mean(own))
+    assert main([*command, "--alike", "wrist", "--force"]) == 2
+    assert "'wrist', which matches 0 joint(s)" in capsys.readouterr().err
 
 
 def test_options_reach_the_estimators(good, urdf, monkeypatch):

@@ -240,6 +240,7 @@ def test_a_joint_that_is_called_like_a_formula_is_none_in_the_table(tmp_path):
         theta_std_=np.array([0.1, np.nan]),
         identifiable_=np.array([True, False]),
         gains_=None,
+        alike_=(),
     )
     path = tmp_path / "parameters.csv"
     write_parameters(robot, values, path)

@@ -134,7 +134,7 @@ def test_the_site_of_one_body_is_exact():
     grid = np.geomspace(1e-5, 1.0, 40001)
     total = integrate.trapezoid([moments(s) for s in grid], grid, axis=0)
     mean, square = total[1:] / total[0]
-    usual = _bodies._Site.of_scale(DESCRIBED)
+    usual = _bodies.Site.of_scale(DESCRIBED)
     along = np.zeros(10)
     along[3] = 1.0
     site, _ = _bodies._matched(

@@ -79,6 +79,33 @@ def parameter_values(robot):
     return tuple(found)
 
 
+def alike_values(alike):
+    """Return what alike joints share, and factors of those that do not share it."""
+    # alike: `RobotIdentifier.alike_`. Yields a `ParameterValue`, its standard deviation
+    # and, for what is shared, the scatter between the joints.
+    for one in alike:
+        name = f"{one.group}:{one.parameter}"
+        if one.joints:
+            yield _known(name, one.value, one.std, one.unit), one.std, one.scatter
+        for other in one.apart:
+            for joint, factor, std in zip(other.bodies, other.factors, other.stds):
+                over = f"{joint}:{one.parameter} over the other {one.group} joints"
+                yield _known(over, factor, std, "times"), std, np.nan
+
+
+def _known(name, value, std, unit):
+    """Collect a value that the recording determines."""
+    half = HALF_WIDTH * std
+    return ParameterValue(
+        name=name,
+        value=float(value),
+        interval=(float(value - half), float(value + half)),
+        unit=unit,
+        nominal=np.nan,
+        known="yes",
+    )
+
+
 def recorded_motion(n_samples, dt, looked_at=0):
     """Return what was recorded; `dt` is the sample period [s] or None."""
     return RecordedMotion(

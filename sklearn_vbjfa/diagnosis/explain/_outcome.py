@@ -210,6 +210,8 @@ class Outcome:
     departures: tuple = ()
     # how many times as heavy all bodies together are as described
     common_size: float = 1.0
+    # values that joints share; see `RobotIdentifier.alike_`
+    alike: tuple = ()
     parameters: tuple[ParameterValue, ...] = ()  # of the model that is handed over
     recorded: RecordedMotion | None = None
     provenance: Provenance | None = None
@@ -288,6 +290,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         corrections=corrections_of(final.identifier),
         departures=final.identifier.departures_,
         common_size=final.identifier.common_size_,
+        alike=final.identifier.alike_,
         parameters=parameter_values(final.identifier),
         recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
     )

@@ -199,11 +199,7 @@ def _common_size(factor):
 
 def _departure(one, common):
     """Say which body is not as described, or of which bodies one is not."""
-    found = []
-    for name, factor, std in zip(one.bodies, one.factors, one.stds):
-        half = HALF_WIDTH * std
-        times = words.with_error(factor, (factor - half, factor + half))
-        found.append(f"{name} ({times} times)")
+    found = [f"{name} ({times})" for name, times in _factors(one)]
     than = "as much as in the robot description"
     if not _alike(common, 1.0):
         than = "as much as the other bodies would have it"
@@ -213,6 +209,42 @@ def _departure(one, common):
         f"A body weighs not {than}: that of {words.join(found, 6, 'or')}; the torques "
         "do not tell them apart."
     )
+
+
+def alike_sentences(outcome, verdict):
+    """Say what alike joints share, and which of them are not alike."""
+    groups, others = {}, []
+    for one in outcome.alike:
+        label = words.effect_label(outcome, one.parameter.partition(":")[0])
+        if one.joints:
+            half = HALF_WIDTH * one.std
+            interval = one.value - half, one.value + half
+            text = f"{label} {words.with_error(one.value, interval, one.unit)}"
+            if np.isfinite(one.scatter):
+                text += f", scatter between {len(one.joints)} joints "
+                text += words.whole_percent(one.scatter)
+            groups.setdefault(one.group, []).append(text)
+        others += [_not_alike(other, label, one.group) for other in one.apart]
+    shared = [f"{name}: {'; '.join(texts)}." for name, texts in groups.items()]
+    return tuple(shared + others)
+
+
+def _not_alike(one, label, group):
+    """Say which joint's value is not that of the joints that are like it."""
+    found = [f"{name} ({times})" for name, times in _factors(one)]
+    if len(found) == 1:
+        return f"The {label} of {found[0]} is not that of the other {group} joints."
+    return (
+        f"The {label} of one of the {group} joints is not that of the others: of "
+        f"{words.join(found, 6, 'or')}; the torques do not tell them apart."
+    )
+
+
+def _factors(one):
+    """Yield the names and factors, with errors, of a `Departure`."""
+    for name, factor, std in zip(one.bodies, one.factors, one.stds):
+        half = HALF_WIDTH * std
+        yield name, f"{words.with_error(factor, (factor - half, factor + half))} times"
 
 
 def _unknown(bodies):

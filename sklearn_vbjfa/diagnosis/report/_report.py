@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.report import (
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 9
+SCHEMA_VERSION = 10
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -41,6 +41,7 @@ SECTIONS = (
     _findings.hidden,
     _limits.channel_gains,
     _render.paragraph("Masses", _limits.mass_sentences),
+    _render.paragraph("Alike joints", _limits.alike_sentences),
     _limits.channels,
     _evidence.torques,
     _evidence.residuals,

@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.explain import (
 )
 from sklearn_vbjfa.diagnosis.report import judge, sections
 from sklearn_vbjfa.recording import RepeatedMotion
-from sklearn_vbjfa.robot import BodyMass, Departure
+from sklearn_vbjfa.robot import AlikeValue, BodyMass, Departure
 from tests.diagnosis.report._outcomes import make_outcome
 
 
@@ -418,3 +418,39 @@ def test_a_departure_names_its_rivals():
     assert "as much as the other bodies would have it" in text
     assert "0.001 times what the robot" in size
     assert masses_of(make_outcome(common_size=0.9)) == ()
+
+
+def test_alike_joints_share_values_and_those_that_do_not_are_named():
+    def shared(parameter, apart=(), joints=("j1", "j2", "j3"), scatter=0.04):
+        known = {"std": 0.0003 / 1.645, "unit": "kg m^2", "value": 0.0105}
+        return AlikeValue(
+            group="hip",
+            parameter=parameter,
+            joints=joints,
+            places=(),
+            scatter=scatter,
+            apart=apart,
+            **known,
+        )
+
+    one = Departure(bodies=("j2",), factors=(1.98,), stds=(0.03,), log_odds=9.0)
+    both = Departure(
+        bodies=("j2", "j3"), factors=(2.0, 0.5), stds=(0.06, 0.006), log_odds=9.0
+    )
+    outcome = make_outcome(
+        alike=(
+            shared("rotor_inertia", (one,)),
+            shared("my_own:k", scatter=np.nan),
+            shared("viscous", (both,), joints=()),
+        )
+    )
+    assert sentences("Alike joints", outcome) == (
+        "hip: rotor inertia 0.0105 +- 0.0003 kg m^2, scatter between 3 joints 4 %; my "
+        "own 0.0105 +- 0.0003 kg m^2.",
+        "The rotor inertia of j2 (1.98 +- 0.05 times) is not that of the other hip "
+        "joints.",
+        "The viscous friction of one of the hip joints is not that of the others: of "
+        "j2 (2.00 +- 0.10 times) or j3 (0.500 +- 0.010 times); the torques do not tell "
+        "them apart.",
+    )
+    assert sentences("Alike joints", make_outcome()) == ()

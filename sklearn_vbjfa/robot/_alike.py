@@ -1,0 +1,557 @@
+"""Joints that are alike: values of their drives near each other, unless data object."""
+
+import re
+from collections import Counter
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+from scipy import linalg
+from scipy.special import logsumexp
+
+from sklearn_vbjfa._core._groups import Groups
+from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa.effects import declared_alike
+from sklearn_vbjfa.model import (
+    is_prismatic,
+    joint_names,
+    nominal_parameters,
+    solid_bodies,
+)
+from sklearn_vbjfa.robot._bodies import (
+    DESCRIBED,
+    RIVALS,
+    SCALES,
+    BodyPosterior,
+    Departure,
+    Site,
+    inverse_of,
+    propagated,
+)
+from sklearn_vbjfa.robot._estimate import noise_of
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
+
+# What tells one leg, arm or finger from another in the names of joints, beside numbers.
+_SIDES = frozenset(
+    "l r left right fl fr rl rr hl hr bl br lf rf lh rh lr rm lm ml mr lb rb "
+    "front rear back hind mid middle".split()
+)
+_WORDS = re.compile(r"[A-Z]+(?=[A-Z][a-z])|[A-Z]?[a-z]+|[A-Z]+|\d+")
+# What is known so many times worse than the same value of another joint is not told.
+_SILENT = 1e6
+# Masses and moments of inertia that are equal but for the digits of a description.
+_EQUAL = 1e-4
+# Logarithm of the weight of the scales by which drives that are alike differ, where one
+# of them is asked whether it is further off: half-normal around a tenth, as two drives
+# would else be alike at any distance.
+_USUAL = np.log(SCALES) - 0.5 * (SCALES / 0.1) ** 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class AlikeValue:
+    """A value that joints have in common, but for some scatter."""
+
+    group: str  # what the joints are called
+    parameter: str  # such as "rotor_inertia"
+    joints: tuple[str, ...]  # that share the value; none if two were alike and differ
+    places: tuple[int, ...]  # where their values are in `RobotIdentifier.theta_`
+    value: float  # mean of the joints
+    std: float  # standard deviation of that mean
+    unit: str
+    # standard deviation between the joints, as a share of the mean; nan where the mean
+    # may as well be zero
+    scatter: float
+    # joints whose value is another one, with the factors by which it differs from the
+    # mean of the others; joints in one `Departure` cannot be told apart
+    apart: tuple[Departure, ...] = ()
+
+    def at(self, theta):
+        """Return the value with the mean of the fitted parameters (p,)."""
+        own = theta[list(self.places)]
+        return replace(self, value=float(own.mean())) if own.size else self
+
+
+# -- which joints ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class AlikeJoints:
+    """Joints that have the same drive."""
+
+    name: str
+    joints: tuple[int, ...]
+
+
+def alike_joints(settings):
+    """Return the `AlikeJoints` of an identifier's setting `alike`."""
+    alike, model = settings.alike, settings.features_.nominal_
+    if alike is None:
+        return ()
+    why = ""
+    if settings.asked_gains is not None:
+        why = "gains: values of channels with unknown factors cannot be compared"
+    elif settings.regressor is not None:
+        why = "a regressor: it estimates each value by itself"
+    if isinstance(alike, str) and alike == "auto":
+        return () if why else _found(model)
+    if why:
+        raise ValueError(f"alike does not go with {why}; use alike=None.")
+    return _given(alike, model)
+
+
+def _given(alike, model):
+    """Return groups of joints as they are named, by names or by patterns."""
+    names, slides = joint_names(model), is_prismatic(model)
+    if isinstance(alike, str):
+        alike = [x.split(",") if "," in x else x for x in alike.split()]
+    if not _is_groups(alike):
+        raise ValueError(
+            "alike must be 'auto', None or groups of joints, each a pattern or names, "
+            f"such as 'hip thigh calf' or [('FL_hip', 'FR_hip')]; got {alike!r}."
+        )
+    groups = [_group(one, names) for one in alike]
+    count = Counter(j for _, joints in groups for j in joints)
+    twice = [names[j] for j, times in count.items() if times > 1]
+    if twice:
+        raise ValueError(
+            f"alike has {', '.join(twice)} in two groups; leave each joint in one."
+        )
+    for name, joints in groups:
+        if len(set(slides[list(joints)])) > 1:
+            raise ValueError(
+                f"alike groups revolute and prismatic joints in {name!r} "
+                f"({', '.join(names[j] for j in joints)}); expected joints of one kind."
+            )
+    return _named(groups, names)
+
+
+def _is_groups(alike):
+    """Whether a value holds patterns or sequences of names."""
+
+    def sequence(one):
+        return isinstance(one, (list, tuple)) and len(one) > 0
+
+    return sequence(alike) and all(
+        isinstance(one, str) or (sequence(one) and all(isinstance(x, str) for x in one))
+        for one in alike
+    )
+
+
+def _group(one, names):
+    """Name and joints of a group that is given as a pattern or as names."""
+    if isinstance(one, str):
+        found = [j for j, name in enumerate(names) if fnmatchcase(name, f"*{one}*")]
+        said = f"the pattern {one!r}, which matches {len(found)} joint(s)"
+        name = one
+    else:
+        unknown = [name for name in one if name not in names]
+        if unknown:
+            raise ValueError(
+                f"alike names {', '.join(map(repr, unknown))}, no joint of the robot; "
+                f"expected some of {', '.join(names)}."
+            )
+        found = sorted({names.index(name) for name in one})
+        said, name = f"{tuple(one)}, of {len(found)} joint(s)", ""
+    if len(found) < 2:
+        raise ValueError(
+            f"alike has {said}; expected two or more joints in each group, of "
+            f"{', '.join(names)}."
+        )
+    return name, tuple(found)
+
+
+def _found(model):
+    """Return groups whose names differ in leg or number alone, of equal bodies."""
+    names, slides = joint_names(model), is_prismatic(model)
+    solid = solid_bodies(nominal_parameters(model))
+    groups = {}
+    for j in np.flatnonzero(solid):
+        words = [word.lower() for word in _WORDS.findall(names[j])]
+        key = tuple("" if w in _SIDES or w.isdigit() else w for w in words)
+        if "" in key:
+            groups.setdefault((key, bool(slides[j])), []).append(int(j))
+    equal = [part for own in groups.values() for part in _equal(own, model)]
+    equal = [joints for joints in equal if len(joints) > 1 and _abreast(joints, model)]
+    return _named([("", joints) for joints in equal], names)
+
+
+def _abreast(joints, model):
+    """Whether no joint carries another one: joints of a chain have drives of a size."""
+    return not any(
+        j + 1 in list(model.supports[k + 1])[:-1] for j in joints for k in joints
+    )
+
+
+def _equal(joints, model):
+    """Split joints into those whose bodies have the same mass and inertias."""
+    parts = []
+    for j in joints:
+        body = model.inertias[j + 1]
+        own = np.append(body.mass, np.linalg.eigvalsh(body.inertia))
+        for first, part in parts:
+            if np.allclose(own, first, rtol=_EQUAL, atol=0.0):
+                part.append(j)
+                break
+        else:
+            parts.append((own, [j]))
+    return [tuple(part) for _, part in parts]
+
+
+def _named(groups, names):
+    """Name each group by the words that its joints have in common."""
+    called = [name or _common([names[j] for j in joints]) for name, joints in groups]
+    return tuple(
+        AlikeJoints(
+            name if called.count(name) == 1 else _listed([names[j] for j in joints]),
+            joints,
+        )
+        for name, (_, joints) in zip(called, groups)
+    )
+
+
+def _common(names):
+    """Words that names of joints have in common."""
+    words = [_WORDS.findall(name) for name in names]
+    common = [w for w in words[0] if all(w in other for other in words)]
+    kept = [w for w in common if w.lower() not in {"joint", *_SIDES}]
+    return " ".join(kept or common) or _listed(names)
+
+
+def _listed(names):
+    """Write the first of some names."""
+    return "/".join([*names[:2], "..."] if len(names) > 2 else names)
+
+
+# -- which values ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class _Shared:
+    """A value of alike joints: where it is among all parameters, joint by joint."""
+
+    group: str
+    parameter: str
+    places: np.ndarray
+
+    def told(self, std):
+        """Return it without values of which deviations (p,) say that nothing tells."""
+        own = std[self.places]
+        known = np.isfinite(own) & (own > 0)
+        known &= own < _SILENT * own[known].min(initial=np.inf)
+        return replace(self, places=self.places[known])
+
+
+def shared_values(groups, robot):
+    """Values of the drives of alike joints, which have neither sign nor place."""
+    features, joints = robot.features_, {}
+    per_joint = features.n_parameters_ // features.n_joints_
+    for j in range(features.n_joints_):
+        for k, name in enumerate(features.friction_):
+            if declared_alike(name):
+                joints.setdefault((name,), {})[j] = j * per_joint + 10 + k
+    at = features.n_parameters_
+    for effect in robot.effects_:
+        for k, name in enumerate(effect.coefficients):
+            if effect.alike:
+                shape = tuple(sorted(effect.shape().items()))
+                key = (f"{effect.name}:{name}", type(effect), shape)
+                joints.setdefault(key, {})[effect.joint] = at + k
+        at += len(effect.coefficients)
+    found = []
+    for group in groups:
+        for key, places in joints.items():
+            own = [places[j] for j in group.joints if j in places]
+            if len(own) > 1:
+                found.append(_Shared(group.name, key[0], np.array(own)))
+    return found
+
+
+# -- their estimate --------------------------------------------------------------------
+
+
+def _contrasts(n):
+    """Orthonormal differences between n values, (n - 1, n)."""
+    return linalg.null_space(np.ones((1, n))).T if n else np.zeros((0, 0))
+
+
+@dataclass(frozen=True, eq=False)
+class _Problem:
+    """Values as the data tell them one by one, y and S, in parts that are alike."""
+
+    # Each value is in units of the mean of its part, which is free.
+
+    y: np.ndarray
+    S: np.ndarray
+    parts: tuple
+
+    def told(self, sites):
+        """Precision (k, k) that sites say of all values."""
+        precision = np.zeros(self.S.shape)
+        for part, site in zip(self.parts, sites):
+            root = _contrasts(part.size)
+            precision[np.ix_(part, part)] += root.T @ site.precision @ root
+        return precision
+
+    def solved(self, sites):
+        """Mean and covariance of all values; None is a site that says nothing."""
+        told = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
+        if not told:
+            return self.y, self.S
+        root = np.zeros((sum(p.size - 1 for p, _ in told), self.y.size))
+        spread, aim, at = np.zeros((len(root), len(root))), [], 0
+        for part, site in told:
+            rows = slice(at, at := at + part.size - 1)
+            root[rows, part] = _contrasts(part.size)
+            spread[rows, rows] = np.linalg.inv(site.precision)
+            aim.append(spread[rows, rows] @ site.right)
+        across = self.S @ root.T
+        gain = np.linalg.solve(root @ across + spread, across.T).T
+        covariance = self.S - gain @ across.T
+        mean = self.y + gain @ (np.concatenate(aim) - root @ self.y)
+        return mean, 0.5 * (covariance + covariance.T)
+
+    def sites(self):
+        """Sites of the parts, see `propagated`."""
+
+        def marginals(sites):
+            mean, covariance = self.solved(sites)
+            for part in self.parts:
+                root = _contrasts(part.size)
+                if not len(root):
+                    # One with no values stays as it is.
+                    yield np.zeros((0, 0)), np.zeros(0)
+                    continue
+                inverse = inverse_of(root @ covariance[np.ix_(part, part)] @ root.T)
+                yield inverse, inverse @ root @ mean[part]
+
+        return propagated(self.usual(), marginals)
+
+    def usual(self):
+        """Sites at the scale that is expected."""
+        return [Site.of_scale(DESCRIBED, max(p.size - 1, 0)) for p in self.parts]
+
+    def centre(self, sites, mean):
+        """Values (k,) that sites have for the most probable ones, at some means."""
+        out = np.zeros(self.y.size)
+        for part, site in zip(self.parts, sites):
+            if part.size:
+                away = np.linalg.solve(site.precision, site.right)
+                out[part] = mean[part].mean() + _contrasts(part.size).T @ away
+        return out
+
+    def without(self, k, sites):
+        """Mean and covariance of a part but for what its own site says."""
+        mean, covariance = self.solved([*sites[:k], None, *sites[k + 1 :]])
+        return mean[self.parts[k]], covariance[np.ix_(self.parts[k], self.parts[k])]
+
+
+@dataclass(frozen=True, eq=False)
+class _Apart:
+    """Evidence (n_scales, n) that each of n values is further off than the others."""
+
+    y: np.ndarray
+    S: np.ndarray
+    evidence: np.ndarray
+
+    @classmethod
+    def of(cls, y, S):
+        """Compare values at each scale of the others, which is summed over."""
+        V = S + (SCALES**2)[:, None, None] * np.eye(y.size)
+        inverse = np.linalg.inv(V)
+        ones = inverse.sum(axis=2)
+        free = inverse - ones[:, :, None] * ones[:, None] / ones.sum(1)[:, None, None]
+        q, h = free @ y, np.diagonal(free, axis1=1, axis2=2)
+        size = np.linalg.slogdet(V)[1] + np.log(ones.sum(axis=1))
+        along = _USUAL - 0.5 * (size + q @ y)
+        one = [
+            Groups(
+                H=own[:, None, None],
+                q=score[:, None],
+                own=own[:, None],
+                unit=np.ones((y.size, 1)),
+            ).evidence(DESCRIBED)
+            for own, score in zip(h, q)
+        ]
+        return cls(y, S, np.array(one) + (along - logsumexp(along))[:, None])
+
+    @property
+    def log_odds(self):
+        """Log odds (n,) but for those before the data."""
+        return logsumexp(self.evidence, axis=0)
+
+    def factor(self, k):
+        """Factor of a value over the mean of the others, and its deviation."""
+        n = self.y.size
+        rest = np.flatnonzero(np.arange(n) != k)
+        if n > 2:
+            weight = np.exp(self.evidence[:, k] - self.log_odds[k])
+            scale = np.sqrt(weight @ SCALES**2)
+            problem = _Problem(self.y, self.S, (rest,))
+            y, S = problem.solved([Site.of_scale(scale, n - 2)])
+        else:
+            y, S = self.y, self.S
+        mean = y[rest].mean()
+        factor = y[k] / mean
+        along = np.where(np.arange(n) == k, 1.0, -factor / (n - 1)) / mean
+        return float(factor), float(np.sqrt(along @ S @ along))
+
+
+def _depart(problem, labels):
+    """Take values that are not alike out of their parts, the surest first."""
+    # labels: names of the joints of all values. Returns the problem that is left, its
+    # sites, and a list of `Departure` of each part.
+    apart = [[] for _ in problem.parts]
+    count = sum(part.size for part in problem.parts)
+    while True:
+        sites = problem.sites()
+        open_ = [k for k, part in enumerate(problem.parts) if part.size > 1]
+        found = {k: _Apart.of(*problem.without(k, sites)) for k in open_}
+        odds = {k: one.log_odds - np.log(count) for k, one in found.items()}
+        first = max(open_, key=lambda k: odds[k].max(), default=None)
+        if first is None or odds[first].max() <= 0:
+            return problem, sites, apart
+        own, part = odds[first], problem.parts[first]
+        near = np.flatnonzero(own > own.max() - RIVALS)
+        near = near[np.argsort(-own[near], kind="stable")]
+        factors, stds = zip(*(found[first].factor(k) for k in near))
+        apart[first].append(
+            Departure(
+                bodies=tuple(labels[i] for i in part[near]),
+                factors=factors,
+                stds=stds,
+                log_odds=float(own.max()),
+            )
+        )
+        rest = np.delete(part, near)
+        # One value alone is alike to nothing.
+        rest = rest if rest.size > 1 else rest[:0]
+        parts = (*problem.parts[:first], rest, *problem.parts[first + 1 :])
+        problem = replace(problem, parts=parts)
+
+
+def _unit(y, S):
+    """Size of the mean that values of a covariance have if they are equal."""
+    inverse = inverse_of(S)
+    total = inverse.sum()
+    return np.sqrt((inverse.sum(axis=0) @ y / total) ** 2 + 1.0 / total)
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """An estimate, as far as values that are alike are concerned."""
+
+    # at: places of these values; parts: which of them are alike; unit: size of the mean
+    # of each one's part; ratio (p,): factors by which residuals correlated in time
+    # widen the deviations; C (p, p): covariance, zero where it is infinite.
+
+    found: object
+    at: np.ndarray
+    unit: np.ndarray
+    parts: tuple
+    ratio: np.ndarray
+    C: np.ndarray
+
+    @classmethod
+    def of(cls, found, kept):
+        """Take the values at `kept`, places of each part."""
+        C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+        size, known = np.sqrt(np.diagonal(C)), np.isfinite(found.std)
+        known &= size > 0
+        ratio = np.ones(size.size)
+        ratio[known] = found.std[known] / size[known]
+        wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
+        unit = [np.full(p.size, _unit(theta[p], wide[np.ix_(p, p)])) for p in kept]
+        ends = np.cumsum([places.size for places in kept])
+        return cls(
+            found=found,
+            at=np.concatenate(kept),
+            unit=np.concatenate(unit),
+            parts=tuple(np.arange(e - p.size, e) for e, p in zip(ends, kept)),
+            ratio=ratio,
+            C=C,
+        )
+
+    @property
+    def problem(self):
+        """The values in units of their means, as well known as their deviations say."""
+        scale = self.ratio[self.at] / self.unit
+        S = self.C[np.ix_(self.at, self.at)] * np.outer(scale, scale)
+        y = self.found.theta_unconstrained[self.at] / self.unit
+        return _Problem(y, S, self.parts)
+
+    def beside(self, problem, sites):
+        """Return the `Estimate` with what sites say of the values."""
+        found, at, scale = self.found, self.at, self.unit / self.ratio[self.at]
+        mean, covariance = problem.solved(sites)
+        move = self.unit * (mean - problem.y)
+        less = (problem.S - covariance) * np.outer(scale, scale)
+        # All other parameters follow as the data have it.
+        follow = scaled_eigen(self.C[np.ix_(at, at)]).solve(self.C[at]).T
+        theta = found.theta_unconstrained + follow @ move
+        C = self.C - follow @ less @ follow.T
+        std = self.ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
+        C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
+        return replace(
+            found,
+            theta=theta,
+            theta_unconstrained=theta,
+            std=np.where(np.isfinite(found.std), std, found.std),
+            covariance=C,
+            bodies=self._prior(theta, C, problem, sites),
+        )
+
+    def _prior(self, theta, C, problem, sites):
+        """Return the `BodyPosterior` whose prior has what sites say as well."""
+        at, known = self.at, {"theta": theta, "covariance": C}
+        before = self.found.bodies
+        if before is None:
+            before = BodyPosterior.of_nothing(**known, noise=noise_of(self.found))
+        prior, centre = before.prior.copy(), before.centre.copy()
+        prior[np.ix_(at, at)] += problem.told(sites) / np.outer(self.unit, self.unit)
+        centre[at] += self.unit * problem.centre(sites, theta[at] / self.unit)
+        return replace(before, **known, prior=prior, centre=centre)
+
+
+def beside_each_other(found, groups, robot):
+    """Return an `Estimate` in which values of alike joints are near each other."""
+    # What a joint stood still for is not told, and is not shared.
+    shared = [one.told(found.std) for one in shared_values(groups, robot)]
+    shared = [one for one in shared if one.places.size > 1]
+    if not shared:
+        return found
+    seen = _Seen.of(found, [one.places for one in shared])
+    labels = [robot.parameter_names_[i].partition(":")[0] for i in seen.at]
+    left, sites, apart = _depart(seen.problem, labels)
+    beside = seen.beside(left, sites)
+    mean, covariance = left.solved(sites)
+    values = []
+    for one, part, others in zip(shared, left.parts, apart):
+        value = AlikeValue(
+            group=one.group,
+            parameter=one.parameter,
+            joints=tuple(labels[i] for i in part),
+            places=tuple(seen.at[part].tolist()),
+            **_spread(mean[part], covariance[np.ix_(part, part)], seen.unit[part]),
+            unit=robot.parameter_units_[one.places[0]],
+            apart=tuple(others),
+        )
+        values.append(value)
+    return replace(beside, alike=tuple(values))
+
+
+def _spread(y, S, unit):
+    """Mean of values, its deviation, and what they scatter by as a share of it."""
+    n = y.size
+    if n == 0:
+        return dict.fromkeys(("value", "std", "scatter"), np.nan)
+    mean, size = y.mean(), unit[0]
+    # Expected variance between them: of their means, and of what is not known.
+    about = np.eye(n) - 1.0 / n
+    between = (y @ about @ y + np.trace(about @ S)) / max(n - 1, 1)
+    std = np.sqrt(S.sum()) / n
+    told = abs(mean) > HALF_WIDTH * std
+    return {
+        "value": float(size * mean),
+        "std": float(size * std),
+        "scatter": float(np.sqrt(between) / abs(mean)) if told else np.nan,
+    }

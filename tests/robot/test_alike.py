@@ -1,0 +1,448 @@
+"""Alike joints, against closed forms, quadrature and robots whose truth is known."""
+
+import re
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy import integrate
+from scipy.special import logsumexp
+from scipy.stats import multivariate_normal
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from sklearn_vbjfa.effects import LoadFriction
+from sklearn_vbjfa.robot import _alike
+from sklearn_vbjfa.robot._bodies import DESCRIBED, SCALES, Site
+
+LEGS = ("FL", "FR", "RL", "RR")
+TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
+# Viscous and Coulomb friction and rotor inertia of hips and calves.
+DRIVES = np.array([[0.3, 0.5, 0.02], [0.2, 0.3, 0.01]])
+DT = 0.01
+
+
+def a_quadruped(legs=LEGS, names="{leg}_{part}_joint", kinds=("RX", "RY")):
+    """Robot with legs of two joints, left and right mirrored, whose base is held."""
+    model, length = pin.Model(), 0.3
+    for leg in legs:
+        side = -1.0 if leg.endswith("R") else 1.0
+        parent = 0
+        for kind, part, mass in zip(kinds, ("hip", "calf"), (1.5, 0.6)):
+            shift = [0.0, 0.1 * side, 0.0 if part == "hip" else -length]
+            joint = getattr(pin, f"JointModel{kind}")()
+            at = pin.SE3(np.eye(3), np.array(shift))
+            parent = model.addJoint(parent, joint, at, names.format(leg=leg, part=part))
+            box = pin.Inertia.FromBox(mass, 0.06, 0.04, length)
+            centre = pin.SE3(np.eye(3), np.array([0.02, 0.015 * side, -0.5 * length]))
+            model.appendBodyToJoint(parent, centre.act(box), pin.SE3.Identity())
+    return model
+
+
+def drives(model, scatter=0.0, seed=0):
+    """Draw true values (nv, 3) of the joints, scattered about those of their kind."""
+    rng = np.random.default_rng([seed, 3])
+    kind = [int("calf" in name) for name in list(model.names)[1:]]
+    return DRIVES[kind] * (1.0 + scatter * rng.standard_normal((model.nv, 3)))
+
+
+def recorded(model, true, noise=0.05, amplitude=0.4, seed=0, n=2000, still=()):
+    """Positions and torques of a robot with some drives (nv, 3)."""
+    rng = np.random.default_rng([seed, 5])
+    t = np.arange(n) * DT
+    w = 2 * np.pi * rng.uniform(0.3, 1.5, (model.nv, 3))
+    angle = t[:, None, None] * w + rng.uniform(0, 2 * np.pi, w.shape)
+    amplitude = np.where(np.isin(np.arange(model.nv), still), 0.0, amplitude)
+    q = amplitude * np.sin(angle).sum(axis=2)
+    v = amplitude * (w * np.cos(angle)).sum(axis=2)
+    a = -amplitude * (w**2 * np.sin(angle)).sum(axis=2)
+    data = model.createData()
+    tau = np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+    sign = rng.choice([-1.0, 1.0], model.nv)
+    tau += true[:, 0] * v + true[:, 1] * np.sign(v) + 0.1 * sign + true[:, 2] * a
+    return q, tau + noise * tau.std(axis=0) * rng.standard_normal(tau.shape)
+
+
+def off(model, share, seed):
+    """Return a robot whose bodies weigh more or less than in its description."""
+    rng, out = np.random.default_rng([seed, 7]), model.copy()
+    for k in range(1, model.nv + 1):
+        vector = np.exp(share * rng.standard_normal()) * (
+            model.inertias[k].toDynamicParameters()
+        )
+        out.inertias[k] = pin.Inertia.FromDynamicParameters(vector)
+    return out
+
+
+def fitted(model, recording, **settings):
+    settings = {"friction": TERMS, "cutoff": 8.0, **settings}
+    return RobotIdentifier(model, dt=DT, **settings).fit(*recording)
+
+
+def found_drives(robot, terms=(10, 11, 13)):
+    return robot.theta_.reshape(robot.features_.n_joints_, -1)[:, list(terms)]
+
+
+def value_of(robot, group, parameter):
+    (one,) = [x for x in robot.alike_ if (x.group, x.parameter) == (group, parameter)]
+    return one
+
+
+@pytest.fixture(scope="module")
+def model():
+    return a_quadruped()
+
+
+@pytest.fixture(scope="module")
+def recording(model):
+    return recorded(model, drives(model))
+
+
+# -- closed forms ----------------------------------------------------------------------
+
+
+def a_problem(n=4, seed=0):
+    """Values that are known more or less, and not independently."""
+    rng = np.random.default_rng(seed)
+    A = rng.standard_normal((n, 2 * n))
+    S = 0.01 * A @ A.T
+    return _alike._Problem(1.0 + rng.standard_normal(n), S, (np.arange(n),))
+
+
+def test_without_a_limit_each_value_is_its_own():
+    problem = a_problem()
+    mean, covariance = problem.solved([Site.of_scale(1e8, 3)])
+    np.testing.assert_allclose(mean, problem.y, rtol=1e-9)
+    np.testing.assert_allclose(covariance, problem.S, rtol=1e-9)
+
+
+def test_without_scatter_there_is_one_value():
+    problem = a_problem()
+    mean, covariance = problem.solved([Site.of_scale(1e-8, 3)])
+    weight = np.linalg.inv(problem.S).sum(axis=0)
+    np.testing.assert_allclose(mean, weight @ problem.y / weight.sum(), rtol=1e-9)
+    np.testing.assert_allclose(covariance, 1.0 / weight.sum(), rtol=1e-9)
+
+
+def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
+    y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
+    problem = _alike._Problem(y, S, (np.arange(2),))
+    mean, covariance = problem.solved(problem.sites())
+    grid = np.geomspace(SCALES[0], SCALES[-1], 20001)
+    # The difference over the square root of two is normal with the scatter.
+    d, v = (y[0] - y[1]) / np.sqrt(2), S.trace() / 2
+    density = np.exp(-0.5 * d**2 / (v + grid**2)) / np.sqrt(v + grid**2)
+    density /= 1.0 + (grid / DESCRIBED) ** 2
+    of_scale = np.array([d * grid**2, v * grid**2]) / (v + grid**2)
+    total = integrate.trapezoid(density, grid)
+    first = integrate.trapezoid(density * of_scale[0], grid) / total
+    second = integrate.trapezoid(density * (of_scale[0] ** 2 + of_scale[1]), grid)
+    along = np.array([1.0, -1.0]) / np.sqrt(2)
+    assert along @ mean == pytest.approx(first, rel=2e-3)
+    variance = second / total - first**2
+    assert along @ covariance @ along == pytest.approx(variance, rel=5e-3)
+
+
+def test_odds_of_another_value_are_those_of_the_integral_over_both_scales():
+    y, S = np.array([1.0, 1.1, 2.0]), np.diag([0.02, 0.01, 0.03])
+    found = _alike._Apart.of(y, S).log_odds
+    # A mean that is free is a normal one of a huge deviation.
+    wide = 1e6 * np.ones((3, 3))
+    scale = np.geomspace(1e-4, 1e2, 25)
+    prior = (scale / DESCRIBED) / (1 + (scale / DESCRIBED) ** 2)
+    usual = SCALES * np.exp(-0.5 * (SCALES / 0.1) ** 2)
+
+    def evidence(one=None):
+        others = [0.0] if one is None else scale
+        own = np.eye(3) * (np.arange(3) == one)
+        made = [
+            [
+                multivariate_normal.logpdf(
+                    y, cov=S + wide + s**2 * np.eye(3) + t**2 * own
+                )
+                for t in others
+            ]
+            for s in SCALES
+        ]
+        weight = [1.0] if one is None else prior / prior.sum()
+        return logsumexp(np.array(made), b=usual[:, None] * np.array(weight))
+
+    expected = [evidence(k) - evidence() for k in range(3)]
+    np.testing.assert_allclose(found, expected, atol=1e-4)
+    assert found.argmax() == 2
+
+
+@pytest.mark.parametrize("bodies", ["prior", "free", "fixed"])
+def test_where_the_scatter_has_no_limit_the_fit_is_the_free_one(
+    bodies, model, recording, monkeypatch
+):
+    free = fitted(model, recording, bodies=bodies, alike=None)
+
+    def open_(problem, labels):
+        nothing = [Site.of_scale(1e9, part.size - 1) for part in problem.parts]
+        return problem, nothing, [[] for _ in problem.parts]
+
+    monkeypatch.setattr(_alike, "_depart", open_)
+    alike = fitted(model, recording, bodies=bodies)
+    assert len(alike.alike_) == 6
+    scale = free.theta_std_ + np.abs(free.theta_unconstrained_) + 1e-12
+    away = np.abs(alike.theta_unconstrained_ - free.theta_unconstrained_) / scale
+    assert np.nanmax(away) < 1e-9
+    np.testing.assert_allclose(alike.theta_std_, free.theta_std_, rtol=1e-6)
+
+
+def test_where_there_is_no_scatter_a_group_has_one_value(model, recording, monkeypatch):
+    def equal(problem, labels):
+        one = [Site.of_scale(1e-6, part.size - 1) for part in problem.parts]
+        return problem, one, [[] for _ in problem.parts]
+
+    monkeypatch.setattr(_alike, "_depart", equal)
+    robot = fitted(model, recording)
+    own = found_drives(robot).reshape(4, 2, 3)
+    np.testing.assert_allclose(own, np.broadcast_to(own[0], own.shape), rtol=1e-6)
+
+
+# -- robots ----------------------------------------------------------------------------
+
+
+def test_legs_are_found_and_their_values_are_nearer_to_the_truth():
+    model = a_quadruped()
+    away = {}
+    for seed in range(3):
+        true = drives(model, 0.03, seed)
+        weak = recorded(model, true, noise=0.3, amplitude=0.1, seed=seed, n=1200)
+        for alike in (None, "auto"):
+            robot = fitted(model, weak, alike=alike)
+            error = found_drives(robot) / true - 1.0
+            away.setdefault(alike, []).append(np.sqrt((error**2).mean(axis=0)))
+    names = [(one.group, one.parameter, len(one.joints)) for one in robot.alike_]
+    assert ("hip", "rotor_inertia", 4) in names
+    assert len(names) == 6
+    shared, alone = (np.mean(away[way], axis=0) for way in ("auto", None))
+    # Friction, which is seen well, and rotor inertias, which are not.
+    assert np.all(shared[:2] < 0.9 * alone[:2])
+    assert shared[2] < 0.7 * alone[2]
+
+
+def test_a_drive_that_is_another_one_is_told_with_its_factor(model):
+    true = drives(model)
+    joint = list(model.names).index("RL_calf_joint") - 1
+    true[joint, 2] *= 3.0
+    robot = fitted(model, recorded(model, true))
+    one = value_of(robot, "calf", "rotor_inertia")
+    (other,) = one.apart
+    assert other.bodies == ("RL_calf_joint",)
+    assert abs(other.factors[0] - 3.0) < 3 * other.stds[0]
+    assert "RL_calf_joint" not in one.joints
+    assert len(one.joints) == 3
+    assert abs(one.value - 0.01) < 3 * one.std
+    assert not value_of(robot, "hip", "rotor_inertia").apart
+    own = found_drives(robot)[joint, 2]
+    assert own == pytest.approx(0.03, rel=0.15)
+
+
+def test_of_two_halves_nobody_knows_which_one_is_another():
+    model = a_quadruped(("L", "R"))
+    true = drives(model)
+    true[0, 0] *= 4.0
+    one = value_of(fitted(model, recorded(model, true)), "hip", "viscous")
+    (other,) = one.apart
+    assert set(other.bodies) == {"L_hip_joint", "R_hip_joint"}
+    factors = dict(zip(other.bodies, other.factors))
+    assert factors["L_hip_joint"] == pytest.approx(4.0, rel=0.1)
+    assert factors["L_hip_joint"] * factors["R_hip_joint"] == pytest.approx(1.0)
+    assert one.joints == ()
+    assert np.isnan(one.value)
+
+
+def test_offsets_are_not_shared(model, recording):
+    robot = fitted(model, recording)
+    offsets = robot.theta_.reshape(8, -1)[:, 12]
+    assert np.ptp(offsets) > 0.15
+    assert not any("offset" in one.parameter for one in robot.alike_)
+
+
+def test_effects_that_have_no_sign_are_shared(model, recording):
+    effects = [LoadFriction(joint=j) for j in range(8)]
+    robot = fitted(model, recording, effects=effects)
+    one = value_of(robot, "hip", "load_friction:mu")
+    assert len(one.joints) == 4
+    assert one.value == pytest.approx(robot.theta_[list(one.places)].mean())
+
+
+def test_what_a_joint_stood_still_for_is_not_shared(model):
+    with pytest.warns(UserWarning, match="FL_hip_joint never move"):
+        robot = fitted(model, recorded(model, drives(model), still=[0]))
+    assert "FL_hip_joint" not in value_of(robot, "hip", "viscous").joints
+    assert np.isfinite(robot.theta_).all()
+
+
+def test_units_and_the_order_of_groups_do_not_matter(model, recording):
+    q, tau = recording
+    robot = fitted(model, recording)
+    other = fitted(model, (q, 1e3 * tau))
+    np.testing.assert_allclose(
+        found_drives(other), 1e3 * found_drives(robot), rtol=1e-6
+    )
+    for a, b in zip(other.alike_, robot.alike_):
+        assert a.value == pytest.approx(1e3 * b.value, rel=1e-6)
+        assert a.scatter == pytest.approx(b.scatter, rel=1e-5)
+    names = [[f"{leg}_{part}_joint" for leg in LEGS] for part in ("calf", "hip")]
+    turned = fitted(model, recording, alike=[names[0][::-1], names[1]])
+    np.testing.assert_allclose(turned.theta_, robot.theta_, rtol=1e-9, atol=1e-12)
+
+
+def test_the_posterior_has_what_is_shared(model, recording):
+    free = fitted(model, recording, alike=None)
+    robot = fitted(model, recording)
+    own = list(value_of(robot, "calf", "rotor_inertia").places)
+    assert np.all(robot.theta_std_[own] < free.theta_std_[own])
+    precision, centre = robot.described()
+    along = precision[np.ix_(own, own)]
+    # The mean is free, the differences are not.
+    assert along @ np.ones(4) == pytest.approx(0.0, abs=1e-6 * np.abs(along).max())
+    assert np.linalg.eigvalsh(along)[1] > 0
+    assert centre[own].mean() == pytest.approx(robot.theta_[own].mean(), rel=0.05)
+    # Nothing else is known worse for it.
+    assert np.all(robot.theta_std_ <= (1 + 1e-9) * free.theta_std_)
+
+
+def test_a_search_shares_as_well(model, recording):
+    identifier = RobotIdentifier(model, dt=DT, friction=("viscous",), cutoff=8.0)
+    loop = EffectDiscovery(identifier, effects=["coulomb"], random_state=0)
+    loop.fit(*recording)
+    assert value_of(loop.identifier_, "hip", "coulomb").joints
+    (told,) = [line for line in str(loop.report_).split("\n") if "hip: " in line]
+    assert re.match(r"hip: viscous friction 0\.(29|30)\d* \+- ", told)
+    assert len(loop.report_.to_dict()["alike"]) == 6
+
+
+# -- which joints ----------------------------------------------------------------------
+
+
+def groups_of(model, alike="auto", **settings):
+    robot = RobotIdentifier(model, dt=DT, alike=alike, **settings).load()
+    return {one.name: one.joints for one in robot._alike}
+
+
+def test_names_and_bodies_make_a_group():
+    assert groups_of(a_quadruped()) == {"hip": (0, 2, 4, 6), "calf": (1, 3, 5, 7)}
+    numbered = a_quadruped(("1", "2"), "leg{leg}_{part}")
+    assert groups_of(numbered) == {"leg hip": (0, 2), "leg calf": (1, 3)}
+    camel = a_quadruped(("Left", "Right"), "{leg}{part}")
+    assert set(groups_of(camel)) == set()
+    heavy = a_quadruped()
+    heavy.inertias[1].mass *= 1.01
+    assert groups_of(heavy)["hip"] == (2, 4, 6)
+
+
+def test_joints_of_one_chain_are_no_group():
+    model = a_quadruped(("L",), kinds=("RX", "RX"))
+    for k in (1, 2):
+        model.names[k] = f"joint_{k}"
+        model.inertias[k] = model.inertias[1]
+    assert groups_of(model) == {}
+    assert groups_of(model, "joint") == {"joint": (0, 1)}
+
+
+def test_groups_may_be_given():
+    model = a_quadruped()
+    assert groups_of(model, "hip calf") == groups_of(model)
+    assert groups_of(model, ["F?_hip"]) == {"F?_hip": (0, 2)}
+    pair = ("FL_hip_joint", "FR_hip_joint")
+    assert groups_of(model, [pair]) == {"hip": (0, 2)}
+    assert groups_of(model, f"{','.join(pair)} calf") == {
+        "hip": (0, 2),
+        "calf": (1, 3, 5, 7),
+    }
+    rear = ("RL_hip_joint", "RR_hip_joint")
+    assert set(groups_of(model, [pair, rear])) == {
+        "FL_hip_joint/FR_hip_joint",
+        "RL_hip_joint/RR_hip_joint",
+    }
+    assert groups_of(model, None) == {}
+
+
+@pytest.mark.parametrize(
+    ("alike", "message"),
+    [
+        ([("FL_hip_joint", "XX")], "alike names 'XX', no joint of the robot"),
+        ("hip FL", "alike has FL_hip_joint in two groups"),
+        ("knee", "the pattern 'knee', which matches 0 joint"),
+        ("FL_hip", "the pattern 'FL_hip', which matches 1 joint"),
+        ([("FL_hip_joint", "FL_hip_joint")], "of 1 joint"),
+        ("", "groups of joints"),
+        ([3], "groups of joints"),
+        (7, "groups of joints"),
+    ],
+)
+def test_groups_that_cannot_be_are_refused(alike, message):
+    with pytest.raises(ValueError, match=message):
+        groups_of(a_quadruped(), alike)
+
+
+def test_what_turns_is_not_like_what_slides():
+    sliding = a_quadruped(("L", "R"), kinds=("PX", "RY"))
+    with pytest.raises(ValueError, match="revolute and prismatic joints in 'L_'"):
+        groups_of(sliding, "L_")
+    with pytest.raises(ValueError, match="alike does not go with gains"):
+        groups_of(a_quadruped(), "hip", gains="unknown")
+
+
+# -- calibration -----------------------------------------------------------------------
+
+
+def values(rng, n=4, noise=0.1, factor=1.0):
+    """Draw values of alike joints and what is known of them."""
+    scatter = np.abs(0.1 * rng.standard_normal())
+    x = 1.0 + scatter * rng.standard_normal(n)
+    x[0] *= factor
+    S = np.diag(noise**2 * np.exp(0.5 * rng.standard_normal(n)))
+    y = rng.multivariate_normal(x, S)
+    unit = _alike._unit(y, S)
+    problem = _alike._Problem(y / unit, S / unit**2, (np.arange(n),))
+    left, sites, (apart,) = _alike._depart(problem, list("abcd"))
+    mean, covariance = left.solved(sites)
+    std = unit * np.sqrt(np.diagonal(covariance))
+    return x, y, unit * mean, std, apart
+
+
+def test_intervals_hold_the_truth_and_false_names_are_rare():
+    rng = np.random.default_rng(0)
+    drawn = [values(rng) for _ in range(150)]
+    x, y, mean, std = (np.array([d[k] for d in drawn]) for k in range(4))
+    assert 0.86 < (np.abs(mean - x) < 1.645 * std).mean() < 0.94
+    assert ((mean - x) ** 2).mean() < 0.8 * ((y - x) ** 2).mean()
+    assert np.mean([bool(d[4]) for d in drawn]) < 0.1
+
+
+def test_another_drive_is_named_where_it_can_be():
+    rng = np.random.default_rng(1)
+    found = [values(rng, noise=0.05, factor=2.5)[4] for _ in range(60)]
+    assert np.mean([bool(f) and "a" in f[0].bodies for f in found]) > 0.85
+
+
+@pytest.mark.slow
+def test_robots_hold_their_truth():
+    # Twenty robots whose drives scatter by 10 % and whose bodies are a fifth off, every
+    # other one with another motor.
+    model, inside, told, false = a_quadruped(), [], [], []
+    squares = {None: 0.0, "auto": 0.0}
+    for seed in range(20):
+        true = drives(model, 0.1, seed)
+        if seed % 2:
+            true[3, 2] *= 3.0
+        real = off(model, 0.2, seed)
+        weak = recorded(real, true, noise=0.2, amplitude=0.2, seed=seed, n=1500)
+        for alike in squares:
+            robot = fitted(model, weak, alike=alike)
+            away = found_drives(robot) - true
+            squares[alike] += ((away / true) ** 2).mean(axis=0) / 20
+        std = robot.theta_std_.reshape(8, -1)[:, [10, 11, 13]]
+        inside.append(np.abs(away) < 1.645 * std)
+        other = [x for one in robot.alike_ for d in one.apart for x in d.bodies]
+        told.append("FR_calf_joint" in other) if seed % 2 else false.append(other)
+    assert 0.8 < np.mean(inside) < 0.97
+    assert np.all(squares["auto"] < squares[None])
+    assert squares["auto"][2] < 0.7 * squares[None][2]
+    assert np.mean(told) >= 0.6
+    assert sum(map(bool, false)) <= 2

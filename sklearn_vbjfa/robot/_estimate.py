@@ -74,6 +74,18 @@ class Estimate:
         return self.metric + self.bodies.noise * self.bodies.prior
 
     @property
+    def prior_precision(self):
+        """Precision (p, p) of the description in units of the noise; zero without."""
+        return np.zeros(self.metric.shape) if self.bodies is None else self.bodies.prior
+
+    @property
+    def scatter(self):
+        """Variance of the noise that the weighted equations were worth, in time."""
+        if self.bodies is not None:
+            return self.bodies.noise
+        return _worth(self)
+
+    @property
     def prior_std(self):
         """Deviations (p,) by the description alone; nan for what it does not say."""
         if self.bodies is None:
@@ -198,14 +210,17 @@ def _noise_variance(moments, weight, theta, rank):
     return squares / moments.n[used].sum() * count / max(count - rank, 1)
 
 
+def _worth(found):
+    """Variance of the noise, and of its scatter between blocks of time."""
+    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
+    known = found.moments, found.joint_weights, found.theta_unconstrained, rank
+    return _noise_variance(*known) * max(found.pooled, 1.0)
+
+
 def beside_description(found, description, bodies="prior"):
     """Return an `Estimate` with the bodies near their description, or as described."""
     # The likelihood is worth what its scatter between blocks of time leaves of it.
-    moments, weight = found.moments, found.joint_weights
-    total = moments.total(weight)
-    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
-    start = found.theta_unconstrained
-    noise = _noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+    total, noise = found.moments.total(found.joint_weights), _worth(found)
     way = around if bodies == "prior" else as_described
     posterior = way(description, found.metric / noise, total.S_xy / noise)
     # Deviations: what the prior leaves, and the noise as it scatters in time.

@@ -29,6 +29,8 @@ class Numbering:
     together: int = 1  # recordings per block, if there are more recordings than blocks
     # (n, 2) of each recording: block of each row, where these are phases of a motion
     keys: list | None = None
+    # recordings whose moments are kept as those of one; None of a single recording
+    several: int | None = None
 
     @classmethod
     def of(cls, lengths, phases=None):
@@ -38,10 +40,13 @@ class Numbering:
         filtered rows, of all rows. Motions are divided then, as recordings are: what is
         not modelled comes again with the phase, and is no further evidence.
         """
+        together = -(-len(lengths) // _BLOCKS)
+        several = together if len(lengths) > 1 else None
         if phases is None:
             return cls(
                 rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
-                together=-(-len(lengths) // _BLOCKS),
+                together=together,
+                several=several,
             )
         motion, phase = np.unique(phases[0], return_inverse=True)[1], phases[1].copy()
         spans = []
@@ -51,7 +56,15 @@ class Numbering:
         made = cls.of(spans)
         number = (phase // made.rows).astype(int) if made.together == 1 else 0 * motion
         keys = np.column_stack([motion // made.together, number])
-        return replace(made, keys=np.split(keys, np.cumsum(lengths)[:-1]))
+        keys = np.split(keys, np.cumsum(lengths)[:-1])
+        return replace(made, keys=keys, several=several)
+
+    def recording(self, number):
+        """Key of a recording, given by its number, among several; None of one alone."""
+        # Group of recordings that it is kept in, and how many are in one.
+        if self.several is None:
+            return None
+        return number // self.several, self.several
 
     def parts(self, recording, rows):
         """Divide rows (a slice) of a recording, given by its number."""
@@ -131,13 +144,35 @@ def block_scatter(stats, weight, theta):
         return block_scatter(
             replace(stats, blocks=(_join(stats.blocks),)), weight, theta
         )
-    p = theta.size
-    grams, scores = np.zeros((keys.shape[0], p, p)), np.zeros((keys.shape[0], p))
+    grams, scores = _weighted_parts(stats, stats.blocks, weight, theta)
+    order = np.lexsort(keys.T[::-1])
+    squares = stats.yy - 2 * stats.g @ theta + (stats.G @ theta) @ theta
+    noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
+    if (np.diff(order) != 1).any():
+        grams, scores, keys = grams[order], scores[order], keys[order]
+    return block_variance(grams, scores, keys, float(noise))
+
+
+def recording_parts(stats, weight, theta):
+    """Weighted Gram matrices (R, p, p), scores (R, p) and counts of recordings."""
+    # Counts (R,): recordings that are kept in one. None for a single recording.
+    if not stats.recordings:
+        return None
+    joined = _join(stats.recordings)
+    if joined.keys.shape[0] < 2:
+        return None
+    return *_weighted_parts(stats, (joined,), weight, theta), joined.keys[:, 1]
+
+
+def _weighted_parts(stats, parts, weight, theta):
+    """Weighted Gram matrices (n, p, p) and scores (n, p) of parts of the moments."""
+    p, count = theta.size, sum(moments.keys.shape[0] for moments in parts)
+    grams, scores = np.zeros((count, p, p)), np.zeros((count, p))
     # The scores do not sum to zero with input noise or a prior: shared by all rows.
     excess = weight[:, None] * (stats.g - stats.G @ theta)
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     first = 0
-    for moments in stats.blocks:
+    for moments in parts:
         rows = slice(first, first + moments.keys.shape[0])
         first = rows.stop
         scores[rows] -= moments.n @ excess
@@ -149,12 +184,7 @@ def block_scatter(stats, weight, theta):
                 g = g * (power > 0)
             grams[rows, k, k] += weight[j] * G
             scores[rows, k] += weight[j] * (g - G @ theta[k])
-    order = np.lexsort(keys.T[::-1])
-    squares = stats.yy - 2 * stats.g @ theta + (stats.G @ theta) @ theta
-    noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
-    if (np.diff(order) != 1).any():
-        grams, scores, keys = grams[order], scores[order], keys[order]
-    return block_variance(grams, scores, keys, float(noise))
+    return grams, scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,6 +201,8 @@ class JointMoments:
     noise: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
+    # the same by recordings, see `Numbering.recording`, if there are several
+    recordings: tuple | None = None
     # ranges of positions, speeds and directions in the joint's rows with weight, where
     # the states are known
     ranges: SignalRanges | None = None
@@ -185,6 +217,7 @@ class JointMoments:
             yy=self.yy + other.yy,
             noise=None if self.noise is None else self.noise + other.noise,
             blocks=_merge_blocks(self.blocks, other.blocks),
+            recordings=_merge_blocks(self.recordings, other.recordings),
             ranges=sum_ranges([self.ranges, other.ranges]),
         )
 
@@ -196,11 +229,16 @@ class JointMoments:
         return replace(self, G=self.G * both, g=self.g * keep, noise=noise)
 
     def columns(self, chosen):
-        """Return the moments of some of the columns, without blocks of time."""
+        """Return the moments of some of the columns, without those of their parts."""
         both = np.ix_(range(self.n.size), chosen, chosen)
         noise = None if self.noise is None else self.noise[both]
         return replace(
-            self, G=self.G[both], g=self.g[:, chosen], noise=noise, blocks=None
+            self,
+            G=self.G[both],
+            g=self.g[:, chosen],
+            noise=noise,
+            blocks=None,
+            recordings=None,
         )
 
     def residual_squares(self, theta):
@@ -245,15 +283,15 @@ class JointMoments:
         return np.einsum("j,jik->ik", weight, self.noise) / total
 
 
-def joint_moments(Phi, tau, weight, difference=None, parts=None):
+def joint_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
     """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     # difference (n, nv, p): of two regressors from separate halves of the samples; it
     # has the noise of both, their mean a quarter of its square. parts: blocks of time
-    # of the rows, see `Numbering.parts`.
-    return sum_moments([piece_moments(Phi, tau, weight, difference, parts)])
+    # of the rows, see `Numbering.parts`; recording: see there.
+    return sum_moments([piece_moments(Phi, tau, weight, difference, parts, recording)])
 
 
-def piece_moments(Phi, tau, weight, difference=None, parts=None):
+def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
     """Accumulate rows for `sum_moments`, see `joint_moments`."""
     n, nv, p = Phi.shape
     entries = []
@@ -262,7 +300,8 @@ def piece_moments(Phi, tau, weight, difference=None, parts=None):
         if difference is not None:
             used = np.union1d(used, _used(difference[:, j]))
         entries.append((_as_slice(j * p + used), used))
-    sums = MomentSums(entries, p, tau, weight, parts, noise=difference is not None)
+    noise = difference is not None
+    sums = MomentSums(entries, p, tau, weight, parts, recording, noise=noise)
     if difference is not None:
         difference = difference.reshape(n, -1)
     sums.add(0, Phi.reshape(n, -1), difference)
@@ -276,8 +315,11 @@ class MomentSums:
     # those of all (a slice or numbers) and which columns (k,) they are. Entries that
     # are zero in every motion are nowhere.
 
-    def __init__(self, entries, p, tau, weight, parts=None, *, noise=False):
+    def __init__(
+        self, entries, p, tau, weight, parts=None, recording=None, *, noise=False
+    ):
         self._entries, self._tau, self._weight = entries, tau, weight
+        self._recording = recording
         self._keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
         self._starts, self._p = starts, p
         self._ends = [*starts[1:].tolist(), tau.shape[0]]
@@ -334,18 +376,30 @@ class MomentSums:
                 g=tuple(gs),
             )
             blocks = _merge_blocks((), (parts,))
+        n, sums = weight.sum(axis=0), [own.sum(axis=0) for own in Gs]
+        recordings = None
+        if self._recording is not None:
+            whole = BlockMoments(
+                keys=np.array([self._recording]),
+                n=n[None],
+                columns=tuple(ranges),
+                G=tuple(own[None] for own in sums),
+                g=tuple(own.sum(axis=0, keepdims=True) for own in gs),
+            )
+            recordings = (whole,)
         noise = None
         if self._noise is not None:
             wide = [self._spread(j, own[None])[0] for j, own in enumerate(self._noise)]
             noise = tuple(zip(ranges, wide))
         return JointMoments(
-            n=weight.sum(axis=0),
+            n=n,
             n_rows=(weight > 0).sum(axis=0),
-            G=tuple((k, own.sum(axis=0)) for k, own in zip(ranges, Gs)),
+            G=tuple(zip(ranges, sums)),
             g=g,
             yy=np.einsum("nj,nj->j", weight, tau**2),
             noise=noise,
             blocks=blocks,
+            recordings=recordings,
         )
 
     def _spread(self, j, G):
@@ -434,6 +488,7 @@ def sum_moments(several):
             yy=total.yy + moments.yy,
             noise=None if total.noise is None else _added(total.noise, moments.noise),
             blocks=_merge_blocks(total.blocks, moments.blocks),
+            recordings=_merge_blocks(total.recordings, moments.recordings),
             ranges=sum_ranges([total.ranges, moments.ranges]),
         )
     return total

@@ -47,6 +47,7 @@ from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
+from sklearn_vbjfa.robot._posterior import BetweenRecordings
 from sklearn_vbjfa.robot._ranges import (
     outside_text,
     signals_outside_text,
@@ -379,6 +380,8 @@ class IdentifiedRobot(SimulatesTorques):
     powers: ColumnPowers | None = None
     # how far measured torques may be from predicted ones
     spread: TorqueSpread | None = None
+    # how far values are off from one recording to another, where there were several
+    between: BetweenRecordings | None = None
     theta_std_: np.ndarray | None = None  # (p,)
     theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
     identifiable_: np.ndarray | None = None  # (p,): determined individually

@@ -47,7 +47,7 @@ class BetweenRecordings:
     # scale of one
     size: np.ndarray
     weights: np.ndarray  # (m, k): probabilities of the scales
-    scales: np.ndarray = _SCALES  # (m,)
+    scales: np.ndarray  # (m,), in equal steps of their logarithm
 
     @classmethod
     def of_estimate(cls, found, places):
@@ -68,7 +68,8 @@ class BetweenRecordings:
         # The values that were fitted are off, too: by a mean of those of recordings.
         spread = np.sqrt(several.max() * (1.0 + effects.shares))
         size, weights = effects.unit * spread, effects.solved()
-        return cls(count=grams.shape[0], places=places, size=size, weights=weights)
+        known = {"size": size, "weights": weights, "scales": _SCALES}
+        return cls(count=grams.shape[0], places=places, **known)
 
     @property
     def deviations(self):

@@ -6,9 +6,11 @@ drive is not the same one from recording to recording.
 
 import functools
 from dataclasses import dataclass
+from numbers import Integral
 
 import numpy as np
 from scipy.special import log_ndtr, logsumexp, ndtri_exp, softmax
+from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
@@ -20,7 +22,7 @@ from sklearn_vbjfa.robot._joint_moments import recording_parts
 # How far values of a drive are expected to be off from one recording to another, as a
 # share of the value: half-Cauchy, as descriptions are around bodies. Scales that are
 # summed over, the largest that of a value that scatters about nothing.
-_SHARE, _SCALES = DESCRIBED, np.geomspace(1e-4, 2.0, 100)
+_SHARE, _SCALES = DESCRIBED, np.geomspace(1e-4, 2.0, 61)
 # Passes over all values, and the change of a logarithm of a scale that ends them.
 _PASSES, _STAYS = 30, 0.02
 # Sweeps of Gibbs's sampler for draws outside the possible values.
@@ -28,7 +30,7 @@ _SWEEPS = 200
 # Eigenvalues of a correlation below this are rounding.
 _ROUNDING = 1e-14
 # Halvings of an interval that a quantile is in.
-_HALVINGS = 200
+_HALVINGS = 70
 
 
 # -- from recording to recording -------------------------------------------------------
@@ -372,6 +374,23 @@ def _nonnegative(robot):
             out[at + k] = name in effect.nonnegative
         at += len(effect.coefficients)
     return out
+
+
+def seed_of(random_state):
+    """Return a whole number for a random state; for one that is a number, itself."""
+    if isinstance(random_state, Integral) and random_state >= 0:
+        return int(random_state)
+    return int(check_random_state(random_state).randint(2**31 - 1))
+
+
+def check_number(name, value, least):
+    """Reject what is no whole number, or too small."""
+    is_number = isinstance(value, Integral) and not isinstance(value, bool)
+    if not is_number or value < least:
+        raise ValueError(
+            f"{name} must be a whole number from {least} on; got {value!r}."
+        )
+    return int(value)
 
 
 # -- draws -----------------------------------------------------------------------------

@@ -48,7 +48,7 @@ class Estimate:
     metric: np.ndarray
     # (p, p) or None: covariance in a weighted equation, where it was measured
     input_noise: np.ndarray | None
-    moments: JointMoments  # of the fit, without blocks of time
+    moments: JointMoments  # of the fit; blocks of time of several recordings alone
     regressor: object
     # (p, p): posterior, with one factor for residuals correlated in time; infinite on
     # the diagonal where nothing tells a parameter, None if the regressor has none
@@ -72,18 +72,6 @@ class Estimate:
         if self.bodies is None:
             return self.metric
         return self.metric + self.bodies.noise * self.bodies.prior
-
-    @property
-    def prior_precision(self):
-        """Precision (p, p) of the description in units of the noise; zero without."""
-        return np.zeros(self.metric.shape) if self.bodies is None else self.bodies.prior
-
-    @property
-    def scatter(self):
-        """Variance of the noise that the weighted equations were worth, in time."""
-        if self.bodies is not None:
-            return self.bodies.noise
-        return _worth(self)
 
     @property
     def prior_std(self):
@@ -161,7 +149,7 @@ def estimate(
         joint_weights=weight,
         metric=total.S_xx.copy() if noise is None else denoised(total, noise),
         input_noise=noise,
-        moments=replace(moments, blocks=None),
+        moments=moments if moments.recordings else replace(moments, blocks=None),
         regressor=regressor,
         block_factors=factors,
         wider=wider,
@@ -191,7 +179,7 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
     theta = found.solve(right)
     if held.any():
         theta[held] = bodies.centre[held]
-    variance = _noise_variance(moments, weight, theta, found.rank)
+    variance = noise_variance(moments, weight, theta, found.rank)
     wider, _ = _correlation(moments, weight, theta)
     return PlainEstimate(
         theta=theta,
@@ -201,26 +189,24 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
     )
 
 
-def _noise_variance(moments, weight, theta, rank):
+def noise_variance(moments, weight, theta, rank, taken=0.0):
     """Weighted mean square of the noise, of which a fit took `rank` directions."""
+    # taken: of the sum of squares, by directions that theta does not have
     used = weight > 0
     count = moments.n_rows[used].sum()
-    squares = weight @ moments.residual_squares(theta)
+    squares = max(weight @ moments.residual_squares(theta) - taken, 0.0)
     # Weights may be fractions of a row; only the count knows what was estimated.
     return squares / moments.n[used].sum() * count / max(count - rank, 1)
-
-
-def _worth(found):
-    """Variance of the noise, and of its scatter between blocks of time."""
-    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
-    known = found.moments, found.joint_weights, found.theta_unconstrained, rank
-    return _noise_variance(*known) * max(found.pooled, 1.0)
 
 
 def beside_description(found, description, bodies="prior"):
     """Return an `Estimate` with the bodies near their description, or as described."""
     # The likelihood is worth what its scatter between blocks of time leaves of it.
-    total, noise = found.moments.total(found.joint_weights), _worth(found)
+    moments, weight = found.moments, found.joint_weights
+    total = moments.total(weight)
+    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
+    start = found.theta_unconstrained
+    noise = noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
     way = around if bodies == "prior" else as_described
     posterior = way(description, found.metric / noise, total.S_xy / noise)
     # Deviations: what the prior leaves, and the noise as it scatters in time.

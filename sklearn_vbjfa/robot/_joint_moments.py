@@ -153,15 +153,10 @@ def block_scatter(stats, weight, theta):
     return block_variance(grams, scores, keys, float(noise))
 
 
-def recording_parts(stats, weight, theta):
-    """Weighted Gram matrices (R, p, p), scores (R, p) and counts of recordings."""
-    # Counts (R,): recordings that are kept in one. None for a single recording.
-    if not stats.recordings:
-        return None
-    joined = _join(stats.recordings)
-    if joined.keys.shape[0] < 2:
-        return None
-    return *_weighted_parts(stats, (joined,), weight, theta), joined.keys[:, 1]
+def weighted_parts(stats, parts, weight, theta):
+    """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
+    joined = _join(parts)
+    return joined.keys, *_weighted_parts(stats, (joined,), weight, theta)
 
 
 def _weighted_parts(stats, parts, weight, theta):

@@ -14,10 +14,12 @@ from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.effects import Follower, declared_nonnegative
 from sklearn_vbjfa.physical import PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
-from sklearn_vbjfa.robot._joint_moments import recording_parts
+from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
+from sklearn_vbjfa.robot._joint_moments import weighted_parts
 
 # How far values of a drive are expected to be off from one recording to another, as a
 # share of the value: half-Cauchy, as descriptions are around bodies. Scales that are
@@ -55,20 +57,24 @@ class BetweenRecordings:
     def of_estimate(cls, found, places):
         """Estimate it from the moments of recordings; None where there are not two."""
         # found: `Estimate`; places (k,): parameters that may differ.
-        parts = recording_parts(found.moments, found.joint_weights, found.theta)
-        if parts is None or found.covariance is None:
+        stats, weight = found.moments, found.joint_weights
+        if not stats.recordings or found.covariance is None:
             return None
-        grams, scores, several = parts
+        known = weight, found.theta
+        keys, grams, scores = weighted_parts(stats, stats.recordings, *known)
         power = grams[:, places, places]
         places = places[(power > 0).sum(axis=0) > 1]
-        noise = found.scatter
-        if not places.size or not noise > 0:
+        if not places.size:
             return None
+        noise = _noise_within(found, keys, grams, scores, places)
+        if not noise > 0:
+            return None
+        prior = 0.0 if found.bodies is None else found.bodies.prior
         effects = _RecordingEffects(
-            grams / noise, scores / noise, found.theta, found.prior_precision, places
+            grams / noise, scores / noise, found.theta, prior, places
         )
         # The values that were fitted are off, too: by a mean of those of recordings.
-        spread = np.sqrt(several.max() * (1.0 + effects.shares))
+        spread = np.sqrt(keys[:, 1].max() + effects.shares)
         size, weights = effects.unit * spread, effects.solved()
         known = {"size": size, "weights": weights, "scales": _SCALES}
         return cls(count=grams.shape[0], places=places, **known)
@@ -84,6 +90,34 @@ class BetweenRecordings:
         return np.sqrt((self.weights * self.deviations**2).sum(axis=0))
 
 
+def _noise_within(found, keys, grams, scores, places):
+    """Variance of the noise, as it scatters in time within recordings."""
+    # With values of their own in all recordings: what they differ by is no noise.
+    stats, weight = found.moments, found.joint_weights
+    own = scores[:, places]
+    inverse = [
+        scaled_eigen(G[np.ix_(places, places)], IDENTIFIABLE).inverse() for G in grams
+    ]
+    taken = sum(s @ inner @ s for s, inner in zip(own, inverse))
+    rank = scaled_eigen(found.metric, IDENTIFIABLE).rank + (own != 0).sum()
+    noise = noise_variance(stats, weight, found.theta, rank, taken)
+    if stats.blocks is None or not noise > 0:
+        return noise
+    place, inner, each = weighted_parts(stats, stats.blocks, weight, found.theta)
+    if set(place[:, 0]) != set(keys[:, 0]):
+        # Blocks are phases of one motion, in which recordings are alike.
+        return noise * max(found.pooled, 1.0)
+    inner, each = inner[:, places[:, None], places], each[:, places]
+    total = counted = 0.0
+    for number, s, back in zip(keys[:, 0], own, inverse):
+        rows = place[:, 0] == number
+        if rows.sum() > 1:
+            left = each[rows] - inner[rows] @ (back @ s)
+            share = block_variance(inner[rows], left, place[rows], noise).pooled
+            total, counted = total + share * (rows.sum() - 1), counted + rows.sum() - 1
+    return noise * max(total / counted, 1.0) if counted else noise
+
+
 class _RecordingEffects:
     """Random effects of recordings on some parameters, everything else shared."""
 
@@ -97,11 +131,12 @@ class _RecordingEffects:
         self._scores, self._own = scores, scores[:, places]
         self._total = grams.sum(axis=0) + prior
         power = np.diagonal(self._inner, axis1=1, axis2=2)
-        # (k,): size of the values, with what they scatter beyond the noise
+        # (k,): size of the values; of those about nothing, that of their scatter
         with np.errstate(divide="ignore", invalid="ignore"):
             squares = np.where(power > 0, self._own**2 / power, 0.0).sum(axis=0)
         beyond = np.maximum(squares - (power > 0).sum(axis=0), 1.0)
-        self.unit = np.sqrt(theta[places] ** 2 + beyond / power.sum(axis=0))
+        scatter = beyond / power.sum(axis=0)
+        self.unit = np.sqrt(theta[places] ** 2 + scatter / _SHARE**2)
         self._power = power
         # (k,): sums of the squared shares of recordings in the values that were fitted
         inverse = scaled_eigen(self._total, _ROUNDING).inverse()[places]

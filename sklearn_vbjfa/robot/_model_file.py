@@ -6,7 +6,7 @@ are taken by name from the library, or from the classes that the reader was give
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -410,8 +410,6 @@ def _read_robot(file, classes):
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
         powers=_read_powers(file["column_powers"], names, features, effects),
         spread=_read_torque_spread(file, features, effects),
-        between=_read_between(file, rows),
-        theta_unconstrained_=_read_unconstrained(file, len(rows)),
         text="\n".join(file["urdf"].texts()),
         from_urdf=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
         theta_std_=np.array([row["std"].number() for row in rows]),
@@ -424,7 +422,14 @@ def _read_robot(file, classes):
         package=file["saved_with"].text(),
     )
     _check_names(file, rows, robot)
-    return robot
+    unconstrained = _of_late(file, "unconstrained")
+    if unconstrained is not None:
+        unconstrained = unconstrained.numbers(len(rows), finite=True)
+    return replace(
+        robot,
+        between=_read_between(file, robot.parameter_names_),
+        theta_unconstrained_=unconstrained,
+    )
 
 
 def _of_joints(file, key):
@@ -604,16 +609,11 @@ def _of_late(file, key):
     return None if key not in file.keys() or file[key].absent else file[key]
 
 
-def _read_unconstrained(file, p):
-    place = _of_late(file, "unconstrained")
-    return None if place is None else place.numbers(p, finite=True)
-
-
-def _read_between(file, rows):
+def _read_between(file, names):
     place = _of_late(file, "between_recordings")
     if place is None:
         return None
-    names, own = [row["name"].text() for row in rows], place["parameters"].items()
+    own = place["parameters"].items()
     scales = place["scales"].numbers(finite=True)
     weights = [one["weights"].numbers(scales.size, finite=True) for one in own]
     return BetweenRecordings(

@@ -242,8 +242,9 @@ def _cut_off(centre, deviation, lowest):
 class Posterior:
     """What the fit of a robot knows of all parameters together."""
 
-    theta: np.ndarray  # (p,): of the robot; those that nothing tells stay there
-    centre: np.ndarray  # (p,): before the projection
+    theta: np.ndarray  # (p,): of the robot
+    # (p,): before the projection; where nothing tells a value, that of the robot
+    centre: np.ndarray
     # (p, p): within recordings, with `theta_std_` on its diagonal; zero for what stays
     covariance: np.ndarray
     between: BetweenRecordings | None
@@ -327,7 +328,7 @@ class Posterior:
         bodies = self.bodies.ravel()
         if self.covariance[bodies, bodies].any():
             self._consistent(x, bodies, cut, off, rngs)
-        return np.where(self.moves, self.centre + x + off.values, self.theta)
+        return self.centre + x + off.values
 
     @property
     def moves(self):

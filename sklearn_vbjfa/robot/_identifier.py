@@ -1185,7 +1185,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
 
         theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection with `theta_std_` on its diagonal. e is there if several
+        before the projection, with one factor for the scatter between blocks of time,
+        as in `predict` (`theta_std_` has a factor for each, which would lose what the
+        torques tell of sums of them). e is there if several
         recordings were fitted, for all that is no body: a random effect by recording,
         :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with :math:`u_{rk} \sim N(0,
         s_k^2)`, independent. h is the sum of the squared shares that recordings have
@@ -1240,8 +1242,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
         Notes
         -----
-        Each range is of the parameter by itself: of the distribution of `sample`, but
-        for what other parameters cut off and the consistency of bodies. What is known
+        Each range is of the parameter by itself: of the distribution of `sample` with
+        `theta_std_` for C, but for what other parameters cut off and the consistency of
+        bodies. What is known
         in combination only (``known``) is better drawn with `sample`.
 
         Examples

@@ -245,7 +245,10 @@ class Posterior:
     theta: np.ndarray  # (p,): of the robot
     # (p,): before the projection; where nothing tells a value, that of the robot
     centre: np.ndarray
-    # (p, p): within recordings, with `theta_std_` on its diagonal; zero for what stays
+    # (p,): deviations within recordings of each by itself, `theta_std_`
+    std: np.ndarray
+    # (p, p): covariance of the same, with one factor for the scatter in time: what
+    # torques tell of sums stays told. Zero for what is held
     covariance: np.ndarray
     between: BetweenRecordings | None
     bodies: np.ndarray  # (n, 10): places of the bodies' parameters
@@ -261,23 +264,15 @@ class Posterior:
                 "or use VBJFARegressor or JFARegressor), or it was saved by a version "
                 "that did not keep it (fit and save again)."
             )
-        p = robot.theta_.size
-        covariance = np.full((p, p), 0.0)
-        told = np.flatnonzero(np.isfinite(np.diagonal(robot.spread.covariance)))
-        within = np.ix_(told, told)
-        covariance[within] = robot.spread.covariance[within]
-        size = np.sqrt(np.diagonal(covariance))
-        std = np.where(np.isfinite(robot.theta_std_), robot.theta_std_, 0.0)
-        std = np.where(of_the_model(robot), 0.0, std)
-        factor = std / np.where(size > 0, size, 1.0)
-        covariance = covariance * np.outer(factor, factor)
-        # What has a deviation and no covariance is known by itself.
-        alone = np.flatnonzero((size == 0) & (std > 0))
-        covariance[alone, alone] = std[alone] ** 2
-        moves = std > 0
+        covariance = np.zeros(2 * robot.theta_.shape)
+        known = robot.spread.covariance
+        told = np.isfinite(np.diagonal(known)) & ~of_the_model(robot)
+        covariance[np.ix_(told, told)] = known[np.ix_(told, told)]
+        moves = np.diagonal(covariance) > 0
         return cls(
             theta=robot.theta_,
             centre=np.where(moves, robot.theta_unconstrained_, robot.theta_),
+            std=robot.theta_std_,
             covariance=covariance,
             between=robot.between,
             bodies=body_places(robot),
@@ -286,7 +281,7 @@ class Posterior:
 
     @property
     def within(self):
-        """Deviations (p,) within recordings."""
+        """Deviations (p,) of samples within recordings."""
         return np.sqrt(np.diagonal(self.covariance))
 
     @functools.cached_property
@@ -298,8 +293,10 @@ class Posterior:
         return out
 
     def marginal(self, k):
-        """Return the `Marginal` of a parameter."""
-        within, weights, off = self.within[k], np.ones(1), np.zeros(1)
+        """Return the `Marginal` of a parameter; None if nothing tells it."""
+        if not np.isfinite(self.std[k]):
+            return None
+        within, weights, off = self.std[k], np.ones(1), np.zeros(1)
         if self.between is not None and k in self.between.places:
             at = int(np.flatnonzero(self.between.places == k)[0])
             weights, off = self.between.weights[:, at], self.between.deviations[:, at]
@@ -329,11 +326,6 @@ class Posterior:
         if self.covariance[bodies, bodies].any():
             self._consistent(x, bodies, cut, off, rngs)
         return self.centre + x + off.values
-
-    @property
-    def moves(self):
-        """Parameters (p,), bool, that are not held."""
-        return (self.within > 0) | (self.off > 0)
 
     def _consistent(self, x, bodies, cut, off, rngs):
         """Project the bodies of draws (n, p), in place; the rest follows them."""

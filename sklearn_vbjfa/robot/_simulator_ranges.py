@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_vbjfa._core._whole_files import write_whole
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._gains import note_of_units
-from sklearn_vbjfa.robot._posterior import Marginal, Posterior
+from sklearn_vbjfa.robot._posterior import Posterior
 
 FORMAT, VERSION = "sklearn_vbjfa ranges", 1
 # What simulators call a value: MuJoCo an attribute of a joint or its actuator, Isaac
@@ -229,7 +229,7 @@ def _value(one):
         "parameter": one.name,
         **one.words,
         "unit": one.unit,
-        "distribution": "normal, cut off at zero" if one.nonnegative else "normal",
+        "distribution": _distribution(one),
         "value": one.value,
         "low": one.lower,
         "high": one.upper,
@@ -239,6 +239,12 @@ def _value(one):
         "std_between_recordings": one.between,
         "known": one.known,
     }
+
+
+def _distribution(one):
+    """Say what distribution a parameter has."""
+    kind = "normal" if one.between == 0 else "mixture of normals"
+    return f"{kind}, cut off at zero" if one.nonnegative else kind
 
 
 def ranges_of(robot, level):
@@ -267,17 +273,10 @@ def ranges_of(robot, level):
 
 def _range_of(robot, posterior, k, level):
     """Return the `ParameterRange` of a parameter."""
-    found, std = posterior.marginal(k), float(robot.theta_std_[k])
-    if not posterior.moves[k]:
-        # Held in samples: not told at all, exact, or a value of the model itself.
-        own = np.array([std if np.isfinite(std) else 0.0])
-        found = Marginal(centre=robot.theta_[k], deviations=own, weights=np.ones(1))
-    ends, (mean, spread) = (
-        found.quantiles([0.5 - level / 2, 0.5 + level / 2]),
-        (found.moments()),
-    )
-    if not np.isfinite(std):
-        ends, spread = (np.nan, np.nan), np.nan
+    found, ends, mean, spread = posterior.marginal(k), (np.nan, np.nan), np.nan, np.nan
+    if found is not None:
+        ends = found.quantiles([0.5 - level / 2, 0.5 + level / 2])
+        mean, spread = found.moments()
     name = robot.parameter_names_[k]
     joint = name.partition(":")[0]
     return ParameterRange(
@@ -289,7 +288,7 @@ def _range_of(robot, posterior, k, level):
         upper=float(ends[1]),
         mean=float(mean),
         std=float(spread),
-        within=std,
+        within=float(robot.theta_std_[k]),
         between=float(posterior.off[k]),
         known=robot.known_[k],
         nonnegative=bool(posterior.nonnegative[k]),

@@ -285,6 +285,7 @@ def posterior(centre, covariance, between=None, nonnegative=()):
     return Posterior(
         theta=np.maximum(centre, 0.0),
         centre=centre,
+        std=np.sqrt(np.diagonal(covariance)),
         covariance=np.array(covariance, dtype=float),
         between=between,
         bodies=np.empty((0, 10), dtype=int),

@@ -8,8 +8,6 @@ __all__ = [
     "JointTorqueRegressor",
     "LeftOut",
     "PDDrive",
-    "ParameterRange",
-    "Ranges",
     "RigidBodyFeatures",
     "RobotIdentifier",
     "SimulationCriteria",

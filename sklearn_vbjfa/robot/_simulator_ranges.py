@@ -64,6 +64,21 @@ class ParameterRange:
         beside the description, or not at all.
     nonnegative : bool
         Whether negative values are cut off.
+
+    See Also
+    --------
+    Ranges : All parameters of a robot.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import ParameterRange
+    >>> one = ParameterRange(
+    ...     name="hip:rotor_inertia", joint="hip", unit="kg m^2", value=0.1,
+    ...     lower=0.08, upper=0.12, mean=0.1, std=0.012, within=0.01, between=0.007,
+    ...     known="yes", nonnegative=True,
+    ... )
+    >>> one.words["genesis"]
+    'set_dofs_armature'
     """
 
     name: str
@@ -119,6 +134,23 @@ class Ranges:
         Units of their torques.
     notes : tuple of str
         What else a reader of the values has to know.
+
+    See Also
+    --------
+    RobotIdentifier.ranges : Makes them.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording()
+    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+    >>> ranges = robot.ranges(level=0.9)
+    >>> len(ranges), ranges.recordings
+    (84, 2)
+    >>> ranges["joint_1:viscous"].words["mujoco"]
+    'damping'
     """
 
     level: float

@@ -1163,8 +1163,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ndarray of shape (n, p)
             Parameters in the order of `parameter_names_` and the units of
             `parameter_units_`; bodies are physically consistent, and friction and
-            armature are not negative. What no torque tells, and values of effects in
-            the model (a tilt, a gain), stay as they are.
+            armature are not negative. What no torque tells stays as it is. Values of
+            effects in the model (a tilt, a gain, a delay) are drawn by themselves; the
+            files of `to_mjcf` and `to_urdf` have them as identified.
 
         Raises
         ------

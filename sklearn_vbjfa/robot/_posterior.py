@@ -268,6 +268,9 @@ class Posterior:
         known = robot.spread.covariance
         told = np.isfinite(np.diagonal(known)) & ~of_the_model(robot)
         covariance[np.ix_(told, told)] = known[np.ix_(told, told)]
+        # Of values in the model only the deviations are known.
+        alone = of_the_model(robot) & np.isfinite(robot.theta_std_)
+        covariance[alone, alone] = robot.theta_std_[alone] ** 2
         moves = np.diagonal(covariance) > 0
         return cls(
             theta=robot.theta_,

@@ -3,9 +3,9 @@
 Run as ``python tests/benchmarks/bench_ranges.py [--trials 200] [--write]``. A joint
 whose viscous and dry friction, offset and armature are drawn anew for each recording,
 normal with a known share of the value as deviation, is identified from some recordings;
-the table has how often the values of one more are in their ranges of 90 %, and how often
-they are within 1.645 standard deviations of the fit alone, which says nothing of how
-recordings differ.
+the table has how often the values of one more are in their ranges of 90 %, and how
+often they are within 1.645 standard deviations of the fit alone, which says nothing of
+how recordings differ.
 """
 
 import warnings

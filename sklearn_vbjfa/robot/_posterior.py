@@ -31,6 +31,8 @@ _PASSES, _STAYS = 30, 0.02
 _SWEEPS = 200
 # Eigenvalues of a correlation below this are rounding.
 _ROUNDING = 1e-14
+# Least noise of a fit, as a share of the mean squared torque.
+_EXACT = 1e-12
 # Halvings of an interval that a quantile is in.
 _HALVINGS = 70
 
@@ -67,6 +69,8 @@ class BetweenRecordings:
         if not places.size:
             return None
         noise = _noise_within(found, keys, grams, scores, places)
+        # Not less than rounding, of torques that are fitted exactly.
+        noise = max(noise, _EXACT * (weight @ stats.yy) / stats.n[weight > 0].sum())
         if not noise > 0:
             return None
         prior = 0.0 if found.bodies is None else found.bodies.prior
@@ -156,9 +160,11 @@ class _RecordingEffects:
 
     def _groups(self, typical):
         """Group of each parameter's effects, beside the others at typical scales."""
-        own = np.linalg.inv(self._inner + np.diag(typical**-2.0))
+        # in units of the scales, where no eigenvalue is below one
+        both, one = np.outer(typical, typical), np.eye(typical.size)
+        own = np.linalg.inv(self._inner * both + one) * both
         gain = own @ self._cross
-        rest = self._total - np.einsum("rkp,rkq->pq", self._cross, gain)
+        rest = self._total - np.tensordot(self._cross, gain, ((0, 1), (0, 1)))
         shared = scaled_eigen(0.5 * (rest + rest.T), _ROUNDING)
         # theta moves as well, by what the effects leave of the scores
         moved = self._scores.sum(axis=0) - np.einsum("rkp,rk->p", gain, self._own)
@@ -169,7 +175,7 @@ class _RecordingEffects:
         for k, scale in enumerate(typical):
             covariance = root[:, k] @ root[:, k].T + np.diag(own[:, k, k])
             # in units of the scale, of which the prior itself is taken out
-            inverse = np.linalg.inv(covariance / scale**2)
+            inverse = _inverse(covariance / scale**2)
             H.append((inverse - np.eye(inverse.shape[0])) / scale**2)
             q.append(inverse @ mean[:, k] / scale**2)
         unit = np.tile(self.unit[:, None], self._power.shape[0])

@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
     from sklearn_vbjfa.robot._robot import IdentifiedRobot, load_identified
+    from sklearn_vbjfa.robot._simulator_ranges import ParameterRange, Ranges
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.2.0.dev0"
@@ -34,8 +35,10 @@ __all__ = [
     "JointTorqueRegressor",
     "LocallyWeightedRegressor",
     "NoiseCovariance",
+    "ParameterRange",
     "PhysicalProjector",
     "Progress",
+    "Ranges",
     "RigidBodyFeatures",
     "RobotIdentifier",
     "StateEstimator",
@@ -68,6 +71,7 @@ _MODULES = {
     "robot._robot": ("IdentifiedRobot", "load_identified"),
     "robot._identifier": ("RobotIdentifier",),
     "robot._joint_torque": ("JointTorqueRegressor",),
+    "robot._simulator_ranges": ("ParameterRange", "Ranges"),
     "robot._states": ("StateEstimator",),
 }
 _ROOMS = (

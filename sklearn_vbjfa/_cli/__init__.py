@@ -159,6 +159,12 @@ _ARGUMENTS = {
         "help": "do not measure what functions of any form would explain of what "
         "remains; saves some seconds",
     },
+    "--ranges": {
+        "metavar": "FILE",
+        "help": "file for the ranges of armature, damping, friction and all else that "
+        "was identified, JSON in the words of MuJoCo, Isaac Lab and Genesis, for "
+        "domain randomisation; by default none",
+    },
     "--out": {"metavar": "DIR"},
     "--workers": {
         "metavar": "N",
@@ -246,8 +252,8 @@ _REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
 _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
-        "arguments": f"recording --urdf {_READ} --signals --out --force {_IDENTIFIED} "
-        "--effects --seed --no-ceiling --workers --quiet",
+        "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
+        f"{_IDENTIFIED} --effects --seed --no-ceiling --workers --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
@@ -338,13 +344,14 @@ _COMMANDS = {
     "identify": {
         "run": "_identify:identify",
         "arguments": f"recording --urdf --data --data-home {_READ} --friction --bodies "
-        "--alike --cutoff --quiet",
+        "--alike --cutoff --ranges --quiet",
         "own": {"recording": {"nargs": "*"}},
         "help": "identify a recording and compare methods on its held-out part",
         "description": "Identify a recording and compare the torque errors of fifteen "
         "methods on the part of it that was held out: of your own recording the last "
         "30 % (of each, if it holds several). Without RECORDING, the one that comes "
-        "with the package, or a measured set. Nothing is written.",
+        "with the package, or a measured set. Nothing is written but the file of "
+        "--ranges, of what is not held out.",
     },
     "effects": {"run": "_identify:list_effects", "help": "list the library of effects"},
     "datasets": {"run": "_identify:list_datasets", "help": "list the measured sets"},

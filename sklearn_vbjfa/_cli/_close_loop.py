@@ -26,6 +26,7 @@ def run(arguments, folder):
     files, urdf = _input.sources(arguments.recording), _input.expanded(arguments.urdf)
     source, default = _input.named(files), _input.default_folder(files)
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
+    ranges = _input.ranges_file(arguments)
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
     seed, taken = (
         _input.seed(arguments.seed),
@@ -54,6 +55,9 @@ def run(arguments, folder):
         report = _report(loop, warned, file, description, taken.held)
         left_out = _write(loop, report, folder)
         lines = [*left_out_lines(left_out), *_next_motion(report.outcome, out)]
+        if ranges is not None:
+            loop.identifier_.ranges().save(ranges)
+            lines.append(f"ranges for domain randomisation: {ranges}")
         return ["", *lines, ""] if lines else [""]
 
     return Done(

@@ -2,7 +2,7 @@
 
 import contextlib
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -63,6 +63,7 @@ def identify(arguments, folder):
     from sklearn_vbjfa.robot._comparison import compare_methods
 
     _check(arguments)
+    ranges = _input.ranges_file(arguments)
     task = (_own if arguments.recording else _of_catalogue)(arguments, folder)
     recording = task.recording
     parts = (
@@ -72,10 +73,18 @@ def identify(arguments, folder):
     # A measured set is not at fault.
     with blaming(task.source) if arguments.recording else contextlib.nullcontext():
         results, fitted = compare_methods(task.identifier, *parts)
-    return Done(
+    done = Done(
         text=_report(task, results, fitted),
         doubts=method_doubts(results, fitted.joint_names_),
     )
+    if ranges is None:
+        return done
+
+    def write(folder, warned):
+        fitted.ranges().save(folder / ranges.name)
+        return []
+
+    return replace(done, folder=ranges.parent, files=(ranges.name,), write=write)
 
 
 def _check(arguments):

@@ -14,6 +14,8 @@ import numpy as np
 
 from sklearn_vbjfa._cli import spelled
 
+# What the file of --ranges is called in messages.
+_RANGES = "ranges.json"
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
@@ -158,6 +160,26 @@ def free_folder(arguments, default, names, inputs, endings=()):
     check_folder(out)
     if not arguments.force:
         check_overwriting(out, names, inputs, endings)
+    return out
+
+
+def ranges_file(arguments):
+    """Return the path of --ranges, refused before the work begins; None for none."""
+    if arguments.ranges is None:
+        return None
+    out, wrong = expanded(arguments.ranges), ""
+    if out.is_dir():
+        wrong, out = (
+            f"{out} is a folder, where --ranges must name a file",
+            out / _RANGES,
+        )
+    elif not out.parent.is_dir():
+        wrong = f"{out.parent} is no folder, where --ranges writes {out.name}"
+        out = Path(out.name)
+    elif out.exists() and not getattr(arguments, "force", False):
+        wrong = f"{out} exists; give another --ranges"
+    if wrong:
+        raise Refused(wrong, {"ranges": str(free(out))})
     return out
 
 

@@ -4,6 +4,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import softmax
 
 from sklearn_vbjfa._core._linear_systems import or_one
 
@@ -82,18 +83,24 @@ class Groups:
         at = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
         return self.evidence(scale) - at.sum(axis=1)
 
+    def posterior(self, scale, scales):
+        """Probabilities (n_scales, c) of scales in equal steps of their logarithm."""
+        along = self._along(scale, scales)
+        along[[0, -1]] -= np.log(2.0)  # the trapezoidal rule
+        return softmax(along, axis=0)
+
     def best_scale(self, scale):
         """Scale of the largest posterior density, of each group (c,)."""
         return _SCALES[np.argmax(self._along(scale), axis=0)]
 
-    def _along(self, scale):
+    def _along(self, scale, scales=_SCALES):
         """Log evidence times prior at each scale, (n_scales, c)."""
         value, rest, _ = self._spectral
-        s2 = (_SCALES**2)[:, None, None]
+        s2 = (scales**2)[:, None, None]
         gain = (0.5 * rest**2 * s2 / (1 + s2 * value)).sum(axis=2)
         if np.isfinite(self.freedom):
             gain = student(gain, self.freedom, (value > 0).sum(axis=1))
-        ratio = _SCALES / scale
+        ratio = scales / scale
         prior = ratio / (1 + ratio**2)
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
         return gain - volume + np.log(prior / prior.sum())[:, None]

@@ -48,9 +48,11 @@ _MODULES = {
     "_joint_torque": ("JointTorqueRegressor",),
     "_output_error": ("SimulationCriteria",),
     "_plan": ("MotionFacts", "Plan"),
+    "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
     "_ranges": ("SignalRanges",),
     "_residuals": ("TorqueResiduals", "collect_residuals"),
     "_sensitivities": ("slopes",),
+    "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": (
         "BodyMass",
         "ColumnPowers",

@@ -68,13 +68,19 @@ class Equations:
     # (n, nv, p) or None: regressors from the even samples minus the odd ones
     difference: np.ndarray | None = None
     blocks: tuple | None = None  # blocks of time of the rows, see `Numbering.parts`
+    recording: tuple | None = None  # that they are of, see `Numbering.recording`
     # ranges of positions, speeds and directions in rows with weight
     ranges: SignalRanges | None = None
 
     def moments(self):
         """Return the second moments, for `sum_moments`."""
         found = piece_moments(
-            self.Phi, self.tau, self.weight, self.difference, self.blocks
+            self.Phi,
+            self.tau,
+            self.weight,
+            self.difference,
+            self.blocks,
+            self.recording,
         )
         return replace(found, ranges=self.ranges)
 
@@ -534,6 +540,7 @@ class Segment:
             difference=difference,
             index=self.first + lowpass.centres(self.n_rows, outputs),
             blocks=numbering and numbering.parts(self.number, outputs),
+            recording=numbering and numbering.recording(self.number),
             **measured,
         )
 
@@ -546,6 +553,7 @@ class Segment:
             measured["tau"],
             measured["weight"],
             numbering and numbering.parts(self.number, outputs),
+            numbering and numbering.recording(self.number),
             noise=self.halves is not None,
             apart=self._apart(lowpass, seen),
         )

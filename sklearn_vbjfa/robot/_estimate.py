@@ -48,7 +48,7 @@ class Estimate:
     metric: np.ndarray
     # (p, p) or None: covariance in a weighted equation, where it was measured
     input_noise: np.ndarray | None
-    moments: JointMoments  # of the fit, without blocks of time
+    moments: JointMoments  # of the fit; blocks of time of several recordings alone
     regressor: object
     # (p, p): posterior, with one factor for residuals correlated in time; infinite on
     # the diagonal where nothing tells a parameter, None if the regressor has none
@@ -150,7 +150,7 @@ def estimate(
         joint_weights=weight,
         metric=total.S_xx.copy() if noise is None else denoised(total, noise),
         input_noise=noise,
-        moments=replace(moments, blocks=None),
+        moments=moments if moments.recordings else replace(moments, blocks=None),
         regressor=regressor,
         block_factors=factors,
         wider=wider,
@@ -180,7 +180,7 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
     theta = found.solve(right)
     if held.any():
         theta[held] = bodies.centre[held]
-    variance = _noise_variance(moments, weight, theta, found.rank)
+    variance = noise_variance(moments, weight, theta, found.rank)
     wider, _ = _correlation(moments, weight, theta)
     return PlainEstimate(
         theta=theta,
@@ -190,11 +190,12 @@ def plain_estimate(moments, joint_weights="auto", bodies=None):
     )
 
 
-def _noise_variance(moments, weight, theta, rank):
+def noise_variance(moments, weight, theta, rank, taken=0.0):
     """Weighted mean square of the noise, of which a fit took `rank` directions."""
+    # taken: of the sum of squares, by directions that theta does not have
     used = weight > 0
     count = moments.n_rows[used].sum()
-    squares = weight @ moments.residual_squares(theta)
+    squares = max(weight @ moments.residual_squares(theta) - taken, 0.0)
     # Weights may be fractions of a row; only the count knows what was estimated.
     return squares / moments.n[used].sum() * count / max(count - rank, 1)
 
@@ -205,7 +206,7 @@ def noise_of(found):
     moments, weight = found.moments, found.joint_weights
     rank = scaled_eigen(found.metric, IDENTIFIABLE).rank
     start = found.theta_unconstrained
-    return _noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
+    return noise_variance(moments, weight, start, rank) * max(found.pooled, 1.0)
 
 
 def beside_description(found, description, bodies="prior"):

@@ -29,6 +29,8 @@ class Numbering:
     together: int = 1  # recordings per block, if there are more recordings than blocks
     # (n, 2) of each recording: block of each row, where these are phases of a motion
     keys: list | None = None
+    # recordings whose moments are kept as those of one; None of a single recording
+    several: int | None = None
 
     @classmethod
     def of(cls, lengths, phases=None):
@@ -38,10 +40,13 @@ class Numbering:
         filtered rows, of all rows. Motions are divided then, as recordings are: what is
         not modelled comes again with the phase, and is no further evidence.
         """
+        together = -(-len(lengths) // _BLOCKS)
+        several = together if len(lengths) > 1 else None
         if phases is None:
             return cls(
                 rows=max(-(-sum(lengths) // _BLOCKS), _FEWEST_ROWS),
-                together=-(-len(lengths) // _BLOCKS),
+                together=together,
+                several=several,
             )
         motion, phase = np.unique(phases[0], return_inverse=True)[1], phases[1].copy()
         spans = []
@@ -51,7 +56,15 @@ class Numbering:
         made = cls.of(spans)
         number = (phase // made.rows).astype(int) if made.together == 1 else 0 * motion
         keys = np.column_stack([motion // made.together, number])
-        return replace(made, keys=np.split(keys, np.cumsum(lengths)[:-1]))
+        keys = np.split(keys, np.cumsum(lengths)[:-1])
+        return replace(made, keys=keys, several=several)
+
+    def recording(self, number):
+        """Key of a recording, given by its number, among several; None of one alone."""
+        # Group of recordings that it is kept in, and how many are in one.
+        if self.several is None:
+            return None
+        return number // self.several, self.several
 
     def parts(self, recording, rows):
         """Divide rows (a slice) of a recording, given by its number."""
@@ -131,13 +144,30 @@ def block_scatter(stats, weight, theta):
         return block_scatter(
             replace(stats, blocks=(_join(stats.blocks),)), weight, theta
         )
-    p = theta.size
-    grams, scores = np.zeros((keys.shape[0], p, p)), np.zeros((keys.shape[0], p))
+    grams, scores = _weighted_parts(stats, stats.blocks, weight, theta)
+    order = np.lexsort(keys.T[::-1])
+    squares = stats.yy - 2 * stats.g @ theta + (stats.G @ theta) @ theta
+    noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
+    if (np.diff(order) != 1).any():
+        grams, scores, keys = grams[order], scores[order], keys[order]
+    return block_variance(grams, scores, keys, float(noise))
+
+
+def weighted_parts(stats, parts, weight, theta):
+    """Keys (n, 2), weighted Gram matrices (n, p, p), scores (n, p) of joined parts."""
+    joined = _join(parts)
+    return joined.keys, *_weighted_parts(stats, (joined,), weight, theta)
+
+
+def _weighted_parts(stats, parts, weight, theta):
+    """Weighted Gram matrices (n, p, p) and scores (n, p) of parts of the moments."""
+    p, count = theta.size, sum(moments.keys.shape[0] for moments in parts)
+    grams, scores = np.zeros((count, p, p)), np.zeros((count, p))
     # The scores do not sum to zero with input noise or a prior: shared by all rows.
     excess = weight[:, None] * (stats.g - stats.G @ theta)
     excess /= np.where(stats.n > 0, stats.n, 1.0)[:, None]
     first = 0
-    for moments in stats.blocks:
+    for moments in parts:
         rows = slice(first, first + moments.keys.shape[0])
         first = rows.stop
         scores[rows] -= moments.n @ excess
@@ -149,12 +179,7 @@ def block_scatter(stats, weight, theta):
                 g = g * (power > 0)
             grams[rows, k, k] += weight[j] * G
             scores[rows, k] += weight[j] * (g - G @ theta[k])
-    order = np.lexsort(keys.T[::-1])
-    squares = stats.yy - 2 * stats.g @ theta + (stats.G @ theta) @ theta
-    noise = weight @ np.maximum(squares, 0.0) / stats.n[weight > 0].sum()
-    if (np.diff(order) != 1).any():
-        grams, scores, keys = grams[order], scores[order], keys[order]
-    return block_variance(grams, scores, keys, float(noise))
+    return grams, scores
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -173,6 +198,8 @@ class JointMoments:
     in_common: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
+    # the same by recordings, see `Numbering.recording`, if there are several
+    recordings: tuple | None = None
     # ranges of positions, speeds and directions in the joint's rows with weight, where
     # the states are known
     ranges: SignalRanges | None = None
@@ -188,6 +215,7 @@ class JointMoments:
             noise=None if self.noise is None else self.noise + other.noise,
             in_common=_sum_or_none(self.in_common, other.in_common),
             blocks=_merge_blocks(self.blocks, other.blocks),
+            recordings=_merge_blocks(self.recordings, other.recordings),
             ranges=sum_ranges([self.ranges, other.ranges]),
         )
 
@@ -201,11 +229,12 @@ class JointMoments:
         return replace(self, G=self.G * both, g=self.g * keep, **known)
 
     def columns(self, chosen):
-        """Return the moments of some of the columns, without blocks of time."""
+        """Return the moments of some of the columns, without those of their parts."""
         both = np.ix_(range(self.n.size), chosen, chosen)
         noise = None if self.noise is None else self.noise[both]
         common = None if self.in_common is None else self.in_common[:, chosen]
         known = {"noise": noise, "in_common": common, "blocks": None}
+        known["recordings"] = None
         return replace(self, G=self.G[both], g=self.g[:, chosen], **known)
 
     def residual_squares(self, theta):
@@ -253,15 +282,15 @@ class JointMoments:
         return np.einsum("j,jik->ik", weight, self.noise) / total
 
 
-def joint_moments(Phi, tau, weight, difference=None, parts=None):
+def joint_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
     """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     # difference (n, nv, p): of two regressors from separate halves of the samples; it
     # has the noise of both, their mean a quarter of its square. parts: blocks of time
-    # of the rows, see `Numbering.parts`.
-    return sum_moments([piece_moments(Phi, tau, weight, difference, parts)])
+    # of the rows, see `Numbering.parts`; recording: see there.
+    return sum_moments([piece_moments(Phi, tau, weight, difference, parts, recording)])
 
 
-def piece_moments(Phi, tau, weight, difference=None, parts=None):
+def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
     """Accumulate rows for `sum_moments`, see `joint_moments`."""
     n, nv, p = Phi.shape
     entries = []
@@ -270,7 +299,8 @@ def piece_moments(Phi, tau, weight, difference=None, parts=None):
         if difference is not None:
             used = np.union1d(used, _used(difference[:, j]))
         entries.append((_as_slice(j * p + used), used))
-    sums = MomentSums(entries, p, tau, weight, parts, noise=difference is not None)
+    noise = difference is not None
+    sums = MomentSums(entries, p, tau, weight, parts, recording, noise=noise)
     if difference is not None:
         difference = difference.reshape(n, -1)
     sums.add(0, Phi.reshape(n, -1), difference)
@@ -287,8 +317,20 @@ class MomentSums:
     # apart (n, nv): torque of the even samples minus that of the odd ones, of a drive
     # that makes it of positions.
 
-    def __init__(self, entries, p, tau, weight, parts=None, *, noise=False, apart=None):
+    def __init__(
+        self,
+        entries,
+        p,
+        tau,
+        weight,
+        parts=None,
+        recording=None,
+        *,
+        noise=False,
+        apart=None,
+    ):
         self._entries, self._tau, self._weight = entries, tau, weight
+        self._recording = recording
         self._keys, starts = (None, np.zeros(1, dtype=int)) if parts is None else parts
         self._starts, self._p = starts, p
         self._ends = [*starts[1:].tolist(), tau.shape[0]]
@@ -350,6 +392,17 @@ class MomentSums:
                 g=tuple(gs),
             )
             blocks = _merge_blocks((), (parts,))
+        n, sums = weight.sum(axis=0), [own.sum(axis=0) for own in Gs]
+        recordings = None
+        if self._recording is not None:
+            whole = BlockMoments(
+                keys=np.array([self._recording]),
+                n=n[None],
+                columns=tuple(ranges),
+                G=tuple(own[None] for own in sums),
+                g=tuple(own.sum(axis=0, keepdims=True) for own in gs),
+            )
+            recordings = (whole,)
         noise = None
         if self._noise is not None:
             wide = [self._spread(j, own[None])[0] for j, own in enumerate(self._noise)]
@@ -360,14 +413,15 @@ class MomentSums:
             for j, (_, columns) in enumerate(self._entries):
                 common[j, columns] = self._common[j]
         return JointMoments(
-            n=weight.sum(axis=0),
+            n=n,
             n_rows=(weight > 0).sum(axis=0),
-            G=tuple((k, own.sum(axis=0)) for k, own in zip(ranges, Gs)),
+            G=tuple(zip(ranges, sums)),
             g=g,
             yy=np.einsum("nj,nj->j", weight, tau**2),
             noise=noise,
             in_common=common,
             blocks=blocks,
+            recordings=recordings,
         )
 
     def _spread(self, j, G):
@@ -457,6 +511,7 @@ def sum_moments(several):
             noise=None if total.noise is None else _added(total.noise, moments.noise),
             in_common=_sum_or_none(total.in_common, moments.in_common),
             blocks=_merge_blocks(total.blocks, moments.blocks),
+            recordings=_merge_blocks(total.recordings, moments.recordings),
             ranges=sum_ranges([total.ranges, moments.ranges]),
         )
     return total

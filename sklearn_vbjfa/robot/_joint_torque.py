@@ -1,5 +1,7 @@
 """One parameter vector from the torques of all joints, as a scikit-learn regressor."""
 
+from dataclasses import replace
+
 import numpy as np
 from sklearn import get_config
 from sklearn.base import BaseEstimator, RegressorMixin, clone
@@ -347,7 +349,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self.joint_weights_ = found.joint_weights
         self.n_rows_ = found.moments.n_rows
         self.metric_, self.input_noise_ = found.metric, found.input_noise
-        self.statistics_ = found.moments
+        self.statistics_ = replace(found.moments, blocks=None, recordings=None)
         self.regressor_, self.block_factors_ = found.regressor, found.block_factors
 
     def _project(self, theta):

@@ -6,7 +6,7 @@ are taken by name from the library, or from the classes that the reader was give
 
 import json
 import math
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -29,6 +29,7 @@ from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, CommonGain, KnownMass
 from sklearn_vbjfa.robot._plan import Plan
+from sklearn_vbjfa.robot._posterior import BetweenRecordings
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
@@ -88,6 +89,8 @@ def _content(robot):
         },
         "column_powers": _powers(robot),
         "torque_spread": _torque_spread(robot.spread),
+        "unconstrained": _unconstrained(robot.theta_unconstrained_),
+        "between_recordings": _between(robot),
         "urdf_is": _URDF_IS[0 if robot.comes_from_urdf else 1],
         "urdf": robot.description_.split("\n"),
     }
@@ -308,6 +311,32 @@ def _torque_spread(spread):
     }
 
 
+def _unconstrained(theta):
+    """Return the parameters before the projection; None where they are not known."""
+    return None if theta is None else spelled_all(theta)
+
+
+def _between(robot):
+    """Return how far values are off from recording to recording; None without."""
+    between = robot.between
+    if between is None:
+        return None
+    names, units = robot.parameter_names_, robot.parameter_units_
+    return {
+        "recordings": between.count,
+        "scales": spelled_all(between.scales),
+        "parameters": [
+            {
+                "name": names[k],
+                "size": spelled(between.size[i]),
+                "unit": units[k],
+                "weights": spelled_all(between.weights[:, i]),
+            }
+            for i, k in enumerate(between.places)
+        ],
+    }
+
+
 # -- reading ---------------------------------------------------------------------------
 
 
@@ -393,7 +422,14 @@ def _read_robot(file, classes):
         package=file["saved_with"].text(),
     )
     _check_names(file, rows, robot)
-    return robot
+    unconstrained = _of_late(file, "unconstrained")
+    if unconstrained is not None:
+        unconstrained = unconstrained.numbers(len(rows), finite=True)
+    return replace(
+        robot,
+        between=_read_between(file, robot.parameter_names_),
+        theta_unconstrained_=unconstrained,
+    )
 
 
 def _of_joints(file, key):
@@ -568,11 +604,31 @@ def _read_powers(place, names, features, effects):
     )
 
 
-def _read_torque_spread(file, features, effects):
-    # Files of before have none.
-    if "torque_spread" not in file.keys() or file["torque_spread"].absent:
+def _of_late(file, key):
+    """Return the value of a key that files of before do not have; None without."""
+    return None if key not in file.keys() or file[key].absent else file[key]
+
+
+def _read_between(file, names):
+    place = _of_late(file, "between_recordings")
+    if place is None:
         return None
-    place = file["torque_spread"]
+    own = place["parameters"].items()
+    scales = place["scales"].numbers(finite=True)
+    weights = [one["weights"].numbers(scales.size, finite=True) for one in own]
+    return BetweenRecordings(
+        count=int(place["recordings"].number(finite=True)),
+        places=np.array([names.index(one["name"].one_of(names)) for one in own], int),
+        size=np.array([one["size"].number(finite=True) for one in own]),
+        weights=np.reshape(weights, (len(own), scales.size)).T,
+        scales=scales,
+    )
+
+
+def _read_torque_spread(file, features, effects):
+    place = _of_late(file, "torque_spread")
+    if place is None:
+        return None
     nv = features.n_joints_
     p = features.n_parameters_ + sum(len(one.coefficients) for one in effects)
     covariance = np.zeros((p, p))

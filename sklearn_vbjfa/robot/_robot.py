@@ -48,6 +48,12 @@ from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
+from sklearn_vbjfa.robot._posterior import (
+    BetweenRecordings,
+    Posterior,
+    check_number,
+    seed_of,
+)
 from sklearn_vbjfa.robot._ranges import (
     outside_text,
     signals_outside_text,
@@ -59,6 +65,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_widths,
 )
 from sklearn_vbjfa.robot._residuals import compare
+from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     ColumnPowers,
     TorqueSpread,
@@ -380,6 +387,8 @@ class IdentifiedRobot(SimulatesTorques):
     powers: ColumnPowers | None = None
     # how far measured torques may be from predicted ones
     spread: TorqueSpread | None = None
+    # how far values are off from one recording to another, where there were several
+    between: BetweenRecordings | None = None
     theta_std_: np.ndarray | None = None  # (p,)
     theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
     identifiable_: np.ndarray | None = None  # (p,): determined individually
@@ -666,7 +675,62 @@ class IdentifiedRobot(SimulatesTorques):
 
         _model_file.write(path, self)
 
-    def to_urdf(self, path):
+    def sample(self, n, random_state=None):
+        """Draw robots that this one may be; see `RobotIdentifier.sample`.
+
+        Parameters
+        ----------
+        n : int
+            How many.
+        random_state : int, RandomState or None, default=None
+            Seed; row k of a seed does not depend on n.
+
+        Returns
+        -------
+        ndarray of shape (n, p)
+            Parameters, in the order of `parameter_names_`.
+
+        Raises
+        ------
+        ValueError
+            If n is less than one, or the robot has no covariance.
+        """
+        n = check_number("n", n, 1)
+        return Posterior.of(self).sample(seed_of(random_state), range(n))
+
+    def ranges(self, level=0.9):
+        """Return the ranges of all parameters; see `RobotIdentifier.ranges`.
+
+        Parameters
+        ----------
+        level : float, default=0.9
+            Probability of an interval.
+
+        Returns
+        -------
+        Ranges
+            Intervals and deviations, for reading and as ``ranges.json``.
+
+        Raises
+        ------
+        ValueError
+            If the level is not between 0 and 1, or the robot has no covariance.
+        """
+        return ranges_of(self, level)
+
+    def _sampled(self, sample, random_state):
+        """Return the robot of a file, and a note of which sample it is."""
+        if sample is None:
+            return self, ""
+        number, seed = check_number("sample", sample, 0), seed_of(random_state)
+        (theta,) = Posterior.of(self).sample(seed, [number])
+        note = (
+            f"Sample {number} of the posterior of the identified robot "
+            f"(random_state={seed})."
+        )
+        return replace(self, theta_=theta), note
+
+    def to_urdf(self, path, sample=None, random_state=0):
         """Write the robot description with the identified inertias and friction.
 
         The file is that of `RobotIdentifier.to_urdf`. For a robot that was identified
@@ -676,6 +740,10 @@ class IdentifiedRobot(SimulatesTorques):
         ----------
         path : str or os.PathLike
             File to write.
+        sample : int, default=None
+            Row of `sample` in place of the identified parameters.
+        random_state : int, RandomState or None, default=0
+            Seed of the sample, which the file states.
 
         Returns
         -------
@@ -687,7 +755,9 @@ class IdentifiedRobot(SimulatesTorques):
         ValueError
             If the parameters are not physically consistent.
         """
+        robot, which = self._sampled(sample, random_state)
         notes = [
+            which,
             _note_of_gravity(self.features_.nominal_.gravity.linear),
             note_of_gains(self.gains_),
             *note_of_corrections(self),
@@ -696,14 +766,14 @@ class IdentifiedRobot(SimulatesTorques):
         return to_urdf(
             path,
             urdf_to_fill(self.text or self.source),
-            self.torque_model(),
-            self.min_eigenvalues_,
+            robot.torque_model(),
+            robot.min_eigenvalues_,
             self.powers,
             notes,
             turned_joints(self),
         )
 
-    def to_mjcf(self, path):
+    def to_mjcf(self, path, sample=None, random_state=0):
         """Write the identified robot as MJCF, the description of MuJoCo.
 
         The file is that of `RobotIdentifier.to_mjcf`.
@@ -712,6 +782,10 @@ class IdentifiedRobot(SimulatesTorques):
         ----------
         path : str or os.PathLike
             File to write.
+        sample : int, default=None
+            Row of `sample` in place of the identified parameters.
+        random_state : int, RandomState or None, default=0
+            Seed of the sample, which the file states.
 
         Returns
         -------
@@ -723,12 +797,13 @@ class IdentifiedRobot(SimulatesTorques):
         ValueError
             If the parameters are not physically consistent.
         """
+        robot, which = self._sampled(sample, random_state)
         return to_mjcf(
             path,
-            self.torque_model(),
-            self.min_eigenvalues_,
+            robot.torque_model(),
+            robot.min_eigenvalues_,
             self.powers,
-            [note_of_units(self.gains_), note_of_masses(self)],
+            [which, note_of_units(self.gains_), note_of_masses(self)],
         )
 
     @property

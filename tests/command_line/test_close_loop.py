@@ -114,7 +114,8 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     source = tmp_path / f"swing.{kind}"
     {"csv": write_csv, "npz": write_npz}[kind](source, recording)
     argv = ["close-loop", str(source), "--urdf", str(urdf)]
-    assert main([*argv, "--effects", "spring,load_friction,offset"]) == 0
+    argv += ["--effects", "spring,load_friction,offset", "--ranges", "ranges.json"]
+    assert main(argv) == 0
     captured = capsys.readouterr()
     assert captured.err == ""
     lines = captured.out.splitlines()
@@ -150,6 +151,12 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     saved = load_identified(folder / "identified.json")
     assert [(one.name, one.joint) for one in saved.effects_] == [("spring", 0)]
     told = " ".join(captured.out.split())
+    assert "ranges for domain randomisation: ranges.json" in told
+    ranges = json.loads((tmp_path / "ranges.json").read_text(encoding="utf-8"))
+    values = {one["parameter"]: one for one in ranges["joints"][0]["values"]}
+    spring = values["shoulder:spring:k"]
+    assert spring["mujoco"] == "stiffness"
+    assert spring["low"] < effect["parameters"]["k"] < spring["high"]
     # MuJoCo has springs, offsets and the inertia of rotors: nothing is left out.
     assert "identified.xml has no place" not in told
     # URDF has none of them.

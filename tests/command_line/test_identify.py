@@ -100,3 +100,31 @@ def test_options_that_do_not_go_together(argv, message, folder, capsys):
     assert (code, out) == (2, "")
     (line,) = err.splitlines()
     assert message in line
+
+
+def test_ranges_are_written_where_they_are_asked_for(folder, capsys):
+    import json
+
+    asked = "arm.csv", "--urdf", "arm.urdf", "--ranges", "ranges.json"
+    code, out, err = identify(capsys, *asked)
+    assert code == 0, err
+    assert "written: ranges.json" in out
+    content = json.loads((folder / "ranges.json").read_text())
+    assert content["format"] == "sklearn_vbjfa ranges"
+    words = {one["mujoco"] for joint in content["joints"] for one in joint["values"]}
+    assert {"damping", "frictionloss"} <= words
+    # It is not written over.
+    code, out, err = identify(capsys, *asked)
+    assert code == 2
+    assert "ranges.json exists; give another --ranges" in err
+    assert "--ranges ranges-2.json" in err
+
+
+@pytest.mark.parametrize(
+    ("where", "message"),
+    [(".", "is a folder, where"), ("no/ranges.json", "no is no folder")],
+)
+def test_ranges_that_cannot_be_written(where, message, folder, capsys):
+    code, _, err = identify(capsys, "arm.csv", "--urdf", "arm.urdf", "--ranges", where)
+    assert code == 2
+    assert message in err

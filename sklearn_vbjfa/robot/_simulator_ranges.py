@@ -1,0 +1,327 @@
+"""Ranges of the values of an identified robot, in the words of simulators."""
+
+from dataclasses import dataclass
+from numbers import Real
+
+import numpy as np
+
+from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa.model._trees import is_prismatic
+from sklearn_vbjfa.robot._gains import note_of_units
+from sklearn_vbjfa.robot._posterior import Posterior
+
+FORMAT, VERSION = "sklearn_vbjfa ranges", 1
+# What simulators call a value: MuJoCo an attribute of a joint or its actuator, Isaac
+# Lab a field of an actuator's configuration, Genesis a method of an entity. By the name
+# behind the joint, by its beginning (an effect), or by its end (a coefficient).
+_PROGRAMS = "mujoco", "isaac_lab", "genesis"
+_WORDS = {
+    "rotor_inertia": ("armature", "armature", "set_dofs_armature"),
+    "viscous": ("damping", "viscous_friction", "set_dofs_damping"),
+    "coulomb": (
+        "frictionloss",
+        "friction and dynamic_friction",
+        "set_dofs_frictionloss",
+    ),
+    "spring:k": ("stiffness", None, "set_dofs_stiffness"),
+    "kp": ("kp", "stiffness", "set_dofs_kp"),
+    "kd": ("kv", "damping", "set_dofs_kv"),
+    "delay": ("delay", "min_delay and max_delay, in steps of the physics", None),
+}
+_BY_EFFECT, _BY_COEFFICIENT = ("rotor_inertia", "viscous", "coulomb"), ("kp", "kd")
+_BY_COEFFICIENT += ("delay",)
+# Why a value is left out of a file.
+_LEFT_OUT = {
+    "no": "no torque of the recordings depends on it, or hardly",
+    "from the description": "its value is that of the description more than a measured "
+    "one",
+}
+
+
+@dataclass(frozen=True, kw_only=True)
+class ParameterRange:
+    """What is known of one parameter, for a robot's next recording.
+
+    Attributes
+    ----------
+    name : str
+        Parameter, as in `parameter_names_`.
+    joint : str
+        Its joint; empty if it is of the robot as a whole.
+    unit : str
+        Unit of all values.
+    value : float
+        Of the identified robot, `theta_`.
+    lower, upper : float
+        Ends of the interval; nan where nothing tells the parameter.
+    mean, std : float
+        Mean and standard deviation of the distribution that has these ends.
+    within, between : float
+        Standard deviations within recordings (noise, `theta_std_`) and from recording
+        to recording, before anything is cut off; zero for a single recording.
+    known : {"yes", "in combination", "from the description", "no"}
+        Whether the recordings tell it by itself, only together with others, hardly
+        beside the description, or not at all.
+    nonnegative : bool
+        Whether negative values are cut off.
+
+    See Also
+    --------
+    Ranges : All parameters of a robot.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import ParameterRange
+    >>> one = ParameterRange(
+    ...     name="hip:rotor_inertia", joint="hip", unit="kg m^2", value=0.1,
+    ...     lower=0.08, upper=0.12, mean=0.1, std=0.012, within=0.01, between=0.007,
+    ...     known="yes", nonnegative=True,
+    ... )
+    >>> one.words["genesis"]
+    'set_dofs_armature'
+    """
+
+    name: str
+    joint: str
+    unit: str
+    value: float
+    lower: float
+    upper: float
+    mean: float
+    std: float
+    within: float
+    between: float
+    known: str
+    nonnegative: bool
+
+    @property
+    def measured(self):
+        """Whether the recordings tell it, by itself or together with others."""
+        return self.known not in _LEFT_OUT
+
+    @property
+    def words(self):
+        """What MuJoCo, Isaac Lab and Genesis call it, a dict; None for no name."""
+        own = self.name.removeprefix(f"{self.joint}:").split(":")
+        found = _WORDS.get(":".join(own))
+        if found is None and own[0] in _BY_EFFECT:
+            found = _WORDS[own[0]]
+        if found is None and own[-1] in _BY_COEFFICIENT:
+            found = _WORDS[own[-1]]
+        return dict(zip(_PROGRAMS, found or (None, None, None)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Ranges:
+    """Ranges of all parameters of an identified robot.
+
+    `RobotIdentifier.ranges` makes them. They are iterated over and indexed by the names
+    of the parameters.
+
+    Attributes
+    ----------
+    level : float
+        Probability that the next recording's value of a parameter is in its range.
+    recordings : int
+        Recordings, or groups of them, whose scatter the ranges have; one if none.
+    parameters : tuple of ParameterRange
+        The parameters, in the order of `parameter_names_`.
+    correlation : ndarray of shape (p, p)
+        Their correlations; nan for those that do not vary.
+    joint_names : tuple of str
+        The joints.
+    torque_units : tuple of {"N m", "N"}
+        Units of their torques.
+    notes : tuple of str
+        What else a reader of the values has to know.
+
+    See Also
+    --------
+    RobotIdentifier.ranges : Makes them.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> recording = load_demo_recording()
+    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+    >>> ranges = robot.ranges(level=0.9)
+    >>> len(ranges), ranges.recordings
+    (84, 2)
+    >>> ranges["joint_1:viscous"].words["mujoco"]
+    'damping'
+    """
+
+    level: float
+    recordings: int
+    parameters: tuple
+    correlation: np.ndarray
+    joint_names: tuple
+    torque_units: tuple
+    notes: tuple = ()
+
+    def __iter__(self):
+        """Iterate over the parameters."""
+        return iter(self.parameters)
+
+    def __len__(self):
+        """Count the parameters."""
+        return len(self.parameters)
+
+    def __getitem__(self, name):
+        """Return the `ParameterRange` of a name."""
+        for one in self.parameters:
+            if one.name == name:
+                return one
+        raise KeyError(name)
+
+    def to_json(self, *, described=False):
+        """Return the ranges as JSON, by joint.
+
+        Parameters
+        ----------
+        described : bool, default=False
+            Whether values that only the description knows are there as well.
+
+        Returns
+        -------
+        str
+            The text of a ``ranges.json``, see ``docs/domain_randomisation.rst``.
+        """
+        # What reads a robot imports it.
+        from sklearn_vbjfa.robot._model_file import readable
+
+        return f"{readable(self._content(described))}\n"
+
+    def save(self, path, *, described=False):
+        """Write the ranges to a file, ``ranges.json``.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write.
+        described : bool, default=False
+            Whether values that only the description knows are there as well.
+
+        Raises
+        ------
+        FileNotFoundError
+            If its folder does not exist.
+        """
+        write_whole(path, self.to_json(described=described))
+
+    def _content(self, described):
+        """Return what a file holds, dicts and lists of plain values."""
+        taken = [k for k, one in enumerate(self) if _has_place(one, described)]
+        left = [one for one in self if not _has_place(one, described)]
+        joints = [
+            {"name": name, "torque_unit": unit, **self._values(taken, name)}
+            for name, unit in zip(self.joint_names, self.torque_units)
+        ]
+        return {
+            "format": FORMAT,
+            "version": VERSION,
+            "level": self.level,
+            "recordings": self.recordings,
+            "notes": list(self.notes),
+            "joints": joints,
+            "robot": self._values(taken, ""),
+            "left_out": [
+                {
+                    "parameter": one.name,
+                    "reason": _LEFT_OUT.get(one.known, "its deviation is not known"),
+                }
+                for one in left
+            ],
+        }
+
+    def _values(self, taken, joint):
+        """Return the parameters of a joint, or of the robot as a whole."""
+        own = [k for k in taken if self.parameters[k].joint == joint]
+        among = self.correlation[np.ix_(own, own)].copy()
+        # What does not vary goes together with nothing.
+        among[np.isnan(among)] = 0.0
+        np.fill_diagonal(among, 1.0)
+        return {
+            "values": [_value(self.parameters[k]) for k in own],
+            "correlation": among.tolist(),
+        }
+
+
+def _has_place(one, described):
+    """Whether a file has a parameter."""
+    told = np.isfinite([one.lower, one.upper, one.std]).all()
+    return bool(told and (described or one.measured))
+
+
+def _value(one):
+    """Return a parameter as a file has it."""
+    return {
+        "parameter": one.name,
+        **one.words,
+        "unit": one.unit,
+        "distribution": _distribution(one),
+        "value": one.value,
+        "low": one.lower,
+        "high": one.upper,
+        "mean": one.mean,
+        "std": one.std,
+        "std_within_recordings": one.within,
+        "std_between_recordings": one.between,
+        "known": one.known,
+    }
+
+
+def _distribution(one):
+    """Say what distribution a parameter has."""
+    kind = "normal" if one.between == 0 else "mixture of normals"
+    return f"{kind}, cut off at zero" if one.nonnegative else kind
+
+
+def ranges_of(robot, level):
+    """Return the `Ranges` of an `IdentifiedRobot`."""
+    is_number = isinstance(level, Real) and not isinstance(level, bool)
+    if not (is_number and 0 < level < 1):
+        raise ValueError(
+            "level must be a probability between 0 and 1, such as 0.9 for 5 % of the "
+            f"values on each side; got {level!r}."
+        )
+    posterior, level = Posterior.of(robot), float(level)
+    kinds = is_prismatic(robot.features_.model_)
+    note = note_of_units(robot.gains_).replace("This file", "These values")
+    return Ranges(
+        level=level,
+        recordings=1 if robot.between is None else robot.between.count,
+        parameters=tuple(
+            _range_of(robot, posterior, k, level) for k in range(robot.theta_.size)
+        ),
+        correlation=posterior.correlation(),
+        joint_names=robot.joint_names_,
+        torque_units=tuple("N" if slides else "N m" for slides in kinds),
+        notes=(note,) if note else (),
+    )
+
+
+def _range_of(robot, posterior, k, level):
+    """Return the `ParameterRange` of a parameter."""
+    found, ends, mean, spread = posterior.marginal(k), (np.nan, np.nan), np.nan, np.nan
+    if found is not None:
+        ends = found.quantiles([0.5 - level / 2, 0.5 + level / 2])
+        mean, spread = found.moments()
+    name = robot.parameter_names_[k]
+    joint = name.partition(":")[0]
+    return ParameterRange(
+        name=name,
+        joint=joint if joint in robot.joint_names_ else "",
+        unit=robot.parameter_units_[k],
+        value=float(robot.theta_[k]),
+        lower=float(ends[0]),
+        upper=float(ends[1]),
+        mean=float(mean),
+        std=float(spread),
+        within=float(robot.theta_std_[k]),
+        between=float(posterior.off[k]),
+        known=robot.known_[k],
+        nonnegative=bool(posterior.nonnegative[k]),
+    )

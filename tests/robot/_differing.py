@@ -1,0 +1,52 @@
+"""Recordings of a joint whose armature, damping and friction differ between them."""
+
+import numpy as np
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.model import nominal_parameters
+from sklearn_vbjfa.robot import RigidBodyFeatures
+
+URDF = """<robot name="one"><link name="base"/><link name="arm"><inertial>
+<origin xyz="0.1 0 0"/><mass value="2"/><inertia ixx="0.01" iyy="0.02" izz="0.02"
+ixy="0" ixz="0" iyz="0"/></inertial></link><joint name="hip" type="revolute">
+<parent link="base"/><child link="arm"/><axis xyz="0 1 0"/>
+<limit lower="-3" upper="3" effort="100" velocity="20"/></joint></robot>"""
+VALUES = {"viscous": 0.3, "coulomb": 0.5, "offset": 0.0, "rotor_inertia": 0.1}
+NAMES = [f"hip:{name}" for name in VALUES]
+
+
+def recordings(urdf, seed, n, *, off, rows=80, noise=0.05):
+    """Rows, torques and labels of n recordings, and the values of one more."""
+    # off (4,): deviations of the joint's values from recording to recording
+    rng = np.random.default_rng(seed)
+    features = RigidBodyFeatures(urdf, friction=tuple(VALUES)).load()
+    body, X, y = nominal_parameters(features.model_)[0], [], []
+
+    def values():
+        return np.array(list(VALUES.values())) + off * rng.standard_normal(4)
+
+    for _ in range(n):
+        x = rng.standard_normal((rows, 3)) * [0.5, 2.0, 8.0]
+        theta = np.r_[body, values()]
+        torque = features.transform(x).reshape(rows, -1) @ theta
+        X.append(x)
+        y.append(torque + noise * rng.standard_normal(rows))
+    labels = np.repeat(np.arange(n), rows)
+    return np.concatenate(X), np.concatenate(y)[:, None], labels, values()
+
+
+def share_of(share):
+    """Deviations of the joint's values, a share of each."""
+    return share * np.array([0.3, 0.5, 0.25, 0.1])
+
+
+def held(urdf, seed, n, off, **changes):
+    """Whether values of a left-out recording are in the ranges, and by noise alone."""
+    X, y, labels, new = recordings(urdf, seed, n, off=off, **changes)
+    found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges(0.9)
+    own = [found[name] for name in NAMES]
+    inside = [one.lower <= value <= one.upper for one, value in zip(own, new)]
+    noise = [
+        abs(value - one.value) <= 1.645 * one.within for one, value in zip(own, new)
+    ]
+    return inside, noise

@@ -1,0 +1,510 @@
+"""Samples and ranges of identified robots, by closed forms and left-out motion."""
+
+import dataclasses
+import itertools
+import json
+
+import numpy as np
+import pytest
+from scipy import integrate, optimize, stats
+from sklearn.linear_model import Ridge
+from sklearn.utils import check_random_state
+
+pin = pytest.importorskip("pinocchio")
+# States are drawn one by one.
+pytestmark = pytest.mark.filterwarnings("ignore:The rows are not in the order of time")
+
+from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    BetweenRecordings,
+    Marginal,
+    ParameterRange,
+    Posterior,
+)
+from sklearn_vbjfa.robot._posterior import _RecordingEffects  # noqa: E402
+from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
+from tests.model.test_mjcf import assert_same  # noqa: E402
+from tests.robot._differing import (  # noqa: E402
+    NAMES,
+    URDF,
+    held,
+    recordings,
+    share_of,
+)
+from tests.robot.test_drives import identify, told  # noqa: E402
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "one.urdf"
+    path.write_text(URDF)
+    return str(path)
+
+
+@pytest.fixture(scope="module")
+def several(urdf):
+    """Identify a robot from six recordings that differ."""
+    X, y, labels, _ = recordings(urdf, 0, 6, off=share_of(0.3))
+    return RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels)
+
+
+# -- one value -------------------------------------------------------------------------
+
+MIXTURES = [
+    (2.0, [0.3], [1.0]),
+    (0.1, [0.3], [1.0]),
+    (-2.4, [0.3], [1.0]),
+    (0.2, [0.1, 0.3, 2.0], [0.5, 0.3, 0.2]),
+    (-0.5, [0.1, 0.3], [0.6, 0.4]),
+]
+
+
+@pytest.mark.parametrize(("centre", "deviations", "weights"), MIXTURES)
+@pytest.mark.parametrize("lowest", [-np.inf, 0.0])
+def test_a_value_is_as_scipy_has_it(centre, deviations, weights, lowest):
+    found = Marginal(
+        centre=centre,
+        deviations=np.array(deviations),
+        weights=np.array(weights),
+        lowest=lowest,
+    )
+    parts = [stats.norm(centre, s) for s in deviations]
+    total = sum(w * p.sf(lowest) for w, p in zip(weights, parts))
+
+    def above(x):
+        return sum(w * p.sf(x) for w, p in zip(weights, parts)) / total
+
+    def moment(k, middle=0.0):
+        def at(x):
+            density = sum(w * p.pdf(x) for w, p in zip(weights, parts))
+            return (x - middle) ** k * density / total
+
+        low = max(lowest, centre - 40 * max(deviations))
+        points = sorted({low, low + 0.02, low + 0.2, max(centre, low), low + 2.0})
+        ends = [*points, points[-1] + 40 * max(deviations)]
+        return sum(
+            integrate.quad(at, a, b, epsabs=1e-13, limit=200)[0]
+            for a, b in itertools.pairwise(ends)
+        )
+
+    for share in (0.05, 0.5, 0.95):
+        start = max(lowest, centre - 30 * max(deviations))
+        expected = optimize.brentq(
+            lambda x, share=share: above(x) - (1 - share), start, 40.0, xtol=1e-14
+        )
+        (quantile,) = found.quantiles([share])
+        assert quantile == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    mean, std = found.moments()
+    assert mean == pytest.approx(moment(1), rel=1e-5)
+    assert std == pytest.approx(np.sqrt(moment(2, mean)), rel=1e-4)
+
+
+def test_one_recording_has_the_deviations_of_the_fit(urdf):
+    X, y, _, _ = recordings(urdf, 3, 1, off=share_of(0.0), noise=1.0)
+    robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y)
+    found = robot.ranges(level=0.8)
+    assert found.recordings == 1
+    for k, name in enumerate(robot.parameter_names_[10:], start=10):
+        one, centre = found[name], robot.theta_unconstrained_[k]
+        std = robot.theta_std_[k]
+        cut = stats.truncnorm(-centre / std, np.inf, centre, std)
+        law = stats.norm(centre, std) if name == "hip:offset" else cut
+        np.testing.assert_allclose([one.lower, one.upper], law.ppf([0.1, 0.9]), 1e-9)
+        np.testing.assert_allclose([one.mean, one.std], [law.mean(), law.std()], 1e-6)
+        assert one.within == std
+        assert one.between == 0.0
+
+
+# -- from recording to recording -------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_scale_of_a_single_value_is_the_exact_one(seed):
+    """Its posterior is that of y_r ~ N(theta, s^2 + v_r) with theta integrated."""
+    rng = np.random.default_rng(seed)
+    power = rng.uniform(20.0, 200.0, 7)
+    y = 1.0 + 0.3 * rng.standard_normal(7) + rng.standard_normal(7) / np.sqrt(power)
+    theta = power @ y / power.sum()
+    places = np.array([0])
+    effects = _RecordingEffects(
+        power[:, None, None],
+        (power * (y - theta))[:, None],
+        np.array([theta]),
+        0.0,
+        places,
+    )
+    weights = effects.solved()[:, 0]
+    scales = np.geomspace(1e-4, 2.0, weights.size)
+    expected = []
+    for s in scales * effects.unit[0]:
+        own = 1.0 / (s**2 + 1.0 / power)
+        left = own @ (y - own @ y / own.sum()) ** 2
+        prior = s / (1.0 + (s / (0.2 * effects.unit[0])) ** 2)
+        density = np.sqrt(np.prod(own) / own.sum()) * np.exp(-0.5 * left)
+        expected.append(density * prior)
+    expected = np.array(expected)
+    expected[[0, -1]] *= 0.5
+    np.testing.assert_allclose(
+        weights, expected / expected.sum(), rtol=1e-6, atol=1e-12
+    )
+
+
+def test_a_left_out_recording_is_in_its_ranges(urdf):
+    """At 90 %, with a known scatter of armature, damping and friction."""
+    done = [held(urdf, seed, 8, share_of(0.3)) for seed in range(150)]
+    inside, noise = (np.array(one) for one in zip(*done))
+    assert 0.86 <= inside.mean() <= 0.94
+    assert (inside.mean(axis=0) > 0.8).all()
+    # The noise within recordings knows nothing of it.
+    assert noise.mean() < 0.6
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("n", [4, 8, 16])
+@pytest.mark.parametrize("share", [0.1, 0.3])
+def test_left_out_recordings_are_in_their_ranges(n, share, urdf):
+    done = [held(urdf, seed, n, share_of(share))[0] for seed in range(1000, 1600)]
+    inside = np.mean(done, axis=0)
+    assert 0.86 <= inside.mean() <= 0.94
+    # of few recordings, what scatters about nothing is in its range less often
+    assert (inside > 0.82).all()
+
+
+def test_recordings_that_do_not_differ_add_little(urdf):
+    X, y, labels, _ = recordings(urdf, 1, 12, off=share_of(0.0))
+    found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges()
+    assert found.recordings == 12
+    # as little as recordings tell by themselves, one by one
+    alone = np.sqrt(12.0)
+    assert all(found[name].between < alone * found[name].within for name in NAMES)
+
+
+def test_the_scatter_is_found(urdf):
+    off = share_of(0.3)
+    X, y, labels, _ = recordings(urdf, 2, 30, off=off)
+    found = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels).ranges()
+    between = np.array([found[name].between for name in NAMES])
+    # the deviation of a deviation of thirty is 13 %
+    np.testing.assert_allclose(between, off, rtol=0.4)
+
+
+def test_neither_units_nor_order_nor_pieces_matter(urdf, several, monkeypatch):
+    X, y, labels, _ = recordings(urdf, 0, 6, off=share_of(0.3))
+    first = several.ranges()
+
+    def check(robot, unit=1.0):
+        found = robot.ranges()
+        for name in NAMES:
+            ours, theirs = (
+                [getattr(one, key) for key in ("lower", "upper", "std", "between")]
+                for one in (first[name], found[name])
+            )
+            np.testing.assert_allclose(np.array(theirs) / unit, ours, rtol=1e-6)
+        np.testing.assert_allclose(found.correlation, first.correlation, atol=1e-6)
+
+    order = np.argsort(np.random.default_rng(0).permutation(6)[labels], kind="stable")
+    again = RobotIdentifier(urdf, bodies="fixed")
+    check(again.fit(X[order], y[order], groups=labels[order]))
+    monkeypatch.setattr("sklearn_vbjfa.robot._equations.CHUNK_BYTES", 2_000)
+    check(RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels))
+
+
+def test_torques_in_other_units_are_the_same_robot(urdf):
+    """In mN m, all is a thousand times as large; bodies are near their description."""
+    X, y, labels, _ = recordings(urdf, 5, 4, off=share_of(0.3))
+    ours, theirs = (
+        RobotIdentifier(urdf).fit(X, unit * y, groups=labels) for unit in (1.0, 1e3)
+    )
+    for one, other in zip(ours.ranges(), theirs.ranges()):
+        for key in ("lower", "upper", "mean", "std", "within", "between"):
+            value = getattr(one, key)
+            assert getattr(other, key) == pytest.approx(1e3 * value, rel=1e-5, abs=1e-9)
+    own = ours.sample(20, random_state=1)
+    spread = own.std(axis=0)
+    away = (theirs.sample(20, random_state=1) / 1e3 - own) / np.where(spread, spread, 1)
+    assert np.abs(away).max() < 1e-3
+
+
+def test_many_recordings_are_taken_together(urdf):
+    X, y, labels, _ = recordings(urdf, 7, 90, off=share_of(0.3), rows=20)
+    robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels)
+    found = robot.ranges()
+    assert found.recordings == 30
+    between = np.array([found[name].between for name in NAMES])
+    np.testing.assert_allclose(between, share_of(0.3), rtol=0.4)
+
+
+# -- samples ---------------------------------------------------------------------------
+
+
+def posterior(centre, covariance, between=None, nonnegative=()):
+    """Posterior of values without bodies."""
+    centre = np.array(centre, dtype=float)
+    mask = np.zeros(centre.size, dtype=bool)
+    mask[list(nonnegative)] = True
+    return Posterior(
+        theta=np.maximum(centre, 0.0),
+        centre=centre,
+        std=np.sqrt(np.diagonal(covariance)),
+        covariance=np.array(covariance, dtype=float),
+        between=between,
+        bodies=np.empty((0, 10), dtype=int),
+        nonnegative=mask,
+    )
+
+
+CORRELATED = [[1.0, 0.6, -0.3], [0.6, 2.0, 0.2], [-0.3, 0.2, 0.5]]
+OFF = BetweenRecordings(
+    count=3,
+    places=np.array([1, 2]),
+    size=np.array([1.0, 0.5]),
+    weights=np.array([[0.2, 0.5], [0.5, 0.3], [0.3, 0.2]]),
+    scales=np.array([0.1, 0.7, 2.0]),
+)
+
+
+def literal(known, n, seed=0):
+    """Draw from the definition: refuse what is negative."""
+    rng = np.random.default_rng(seed)
+    x = rng.multivariate_normal(known.centre, known.covariance, size=n)
+    if known.between is not None:
+        for i, k in enumerate(known.between.places):
+            own = known.between.weights[:, i]
+            chosen = rng.choice(own.size, size=n, p=own)
+            x[:, k] += known.between.deviations[chosen, i] * rng.standard_normal(n)
+    return x[(x[:, known.nonnegative] >= 0).all(axis=1)]
+
+
+@pytest.mark.parametrize("between", [None, OFF])
+@pytest.mark.parametrize(
+    ("centre", "nonnegative"),
+    [((5.0, 9.0, 7.0), ()), ((-0.8, 0.3, 0.4), (0, 1)), ((-1.0, -2.0, 9.0), (0, 1, 2))],
+)
+def test_samples_are_those_of_the_definition(centre, nonnegative, between):
+    known = posterior(centre, CORRELATED, between, nonnegative)
+    drawn = known.sample(0, range(3000))
+    expected = literal(known, 400_000)
+    assert (drawn[:, known.nonnegative] >= 0).all()
+    for k in range(3):
+        assert stats.ks_2samp(drawn[:, k], expected[:, k]).pvalue > 1e-3
+    # Student's z of means, and of the products of deviations
+    se = expected.std(axis=0) / np.sqrt(3000)
+    assert (np.abs(drawn.mean(axis=0) - expected.mean(axis=0)) < 4 * se).all()
+    for i, k in ((0, 1), (0, 2), (1, 2)):
+        mean = expected.mean(axis=0)
+        ours, theirs = (
+            (x[:, i] - mean[i]) * (x[:, k] - mean[k]) for x in (drawn, expected)
+        )
+        assert abs(ours.mean() - theirs.mean()) < 4 * theirs.std() / np.sqrt(3000)
+
+
+def test_far_below_zero_is_drawn_as_well():
+    """Refusing would take 1e16 draws each."""
+    known = posterior([-8.0, 1.0], [[1.0, 0.5], [0.5, 1.0]], None, (0,))
+    drawn = known.sample(0, range(2000))
+    exact = Marginal(centre=-8.0, deviations=np.ones(1), weights=np.ones(1), lowest=0.0)
+    shares = np.linspace(0.02, 0.98, 25)
+    np.testing.assert_allclose(
+        np.quantile(drawn[:, 0], shares), exact.quantiles(shares), atol=0.05
+    )
+    # the other one follows: E[y | x] = 1 + 0.5 (x + 8)
+    left = drawn[:, 1] - 1.0 - 0.5 * (drawn[:, 0] + 8.0)
+    assert abs(left.mean()) < 4 * np.sqrt(0.75 / 2000)
+    assert left.std() == pytest.approx(np.sqrt(0.75), rel=0.06)
+
+
+def test_a_row_of_a_seed_is_the_same_one_for_every_number(several):
+    many = several.sample(30, random_state=4)
+    np.testing.assert_allclose(several.sample(7, random_state=4), many[:7], rtol=1e-9)
+    assert not np.allclose(several.sample(7, random_state=5), many[:7])
+    state = check_random_state(3)
+    first = several.sample(3, random_state=state)
+    assert not np.allclose(several.sample(3, random_state=state), first)
+    again = several.sample(3, random_state=check_random_state(3))
+    np.testing.assert_array_equal(again, first)
+    # Without a seed it is the one of NumPy.
+    assert not np.allclose(several.sample(3), several.sample(3))
+
+
+@pytest.mark.parametrize("bodies", ["prior", "free"])
+def test_samples_are_robots(bodies, simulated):
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, bodies=bodies)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    drawn = robot.sample(12, random_state=0)
+    nv = len(robot.joint_names_)
+    parts = drawn.reshape(12, nv, -1)
+    assert min_eigenvalue(parts[:, :, :10].reshape(-1, 10)).min() > 0
+    # viscous, coulomb and rotor inertia; an offset has either sign
+    assert parts[:, :, [10, 11, 13]].min() >= 0
+    assert (parts[:, :, 12] < 0).any()
+    # They are as good as the robot itself, but for how far recordings differ.
+    within = dataclasses.replace(robot.robot_, between=None)
+    states = robot.state_estimator_.transform(simulated.q, groups=simulated.groups)
+    rows = states[::50]
+    torque, std = robot.predict(rows, return_std=True)
+    one = dataclasses.replace(robot.robot_, theta_=within.sample(3, random_state=0)[2])
+    assert (np.abs(one.predict(rows) - torque) / std).mean() < 1.0
+
+
+# -- files -----------------------------------------------------------------------------
+
+
+def test_a_saved_robot_has_the_same_ranges(several, tmp_path):
+    several.save(tmp_path / "one.json")
+    read = load_identified(tmp_path / "one.json")
+    assert read.ranges(0.8).parameters == several.ranges(0.8).parameters
+    np.testing.assert_array_equal(
+        read.sample(4, random_state=0), several.sample(4, random_state=0)
+    )
+    assert read.ranges().to_json() == several.ranges().to_json()
+
+
+def test_a_file_of_before_has_none(several, tmp_path):
+    several.save(tmp_path / "one.json")
+    content = json.loads((tmp_path / "one.json").read_text())
+    del content["unconstrained"], content["between_recordings"]
+    (tmp_path / "old.json").write_text(json.dumps(content))
+    old = load_identified(tmp_path / "old.json")
+    for ask in (old.ranges, lambda: old.sample(1)):
+        with pytest.raises(ValueError, match="saved by a version that did not keep"):
+            ask()
+
+
+def test_ranges_are_written_by_joint(several, tmp_path):
+    found = several.ranges(level=0.9)
+    found.save(tmp_path / "ranges.json")
+    content = json.loads((tmp_path / "ranges.json").read_text())
+    assert (content["format"], content["level"]) == ("sklearn_vbjfa ranges", 0.9)
+    assert content["recordings"] == 6
+    (joint,) = content["joints"]
+    values = {one["parameter"]: one for one in joint["values"]}
+    assert list(values) == NAMES
+    armature = values["hip:rotor_inertia"]
+    words = [armature[key] for key in ("mujoco", "isaac_lab", "genesis")]
+    assert words == ["armature", "armature", "set_dofs_armature"]
+    assert armature["unit"] == "kg m^2"
+    one = found["hip:rotor_inertia"]
+    assert (armature["low"], armature["high"]) == (one.lower, one.upper)
+    assert armature["low"] < armature["mean"] < armature["high"]
+    correlation = np.array(joint["correlation"])
+    np.testing.assert_allclose(np.diag(correlation), 1.0)
+    assert np.linalg.eigvalsh(correlation).min() > 0
+    # The bodies are those of the description, and are there if they are asked for.
+    assert {one["parameter"] for one in content["left_out"]} >= {"hip:m", "hip:I_yy"}
+    whole = json.loads(found.to_json(described=True))
+    assert len(whole["joints"][0]["values"]) == 14
+    assert whole["left_out"] == []
+
+
+@pytest.mark.parametrize(
+    ("joint", "name", "words"),
+    [
+        ("hip", "hip:viscous", ("damping", "viscous_friction", "set_dofs_damping")),
+        ("hip", "hip:coulomb:Fc", ("frictionloss", None, "set_dofs_frictionloss")),
+        ("hip", "hip:spring:k", ("stiffness", None, "set_dofs_stiffness")),
+        ("hip", "hip:offset", (None, None, None)),
+        ("hip", "hip:delay:delay_estimate", (None, None, None)),
+        ("", "drive:delay", ("delay", None, None)),
+        ("hip", "hip:drive:kp", ("kp", "stiffness", "set_dofs_kp")),
+        ("hip", "hip:drive:kd", ("kv", "damping", "set_dofs_kv")),
+    ],
+)
+def test_words_come_from_names(joint, name, words):
+    blank = dict.fromkeys(("value", "lower", "upper", "mean", "std", "within"), 1.0)
+    one = ParameterRange(
+        name=name,
+        joint=joint,
+        unit="s",
+        between=0.0,
+        known="yes",
+        nonnegative=False,
+        **blank,
+    )
+    found = tuple(one.words.values())
+    assert found[0] == words[0]
+    assert found[2] == words[2]
+    assert words[1] is None or found[1] == words[1]
+
+
+def test_mujoco_computes_the_torques_of_a_sample(simulated, tmp_path):
+    pytest.importorskip("mujoco")
+    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt)
+    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
+    path = tmp_path / "sample.xml"
+    assert robot.to_mjcf(path, sample=3, random_state=7) == ()
+    assert "Sample 3 of the posterior" in path.read_text()
+    assert "random_state=7" in path.read_text()
+    drawn = robot.sample(4, random_state=7)[3]
+    one = dataclasses.replace(robot.robot_, theta_=drawn)
+    states = moving_states(np.random.default_rng(0), 50, len(robot.joint_names_))
+    assert_same(drive_torques(path, states), one.predict(states), 1e-6)
+    # It is not the identified robot.
+    away = np.abs(robot.predict(states) - one.predict(states)).max()
+    assert away > 1e-3 * np.abs(robot.predict(states)).max()
+
+
+def test_a_sample_as_urdf(several, tmp_path):
+    several.to_urdf(tmp_path / "sample.urdf", sample=1)
+    several.to_urdf(tmp_path / "plain.urdf")
+    sample, plain = (
+        (tmp_path / name).read_text() for name in ("sample.urdf", "plain.urdf")
+    )
+    damping = several.sample(2, random_state=0)[1, 10]
+    found = float(sample.split('damping="')[1].split('"')[0])
+    assert found == pytest.approx(damping, rel=1e-9)
+    assert "Sample 1 of the posterior" in sample
+    assert "Sample" not in plain
+
+
+# -- bad input -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("level", [0, 1, -0.1, 1.5, np.nan, "90 %", None, True])
+def test_levels_that_are_none(level, several):
+    with pytest.raises(ValueError, match="between 0 and 1, such as 0"):
+        several.ranges(level)
+
+
+@pytest.mark.parametrize("n", [0, -3, 2.5, True, "two"])
+def test_numbers_that_are_none(n, several):
+    with pytest.raises(ValueError, match="n must be a whole number from 1 on"):
+        several.sample(n)
+
+
+@pytest.mark.parametrize("sample", [-1, 0.5, True])
+def test_samples_that_are_none(sample, several, tmp_path):
+    with pytest.raises(ValueError, match="sample must be a whole number from 0 on"):
+        several.to_mjcf(tmp_path / "one.xml", sample=sample)
+
+
+def test_a_regressor_without_a_covariance(urdf):
+    X, y, labels, _ = recordings(urdf, 0, 2, off=share_of(0.0))
+    robot = RobotIdentifier(urdf, regressor=Ridge()).fit(X, y, groups=labels)
+    for ask in (robot.ranges, lambda: robot.sample(1)):
+        with pytest.raises(ValueError, match="its regressor gives none"):
+            ask()
+
+
+def test_no_such_parameter(several):
+    with pytest.raises(KeyError, match="knee"):
+        several.ranges()["knee:viscous"]
+
+
+# -- drives ----------------------------------------------------------------------------
+
+
+def test_the_delay_of_a_drive_is_of_the_whole_robot(tmp_path):
+    robot = identify(told(0.0072))
+    found = robot.ranges()["drive:delay"]
+    assert (found.joint, found.unit) == ("", "s")
+    std = robot.theta_std_[robot.parameter_names_.index("drive:delay")]
+    ends = found.value + 1.6448536 * std * np.array([-1.0, 1.0])
+    np.testing.assert_allclose([found.lower, found.upper], ends, rtol=1e-6)
+    content = json.loads(robot.ranges().to_json())
+    (value,) = content["robot"]["values"]
+    assert (value["parameter"], value["mujoco"]) == ("drive:delay", "delay")
+    assert all(one["parameter"] != "drive:delay" for one in content["left_out"])
+    drawn = robot.sample(200, random_state=0)
+    drawn = drawn[:, robot.parameter_names_.index("drive:delay")]
+    assert drawn.std() == pytest.approx(std, rel=0.2)

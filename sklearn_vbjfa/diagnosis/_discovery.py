@@ -380,8 +380,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         drive = self.identifier.drive
         if drive is not None and drive.unsigned and whole.command is None:
             # Signs of rows that are not fitted follow from what was.
-            known = self.identifier, whole.inputs, whole.groups, self.test_size
-            part = split_in_time(*known).searched(whole)
+            split = split_in_time(self.identifier, whole, self.test_size)
+            part = split.searched(whole)
             whole = _fitted(clone(self.identifier), part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)

@@ -12,6 +12,7 @@ from numbers import Real
 import numpy as np
 from sklearn.base import BaseEstimator
 
+from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._between import between
 from sklearn_vbjfa.recording._recording import check_dt
 
@@ -20,6 +21,8 @@ COMMANDS = ("q_desired", "v_desired", "tau_ff", "kp", "kd")
 # A joint that is at its limit of torque for a larger share of the rows shows nothing
 # of what it would do.
 _MOSTLY = 0.5
+# Frequency below which drives' velocities are compared with the positions' [Hz].
+_SLOW = 10.0
 # Commands that vary less than this share of the motion do not move the joint.
 _STILL = 1e-6
 
@@ -131,9 +134,10 @@ class PDDrive(Drive):
         Whether a drive without ``v_desired`` takes the slope of ``q_desired`` for it,
         and not zero.
     period : float, default=None
-        Time [s] for which the drive holds a torque in simulation, at most the sample
-        period; None is that. A loop that is stable at its own rate need not be so at
-        that of a slow recording.
+        Time [s] for which the drive holds a torque, at most the sample period: a loop
+        at 1 kHz has 1e-3. What it makes of positions acts half of it late, which is
+        some per cent of armature and damping. None takes that for nothing; as
+        `controller`, for the sample period.
 
     See Also
     --------
@@ -142,8 +146,14 @@ class PDDrive(Drive):
 
     Notes
     -----
-    The velocity is that of the recording (`Recording.v`, the drive's own estimate), or
-    the slope of the positions. The log's commands are taken as exact.
+    The velocity is the slope of the positions, as late as the recorded one
+    (`Recording.v`, the drive's own estimate) where there is one: what a drive logs now
+    and then of its velocity has the noise of the whole band folded into it. The noise
+    of positions is noise of the torque, K_p and K_d times, and of the regressor: what
+    both have in common is measured with the rest, from the even and the odd samples,
+    and taken off their products. That is right to first order whether the drive made
+    its torque of that noise or only the log has it. The log's commands are taken as
+    exact.
 
     References
     ----------
@@ -221,7 +231,13 @@ class PDDrive(Drive):
         command = kp * aim + kd * rate + gear * (0.0 if ahead is None else ahead)
         if self.waits is not None:
             command = between(command, parts, clock, self.waits)
-        tau = command - kp * recording.q - kd * velocities(recording)
+        q, v = np.asarray(recording.q), velocities(recording)
+        if self.period is not None:
+            # A torque that is held acts half a period late; of the command it is a
+            # part of the delay.
+            held = 0.5 * dt / self.updates(dt)
+            q, v = (between(x, parts, clock, held) for x in (q, v))
+        tau = command - kp * q - kd * v
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
         made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
         return made if self.saturation is None else self._saturated(made)
@@ -553,13 +569,34 @@ class VoltageDrive(Drive):
 
 
 def velocities(recording):
-    """Velocities (n, nv) as recorded, given as states, or slopes of the positions."""
-    if recording.v is not None:
-        return recording.v
+    """Velocities (n, nv): those of states, or slopes of the positions, as they came."""
+    # Drives make theirs of the same encoder, some milliseconds late by a filter, and
+    # log a sample now and then with noise of the whole band folded into it. Of it the
+    # lag is taken, by least squares on accelerations, where the motion is.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    clock = check_dt(recording.dt) * np.arange(recording.n_samples)
-    return between(recording.q, recording.segments, clock, order=1)
+    dt, parts = check_dt(recording.dt), recording.segments
+    clock = dt * np.arange(recording.n_samples)
+    q = np.asarray(recording.q)
+    slope = between(q, parts, clock, order=1)
+    if recording.v is None:
+        return slope
+    lowpass = _lowpass.design(dt, min(_SLOW, 0.2 / dt))
+    long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
+    if not long:
+        return slope
+    own, theirs = (
+        np.concatenate([lowpass(np.asarray(x[part])) for part in long])
+        for x in (slope, recording.v)
+    )
+    faster = np.gradient(own, dt, axis=0)
+    power = (faster**2).sum(axis=0)
+    lag = ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
+    late = [
+        between(q[:, j : j + 1], parts, clock, one, order=1)
+        for j, one in enumerate(lag.tolist())
+    ]
+    return np.hstack(late)
 
 
 def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):

@@ -143,9 +143,9 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     model, dt = load_model(model), check_dt(dt)
     blocks = list(_blocks(contiguous_groups(groups, len(q)), model.nv))
     if len(blocks) == 1:
-        return _inspected(model, q, tau, dt, groups)
+        return _inspected(model, q, tau, dt, groups, drive)
     found = [
-        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), b.start)
+        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), drive, b.start)
         for b in blocks
     ]
     return in_order(_agreed(found))
@@ -188,7 +188,7 @@ def _agreed(found):
     return [one for k, one in first.items() if times[k] >= least.get(k[0], most)]
 
 
-def _inspected(model, q, tau, dt, groups, first=0):
+def _inspected(model, q, tau, dt, groups, drive, first=0):
     """Inspect recordings whose rows begin with row `first` of all."""
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)

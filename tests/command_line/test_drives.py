@@ -92,8 +92,10 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
 
 
 def test_methods_are_compared_at_the_delay(run):
-    code, out, err = run("identify", "--quiet")
+    code, out, err = run("identify", "--quiet", "--ranges", "ranges.json")
     assert code == 0, err
+    with open("ranges.json") as file:
+        assert "drive:delay" in file.read()
     late, half = delay_in(out)
     assert abs(late - 1e3 * DELAY) < max(2 * half, 0.2)
     errors = re.search(r"VB \+ projection ([\d.]+) ([\d.]+)", out).groups()

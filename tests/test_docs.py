@@ -21,6 +21,7 @@ from sklearn_vbjfa import (
     effects,
     inspection,
     physical,
+    robot,
     simulation,
 )
 from tests.test_imports import APART, ROOMS
@@ -34,6 +35,7 @@ PUBLIC_MODULES = (
     effects,
     inspection,
     physical,
+    robot,
     simulation,
 )
 ROOT = Path(__file__).resolve().parents[1]

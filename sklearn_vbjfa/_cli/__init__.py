@@ -93,8 +93,8 @@ _ARGUMENTS = {
     },
     "--preset": {
         "metavar": "TOOL",
-        "help": "names as tools write them: ros, ur, franka or lerobot; by default "
-        "they are recognised",
+        "help": "names as tools write them: ros, ur, franka, lerobot or unitree; by "
+        "default they are recognised",
     },
     "--topic": {
         "metavar": "NAME",
@@ -109,6 +109,14 @@ _ARGUMENTS = {
         "help": "factors by which the columns of torques become N m or N, one for each "
         "joint, such as 8,8,5; or unknown: they are proportional to the torques (motor "
         "currents), and the factors are identified relative to one of them",
+    },
+    "--drive": {
+        "metavar": "LAW",
+        "help": "what the motors follow, where no torque was measured, such as "
+        '"pd kp=20,20,40 kd=1,1,2" or "pd kp=hip:20,thigh:20,calf:40 kd=1": RECORDING '
+        "then has columns q_desired of each joint in place of tau, also v_desired and "
+        "tau_ff, and kp and kd unless they are given here. Further values are "
+        "delay=auto (found) or seconds, saturation=, gear=, feedforward=true",
     },
     "--signals": {
         "metavar": "NAMES",
@@ -243,8 +251,9 @@ _ARGUMENTS = {
 # Options with a short name beside theirs.
 _SHORT = {"--quiet": ("-q",)}
 # How a recording is read, and what is identified of it, in the order of the help.
-READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
-_READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit --gain"
+READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain", "drive")
+_READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit "
+_READ += "--gain --drive"
 _IDENTIFIED = "--friction --known-mass --bodies --alike --cutoff"
 _REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
 
@@ -297,7 +306,8 @@ _COMMANDS = {
             },
         },
         "help": "simulate the identified robot beside the measured motion",
-        "description": "Drive the identified robot by the measured torques, over "
+        "description": "Drive the identified robot by the measured torques (of a "
+        "robot that is told positions those of its --drive, at the delay found), over "
         "windows that begin at measured states, and print how far it gets from the "
         "measured motion. The first 70 % of every recording are identified and windows "
         "of the rest are simulated; with --model, windows of the whole recording. "

@@ -115,9 +115,10 @@ def close(
     known_masses=None,
     signals=None,
     t=None,
+    drive=None,
 ):
     """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
-    # signals: by name, or those offered.
+    # signals: by name, or those offered; drive: what the recording was read with.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -130,12 +131,13 @@ def close(
         torque_noise=torque_noise,
         gains=gains,
         known_masses=known_masses,
+        drive=drive,
         n_jobs=-1,
     )
     loop = EffectDiscovery(
         identifier, effects=effects, ceiling=ceiling, random_state=seed
     )
-    if recording.stored:
+    if recording.stored or drive is not None:
         # The report calls recordings after their files.
         return loop.fit_recording(recording, signals)
     return loop.fit(recording.q, recording.tau, recording.groups, t=t, signals=signals)

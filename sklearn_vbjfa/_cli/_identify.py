@@ -56,6 +56,7 @@ class _Task:
     identifier: object  # settings that all methods share
     source: object = None  # files that were read, named
     held: tuple = ()  # joints of the description that were not recorded
+    followed: object = None  # robot fitted with its drive, that of the ranges
 
 
 def identify(arguments, folder):
@@ -81,7 +82,7 @@ def identify(arguments, folder):
         return done
 
     def write(folder, warned):
-        fitted.ranges().save(folder / ranges.name)
+        (task.followed or fitted).ranges().save(folder / ranges.name)
         return []
 
     return replace(done, folder=ranges.parent, files=(ranges.name,), write=write)
@@ -136,21 +137,43 @@ def _own(arguments, folder):
     from sklearn_vbjfa.datasets import Protocol
 
     settings, taken = _input.settings(arguments), _input.taken(arguments, folder)
-    recording = taken.recording
+    recording, drive = taken.recording, settings.pop("drive", None)
     taken.check(settings)
     taken.check_channels()
+    protocol = Protocol(friction=settings["friction"], cutoff=settings["cutoff"])
+    identifier = RobotIdentifier(
+        str(taken.urdf),
+        dt=recording.dt,
+        torque_noise=recording.torque_noise,
+        **settings,
+    )
+    robot = None
+    if drive is not None:
+        rows = next(iter(protocol.split(recording)))
+        with blaming(taken.source):
+            recording, robot = _at_delay(recording, rows, drive, identifier)
+        if recording.nv > 1:
+            identifier.set_params(gains=drive.gains)
     return _Task(
         recording=recording,
-        protocol=Protocol(friction=settings["friction"], cutoff=settings["cutoff"]),
-        identifier=RobotIdentifier(
-            str(taken.urdf),
-            dt=recording.dt,
-            torque_noise=recording.torque_noise,
-            **settings,
-        ),
+        protocol=protocol,
+        identifier=identifier,
         source=taken.source,
         held=taken.held,
+        followed=robot,
     )
+
+
+def _at_delay(recording, rows, drive, identifier):
+    """Make torques of commands at the delay of some rows; return their robot, too."""
+    # All methods get the same torques.
+    from sklearn.base import clone
+
+    from sklearn_vbjfa.recording import take_rows
+
+    part = take_rows(recording, rows, recording.groups[rows])
+    robot = clone(identifier).set_params(drive=drive).fit_recording(part)
+    return _input.followed(drive, robot, recording), robot
 
 
 def _report(task, results, fitted):
@@ -180,6 +203,7 @@ def _report(task, results, fitted):
             sys.stdout,
         ),
         *([f"held at zero: {', '.join(task.held)}"] if task.held else []),
+        *_said_of_commands(task.followed),
         "",
         "held-out torque error [% of the torque's standard deviation]",
         table,
@@ -187,6 +211,12 @@ def _report(task, results, fitted):
         wrapped(_consistency(results, len(names)), sys.stdout),
     ]
     return "\n".join(lines + _failed(results))
+
+
+def _said_of_commands(robot):
+    """Say how late commands act, a list of lines."""
+    said = "" if robot is None else _input.said_delay(robot)
+    return [f"no torque was measured: {said}"] if said else []
 
 
 def _failed(results):

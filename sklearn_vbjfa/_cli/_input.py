@@ -7,7 +7,7 @@ import os
 import sys
 import tempfile
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -56,6 +56,7 @@ class Taken:
     source: object  # what to call what was read
     held: tuple = ()  # those joints
     gains: object = None  # what was said of the channels of torque
+    drive: object = None  # `Drive` that torques were made by
 
     def check(self, chosen):
         """Refuse settings that the recording and its robot cannot show."""
@@ -64,11 +65,14 @@ class Taken:
 
     def findings(self):
         """Look for faults of the channels; factors that are unknown are none."""
-        from sklearn_vbjfa.inspection import inspect_recording
+        from sklearn_vbjfa.inspection import inspect_channels
 
-        found = inspect_recording(self.recording, str(self.urdf))
+        one = self.recording
+        known = one.q, one.tau, one.dt, one.groups
+        found = inspect_channels(str(self.urdf), *known, drive=self.drive)
         motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
-        if motor or self.gains == "unknown":
+        known = self.drive is None or self.drive.gains is None
+        if motor or self.gains == "unknown" or not known:
             return [one for one in found if one.kind != "gear_factor"]
         return found
 
@@ -121,12 +125,19 @@ def taken(arguments, folder, *, assumed=None, stored=False):
     # are kept on disk.
     urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
     known = gains(arguments.gain)
+    if arguments.drive is not None:
+        assumed = None
     urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
     recording = read(arguments, urdf, joints, known or assumed, stored=stored)
     urdf, held = _hold_others(urdf, recording, held, folder)
     source = named(sources(arguments.recording))
     return Taken(
-        recording=recording, urdf=urdf, source=source, held=tuple(held), gains=known
+        recording=recording,
+        urdf=urdf,
+        source=source,
+        held=tuple(held),
+        gains=known,
+        drive=drive(arguments.drive),
     )
 
 
@@ -136,7 +147,9 @@ def settings(arguments):
 
     known, factors = declarable(), gains(arguments.gain)
     masses = getattr(arguments, "known_mass", ())
-    return {
+    follows = drive(arguments.drive)
+    told = {} if follows is None else {"drive": follows}
+    return told | {
         "friction": names("--friction", arguments.friction, known),
         "bodies": arguments.bodies,
         "alike": None if arguments.alike == "none" else arguments.alike,
@@ -145,6 +158,41 @@ def settings(arguments):
         "gains": "unknown" if factors == "unknown" else None,
         "known_masses": known_masses(masses, factors),
     }
+
+
+def drive(text):
+    """Return the drive that the robot follows, None for torques."""
+    from sklearn_vbjfa.recording import parse_drive
+
+    try:
+        return None if text is None else parse_drive(text)
+    except ValueError as error:
+        raise ValueError(f"--{error}") from None
+
+
+def followed(follows, robot, recording):
+    """Return a recording with the torques that the drive of a fitted robot made."""
+    from sklearn.base import clone
+
+    from sklearn_vbjfa.effects import CommandDelay
+    from sklearn_vbjfa.robot import signed
+
+    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
+    if late:
+        follows = clone(follows).set_params(delay=late[0])
+    driven = follows.driven(replace(recording, command=None))
+    if follows.unsigned:
+        driven = signed(getattr(robot, "robot_", robot), driven)
+    return driven
+
+
+def said_delay(robot):
+    """Say how late the commands of a fitted robot act, "" for nothing found."""
+    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+    from sklearn_vbjfa.diagnosis.report import delay_sentence
+
+    own = [one for one in parameter_values(robot) if one.name == "drive:delay"]
+    return " ".join(delay_sentence(one.value, one.interval) for one in own)
 
 
 def library(text):
@@ -300,7 +348,8 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
             gains=gains,
             time_unit=arguments.time_unit,
             on_bad_files="warn",
-            stored=stored and len(files) > 1,
+            stored=stored and len(files) > 1 and arguments.drive is None,
+            drive=drive(arguments.drive),
         )
     except RecordingRefused as error:
         if identified or error.options.get("gains") != "unknown":
@@ -310,7 +359,7 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
             "joint."
         ) from error
     motor = [x for x in recording.torque_units if x not in ("N m", "N")]
-    if motor and gains is None:
+    if motor and gains is None and arguments.drive is None:
         one = recording.nv == 1 or not identified
         raise RecordingRefused(
             f"{source}: the torques are recorded in {motor[0]}; give the factors to N "

@@ -147,8 +147,13 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    taken = _input.Taken(recording=recording, urdf=urdf, source=source, gains=gains)
+    drive = _input.drive(arguments.drive)
+    taken = _input.Taken(
+        recording=recording, urdf=urdf, source=source, gains=gains, drive=drive
+    )
     taken.check_channels()
+    if drive is not None:
+        recording = _input.followed(drive, robot, recording)
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
@@ -200,7 +205,13 @@ def _identified(arguments, source, folder):
     settings["torque_noise"] = recording.torque_noise
     with blaming(source):
         robots = _robots(part, str(taken.urdf), library, known, settings)
-    told = (
+    late, follows = "", settings.get("drive")
+    if follows is not None:
+        last = list(robots.values())[-1]
+        recording = _input.followed(follows, last, recording)
+        said = _input.said_delay(last)
+        late = f"no torque was measured: {said}\n" if said else ""
+    told = late + (
         f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
         f"friction: {', '.join(settings['friction']) or 'none'}"
     )
@@ -227,6 +238,8 @@ def _robots(recording, urdf, library, known, settings):
 
     if not library:
         robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
+        if robot.drive is not None:
+            return {"simulated": robot.fit_recording(recording)}
         robot.fit(recording.q, recording.tau, groups=recording.groups, t=known["t"])
         return {"simulated": robot}
     loop = _close_loop.close(
@@ -318,7 +331,8 @@ def errors_text(simulated, seconds):
         "",
         f"{which} {whole.size} windows, each from the measured state at its start and "
         "driven by the",
-        "measured torques. median: of the windows' position errors; stays, goes on: a",
+        f"{_torques(simulated)} torques. median: of the windows' position errors; "
+        "stays, goes on: a",
         "robot that stays where it was, and one that keeps its velocity.",
     ]
     for label, own in windows.items():
@@ -329,6 +343,11 @@ def errors_text(simulated, seconds):
         if own.run_away.any():
             lines.append(who + _run_away(simulated, own))
     return "\n".join(lines)
+
+
+def _torques(simulated):
+    """Say which torques drive a simulation."""
+    return "commanded" if "q_desired" in simulated.recording.signals else "measured"
 
 
 def doubts_of(simulated):

@@ -1052,20 +1052,22 @@ def fetch_unitree_go2(files: DataFiles) -> list[Log]:
     recording : Recording
         47065 samples of 12 joints, dt = 0.005 s, recordings "run_0" to
         "run_9". `q` [rad] and `v` [rad/s] of the motors, `tau` [N m] what
-        the motors were told. Signals (n_samples, 12): "q_ref" [rad], "v_ref"
-        [rad/s] (zero throughout), the motion that was asked for. The model is
-        that of ``go2.xml``, whose base is free and is held level.
+        the motors were told. Signals (n_samples, 12): "q_desired" [rad] and
+        "v_desired" [rad/s] (zero throughout), the motion that was asked for, and
+        the gains "kp" [N m/rad] and "kd" [N m s/rad]: what a `PDDrive` takes. The
+        model is that of ``go2.xml``, whose base is free and is held level.
 
     {raises}
 
     Notes
     -----
-    `tau` is a command and no measurement: kp (q_ref - q) + kd (v_ref - v) with
+    `tau` is a command and no measurement: kp (q_desired - q) + kd (v_desired - v) with
     kp = 20, 20, 40 N m/rad and kd = 1, 1, 2 N m s/rad of hip, thigh and calf.
     It shares its noise with the positions and speeds, with these known gains: an
     error e of an encoder is -kp e of the torque, where regressions take the noise
     of inputs and of outputs for independent. What the motor makes of the command
-    may come later, by an unknown delay, and may be less.
+    may come later, by an unknown delay, and may be less. ``PDDrive()`` makes the
+    same torque and finds the delay.
 
     The legs are the same four times, mirrored left and right. Armature, damping
     and friction in ``go2.xml`` were identified from such runs by somebody else and
@@ -1099,7 +1101,10 @@ def fetch_unitree_go2(files: DataFiles) -> list[Log]:
                 q=raw["q"],
                 v=raw["v"],
                 tau=raw["kp"] * towards[0] + raw["kd"] * towards[1],
-                signals={"q_ref": raw["q_desired"], "v_ref": raw["v_desired"]},
+                signals={
+                    name: np.broadcast_to(raw[name], raw["q"].shape).copy()
+                    for name in ("q_desired", "v_desired", "kp", "kd")
+                },
             )
         )
     return logs

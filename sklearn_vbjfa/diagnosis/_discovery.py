@@ -382,7 +382,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Signs of rows that are not fitted follow from what was.
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            whole = _fitted(clone(self.identifier), part).signed(whole)
+            own = clone(self.identifier)
+            if drive.gains is None:
+                # The torques are made by its constant already.
+                done = clone(drive).set_params(torque_constant=1.0, gear=1.0)
+                own.set_params(drive=done)
+            whole = _fitted(own, part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         whole = replace(whole, signals=signals)
         with telling(self.verbose, progress):
@@ -506,7 +511,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
             return (), []
-        findings = inspect_channels(model, whole.q, whole.tau, whole.dt, whole.groups)
+        known = whole.q, whole.tau, whole.dt, whole.groups
+        findings = inspect_channels(model, *known, drive=self.identifier.drive)
         errors = [f.message for f in findings if f.severity == "error"]
         if errors:
             raise ValueError(" ".join(errors))

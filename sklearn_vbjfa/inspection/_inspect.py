@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
 from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
 from sklearn_vbjfa.inspection._units import (
+    commanded_sizes,
     counts,
     degrees,
     delays,
@@ -23,6 +24,7 @@ from sklearn_vbjfa.model import (
     nominal_parameters,
 )
 from sklearn_vbjfa.recording import (
+    COMMANDS,
     ChannelFinding,
     check_dt,
     contiguous_groups,
@@ -69,7 +71,7 @@ def inspect_recording(recording, model=None):
     )
 
 
-def inspect_channels(model, q, tau, dt, groups=None):
+def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     """Look for channels of a recording that cannot be what their names say.
 
     Parameters
@@ -85,6 +87,10 @@ def inspect_channels(model, q, tau, dt, groups=None):
         Sample period [s].
     groups : array-like of shape (n_samples,), default=None
         Labels of separate recordings.
+    drive : Drive, default=None
+        What made the torques: of commanded positions a "gear_factor" is then one of
+        ten in the median over the joints, and no delay is looked for, as a fit finds
+        it; of sizes of currents the signs are not missing.
 
     Returns
     -------
@@ -137,9 +143,9 @@ def inspect_channels(model, q, tau, dt, groups=None):
     model, dt = load_model(model), check_dt(dt)
     blocks = list(_blocks(contiguous_groups(groups, len(q)), model.nv))
     if len(blocks) == 1:
-        return _inspected(model, q, tau, dt, groups)
+        return _inspected(model, q, tau, dt, groups, drive)
     found = [
-        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), b.start)
+        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), drive, b.start)
         for b in blocks
     ]
     return in_order(_agreed(found))
@@ -182,7 +188,7 @@ def _agreed(found):
     return [one for k, one in first.items() if times[k] >= least.get(k[0], most)]
 
 
-def _inspected(model, q, tau, dt, groups, first=0):
+def _inspected(model, q, tau, dt, groups, drive, first=0):
     """Inspect recordings whose rows begin with row `first` of all."""
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
@@ -202,7 +208,8 @@ def _inspected(model, q, tau, dt, groups, first=0):
     found = unsigned_torques(model, names, q, tau, dt, parts)
     if found:
         # Neither do torques without signs.
-        return in_order(findings + found)
+        known = drive is not None and drive.unsigned
+        return in_order(findings if known else findings + found)
     signals = channel_signals(q, tau, dt, parts, usable)
     if signals is None or not signals.informative().any():
         return in_order(findings + impossible)
@@ -214,15 +221,17 @@ def _inspected(model, q, tau, dt, groups, first=0):
     findings += found
     # These two cannot be corrected, and would show in everything that follows.
     if not _names(findings, "velocity_as_position", "wrong_dt"):
-        findings += _with_model(model, names, dt, signals)
+        findings += _with_model(model, names, dt, signals, drive)
     return in_order(findings)
 
 
-def _with_model(model, names, dt, signals):
+def _with_model(model, names, dt, signals, drive):
     """Check, with the robot's model, that channels are what their names say."""
     findings, signals = misplaced(model, names, signals)
     found, signals = torque_signs(model, names, signals)
     findings += found
+    if drive is not None and drive.told in COMMANDS:
+        return findings + commanded_sizes(model, names, signals, drive)
     findings += gear_factors(model, names, signals)
     return findings + delays(model, names, dt, signals)
 

@@ -258,6 +258,14 @@ class ChannelEquations:
         self._spread = _spread(model)
         self._signals = signals
 
+    def sizes(self):
+        """Root mean square of each torque over that of the nominal robot's, (nv,)."""
+        ours, nominal = (
+            np.sqrt((x**2).mean(axis=0)) for x in (self._signals.now, self._nominal)
+        )
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return np.where(nominal > 0, ours / nominal, np.nan)
+
     def _rigid(self, j):
         """Regressor of a joint's torque (n, k), without columns that are zero."""
         return self._entries[self._edges[j] : self._edges[j + 1]].T

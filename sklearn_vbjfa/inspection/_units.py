@@ -19,6 +19,8 @@ from sklearn_vbjfa.robot._states import StateEstimator
 
 # Nominal inertias (without payload and rotor) are not wrong by more than this.
 _GEAR_FACTOR = 20.0
+# Commanded torques of all joints together are asked for one order of magnitude.
+_COMMANDED = 10.0
 # A joint without limits does not turn farther than this within a recording [rad].
 _LARGEST_TURN = 25.0
 # Signs must lower the squared error of a torque of one sign by this factor, and both
@@ -244,6 +246,27 @@ def gear_factors(model, names, signals):
             )
         )
     return found
+
+
+def commanded_sizes(model, names, signals, drive):
+    """Find commanded torques of another order of magnitude than the model's."""
+    joints = np.flatnonzero(signals.informative())
+    sizes = ChannelEquations(model, signals).sizes()[joints]
+    joints, sizes = joints[np.isfinite(sizes)], sizes[np.isfinite(sizes)]
+    middle = float(np.median(sizes)) if sizes.size else 1.0
+    if 1 / _COMMANDED < middle < _COMMANDED:
+        return []
+    j = joints[int(np.argmin(np.abs(np.log(sizes / middle))))]
+    return [
+        ChannelFinding(
+            "gear_factor",
+            tuple(int(k) for k in joints),
+            "doubt",
+            f"The commanded torques are {middle:.2g} times those of the described "
+            f"robot, in the median over the joints (such as {names[j]}): check "
+            f"{drive.numbers}.",
+        )
+    ]
 
 
 # -- time -----------------------------------------------------------------------------

@@ -16,7 +16,14 @@ _MODULES = {
         "survey",
         "torques_in_order",
     ),
-    "_drives": ("COMMANDS", "CurrentDrive", "Drive", "PDDrive", "VoltageDrive"),
+    "_drives": (
+        "COMMANDS",
+        "CurrentDrive",
+        "Drive",
+        "PDDrive",
+        "VoltageDrive",
+        "parse_drive",
+    ),
     "_faults": (
         "ChannelFinding",
         "at_rest",

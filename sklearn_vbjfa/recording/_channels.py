@@ -10,8 +10,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._layout import (
-    KINDS,
     TIME_NAMES,
     TIME_UNITS,
     Layout,
@@ -19,6 +19,8 @@ from sklearn_vbjfa.recording._layout import (
     by_mapping,
     by_names,
     by_preset,
+    kind_of,
+    spellings,
     split_last_part,
     split_unit,
     unit_of,
@@ -35,6 +37,25 @@ class Asked:
     preset: str | None
     timed: bool
     gained: bool
+    drive: object = None  # `Drive` whose channels stand in place of torques
+
+    @property
+    def told(self):
+        """Channels of torques or of the drive, the one that must be there first."""
+        drive = self.drive
+        if drive is None:
+            return ("tau",)
+        return ("tau" if drive.spelled else drive.told, *drive.beside)
+
+    @property
+    def needed(self):
+        """Kinds without which there is no recording."""
+        return "q", self.told[0]
+
+    @property
+    def kinds(self):
+        """All kinds of channels, in order."""
+        return "q", *self.told, "v", "a"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,17 +66,20 @@ class Joints:
     chosen: bool = False
 
 
-def laid_out(table: Table, asked, names) -> Layout:
+def laid_out(table: Table, asked, robot) -> Layout:
     """Say which columns are which channels; refuse what does not fit."""
-    mapping, preset = asked.mapping, asked.preset
+    mapping, preset, names = asked.mapping, asked.preset, robot.names
+    known = names, asked.told, robot.chosen
     if preset is not None and mapping:
         raise RecordingRefused(
             "give columns or a preset, not both: a preset is a mapping.",
             {"preset": None},
         )
     if mapping:
+        rest = by_preset(table, None, *known) if asked.drive is not None else {}
+        rest = next(iter(rest.values())) if len(rest) == 1 else None
         try:
-            return by_mapping(table, mapping, names)
+            return _named(by_mapping(table, mapping, names, rest))
         except MappingRefused as error:
             raise RecordingRefused(
                 f"{table.path}: {error}.", otherwise(table, asked, names)
@@ -63,9 +87,11 @@ def laid_out(table: Table, asked, names) -> Layout:
     plain = by_names(table, names)
     if table.joints:
         return replace(plain, certain=True)
-    if preset is None and any(_matched(plain, kind, names) for kind in ("q", "tau")):
+    if preset is None and any(
+        _matched(plain, kind, names, asked.drive) for kind in asked.needed
+    ):
         return plain
-    fitted = by_preset(table, preset, names)
+    fitted = by_preset(table, preset, *known)
     if len(fitted) > 1:
         raise RecordingRefused(
             f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
@@ -76,7 +102,9 @@ def laid_out(table: Table, asked, names) -> Layout:
         (layout,) = fitted.values()
         return _named(layout)
     if preset is not None:
-        expected = " or ".join(f"{x.q} and {x.tau}" for x in PRESETS[preset])
+        expected = " or ".join(
+            f"{x.q} and {x.commands.get(asked.told[0], x.tau)}" for x in PRESETS[preset]
+        )
         raise RecordingRefused(
             f"{table.path}: does not fit the preset {preset!r}, which expects columns "
             f"{expected}; found {listed(table.columns)}.",
@@ -90,12 +118,12 @@ def otherwise(table: Table, asked, names):
     said = {"columns": asked.mapping, "preset": asked.preset}
     nothing = {key: None for key, value in said.items() if value}
     plain = by_names(table, names)
-    if all(_matched(plain, kind, names) for kind in ("q", "tau")):
+    if all(_matched(plain, kind, names, asked.drive) for kind in asked.needed):
         return nothing
-    if len(by_preset(table, None, names)) == 1:
+    if len(by_preset(table, None, names, asked.told)) == 1:
         return nothing
     found = _suggestion(
-        table, names, ("q", "tau", "t"), {}, timed=asked.timed, gained=asked.gained
+        table, names, (*asked.needed, "t"), {}, timed=asked.timed, gained=asked.gained
     )
     return nothing | found if found else {}
 
@@ -108,19 +136,21 @@ def _named(layout: Layout) -> Layout:
     roles = {}
     first = 0 if "q0" in layout.roles else 1
     for name, role in layout.roles.items():
-        match = re.fullmatch(r"(q|tau|v)(\d+)", name)
-        j = int(match[2]) - first if match else -1
-        if match and 0 <= j < len(layout.joints):
+        match = re.fullmatch(r"([a-z_]*[a-z])(\d+)", name)
+        j = int(match[2]) - first if match and kind_of(match[1]) == match[1] else -1
+        if 0 <= j < len(layout.joints):
             name = f"{match[1]}_{layout.joints[j]}"
         roles[name] = role
     return replace(layout, roles=roles)
 
 
-def _matched(layout: Layout, kind, names):
+def _matched(layout: Layout, kind, names, drive=None):
     """Return the columns of a kind by joint and by number, two dicts of roles."""
     by_joint, by_number = {}, {}
+    spelled = spellings(kind, drive)
+    begin = "|".join(spelled)
     for name, role in layout.roles.items():
-        match = re.fullmatch(rf"{kind}[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
+        match = re.fullmatch(rf"(?:{begin})[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
         if match is None:
             continue
         suffix = match.group(1)
@@ -129,7 +159,7 @@ def _matched(layout: Layout, kind, names):
         elif suffix.isdecimal() and suffix.isascii():
             # int() would choke on thousands of digits.
             found, key = by_number, suffix.lstrip("0").rjust(1, "0")
-        elif not suffix and name.lower() == kind:
+        elif not suffix and name.lower() in spelled:
             found, key = by_number, "1"
         else:
             continue
@@ -142,8 +172,8 @@ def channels_of(table: Table, layout, asked, robot, notes):
     # Refuses, all at once, what is missing.
     names = robot.names or _own_joints(layout)
     robot = replace(robot, names=names)
-    matched = {kind: _matched(layout, kind, names) for kind in KINDS}
-    missing = [kind for kind in ("q", "tau") if not matched[kind]]
+    matched = {kind: _matched(layout, kind, names, asked.drive) for kind in asked.kinds}
+    missing = [kind for kind in asked.needed if not matched[kind]]
     no_time = not (asked.timed or layout.times)
     if missing or no_time:
         raise _all_missing(table, layout, asked, names, missing, no_time)
@@ -164,7 +194,7 @@ def _own_joints(layout: Layout):
     if layout.certain:
         for name in layout.roles:
             match = re.fullmatch(r"q_(.+)", name)
-            if match and not match[1].isdecimal():
+            if match and kind_of(name) == "q" and not match[1].isdecimal():
                 found[match[1]] = None
     return tuple(found)
 
@@ -222,12 +252,14 @@ def _in_order(table: Table, kind, pair, names):
 def _all_missing(table, layout, asked, names, missing, no_time):
     """Return the refusal that lists everything that is missing."""
     parts = []
+    if missing and asked.drive is None:
+        _refuse_commands(table, layout, asked, names, missing)
     strangers = _own_joints(layout)
     if missing and strangers and names:
         parts.append(
             f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
         )
-    for kind, what in (("q", "positions"), ("tau", "torques")):
+    for kind, what in _WHAT.items():
         if kind in missing:
             near = _nearest(table, kind, names)
             near = f" (nearest: {near})" if near else ""
@@ -246,12 +278,58 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
     )
     found = f"; found {listed(table.columns)}" if missing else ""
+    second = asked.needed[1]
     offer = (
-        '; rename them in the header, or give columns="q=NAME{i},tau=NAME{i},t=NAME"'
+        "; rename them in the header, or give "
+        f'columns="q=NAME{{i}},{second}=NAME{{i}},t=NAME"'
         if missing and not options
         else ""
     )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
+
+
+# What is missing, by the kinds that may be needed.
+_WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
+
+
+def _refuse_commands(table, layout, asked, names, missing):
+    """Refuse a file that has commands in place of torques: a drive is missing."""
+    found = {} if "q" in missing else _commands(layout, names)
+    known = {} if found else by_preset(table, None, names, COMMANDS)
+    for one in known.values():
+        found = _commands(_named(one), names or _own_joints(_named(one)))
+    options = {}
+    if not found and "tau" in missing and not _nearest(table, "tau", names):
+        needed = [*missing[:-1], "q_desired"]
+        options = _suggestion(
+            table, names, needed, asked.mapping, timed=asked.timed, gained=True
+        )
+        found = {"q_desired": _nearest(table, "q_desired", names)} if options else {}
+    if not found:
+        return
+    gains = [x for x in ("kp", "kd") if x not in found and x not in table.scalars]
+    drive = " ".join(["pd", *(f"{kind}=..." for kind in gains)])
+    more = "".join(f", {key}={value!r}" for key, value in options.items())
+    needs = f" with {' and '.join(gains)}, a number for each joint" if gains else ""
+    raise RecordingRefused(
+        f"{table.path}: no torques, but commands: "
+        f"{', '.join(f'{kind} ({columns})' for kind, columns in found.items())}; give "
+        f'the drive that follows them{needs}: drive="{drive}"{more} (command line: '
+        f'--drive "{drive}")',
+        {} if gains or options else {"drive": "pd"},
+    )
+
+
+def _commands(layout, names):
+    """Return the columns of commands by their channels, in words."""
+    found = {}
+    for kind in COMMANDS:
+        for own in _matched(layout, kind, names) or ():
+            columns = [role.column for (role, *_) in own.values()]
+            if columns:
+                more = f" ... {columns[-1]}" if len(columns) > 1 else ""
+                found[kind] = f"{columns[0]}{more}"
+    return found if "q_desired" in found else {}
 
 
 def refuse_two(table, one, other):
@@ -280,6 +358,12 @@ _OTHER = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goa
 _OTHER |= {"reference", "setpoint", "sp", "error", "err", "tcp", "cartesian", "ext"}
 _OTHER |= {"velocity", "vel", "speed", "qd", "dq", "acc", "acceleration", "d", "ff"}
 _OTHER |= {"temperature", "temp", "voltage", "stamp", "external", "soll", "window"}
+# Words of what is asked for, and of what they do not ask a position.
+_COMMAND = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goal"}
+_COMMAND |= {"reference", "setpoint", "sp", "soll", "action"}
+_WORDS["q_desired"] = _WORDS["q"] | dict.fromkeys(_COMMAND, 2)
+_NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "force"}
+_NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
 _CURRENT = {"current", "currents", "strom", "i"}
 # A name must have a word that says it by itself.
@@ -305,8 +389,8 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
     mapping, numbered = dict(given), None
     families = _families(table, joints)
     best = _best_pair(table, families, joints, needed)
-    for kind in ("q", "tau"):
-        if kind in needed:
+    for kind in needed:
+        if kind != "t":
             if best.get(kind) is None:
                 return {}
             mapping[kind] = best[kind].pattern
@@ -394,8 +478,11 @@ def _words(pattern):
 def _score(pattern, kind):
     """How well the words of a pattern say that it is of a kind."""
     words = _words(pattern)
-    points = [_WORDS[kind].get(word, 0) for word in words]
-    if not points or max(points) < _ENOUGH or _OTHER & set(words):
+    points = [_WORDS.get(kind, {}).get(word, 0) for word in words]
+    others = _NO_POSITION if kind == "q_desired" else _OTHER
+    if not points or max(points) < _ENOUGH or others & set(words):
+        return 0
+    if kind == "q_desired" and not _COMMAND & set(words):
         return 0
     return sum(points)
 
@@ -414,12 +501,13 @@ def _ranked(families, kind, joints):
 
 def _best_pair(table, families, joints, needed):
     """Return a family for each kind needed, both of the same joints."""
-    ranked = {kind: _ranked(families, kind, joints) for kind in ("q", "tau")}
-    if {"q", "tau"} <= set(needed):
-        for first in ranked["q"]:
-            for second in ranked["tau"]:
+    kinds = [kind for kind in needed if kind != "t"]
+    ranked = {kind: _ranked(families, kind, joints) for kind in kinds}
+    if len(kinds) == 2:
+        for first in ranked[kinds[0]]:
+            for second in ranked[kinds[1]]:
                 if first.keys == second.keys and first.columns != second.columns:
-                    return {"q": first, "tau": second}
+                    return {kinds[0]: first, kinds[1]: second}
         return {}
     return {kind: found[0] for kind, found in ranked.items() if found}
 

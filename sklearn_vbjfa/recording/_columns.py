@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sklearn_vbjfa.recording._drives import COMMANDS, OF_MOTORS
 from sklearn_vbjfa.recording._faults import ChannelFinding
 from sklearn_vbjfa.recording._table import quoted
 
@@ -40,12 +41,12 @@ class OfferedSignals:
 
     @classmethod
     def of_file(cls, recording):
-        """Take the other columns of a file, one by one; accelerations are none."""
+        """Take the other columns of a file, one by one, without those of joints."""
         columns = {}
         for name, values in recording.signals.items():
             if values.ndim == 1:
                 columns[name] = values
-            elif name != "a":
+            elif name not in ("a", *COMMANDS, *OF_MOTORS):
                 columns |= {
                     f"{name}{k + 1}": x for k, x in enumerate(np.asarray(values).T)
                 }

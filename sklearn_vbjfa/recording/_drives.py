@@ -18,6 +18,8 @@ from sklearn_vbjfa.recording._recording import check_dt
 
 # Channels of joints that are commands, by their names in `Recording.signals`.
 COMMANDS = ("q_desired", "v_desired", "tau_ff", "kp", "kd")
+# Channels of joints that are what motors were given.
+OF_MOTORS = ("current", "voltage", "supply")
 # A joint that is at its limit of torque for a larger share of the rows shows nothing
 # of what it would do.
 _MOSTLY = 0.5
@@ -36,6 +38,8 @@ class Drive(BaseEstimator):
         Name of the channel that `RobotIdentifier.fit` takes as y.
     beside : tuple of str
         Names of further channels of joints that it takes in `signals`.
+    numbers : str
+        What to check where its torques are of another order than the robot's.
     """
 
     told = ""
@@ -43,6 +47,8 @@ class Drive(BaseEstimator):
     delayed = False  # whether the delay of its commands is to be found
     unsigned = False  # whether only sizes of torques are known
     gains = None  # "unknown" where torques are known up to a factor of each channel
+    spelled = ()  # names of its channel in files that have it in place of torques
+    numbers = "the numbers of the drive"
 
     def driven(self, recording):
         """Return a recording whose torques are what the drive was told.
@@ -65,6 +71,21 @@ class Drive(BaseEstimator):
         raise NotImplementedError(
             f"{type(self).__name__} must define driven(recording)."
         )
+
+    def facts(self, recording):
+        """Return what a report says of the drive, a dict of numbers and lists.
+
+        Parameters
+        ----------
+        recording : Recording
+            As `driven` has made it.
+
+        Returns
+        -------
+        dict
+            Empty for nothing.
+        """
+        return {}
 
     def taken(self, y, signals):
         """Split signals that were given for a fit, with y, into those of the drive."""
@@ -176,6 +197,10 @@ class PDDrive(Drive):
 
     told = "q_desired"
     beside = COMMANDS[1:]
+    numbers = (
+        "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "
+        "firmware), gear, and the unit of the positions"
+    )
 
     def __init__(
         self,
@@ -259,8 +284,9 @@ class PDDrive(Drive):
             raise ValueError(
                 f"PDDrive: {name} is missing: give {name}=, a number for each joint "
                 f"({', '.join(recording.joint_names)}), or record columns "
-                f"{name}_<joint>. Gains of the firmware stand in the robot's "
-                "configuration; in other units, torques are in those."
+                f'{name}_<joint> (command line: --drive "pd kp=20,20,40 kd=..."). '
+                "Gains of the firmware stand in the robot's configuration; in other "
+                "units, torques are in those."
             )
         if (values < 0).any():
             raise ValueError(f"PDDrive: {name} of the recording is negative.")
@@ -296,6 +322,12 @@ class PDDrive(Drive):
             tau=np.clip(recording.tau, -most, most),
             weight=np.where(full, 0.0, weight),
         )
+
+    def facts(self, recording):
+        """Delay as given [s] or None, and the share of each joint at its limit."""
+        most = self.most(recording.joint_names)
+        share = (np.abs(recording.tau) >= most).mean(axis=0)
+        return {"delay": self.waits, "saturated": share.tolist()}
 
     # -- in simulation -----------------------------------------------------------------
 
@@ -425,6 +457,7 @@ class CurrentDrive(Drive):
     """
 
     told = "current"
+    spelled = ("current", "motor_current", "present_current")
 
     def __init__(self, torque_constant="unknown", *, signed=True, gear=1.0):
         self.torque_constant = torque_constant
@@ -515,6 +548,7 @@ class VoltageDrive(Drive):
 
     told = "voltage"
     beside = ("supply",)
+    spelled = ("voltage", "duty", "pwm", "pwm_duty", "present_pwm")
 
     def __init__(
         self, torque_constant="unknown", resistance=None, *, supply=None, gear=1.0
@@ -597,6 +631,61 @@ def velocities(recording):
         for j, one in enumerate(lag.tolist())
     ]
     return np.hstack(late)
+
+
+# Drives by the name that a text begins with.
+DRIVES = {"pd": PDDrive, "current": CurrentDrive, "voltage": VoltageDrive}
+
+
+def parse_drive(text):
+    """Return the drive that a text says, such as "pd kp=20,20,40 kd=1 delay=auto"."""
+    kind, *parts = text.split() or [""]
+    if kind not in DRIVES:
+        raise ValueError(
+            f"drive must begin with its kind, one of {', '.join(DRIVES)}, such as "
+            f'"pd kp=20,20,40 kd=1,1,2"; got {text!r}.'
+        )
+    known, given = list(DRIVES[kind]().get_params()), {}
+    for part in parts:
+        name, equals, value = part.partition("=")
+        if name not in known or not equals or not value or name in given:
+            raise ValueError(
+                f"drive has {part!r}; expected, each once, NAME=VALUE without blanks, "
+                f"of {', '.join(known)}."
+            )
+        given[name] = _parsed_value(name, value)
+    return DRIVES[kind](**given)
+
+
+def _parsed_value(name, text):
+    """Return a number, some of them, some by joints' names, a word or a switch."""
+    if text in ("none", "true", "false"):
+        return {"none": None, "true": True, "false": False}[text]
+    if ":" in text:
+        pairs = [one.partition(":")[::2] for one in text.split(",")]
+        values = {joint: _number(one) for joint, one in pairs}
+        if None in values.values() or len(values) < len(pairs):
+            raise ValueError(
+                f"drive has {name}={text}; expected JOINT:NUMBER with commas between "
+                "them, each joint, or part of its name, once."
+            )
+        return values
+    values = [_number(one) for one in text.split(",")]
+    if None in values:
+        if len(values) == 1:
+            # A word, which the drive knows or refuses.
+            return text
+        raise ValueError(f"drive has {name}={text}; expected numbers.")
+    return values[0] if len(values) == 1 else values
+
+
+def _number(text):
+    """Return a finite number, None for what is none."""
+    try:
+        value = float(text)
+    except ValueError:
+        return None
+    return value if np.isfinite(value) else None
 
 
 def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):

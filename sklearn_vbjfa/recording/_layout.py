@@ -10,7 +10,7 @@ its last part (``q1_deg``, ``t_ns``).
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -57,6 +57,11 @@ def _table():
         "tau": {"N m": torque, "N": force, "A": current, "V": volts}
         | {"count": counts, "%": percent},
         "t": {"s": seconds},
+        "kp": {"N m/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / _DEGREE}, "N/m": {"N/m": 1.0}},
+        "kd": {
+            "N m s/rad": {"Nms/rad": 1.0, "Nm/(rad/s)": 1.0, "Nms/deg": 1 / _DEGREE},
+            "N s/m": {"Ns/m": 1.0},
+        },
     }
     kinds["v"]["rad"] |= {"rpm": _TURN / 60, "1/min": _TURN / 60}
     return {
@@ -90,7 +95,7 @@ _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 def unit_of(kind: str, text: str) -> Unit | None:
     """Return the unit of a channel of a kind (q, v, a, tau, t), None if unknown."""
     plain = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
-    known = _UNITS[kind]
+    known = _UNITS[MEASURED.get(kind, kind)]
     if plain in known:
         return known[plain]
     # Capitals matter for milli and mega, ampere and atto; words may have any.
@@ -102,7 +107,7 @@ def unit_of(kind: str, text: str) -> Unit | None:
 def is_unit(text: str) -> bool:
     """Whether a text is some unit, with or without brackets."""
     text = text.strip().strip("[]()").strip()
-    return any(unit_of(kind, text) for kind in _UNITS) or text in _OTHERS
+    return any(unit_of(kind, text) for kind in (*KINDS, "t")) or text in _OTHERS
 
 
 # Units of channels that are neither motion nor torque, for a row of units.
@@ -132,7 +137,36 @@ def split_last_part(name: str, kind: str) -> tuple[str, str]:
 # -- mappings --------------------------------------------------------------------------
 
 KINDS = ("q", "tau", "v", "a")
-_KEY = re.compile(r"(q|tau|v|a)(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE)
+# Channels of joints that a drive is told, and further names that logs have for them.
+# qd is in neither list: some mean a desired position, others a velocity.
+_TOLD = {
+    "q_desired": ("q_des", "q_cmd", "q_command", "q_target", "q_goal", "q_ref")
+    + ("qdes", "target_q", "q_setpoint", "desired_q")
+    + tuple(
+        f"{one}_position" for one in ("desired", "target", "goal", "commanded", "ref")
+    )
+    + tuple(f"position_{one}" for one in ("desired", "target", "command", "cmd")),
+    "v_desired": ("v_des", "v_cmd", "v_target", "v_goal", "v_ref", "target_v")
+    + tuple(f"dq_{one}" for one in ("desired", "des", "cmd", "target", "goal", "ref"))
+    + tuple(f"{one}_velocity" for one in ("desired", "target", "goal", "commanded"))
+    + tuple(f"velocity_{one}" for one in ("desired", "target", "command", "cmd")),
+    "tau_ff": ("tau_feedforward", "torque_ff", "torque_feedforward"),
+    "kp": ("p_gain",),
+    "kd": ("d_gain",),
+}
+# Names beside its own that a velocity has in logs of commands.
+_SPEEDS = ("dq", "qdot")
+# What a command has the unit of.
+MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
+_SPELLINGS = {kind: (kind, *others) for kind, others in _TOLD.items()}
+_SPELLINGS |= {kind: (kind,) for kind in KINDS}
+_KEY = re.compile(
+    rf"({'|'.join((*_TOLD, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
+)
+# The longest first: q_desired is no q.
+_KIND_OF = {one: kind for kind, own in _SPELLINGS.items() for one in own}
+_KIND_OF |= {one: one for one in ("segment", "t")}
+_BEGIN = re.compile("|".join(sorted(_KIND_OF, key=len, reverse=True)), re.IGNORECASE)
 # Columns that can only be time, where none is called t.
 TIME_NAMES = (
     "t",
@@ -169,6 +203,9 @@ class Layout:
     what: str = ""  # log as which the file was recognised, or whose names were given
     # whether what has a channel's name is one: a mapping or a preset says so
     certain: bool = False
+    # what a user must know of positions that are no radians, and a mapping that says it
+    question: str = ""
+    answer: str = ""
 
 
 class MappingRefused(ValueError):
@@ -196,7 +233,8 @@ def parse_mapping(text) -> dict[str, str]:
         if _KEY.fullmatch(key) is None:
             raise ValueError(
                 f"columns does not know the channel {key!r}; expected q, tau, v, a, t "
-                "or segment (or one joint's: q1, tau_elbow), then = and a name in the "
+                "or segment (or one joint's: q1, tau_elbow), with a drive also "
+                f"{', '.join(_TOLD)}, then = and a name in the "
                 "file, in which {i} stands for the joint's number and {joint} for its "
                 "name."
             )
@@ -267,8 +305,9 @@ def _expression(pattern):
 # -- layouts ---------------------------------------------------------------------------
 
 
-def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
+def by_mapping(table: Table, mapping: dict, joints=(), rest=None) -> Layout:
     """Lay out the columns by a mapping, and the rest by their own names."""
+    # rest: layout of a known log, which says it better than the names
     found = {key: matches(pattern, table) for key, pattern in mapping.items()}
     missing = [mapping[key] for key, own in found.items() if not own]
     if missing:
@@ -289,17 +328,19 @@ def by_mapping(table: Table, mapping: dict, joints=()) -> Layout:
                     f"{key}={mapping[key]}; say which one"
                 )
             roles[role] = Role(column=match.column, unit=match.unit)
-    kinds = {_kind(key) for key in mapping}
-    plain = by_names(table, joints)
+    kinds = {kind_of(key) for key in mapping}
+    plain = rest or by_names(table, joints)
     for role, own in plain.roles.items():
         if own.column not in taken:
-            kept = role if _kind(role) not in kinds else own.column
+            kept = role if kind_of(role) not in kinds else own.column
             roles.setdefault(kept, own)
     times = tuple(x for x in plain.times if x.column not in taken)
     if "t" in kinds:
         # What else might be time is a column like others.
         roles |= {x.column: x for x in times}
         times = tuple(roles.pop(x) for x in ("t", "T") if x in roles and x in mapping)
+    if rest is not None:
+        return replace(rest, roles=roles, times=times)
     return Layout(roles=roles, times=times, certain=True)
 
 
@@ -328,9 +369,21 @@ def _role(key, suffix):
     return f"{key}{suffix}" if suffix.isdecimal() else f"{key}_{suffix}"
 
 
-def _kind(role):
-    """Return q, tau, v, a, t or segment of a channel's name."""
-    match = re.match(r"tau|segment|q|v|a|t", role, re.IGNORECASE)
+def spellings(kind, drive):
+    """Return the names of a kind of channel; drive: what is recorded, None: torques."""
+    own = _SPELLINGS.get(kind, (kind,))
+    if drive is None:
+        return own
+    return own + {"v": _SPEEDS, "tau": drive.spelled}.get(kind, ())
+
+
+def kind_of(role):
+    """Return the kind, such as q or q_desired, that a name begins with."""
+    return _KIND_OF[_begin(role)] if _begin(role) else ""
+
+
+def _begin(role):
+    match = _BEGIN.match(role)
     return match[0].lower() if match else ""
 
 
@@ -349,8 +402,9 @@ def by_names(table: Table, joints=()) -> Layout:
         if unit and unit not in joints and _is_channel(bare, unit):
             roles.setdefault(bare, Role(column=name, unit=unit))
             continue
-        kind = _kind(name)
-        stem, last = split_last_part(name, kind) if kind in KINDS else (name, "")
+        kind, stem, last = kind_of(name), name, ""
+        if kind in _SPELLINGS:
+            stem, last = split_last_part(name, kind)
         if last and last not in joints and _is_channel(stem, last, joints):
             roles.setdefault(stem, Role(column=name, unit=last))
             continue
@@ -364,10 +418,10 @@ def by_names(table: Table, joints=()) -> Layout:
 def _is_channel(bare, unit, joints=None):
     """Whether a name is that of a channel, so that a unit may follow it."""
     # With `joints`, it must be followed by a number or one of them.
-    kind = _kind(bare)
-    if kind not in KINDS:
+    kind = kind_of(bare)
+    if kind not in _SPELLINGS:
         return False
-    rest = bare[len(kind) :]
+    rest = bare[len(_begin(bare)) :]
     if not rest:
         return unit_of(kind, unit) is not None
     suffix = rest.strip("_.[]()")
@@ -376,15 +430,17 @@ def _is_channel(bare, unit, joints=None):
     return rest[0] in "_.[(" and (joints is None or suffix in joints)
 
 
-def by_preset(table: Table, name: str | None, joints=()):
+def by_preset(table: Table, name: str | None, joints=(), told=("tau",), chosen=False):
     """Return the layouts of known logs that the columns fit, one for each preset."""
     # `name` is a preset or None for any; `joints` are those of the robot, if it is
-    # known.
+    # known, and `chosen` if the user says that they are those of the columns, in order;
+    # `told` are the channels of torques or of a drive, the one that must be there
+    # first.
     found = {}
     for preset, logs in PRESETS.items():
         if name in (None, preset):
             for log in logs:
-                layout = _fitted(table, log, joints)
+                layout = _fitted(table, log, joints, told, chosen)
                 if layout is not None:
                     found[preset] = layout
                     break
@@ -402,17 +458,24 @@ def checked_preset(name):
     return found
 
 
-def _fitted(table, log: KnownLog, joints):
+def _fitted(table, log: KnownLog, joints, told, chosen):
     """Lay out columns as in a known log; None if they are not those."""
+    patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
     channels = {
-        kind: matches(getattr(log, kind), table)
-        for kind in ("q", "tau", "v")
-        if getattr(log, kind)
+        kind: matches(patterns[kind], table)
+        for kind in ("q", "v", *told)
+        if patterns.get(kind)
     }
+    if told[0] not in channels:
+        return None
+    if told[0] in log.commands:
+        channels = _beside_state(channels, log)
+    if log.motors:
+        channels = _moving(table, channels, len(joints))
     pairs = {
         kind: {(x.prefix, x.key) for x in found} for kind, found in channels.items()
     }
-    shared = pairs["q"] & pairs["tau"]
+    shared = pairs["q"] & pairs[told[0]]
     prefixes = {prefix for prefix, _ in shared}
     if len(prefixes) != 1:
         return None
@@ -422,11 +485,12 @@ def _fitted(table, log: KnownLog, joints):
     roles = {}
     for kind, found in channels.items():
         for match in found:
-            if match.prefix == prefix and (kind != "v" or pairs["v"] >= shared):
+            needed = kind in ("q", told[0])
+            if match.prefix == prefix and (needed or pairs[kind] >= shared):
                 unit = match.unit or (log.motor_unit if kind == "tau" else "")
                 roles[_role(kind, match.key)] = Role(column=match.column, unit=unit)
     times = _times(table, log, prefix)
-    if not times:
+    if not times and not log.commands:
         return None
     beside = {
         name
@@ -445,19 +509,58 @@ def _fitted(table, log: KnownLog, joints):
         roles=roles,
         beside=frozenset(beside - used - {log.segment}),
         times=tuple(times),
-        joints=_names_in(table, log),
+        joints=_names_in(table, log) or (() if chosen else _motors(log, joints)),
         what=log.what,
         certain=True,
+        question=log.question if told[0] in log.commands else "",
+        answer=f"q={log.q} [deg]",
     )
+
+
+def _beside_state(channels, log):
+    """Give commands the prefix of the state that they stand beside."""
+    # Commands are a message of their own, of another name.
+    states = {match.prefix for match in channels["q"]}
+    if len(states) != 1:
+        return channels
+    (prefix,) = states
+    found = {}
+    for kind, own in channels.items():
+        if kind in log.commands and len({match.prefix for match in own}) == 1:
+            own = [replace(match, prefix=prefix) for match in own]
+        found[kind] = own
+    return found
+
+
+def _moving(table, channels, count):
+    """Leave out numbered motors beyond those of the robot, which never move."""
+    # A message has a place for more motors than most robots have.
+    numbers = sorted({int(x.key) for x in channels["q"] if x.key.isdecimal()})
+    still = {x.key for x in channels["q"] if not np.any(table.columns[x.column])}
+    while numbers and str(numbers[-1]) in still and len(numbers) > max(count, 1):
+        numbers.pop()
+    kept = {str(x) for x in numbers}
+    return {
+        kind: [x for x in own if x.key in kept or not x.key.isdecimal()]
+        for kind, own in channels.items()
+    }
+
+
+def _motors(log, joints):
+    """Return the robot's joints in the order of the motors of a log, if it says it."""
+    found = [[one for one in joints if part in one] for part in log.motors]
+    known = len(found) == len(joints) and all(len(own) == 1 for own in found)
+    return tuple(own[0] for own in found) if known else ()
 
 
 def _times(table, log, prefix):
     """Return the columns of time that a known log has here."""
     found = []
     for name in log.times:
-        parts = [part.replace("*", prefix) for part in name.split("+")]
+        bare, own = split_unit(name)
+        parts = [part.replace("*", prefix) for part in bare.split("+")]
         if all(part in table.columns for part in parts):
-            unit = "s" if len(parts) == 2 else log.time_unit
+            unit = "s" if len(parts) == 2 else own or log.time_unit
             found.append(Role(column="+".join(parts), unit=unit))
     return found
 
@@ -502,7 +605,9 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
             "a": "rad/s^2, deg/s^2 or m/s^2",
             "tau": "Nm, N, A, V or %",
             "t": "s, ms, us or ns",
-        }[kind]
+            "kp": "Nm/rad or N/m",
+            "kd": "Nms/rad or Ns/m",
+        }[MEASURED.get(kind, kind)]
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is no "
             f"known unit of {kind}; expected {expected}. Convert it, or correct the "

@@ -4,7 +4,9 @@ Each preset is a tool or a maker, each of its logs one way to write its channels
 patterns in which ``{i}`` stands for the number of a joint and ``{joint}`` for its name.
 """
 
-from dataclasses import dataclass
+import itertools
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -17,6 +19,9 @@ class KnownLog:
     q: str
     tau: str
     v: str = ""
+    # patterns of what a drive is told, by the names of its channels; they may stand
+    # behind another prefix
+    commands: Mapping[str, str] = field(default_factory=dict)
     # columns, the best first; two with a plus between are seconds and nanoseconds
     times: tuple[str, ...]
     time_unit: str = "s"
@@ -24,7 +29,11 @@ class KnownLog:
     motor_unit: str = ""
     # column with all joints' names, or pattern of those with one of them each
     joints: str = ""
+    # parts of the names of joints, in the order in which motors are numbered
+    motors: tuple[str, ...] = ()
     segment: str = ""  # column that tells recordings apart
+    # what to ask where positions without a unit are no radians
+    question: str = ""
     # regular expressions of columns that are no conditions of the robot: counters,
     # references, commands, frames, what follows from the rest
     beside: tuple[str, ...] = ()
@@ -67,6 +76,29 @@ def currents_as_efforts(joints):
         if all(any(x.endswith(name) for x in joints) for name in names):
             return maker
     return ""
+
+
+# How Unitree numbers the motors of its quadrupeds: by legs, front and rear, right and
+# left.
+_QUADRUPED = tuple(
+    f"{leg}_{joint}"
+    for leg in ("FR", "FL", "RR", "RL")
+    for joint in ("hip", "thigh", "calf")
+)
+
+
+def _unitree():
+    """Yield patterns of motors' states and commands, and names of what differs."""
+    names = (
+        ("motor_state", "tau_est", "motor_cmd", "kp", "kd"),
+        ("motorState", "tauEst", "motorCmd", "Kp", "Kd"),
+    )
+    # As JSON and C++ write it, PlotJuggler, tables of pandas, and matrices of all
+    # motors.
+    places = ("[{i}].{}", "[{i}]/{}", ".{i}.{}", "_{i}.{}", "_{i}_{}", ".{}{i}")
+    for (state, tau, command, kp, kd), place in itertools.product(names, places):
+        place = place.replace("{i}", "{{i}}")
+        yield f"*{state}{place}", tau, f"*{command}{place}", kp, kd
 
 
 # sensor_msgs/JointState has positions in rad or m and efforts in N m or N
@@ -179,8 +211,14 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             q=f"observation.state.{key}",
             v=f"observation.velocity.{key}",
             tau=f"observation.effort.{key}",
+            commands={"q_desired": f"action.{key}"},
             times=("timestamp",),
             segment="episode_index",
+            question="the files of LeRobot do not say in which unit its motors are: "
+            "degrees if the robot was recorded with use_degrees=true, otherwise -100 "
+            "to 100 of the range of each joint's calibration. Turn shares of a range "
+            "into radians first, by range_min and range_max of the calibration file; "
+            "degrees need their unit",
             beside=(
                 r"(frame_|task_)?index",
                 r"next\..*",
@@ -189,5 +227,28 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             ),
         )
         for key in ("{joint}", "{i}")
+    ),
+    "unitree": tuple(
+        KnownLog(
+            what="motor states and commands of a Unitree robot",
+            source="MotorState and MotorCmd of unitree_go/msg and unitree_hg/msg in "
+            "github.com/unitreerobotics/unitree_ros2, with capitals those of "
+            "unitree_legged_msgs in github.com/unitreerobotics/unitree_ros; numbers of "
+            "the motors in unitree_legged_const.h of unitree_sdk2",
+            q=state.format("q"),
+            v=state.format("dq"),
+            tau=state.format(tau),
+            commands={
+                "q_desired": command.format("q"),
+                "v_desired": command.format("dq"),
+                "tau_ff": command.format("tau"),
+                "kp": command.format(kp),
+                "kd": command.format(kd),
+            },
+            times=("t", "time", "timestamp", "__time", "*tick [ms]"),
+            motors=_QUADRUPED,
+            beside=(r".*motor_?([sS]tate|[cC]md).*", r".*tick", r".*crc"),
+        )
+        for state, tau, command, kp, kd in _unitree()
     ),
 }

@@ -27,8 +27,10 @@ from sklearn_vbjfa.recording._channels import (
     usual_step,
 )
 from sklearn_vbjfa.recording._columns import as_numbers
+from sklearn_vbjfa.recording._drives import Drive, parse_drive
 from sklearn_vbjfa.recording._layout import (
     TIME_UNITS,
+    kind_of,
     split_unit,
     unit_of,
 )
@@ -45,6 +47,8 @@ _LARGEST = 1e12
 _DT_TOLERANCE = 0.01
 # Files of which a note is told that are named; more are counted.
 _NAMED = 3
+# Positions beyond two turns are hardly those of a robot in radians.
+_TURNS = 4 * np.pi
 # Units of torque; a motor is recorded in others.
 _TORQUES = ("N m", "N")
 
@@ -63,6 +67,7 @@ def read_recording(
     time_unit: str | None = None,
     on_bad_files: str = "raise",
     stored: bool = False,
+    drive: str | Drive | None = None,
 ) -> Recording:
     r"""Read a recording of your own robot: a table, a bag, arrays, or several of them.
 
@@ -100,7 +105,7 @@ def read_recording(
         "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
         of a joint, from 0 or 1, and {joint} for its name. A unit may follow, as in
         "q=pos_{i} [deg]". Single joints are q1=..., tau_elbow=....
-    preset : {"ros", "ur", "franka", "lerobot"}, default=None
+    preset : {"ros", "ur", "franka", "lerobot", "unitree"}, default=None
         Take names as these tools write them; None recognises them.
     topic : str, default=None
         Topic of a bag; None takes the only one of joint states.
@@ -118,6 +123,13 @@ def read_recording(
         Whether positions, velocities and torques are kept in temporary files, as large
         as they, for recordings that are larger than memory: slices of them are read
         when ``numpy.asarray`` asks for them. Time stamps are multiples of `dt`.
+    drive : Drive or str, default=None
+        What the robot follows, where no torque was measured: a `PDDrive`, or a text
+        such as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
+        channels, such as q_desired1 ... or q_desired_shoulder, kp_... and kd_..., are
+        then needed and those of torques are not; names such as q_des, q_cmd,
+        target_position and goal_position are recognised, and in an npz file gains may
+        be one number for each joint.
 
     Returns
     -------
@@ -126,6 +138,9 @@ def read_recording(
         names, as are accelerations ("a"); what is wrong with others is in `left_out`.
         Where rows were interpolated, `torque_noise` is the white noise that the torques
         had before. Of several files, `signals` has the columns that all of them have.
+        With a `drive`, `signals` has its channels (n_samples, nv), and `tau` is what
+        the drive makes of them. Where rows are interpolated, commands hold the value
+        that came last.
 
     Raises
     ------
@@ -185,7 +200,18 @@ def read_recording(
         preset=_layout.checked_preset(preset),
         timed=dt is not None,
         gained=gains is not None,
+        drive=parse_drive(drive) if isinstance(drive, str) else drive,
     )
+    if asked.drive is not None and gains is not None:
+        raise ValueError(
+            "gains are factors of columns of torques, and a drive has its own: leave "
+            "gains out (command line: --gain), or the drive."
+        )
+    if stored and asked.drive is not None:
+        raise ValueError(
+            "stored does not go with a drive, which makes torques in memory: leave one "
+            "of the two out."
+        )
     gains = _checked_gains(gains)
     if time_unit is not None and time_unit not in TIME_UNITS:
         raise ValueError(
@@ -211,6 +237,8 @@ def read_recording(
             files = _without_odd(files, bad)
         recording, notes = _concatenate(files, again, name)
         notes = [*_said_of_bad(bad or {}), *notes]
+    if asked.drive is not None:
+        recording = _driven(recording, asked.drive, files)
     for note in notes:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
@@ -261,19 +289,32 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     notes = list(table.notes)
     dt = _given_period(table, dt)
     asked = replace(asked, timed=dt is not None)
-    layout = laid_out(table, asked, robot.names)
-    table = _without_blank_rows(table, layout, notes)
+    layout = laid_out(table, asked, robot)
+    if asked.drive is not None:
+        table = _held(table, layout, asked, notes)
+    table = _without_blank_rows(table, layout, asked, notes)
     found, robot = channels_of(table, layout, asked, robot, notes)
     names = robot.names
     channels, units = {}, {}
-    for kind, columns_of in found.items():
+    for kind, columns_of in _in_one_unit(found, asked).items():
+        if kind == "supply" and len(columns_of) == 1:
+            # One for all joints.
+            columns_of = found[kind] = columns_of * len(found["q"])
         if columns_of:
             channels[kind], units[kind] = _values(table, kind, columns_of)
+    if asked.drive is not None:
+        _check_radians(table, layout, channels["q"], units["q"])
+        channels |= _told_once(table, asked, channels, notes)
     names = _check_joints(table, found, asked, robot)
     slides = _check_units(table, found, units, names, model_names, prismatic)
-    recorded = _gained(table, channels, units["tau"], None, names, slides)
-    torque_units = _gained(table, channels, units["tau"], gains, names, slides)
+    given = units.get("tau", [None] * len(names))
+    recorded = _gained(table, channels, given, None, names, slides)
+    torque_units = _gained(table, channels, given, gains, names, slides)
     taken = {role.column for roles in found.values() for role in roles}
+    if "tau" not in channels:
+        # `_driven` has them when all files are read.
+        channels["tau"] = np.zeros(channels["q"].shape)
+        taken |= {x.column for k, x in layout.roles.items() if kind_of(k) == "tau"}
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
@@ -287,18 +328,16 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     taken |= {segment, *(() if time is None else time.column.split("+"))}
     signals, left_out = _signals(table, layout, taken, notes)
     own = torque_units[0] if len(set(torque_units)) == 1 else ""
-    _say_what_was_taken(
-        table, layout, asked.mapping, found, time, time_unit, own, notes
-    )
+    _say_what_was_taken(table, layout, asked, found, time, time_unit, own, notes)
     maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
-    if maker and gains is None:
+    if maker and gains is None and asked.drive is None:
         notes.append(
             f"efforts are taken as N m; many drivers of {maker} publish motor currents "
             "[A] under this name: if this one did, give gains (command line: --gain "
             "unknown, or the factors)."
         )
     motor = [unit for unit in torque_units if unit not in _TORQUES]
-    if motor and gains is None:
+    if motor and gains is None and asked.drive is None:
         notes.append(
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
@@ -445,12 +484,13 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _without_blank_rows(table: Table, layout, notes):
+def _without_blank_rows(table: Table, layout, asked, notes):
     """Leave out rows in which no joint has a position or torque: of other topics."""
     used = [
         table.columns[role.column]
         for name, role in layout.roles.items()
         if re.fullmatch(r"(q|tau)([_.\[(]?\d.*|_.+)?", name, re.IGNORECASE)
+        and (asked.drive is None or kind_of(name) == "q")
     ]
     if not used or any(values.dtype.kind != "f" for values in used):
         return table
@@ -468,6 +508,98 @@ def _without_blank_rows(table: Table, layout, notes):
         columns={name: values[rows] for name, values in table.columns.items()},
         where=lambda row: table.where(rows[row]),
     )
+
+
+def _held(table: Table, layout, asked, notes):
+    """Let commands that have rows of their own hold until the next one comes."""
+    told = {
+        role.column
+        for name, role in layout.roles.items()
+        if kind_of(name) in asked.told and kind_of(name) != "tau"
+    }
+    gaps = {
+        column: np.isnan(table.columns[column])
+        for column in told
+        if table.columns[column].dtype.kind == "f"
+    }
+    gaps = {column: nan for column, nan in gaps.items() if nan.any() and not nan.all()}
+    if not gaps:
+        return table
+    columns, begin = dict(table.columns), 0
+    for column, nan in gaps.items():
+        last = np.maximum.accumulate(np.where(nan, -1, np.arange(nan.size)))
+        begin = max(begin, int(np.argmax(last >= 0)))
+        columns[column] = columns[column][last]
+    rows = max(int((~nan).sum()) for nan in gaps.values())
+    notes.append(
+        f"commands stand in {rows} of {table.n_rows} rows: each holds until the next "
+        f"one comes{f'; {begin} row(s) before the first are left out' * (begin > 0)}."
+    )
+    return replace(
+        table,
+        columns={name: values[begin:] for name, values in columns.items()},
+        where=lambda row: table.where(begin + row),
+    )
+
+
+def _in_one_unit(found, asked):
+    """Give commands without a unit that of what they command."""
+    for kind, measured in _layout.MEASURED.items():
+        own, of = found.get(kind, []), found.get(measured, [])
+        if kind in asked.told and len(own) == len(of):
+            found[kind] = [
+                role if role.unit else replace(role, unit=other.unit)
+                for role, other in zip(own, of)
+            ]
+    return found
+
+
+def _check_radians(table: Table, layout, q, units):
+    """Ask for the unit of a log that has none, where it is no radians."""
+    most = float(np.abs(q).max())
+    if layout.question and most > _TURNS and not any(units):
+        raise RecordingRefused(
+            f"{table.path}: positions go up to {most:.4g}, which are no radians: "
+            f"{layout.question}",
+            {"columns": layout.answer},
+        )
+
+
+def _told_once(table: Table, asked, channels, notes):
+    """Return gains that stand beside the columns, and say what a drive does without."""
+    found, shape = {}, channels["q"].shape
+    for kind in asked.told:
+        once = table.scalars.get(kind)
+        if kind not in channels and once is not None and once.dtype.kind in "iuf":
+            if once.shape not in {(), (1,), shape[1:]}:
+                raise ValueError(
+                    f"{table.path}: {kind} has the shape {once.shape}; expected one "
+                    f"number for each of {shape[1]} joints, or one in every row."
+                )
+            found[kind] = np.broadcast_to(once.astype(float), shape).copy()
+    rate = "v_desired" in asked.told and "v_desired" not in channels
+    if rate and not getattr(asked.drive, "feedforward", False):
+        notes.append(
+            "no desired velocities (v_desired): taken as zero, so that kd damps all "
+            "motion."
+        )
+    return found
+
+
+def _driven(recording, drive, files):
+    """Return a recording with the torques that a drive makes of its channels."""
+    # The noise of a torque is that of the positions that it is made of.
+    if drive.gains is None:
+        own = ["N" if unit == "m" else "N m" for unit in recording.position_units]
+        recording = replace(recording, torque_units=tuple(own))
+    recording = replace(recording, torque_noise=None)
+    if drive.spelled:
+        channels = {**recording.signals, drive.told: recording.tau}
+        recording = replace(recording, signals=channels)
+    try:
+        return drive.driven(recording)
+    except ValueError as error:
+        raise ValueError(f"{_named([x.path for x in files])}: {error}") from error
 
 
 def _check_joints(table: Table, found, asked, robot):
@@ -514,19 +646,20 @@ def _check_units(table: Table, found, units, names, model_names, prismatic):
         if model_names:
             slide = bool(prismatic[model_names.index(joint)])
         elif units["q"][j] is None:
-            slide = units["tau"][j] == "N"
+            slide = "tau" in units and units["tau"][j] == "N"
         slides.append(slide)
         wrong = {"q": "rad", "v": "rad", "a": "rad", "tau": "N m"}
         if not slide:
             wrong = {"q": "m", "v": "m", "a": "m", "tau": "N"}
+        wrong |= {kind: wrong[of] for kind, of in _layout.MEASURED.items()}
         for kind, base in wrong.items():
-            if found[kind] and units[kind][j] == base:
+            if found.get(kind) and units[kind][j] == base:
                 role = found[kind][j]
+                expected = _EXPECTED[_layout.MEASURED.get(kind, kind)][slide]
                 raise ValueError(
                     f"{table.path}: column {role.column!r} is in {role.unit}, but "
                     f"{joint} {'slides' if slide else 'turns'}; expected "
-                    f"{_EXPECTED[kind][slide]}. Correct the unit, or the order of the "
-                    "joints."
+                    f"{expected}. Correct the unit, or the order of the joints."
                 )
     return slides
 
@@ -611,7 +744,7 @@ def _signals(table: Table, layout, taken, notes):
 
 
 def _say_what_was_taken(
-    table, layout, mapping, found, time, time_unit, torque_unit, notes
+    table, layout, asked, found, time, time_unit, torque_unit, notes
 ):
     """Note, in one line, what was taken for what where the names do not say it."""
     said = []
@@ -626,21 +759,29 @@ def _say_what_was_taken(
         unit = time_unit or time.unit or "s"
         stamped = f"t = {_with_unit(time.column, unit)}"
     if layout.what:
-        for kind in ("q", "tau"):
-            columns = [role.column for role in found[kind]]
-            ends = (
-                columns[0] if len(columns) == 1 else f"{columns[0]} ... {columns[-1]}"
-            )
+        for kind in [x for x in ("q", *asked.told) if found[x]]:
             unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
-            said.append(f"{kind} = {_with_unit(ends, unit)}")
+            said.append(f"{kind} = {_with_unit(_ends(found[kind]), unit)}")
         said.append(stamped)
         notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
-    elif time is not None and not mapping and time.column not in ("t", "T"):
+    elif time is not None and not asked.mapping and time.column not in ("t", "T"):
         said.append(stamped)
+    if asked.drive is not None and not layout.what and not asked.mapping:
+        said += [
+            f"{kind} = {_ends(found[kind])}"
+            for kind in (*asked.told, "v")
+            if found[kind] and not found[kind][0].column.lower().startswith(kind)
+        ]
     if not layout.what and converted:
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said and not layout.what:
         notes.insert(0, f"{'; '.join(said)}.")
+
+
+def _ends(roles):
+    """Return the first and the last of some columns."""
+    first, last = roles[0].column, roles[-1].column
+    return first if len(roles) == 1 else f"{first} ... {last}"
 
 
 def _with_unit(columns, unit):

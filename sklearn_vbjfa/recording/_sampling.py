@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import check_dt, labels_of
 from sklearn_vbjfa.recording._stored import StoredRows, put_together, to_disk
 from sklearn_vbjfa.recording._table import Loss, Table, listed
@@ -487,8 +488,8 @@ def interpolate(
     cubic: Callable = local_cubic,
 ) -> tuple[np.ndarray, dict[str, np.ndarray]]:
     """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt."""
-    # Positions "q" follow the cubic that `cubic` builds from stamps and rows; all else,
-    # being noisier, follows straight lines.
+    # Positions "q" follow the cubic that `cubic` builds from stamps and rows; commands
+    # hold the value that came last; all else, being noisier, follows straight lines.
 
     # Rounding of t must not cost the last point.
     grid = dt * np.arange(int(np.floor(t[-1] / dt + STEADY)) + 1)
@@ -498,6 +499,9 @@ def interpolate(
         rows = values.reshape(t.size, -1).astype(float)
         if key == "q" and t.size > 2:
             rows = cubic(t, rows)(query)
+        elif key in COMMANDS:
+            # A stamp that rounding puts behind the grid has come.
+            rows = rows[np.searchsorted(t, query + STEADY * dt, side="right") - 1]
         else:
             rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
         resampled[key] = rows.reshape(query.size, *values.shape[1:])
@@ -515,15 +519,19 @@ def _repeats(channels: Mapping[str, np.ndarray], n: int) -> np.ndarray:
 
 def merge_doubled(t, channels):
     """Average rows of one stamp: t (n,) [s] that does not fall, channels (n, ...)."""
+    # Of commands the last one counts.
     starts = np.flatnonzero(np.r_[True, np.diff(t) > 0])
     if starts.size == t.size:
         return t, dict(channels)
     count = np.diff(starts, append=t.size)
-    return t[starts], {
-        key: np.add.reduceat(values.astype(float), starts, axis=0)
-        / count.reshape(-1, *[1] * (values.ndim - 1))
-        for key, values in channels.items()
-    }
+    merged = {}
+    for key, values in channels.items():
+        if key in COMMANDS:
+            merged[key] = values[starts + count - 1]
+            continue
+        sums = np.add.reduceat(values.astype(float), starts, axis=0)
+        merged[key] = sums / count.reshape(-1, *[1] * (values.ndim - 1))
+    return t[starts], merged
 
 
 # -- logs of measured sets -------------------------------------------------------------

@@ -164,9 +164,17 @@ def flattened(values, keep=lambda value: True, depth=0):
         if isinstance(value, dict) and depth < 8:
             inside = flattened(value, keep, depth + 1)
             found |= {f"{name}.{key}": x for key, x in inside.items()}
+        elif _structures(value) and depth < 8:
+            numbered = {f"{name}[{k}]": one for k, one in enumerate(value)}
+            found |= flattened(numbered, keep, depth + 1)
         elif keep(value):
             found[name] = value
     return found
+
+
+def _structures(value):
+    """Whether a value is a list of structures, as messages have one for each motor."""
+    return isinstance(value, list) and value and all(isinstance(x, dict) for x in value)
 
 
 def without_common_part(found):

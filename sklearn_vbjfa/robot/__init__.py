@@ -52,6 +52,7 @@ _MODULES = {
     "_ranges": ("SignalRanges",),
     "_residuals": ("TorqueResiduals", "collect_residuals"),
     "_sensitivities": ("slopes",),
+    "_signs": ("signed",),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": (
         "BodyMass",

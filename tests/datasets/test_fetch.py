@@ -21,6 +21,7 @@ from sklearn_vbjfa.datasets import (
     remote_files,
 )
 from sklearn_vbjfa.model import build_model
+from sklearn_vbjfa.robot import PDDrive
 
 # name -> (samples of each recording, joints, period [s])
 CONTENT = {
@@ -405,11 +406,13 @@ def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
         part, raw = go2.select(label), converted("unitree_go2", f"run_{label}")
         np.testing.assert_array_equal(part.q, raw["q"])
         np.testing.assert_array_equal(part.v, raw["v"])
-        spring = 4 * [20.0, 20.0, 40.0] * (part.signals["q_ref"] - part.q)
-        damper = 4 * [1.0, 1.0, 2.0] * (part.signals["v_ref"] - part.v)
+        spring = 4 * [20.0, 20.0, 40.0] * (part.signals["q_desired"] - part.q)
+        damper = 4 * [1.0, 1.0, 2.0] * (part.signals["v_desired"] - part.v)
         np.testing.assert_allclose(part.tau, spring + damper, atol=1e-12)
-        np.testing.assert_array_equal(part.signals["q_ref"], raw["q_desired"])
-        assert not part.signals["v_ref"].any()
+        np.testing.assert_array_equal(part.signals["q_desired"], raw["q_desired"])
+        assert not part.signals["v_desired"].any()
+        driven = PDDrive().driven(part)
+        np.testing.assert_allclose(driven.tau, part.tau, atol=1e-12)
         # Sums of 0.005 in single precision.
         np.testing.assert_allclose(part.t, raw["t"], atol=0.006)
 

@@ -390,7 +390,9 @@ def test_a_lerobot_data_set_without_names(lerobot):
 def test_lerobot_data_sets_that_lack_something(lerobot):
     folder = lerobot(effort=False)
     message = refused(folder)
-    assert "no torques: expected columns tau1, tau2" in message
+    said = "no torques, but commands: q_desired (action.hip ... action.knee)"
+    assert said in message
+    assert '--drive "pd kp=... kd=..."' in message
     (folder / "meta" / "info.json").write_text("{")
     with pytest.raises(ValueError, match="is no whole JSON file"):
         read_recording(folder)

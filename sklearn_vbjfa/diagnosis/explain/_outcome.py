@@ -244,6 +244,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
             "n_parameters": features.n_parameters_,
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
+            **_drive(robot.drive, whole),
         },
         effects=tuple(effect for effect in effects if not effect.doubt),
         perhaps=tuple(effect for effect in effects if effect.doubt),
@@ -294,6 +295,14 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         parameters=parameter_values(final.identifier),
         recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
     )
+
+
+def _drive(drive, whole):
+    """Say what stands in place of measured torques, in an entry; none for these."""
+    if drive is None:
+        return {}
+    told = {"kind": type(drive).__name__, **drive.facts(whole)}
+    return {"drive": told}
 
 
 def _noise_floor(final, judged):

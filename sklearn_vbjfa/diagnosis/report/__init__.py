@@ -13,7 +13,7 @@ _MODULES = {
         "explanation",
         "source_of",
     ),
-    "_limits": ("contradiction", "gain_doubts"),
+    "_limits": ("contradiction", "delay_sentence", "gain_doubts"),
     "_mathml": ("mathml",),
     "_pictures": (
         "HEIGHT",

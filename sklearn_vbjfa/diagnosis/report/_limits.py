@@ -530,6 +530,52 @@ def doubts(outcome):
     return [c.message for c in outcome.channels if c.severity == "doubt"]
 
 
+def drive_sentences(outcome, verdict):
+    """Say that torques are commanded, how late, and where they are not known."""
+    drive = outcome.declared.get("drive")
+    if drive is None:
+        return ()
+    own = [one for one in outcome.parameters if one.name == "drive:delay"]
+    known = drive.get("delay")
+    told = [delay_sentence(one.value, one.interval) for one in own]
+    if known is not None:
+        told = [f"{delay_sentence(known)[:-1]}, as given."]
+    first = _COMMANDED if drive["kind"] == "PDDrive" else _OF_THE_MOTOR
+    return (first, *told, *_saturated(outcome, drive.get("saturated", ())))
+
+
+_COMMANDED = (
+    "No torque was measured: torques are commanded, what the law of the drive makes of "
+    "its commands, and all values are as right as its gains."
+)
+
+
+_OF_THE_MOTOR = (
+    "No torque was measured: torques are made of what the motor was given, and all "
+    "values are as right as its constants."
+)
+
+
+def delay_sentence(value, interval=None):
+    """Say how late commands act; value [s], ends of its 90 % interval [s]."""
+    way = "after" if value >= 0 else "before"
+    ends = None if interval is None else tuple(1e3 * x for x in interval)
+    late = words.with_error(1e3 * abs(value), ends, "ms")
+    return f"Commands act {late} {way} they are logged."
+
+
+def _saturated(outcome, shares):
+    """Name the joints that are at their limit of torque, and how often."""
+    full = [
+        f"{words.joint_label(outcome.joint_names, j)} in {words.percent(share)}"
+        for j, share in enumerate(shares)
+        if share > 0
+    ]
+    if not full:
+        return ()
+    return (f"At its limit of torque is {words.join(full)} of the samples, left out.",)
+
+
 def channels(outcome, verdict):
     """Say what is wrong with the channels of the recording."""
     messages = [" ".join(c.message.split()) for c in outcome.channels]

@@ -27,6 +27,7 @@ SECTIONS = (
     _verdict.headline,
     _verdict.joints,
     _render.paragraph("Plain terms", _verdict.added),
+    _render.paragraph("Drive", _limits.drive_sentences),
     _render.paragraph("Band of the errors", _limits.band_sentences),
     _render.paragraph("The next recording", _limits.next_sentences),
     _render.paragraph("Limits of the recordings", _limits.recording_sentences),

@@ -1,0 +1,303 @@
+"""Robots that are told positions at the command line: --drive, its words, bad input."""
+
+import csv
+import json
+import re
+
+import numpy as np
+import pytest
+from scipy.interpolate import CubicSpline
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import fetch_unitree_go2, make_robot_recording
+from sklearn_vbjfa.recording import PDDrive
+from tests.command_line.test_close_loop import URDF
+
+KP, KD, DELAY = np.array([60.0, 30.0]), np.array([2.0, 1.0]), 0.008
+LAW = "pd kp=shoulder:60,elbow:30 kd=2,1"
+FEW = ("--effects", "spring", "--no-ceiling", "--quiet")
+
+
+@pytest.fixture(scope="module")
+def urdf(tmp_path_factory):
+    path = tmp_path_factory.mktemp("arm") / "arm.urdf"
+    path.write_text(URDF)
+    return path
+
+
+@pytest.fixture(scope="module")
+def told(urdf):
+    """Columns of an arm that follows its commands late; no torque was measured."""
+    made = make_robot_recording(
+        str(urdf), duration=15.0, n_harmonics=8, encoder_noise=1e-5, random_state=0
+    )
+    later = made.t + DELAY
+    q, tau = (CubicSpline(made.t, x) for x in (made.q, made.tau))
+    aim = q(later) + (tau(later) + KD * q(later, 1)) / KP
+    columns = {"t": made.t}
+    for j, name in enumerate(made.joint_names):
+        columns[f"q_{name}"] = made.q[:, j]
+        columns[f"q_desired_{name}"] = aim[:, j]
+    # splines end where the recording does
+    return {name: x[:-4] for name, x in columns.items()}
+
+
+@pytest.fixture
+def run(told, urdf, tmp_path, monkeypatch, capsys):
+    """Run a command on changed columns; return exit code, output and errors."""
+    monkeypatch.chdir(tmp_path)
+
+    def go(command, *options, drive=LAW, robot=("--urdf", str(urdf)), **changed):
+        columns = {**told, **changed}
+        table = np.column_stack([x for x in columns.values() if x is not None])
+        header = ",".join(name for name, x in columns.items() if x is not None)
+        np.savetxt("arm.csv", table, "%.9g", ",", header=header, comments="")
+        argv = [command, "arm.csv", *robot, *options]
+        code = main([*argv, *(() if drive is None else ("--drive", drive))])
+        captured = capsys.readouterr()
+        return code, *(" ".join(x.split()) for x in captured)
+
+    return go
+
+
+def delay_in(text):
+    """Return the delay that is said, and its half width [ms]."""
+    found = re.search(r"Commands act ([\d.]+) \+- ([\d.]+) ms after they are", text)
+    return tuple(map(float, found.groups()))
+
+
+def test_the_loop_is_closed_on_commands(run, tmp_path):
+    code, out, err = run("close-loop", *FEW)
+    assert code == 0, err
+    late, half = delay_in(out)
+    assert abs(late - 1e3 * DELAY) < max(2 * half, 0.2)
+    assert half < 1.0
+    assert "No torque was measured: torques are commanded" in out
+    assert "no desired velocities (v_desired): taken as zero" in err
+    assert err.count("v_desired") == 1
+    report = json.loads((tmp_path / "arm-report/report.json").read_text())
+    assert report["declared"]["drive"] == {
+        "kind": "PDDrive",
+        "delay": None,
+        "saturated": [0.0, 0.0],
+    }
+    with open("arm-report/parameters.csv", newline="") as file:
+        rows = {row["parameter"]: row for row in csv.DictReader(file)}
+    row = rows["drive:delay"]
+    assert row["unit"] == "s"
+    assert 1e3 * float(row["value"]) == pytest.approx(late, abs=half)
+    assert "Commands act" in (tmp_path / "arm-report/report.html").read_text()
+
+
+def test_methods_are_compared_at_the_delay(run):
+    code, out, err = run("identify", "--quiet", "--ranges", "ranges.json")
+    assert code == 0, err
+    with open("ranges.json") as file:
+        assert "drive:delay" in file.read()
+    late, half = delay_in(out)
+    assert abs(late - 1e3 * DELAY) < max(2 * half, 0.2)
+    errors = re.search(r"VB \+ projection ([\d.]+) ([\d.]+)", out).groups()
+    assert max(map(float, errors)) < 5.0
+
+
+def test_a_saved_robot_of_commands_is_simulated(run):
+    code, out, err = run("simulate", "--out", "first", "--quiet")
+    assert code in (0, 3), err
+    assert delay_in(out)[0] == pytest.approx(1e3 * DELAY, abs=0.5)
+    assert "driven by the commanded torques" in out
+    run("close-loop", *FEW)
+    model = ("--model", "arm-report/identified.json")
+    code, out, err = run("simulate", "--out", "second", "--quiet", robot=model)
+    assert code in (0, 3), err
+    assert "model: arm-report/identified.json" in out
+    assert "driven by the commanded torques" in out
+
+
+def test_a_recording_is_inspected(run):
+    code, out, err = run("inspect")
+    assert code == 0, err
+    assert "nothing that the robot would show" in out
+
+
+def test_a_known_delay_is_said_as_given(run):
+    code, out, err = run("close-loop", *FEW, drive=f"{LAW} delay=0.008")
+    assert code == 0, err
+    assert "Commands act 8 ms after they are logged, as given." in out
+
+
+def test_saturated_samples_are_counted(run, told):
+    aim, q = told["q_desired_shoulder"], told["q_shoulder"]
+    size = np.abs(KP[0] * (aim - q) - KD[0] * np.gradient(q, told["t"]))
+    limit = f"saturation=shoulder:{np.quantile(size, 0.9):.6g},elbow:1000"
+    code, out, err = run("close-loop", *FEW, drive=f"{LAW} {limit}")
+    assert code in (0, 3), err
+    found = re.search(
+        r"At its limit of torque is \S+ \S+ \(shoulder\) in ([\d.]+) %", out
+    )
+    assert float(found[1]) == pytest.approx(10.0, abs=0.5)
+
+
+# -- currents and voltages -------------------------------------------------------------
+
+CONSTANTS = {"shoulder": 4.0, "elbow": 2.5}
+
+
+@pytest.fixture(scope="module")
+def currents(urdf):
+    """Columns of the same arm with its motors' currents [A]."""
+    made = make_robot_recording(str(urdf), duration=15.0, n_harmonics=8, random_state=0)
+    columns = {"t": made.t}
+    for j, name in enumerate(made.joint_names):
+        columns[f"q_{name}"] = made.q[:, j]
+        columns[f"current_{name}"] = made.tau[:, j] / CONSTANTS[name]
+    return columns
+
+
+@pytest.mark.parametrize("command", ["close-loop", "identify", "inspect"])
+@pytest.mark.parametrize("signed", ["true", "false"])
+def test_currents_are_a_drive(command, signed, run, told, currents):
+    only = {name: None for name in told} | currents
+    if signed == "false":
+        only |= {x: np.abs(only[x]) for x in only if x.startswith("current")}
+    law = f"current torque_constant=shoulder:4,elbow:2.5 signed={signed}"
+    options = {"close-loop": FEW, "identify": ("--quiet",), "inspect": ()}[command]
+    code, out, err = run(command, *options, drive=law, **only)
+    assert code in (0, 3), err
+    if command == "close-loop":
+        assert "torques are made of what the motor was given" in out
+        with open("arm-report/report.json") as file:
+            spread = json.load(file)["spread"]
+        sizes = [currents[f"current_{x}"].std() * CONSTANTS[x] for x in CONSTANTS]
+        assert spread == pytest.approx(sizes, rel=0.2)
+    if command == "identify":
+        error = re.search(r"VB \+ description ([\d.]+)", out)[1]
+        assert float(error) < 10.0
+
+
+def test_currents_without_a_constant_have_gains(run, told, currents):
+    only = {name: None for name in told} | currents
+    code, out, err = run("close-loop", *FEW, drive="current", **only)
+    assert code in (0, 3), err
+    assert "Gains of the torque channels" in out or "gain" in out
+
+
+def test_duty_cycles_are_a_drive(run, told, currents):
+    only = {name: None for name in told}
+    only |= {x.replace("current", "duty"): y / 12.0 for x, y in currents.items()}
+    only |= {x: y for x, y in currents.items() if not x.startswith("current")}
+    only["supply"] = np.full(len(currents["t"]), 12.0)
+    law = "voltage torque_constant=shoulder:4,elbow:2.5 resistance=1"
+    code, out, err = run("inspect", drive=law, **only)
+    assert code == 0, err
+    # back-EMF takes its share
+    assert "signals beside the motion: supply" in out
+
+
+# -- bad input -------------------------------------------------------------------------
+
+REFUSED = {
+    "no drive": (
+        {"drive": None},
+        "no torques, but commands: q_desired (q_desired_shoulder ... "
+        "q_desired_elbow); give the drive that follows them with kp and kd",
+    ),
+    "no gains": ({"drive": "pd"}, "kp is missing: give kp=, a number for each joint"),
+    "one gain too many": (
+        {"drive": "pd kp=1,2,3 kd=1"},
+        "kp must be one finite number or 2, one for each joint in the order shoulder",
+    ),
+    "other joints": (
+        {"drive": "pd kp=hip:1 kd=1"},
+        "kp must have one key in each joint's name; none of its keys is in 'shoulder'",
+    ),
+    "no kind": ({"drive": "kp=20 kd=1"}, "--drive must begin with its kind, one of pd"),
+    "no commands": (
+        {"q_desired_shoulder": None, "q_desired_elbow": None},
+        "no desired positions: expected columns q_desired1",
+    ),
+    "mostly saturated": (
+        {"drive": f"{LAW} saturation=1"},
+        "is at its limit of 1 for",
+    ),
+    "delay": ({"drive": f"{LAW} delay=soon"}, "delay must be 'auto' or a time in s"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_bad_commands_are_refused_in_one_line(case, run):
+    given, message = REFUSED[case]
+    code, out, err = run("close-loop", *FEW, **given)
+    assert (code, out) == (2, "")
+    assert message in err
+
+
+def test_the_refusal_names_the_command_to_type(run):
+    _, _, err = run("close-loop", drive=None)
+    assert '--drive "pd kp=... kd=..."' in err
+    gains = {f"k{x}_{j}": np.ones(2996) for x in "pd" for j in ("shoulder", "elbow")}
+    _, _, err = run("close-loop", drive=None, **gains)
+    assert err.endswith("--drive pd")
+
+
+def test_constant_commands_are_refused(run, told):
+    still = {name: 0.0 * told[name] for name in told if "desired" in name}
+    code, _, err = run("inspect", **still)
+    assert code == 2
+    assert "q_desired is constant on every joint that moves" in err
+
+
+@pytest.mark.parametrize("command", ["inspect", "close-loop"])
+@pytest.mark.parametrize("factor", [180 / np.pi, np.pi / 180])
+def test_gains_of_another_order_are_doubted(command, factor, run):
+    options = FEW if command == "close-loop" else ()
+    kp, kd = factor * KP, factor * KD
+    law = f"pd kp={kp[0]},{kp[1]} kd={kd[0]},{kd[1]}"
+    code, out, err = run(command, *options, drive=law)
+    assert code == 3
+    assert re.search("times those of the described robot, in the median over", out)
+    assert "check kp [N m/rad] and kd [N m s/rad] (not per degree" in out + err
+
+
+def test_a_delay_at_the_end_of_its_range_is_told(run, told):
+    late = {name: np.roll(told[name], -50) for name in told if "desired" in name}
+    _, _, err = run("close-loop", *FEW, **late)
+    assert "went to the end of what is plausible" in err
+
+
+def test_gains_of_channels_do_not_go_with_a_drive(run):
+    code, _, err = run("close-loop", "--gain", "1,1")
+    assert code == 2
+    assert "leave gains out (command line: --gain), or the drive" in err
+
+
+# -- a measured robot ------------------------------------------------------------------
+
+
+def test_a_leg_of_a_quadruped(tmp_path, monkeypatch, capsys, measured_data_home):
+    """As a file would have it: columns by name, gains as numbers."""
+    try:
+        go2 = fetch_unitree_go2(
+            data_home=measured_data_home, download_if_missing=False
+        ).select(0)
+    except FileNotFoundError:
+        pytest.skip("unitree_go2 is not here")
+    monkeypatch.chdir(tmp_path)
+    columns = {"t": go2.t}
+    for j, name in enumerate(go2.joint_names[:3]):
+        columns[f"q_{name}"] = go2.q[:, j]
+        columns[f"v_{name}"] = go2.v[:, j]
+        columns[f"q_des_{name}"] = go2.signals["q_desired"][:, j]
+    table = np.column_stack(list(columns.values()))
+    np.savetxt("leg.csv", table, "%.9g", ",", header=",".join(columns), comments="")
+    law = "pd kp=hip:20,thigh:20,calf:40 kd=hip:1,thigh:1,calf:2"
+    argv = ["close-loop", "leg.csv", "--urdf", go2.urdf, "--drive", law, *FEW]
+    assert main(argv) in (0, 3)
+    out = " ".join(capsys.readouterr().out.split())
+    assert "No torque was measured" in out
+    assert 0.0 < delay_in(out)[0] < 50.0
+    with open("leg-report/parameters.csv", newline="") as file:
+        names = {row["parameter"] for row in csv.DictReader(file)}
+    assert {"drive:delay", "FL_calf_joint:rotor_inertia"} <= names
+    assert PDDrive().told in go2.signals

@@ -1,0 +1,447 @@
+"""Files of robots that are told positions: channels of commands, by name and tool."""
+
+import json
+import warnings
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from sklearn_vbjfa.datasets import read_recording
+from sklearn_vbjfa.recording import PRESETS, PDDrive, RecordingRefused, parse_drive
+from tests.recording.test_reader import DT, N, write
+
+KP, KD = (20.0, 40.0), (1.0, 2.0)
+TEXT = "pd kp=20,40 kd=1,2"
+LEGS = ("FR", "FL", "RR", "RL")
+MOTORS = ("hip", "thigh", "calf")
+
+
+def motion(nv=2, n=N, t=None):
+    """Return times, positions and what they are told."""
+    t = DT * np.arange(n) if t is None else t
+    phases = np.arange(nv)
+    q = 0.5 * np.sin(2 * t[:, None] + phases)
+    aim = 0.6 * np.sin(2 * t[:, None] + phases + 0.1)
+    return t, q, aim
+
+
+def columns(q="q{}", aim="q_desired{}", nv=2, **more):
+    """Columns of a recording, counted from one."""
+    t, position, command = motion(nv)
+    found = {"t": t}
+    found |= {q.format(j + 1): position[:, j] for j in range(nv)}
+    found |= {aim.format(j + 1): command[:, j] for j in range(nv)}
+    return found | more
+
+
+def read(path, **options):
+    """Return a recording and what was said."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path, **options)
+    return recording, " ".join(str(one.message) for one in caught)
+
+
+def law(recording, kp=KP, kd=KD):
+    """Torque of the law with its slope of the positions."""
+    slope = np.gradient(recording.q, recording.dt, axis=0)
+    return kp * (recording.signals["q_desired"] - recording.q) - kd * slope
+
+
+def assert_told(recording, nv=2):
+    _, q, aim = motion(nv)
+    assert_allclose(recording.q, q, atol=1e-9)
+    assert_allclose(recording.signals["q_desired"], aim, atol=1e-9)
+
+
+# -- names -----------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["q_desired_{}", "q_desired{}", "q_desired[{}]", "q_des_{}", "q_cmd_{}"]
+    + ["Q_Des{}", "position_command_{}", "target_position_{}", "goal_position{}"],
+)
+def test_commands_are_recognised_by_their_names(name, tmp_path):
+    path = write(tmp_path / "arm.csv", columns(aim=name))
+    recording, said = read(path, drive=TEXT)
+    assert_told(recording)
+    assert_allclose(recording.tau[3:-3], law(recording)[3:-3], atol=1e-2)
+    assert recording.command is not None
+    assert "no desired velocities (v_desired): taken as zero" in said
+    assert ("q_desired = " in said) == (not name.startswith("q_desired"))
+
+
+def test_all_channels_of_a_drive_are_taken(tmp_path):
+    rng = np.random.default_rng(0)
+    others = {}
+    for kind in ("v", "v_desired_", "tau_ff_", "kp_", "kd_"):
+        others |= {f"{kind}{j}": rng.uniform(1.0, 2.0, N) for j in (1, 2)}
+    path = write(tmp_path / "arm.csv", columns(**others, motor=np.arange(N) % 7))
+    recording, said = read(path, drive="pd")
+    made = recording.signals
+    assert set(made) == {"q_desired", "v_desired", "tau_ff", "kp", "kd", "motor"}
+    torque = made["kp"] * (made["q_desired"] - recording.q) + made["tau_ff"]
+    torque += made["kd"] * (made["v_desired"] - recording.v)
+    assert_allclose(recording.tau, torque, atol=1e-9)
+    assert "v_desired" not in said
+
+
+def test_torques_beside_a_drive_are_left_out(tmp_path):
+    torques = {f"tau{j}": np.ones(N) for j in (1, 2)}
+    path = write(tmp_path / "arm.csv", columns(**torques))
+    recording, _ = read(path, drive=TEXT)
+    assert set(recording.signals) == {"q_desired"}
+    # without a drive they count as ever, and what is desired is a column like others
+    plain, _ = read(path)
+    assert_array_equal(plain.tau, 1.0)
+    assert set(plain.signals) == {"q_desired1", "q_desired2"}
+
+
+def test_a_measured_velocity_may_be_called_dq(tmp_path):
+    speeds = {f"dq_{j}": np.full(N, 0.1 * j) for j in (1, 2)}
+    recording, said = read(write(tmp_path / "a.csv", columns(**speeds)), drive=TEXT)
+    assert_allclose(recording.v, [[0.1, 0.2]] * N)
+    assert "v = dq_1 ... dq_2" in said
+
+
+def test_qd_is_neither_velocity_nor_desired_position(tmp_path):
+    path = write(tmp_path / "a.csv", columns(aim="qd_{}"))
+    with pytest.raises(RecordingRefused, match="no desired positions: expected"):
+        read(path, drive=TEXT)
+    recording, _ = read(path, drive=TEXT, columns="q_desired=qd_{i}")
+    assert_told(recording)
+
+
+def test_a_mapping_names_commands(tmp_path):
+    path = write(tmp_path / "a.csv", columns(q="angle_{}", aim="wish_{}"))
+    said = "q=angle_{i},q_desired=wish_{i},t=t"
+    recording, _ = read(path, columns=said, drive=PDDrive(KP, KD))
+    assert_told(recording)
+    with pytest.raises(RecordingRefused) as refused:
+        read(
+            write(tmp_path / "b.csv", columns(q="pos_{}", aim="cmd_pos_{}")), drive=TEXT
+        )
+    options = {"columns": "q=pos_{i},q_desired=cmd_pos_{i}"}
+    assert refused.value.options == options
+    assert_told(read(tmp_path / "b.csv", drive=TEXT, **options)[0])
+
+
+def test_a_command_has_the_unit_of_what_it_commands(tmp_path):
+    t, q, aim = motion()
+    own = {"t": t} | {f"q{j + 1} [deg]": np.degrees(q[:, j]) for j in (0, 1)}
+    own |= {"q_desired1": np.degrees(aim[:, 0]), "q_desired2 [rad]": aim[:, 1]}
+    assert_told(read(write(tmp_path / "a.csv", own), drive=TEXT)[0])
+    own = columns() | {"kp1 [Nm/deg]": np.ones(N), "kp2 [Nm/rad]": np.ones(N)}
+    recording, _ = read(write(tmp_path / "b.csv", own), drive="pd kd=1")
+    assert_allclose(recording.signals["kp"], [[180 / np.pi, 1.0]] * N)
+
+
+@pytest.mark.parametrize("ending", ["npz", "json"])
+def test_matrices_with_one_gain_for_each_joint(ending, tmp_path):
+    t, q, aim = motion()
+    arrays = {"t": t, "q": q, "q_desired": aim, "v_desired": 0 * q}
+    arrays |= {"kp": np.array(KP), "kd": np.array(KD)}
+    path = tmp_path / f"arm.{ending}"
+    if ending == "npz":
+        np.savez(path, **arrays)
+    else:
+        path.write_text(json.dumps({name: x.tolist() for name, x in arrays.items()}))
+    with pytest.raises(RecordingRefused) as refused:
+        read(path)
+    assert refused.value.options == {"drive": "pd"}
+    recording, _ = read(path, drive="pd")
+    assert_told(recording)
+    assert_array_equal(recording.signals["kp"], [KP] * N)
+    assert_allclose(recording.tau[3:-3], law(recording)[3:-3], atol=1e-2)
+
+
+def test_several_files_are_one_recording(tmp_path):
+    paths = [write(tmp_path / f"{k}.csv", columns()) for k in "ab"]
+    t, q, aim = motion(n=2 * N)
+    late = {"t": t[:N], "q1": q[N:, 0], "q2": q[N:, 1]}
+    late |= {"q_desired1": aim[N:, 0], "q_desired2": aim[N:, 1]}
+    paths[1] = write(tmp_path / "b.csv", late)
+    both, _ = read(paths, drive=TEXT)
+    alone = [read(path, drive=TEXT)[0] for path in paths]
+    for name in ("tau", "command"):
+        parts = [getattr(one, name) for one in alone]
+        assert_allclose(getattr(both, name), np.concatenate(parts), atol=1e-12)
+
+
+# -- time ------------------------------------------------------------------------------
+
+
+def test_commands_hold_where_rows_are_missing(tmp_path):
+    t, q, _ = motion(n=200)
+    steps = np.repeat(np.arange(20.0), 10)[:, None] * [0.01, 0.02]
+    kept = np.delete(np.arange(200), [55, 101])
+    own = {"t": t[kept], "q1": q[kept, 0], "q2": q[kept, 1]}
+    own |= {"q_desired1": steps[kept, 0], "q_desired2": steps[kept, 1]}
+    recording, said = read(write(tmp_path / "a.csv", own), drive=TEXT)
+    assert "2 single sample(s) are missing" in said
+    assert recording.n_samples == 200
+    # each level is one that was told, none is between two
+    assert_allclose(recording.signals["q_desired"], steps, atol=1e-12)
+    assert recording.torque_noise is None
+
+
+def test_commands_on_rows_of_their_own_hold(tmp_path):
+    t, q, _ = motion(n=100)
+    rows = []
+    for k in range(100):
+        rows.append((t[k], *q[k], "", ""))
+        if k % 10 == 3:
+            rows.append((t[k] + 0.004, "", "", 0.1 * k, 0.2 * k))
+    text = "t,q1,q2,q_des_1,q_des_2\n"
+    text += "\n".join(",".join(map(str, row)) for row in rows)
+    (tmp_path / "a.csv").write_text(text)
+    recording, said = read(tmp_path / "a.csv", drive=TEXT)
+    assert "commands stand in 10 of 110 rows: each holds until the next" in said
+    assert "4 row(s) before the first are left out" in said
+    held = 10 * ((np.arange(4, 100) - 4) // 10) + 3
+    expected = np.column_stack([0.1 * held, 0.2 * held])
+    assert_allclose(recording.signals["q_desired"], expected, atol=1e-12)
+    assert_allclose(recording.q, q[4:], atol=1e-12)
+
+
+def test_of_commands_with_one_stamp_the_last_counts():
+    from sklearn_vbjfa.recording import merge_doubled
+
+    values = np.arange(4.0)[:, None]
+    _, merged = merge_doubled(
+        np.array([0.0, 1.0, 1.0, 2.0]), {"q": values, "q_desired": values}
+    )
+    assert_array_equal(merged["q"][:, 0], [0.0, 1.5, 3.0])
+    assert_array_equal(merged["q_desired"][:, 0], [0.0, 2.0, 3.0])
+
+
+# -- Unitree ---------------------------------------------------------------------------
+
+
+def unitree(n=N, motors=12, places=20):
+    """Make messages of motors by the numbers of the SDK; others are zero."""
+    t, q, aim = motion(motors, n)
+    messages = []
+    for k in range(n):
+        state = [
+            {"mode": 1, "q": q[k, j], "dq": 0.1 * j, "tau_est": 9.0, "temperature": 30}
+            for j in range(motors)
+        ]
+        state += [dict.fromkeys(state[0], 0.0)] * (places - motors)
+        command = [
+            {"mode": 1, "q": aim[k, j], "dq": 0.0, "tau": 0.5, "kp": 20.0, "kd": 1.0}
+            for j in range(motors)
+        ]
+        command += [dict.fromkeys(command[0], 0.0)] * (places - motors)
+        messages.append((t[k], state, command))
+    return messages
+
+
+def as_lines(path):
+    lines = [
+        {
+            "t": t,
+            "low_state": {"tick": round(1e3 * t), "motor_state": state},
+            "low_cmd": {"motor_cmd": command},
+        }
+        for t, state, command in unitree()
+    ]
+    path = path.with_suffix(".jsonl")
+    path.write_text("\n".join(map(json.dumps, lines)))
+    return path
+
+
+def as_table(path, state, command, renamed=None):
+    """Table whose columns are patterns of a motor's number and a name."""
+    renamed = renamed or {}
+    own = {"t": [t for t, *_ in unitree()]}
+    for k, messages in ((1, state), (2, command)):
+        for j in range(20):
+            for name in unitree()[0][k][j]:
+                cells = [float(row[k][j][name]) for row in unitree()]
+                own[messages.format(j, renamed.get(name, name))] = cells
+    return write(path.with_suffix(".csv"), own)
+
+
+OLD = {"kp": "Kp", "kd": "Kd", "tau_est": "tauEst"}
+LOGS = {
+    "lines": as_lines,
+    "csv": lambda path: as_table(path, "motor_state[{}].{}", "motor_cmd[{}].{}"),
+    "PlotJuggler": lambda path: as_table(
+        path, "/lowstate/motor_state[{}]/{}", "/lowcmd/motor_cmd[{}]/{}"
+    ),
+    "legged": lambda path: as_table(
+        path, "state.motorState[{}].{}", "motorCmd[{}].{}", OLD
+    ),
+    "pandas": lambda path: as_table(path, "motor_state_{}_{}", "motor_cmd_{}_{}"),
+}
+
+
+def quadruped(path):
+    """Write a robot whose legs are in another order than its motors."""
+    names = [f"{leg}_{m}" for leg in ("FL", "FR", "RL", "RR") for m in MOTORS]
+    text = '<robot name="dog"><link name="base"/>'
+    for name in names:
+        text += f"""
+        <link name="{name}"><inertial><mass value="1"/>
+        <inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/></inertial></link>
+        <joint name="{name}_joint" type="revolute"><parent link="base"/>
+        <child link="{name}"/><axis xyz="0 1 0"/>
+        <limit lower="-3" upper="3" effort="9" velocity="9"/></joint>"""
+    path.write_text(f"{text}</robot>")
+    return path, [f"{name}_joint" for name in names]
+
+
+@pytest.mark.parametrize("kind", LOGS)
+def test_logs_of_unitree(kind, tmp_path):
+    pytest.importorskip("pinocchio")
+    urdf, _ = quadruped(tmp_path / "dog.urdf")
+    recording, said = read(LOGS[kind](tmp_path / "log"), urdf=urdf, drive="pd")
+    assert "taken as motor states and commands of a Unitree robot" in said
+    names = recording.joint_names
+    # motors are numbered from the right leg on
+    _, q, aim = motion(12)
+    numbered = [f"{leg}_{m}_joint" for leg in LEGS for m in MOTORS]
+    order = [numbered.index(name) for name in names]
+    assert_allclose(recording.q, q[:, order], atol=1e-9)
+    made = 20.0 * (aim - q) - 0.1 * np.arange(12) + 0.5
+    assert_allclose(recording.tau, made[:, order], atol=1e-8)
+    assert set(recording.signals) == {"q_desired", "v_desired", "tau_ff", "kp", "kd"}
+    # what the motors estimate is a torque all the same, where it is asked for
+    plain, _ = read(LOGS[kind](tmp_path / "log"), urdf=urdf)
+    assert_array_equal(plain.tau, 9.0)
+
+
+def test_joints_that_are_given_are_those_of_the_motors(tmp_path):
+    pytest.importorskip("pinocchio")
+    urdf, names = quadruped(tmp_path / "dog.urdf")
+    options = {"urdf": urdf, "drive": "pd", "joint_names": names}
+    recording, _ = read(as_lines(tmp_path / "log"), **options)
+    order = [names.index(name) for name in recording.joint_names]
+    assert_allclose(recording.q, motion(12)[1][:, order], atol=1e-9)
+
+
+# -- LeRobot ---------------------------------------------------------------------------
+
+
+@pytest.fixture
+def servos(tmp_path):
+    pyarrow = pytest.importorskip("pyarrow")
+    from pyarrow import parquet
+
+    def save(factor=1.0):
+        folder = tmp_path / "set"
+        file = folder / "data" / "chunk-000" / "file-000.parquet"
+        file.parent.mkdir(parents=True)
+        (folder / "meta").mkdir()
+        feature = {"dtype": "float32", "shape": [2], "fps": 100}
+        feature["names"] = ["shoulder_pan.pos", "gripper.pos"]
+        keys = ("action", "observation.state")
+        info = {"codebase_version": "v3.0", "robot_type": "so101_follower", "fps": 100}
+        info["features"] = dict.fromkeys(keys, feature)
+        (folder / "meta" / "info.json").write_text(json.dumps(info))
+        t, q, aim = motion()
+        half = N // 2
+        table = {"action": list(factor * aim), "observation.state": list(factor * q)}
+        table["timestamp"] = np.concatenate([t[:half], t[:half]])
+        table |= {"frame_index": np.arange(N) % half, "index": np.arange(N)}
+        table |= {"episode_index": np.arange(N) // half, "task_index": np.zeros(N)}
+        parquet.write_table(pyarrow.table(table), file)
+        return folder
+
+    return save
+
+
+def test_a_lerobot_data_set_of_servos(servos):
+    recording, said = read(servos(), drive=TEXT)
+    assert_told(recording)
+    assert recording.joint_names == ("shoulder_pan", "gripper")
+    assert recording.group_names == ("0", "1")
+    assert set(recording.signals) == {"q_desired"}
+    assert "q_desired = action.shoulder_pan ... action.gripper" in said
+
+
+def test_degrees_of_servos_are_asked_for(servos):
+    folder = servos(180 / np.pi)
+    with pytest.raises(RecordingRefused, match="degrees if the robot was") as refused:
+        read(folder, drive=TEXT)
+    assert "range_min and range_max of the calibration file" in str(refused.value)
+    recording, _ = read(folder, drive=TEXT, **refused.value.options)
+    assert_told(recording)
+    assert recording.group_names == ("0", "1")
+    assert set(recording.signals) == {"q_desired"}
+
+
+def test_servos_without_a_drive_say_which_would_read_them(servos):
+    with pytest.raises(RecordingRefused) as refused:
+        read(servos())
+    said = "no torques, but commands: q_desired (action.shoulder_pan ... action.gripper"
+    assert said in str(refused.value)
+    assert '--drive "pd kp=... kd=..."' in str(refused.value)
+
+
+def test_presets_of_commands_say_where_their_names_are_from():
+    told = [log for logs in PRESETS.values() for log in logs if log.commands]
+    assert len(told) > 2
+    for log in told:
+        assert "github.com" in log.source
+        assert "q_desired" in log.commands
+
+
+# -- a drive as a text -----------------------------------------------------------------
+
+
+def test_a_drive_as_a_text():
+    text = "pd kp=hip:20,calf:40 kd=1,2.5 delay=0.01 saturation=9 feedforward=true"
+    assert parse_drive(text).get_params() == {
+        **PDDrive().get_params(),
+        "kp": {"hip": 20.0, "calf": 40.0},
+        "kd": [1.0, 2.5],
+        "delay": 0.01,
+        "saturation": 9.0,
+        "feedforward": True,
+    }
+    assert parse_drive("pd delay=auto kp=none").get_params() == PDDrive().get_params()
+
+
+BAD = {
+    "servo kp=1": "must begin with its kind, one of pd",
+    "": "must begin with its kind",
+    "pd ki=1": "'ki=1'; expected, each once, NAME=VALUE",
+    "pd kp": "'kp'; expected",
+    "pd kp= 20": "'kp='; expected",
+    "pd kp=1 kp=2": "'kp=2'; expected, each once",
+    "pd kp=1,x": "kp=1,x; expected numbers",
+    "pd kp=hip:a": "expected JOINT:NUMBER",
+    "pd kp=hip:1,hip:2": "expected JOINT:NUMBER",
+}
+
+
+@pytest.mark.parametrize("text", BAD)
+def test_texts_that_say_no_drive(text, tmp_path):
+    with pytest.raises(ValueError, match=BAD[text]):
+        read(write(tmp_path / "arm.csv", columns()), drive=text)
+
+
+def test_bad_files_of_commands(tmp_path):
+    path = write(tmp_path / "a.csv", columns())
+    with pytest.raises(ValueError, match=r"a\.csv: PDDrive: kp is missing: give kp="):
+        read(path, drive="pd")
+    with pytest.raises(ValueError, match="leave gains out"):
+        read(path, drive=TEXT, gains=(1.0, 1.0))
+    own = columns(q_des_1=np.ones(N))
+    with pytest.raises(ValueError, match="'q_desired1' and 'q_des_1' could both be"):
+        read(write(tmp_path / "b.csv", own), drive=TEXT)
+    own = columns()
+    del own["q_desired2"]
+    with pytest.raises(ValueError, match=r"2 column\(s\) q .* 1 column\(s\) q_desired"):
+        read(write(tmp_path / "c.csv", own), drive=TEXT)
+    still = columns() | {f"q_desired{j}": np.zeros(N) for j in (1, 2)}
+    with pytest.raises(ValueError, match="constant on every joint that moves"):
+        read(write(tmp_path / "d.csv", still), drive=TEXT)
+    t, q, aim = motion()
+    np.savez(tmp_path / "e.npz", t=t, q=q, q_desired=aim, kp=np.ones(3), kd=1.0)
+    with pytest.raises(ValueError, match=r"kp has the shape \(3,\); expected one"):
+        read(tmp_path / "e.npz", drive="pd")

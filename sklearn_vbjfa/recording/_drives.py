@@ -44,6 +44,7 @@ class Drive(BaseEstimator):
 
     told = ""
     beside = ()
+    of_positions = False  # whether torques are made of measured positions
     delayed = False  # whether the delay of its commands is to be found
     unsigned = False  # whether only sizes of torques are known
     gains = None  # "unknown" where torques are known up to a factor of each channel
@@ -196,6 +197,7 @@ class PDDrive(Drive):
     """
 
     told = "q_desired"
+    of_positions = True
     beside = COMMANDS[1:]
     numbers = (
         "kp [N m/rad] and kd [N m s/rad] (not per degree, nor in units of the "

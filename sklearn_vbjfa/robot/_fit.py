@@ -302,6 +302,9 @@ def _settle(recipe, fit, source, relative):
         + (robot.identifiable_,)
     )
     theta[own] = unconstrained[own] = values.values_of(robot.effects_)
+    covariance_of_all = found.covariance
+    if not _of_bodies(robot):
+        std, covariance_of_all = values.beside(std, covariance_of_all)
     std[own] = values.std
     gains = None
     if relative is not None:
@@ -315,10 +318,16 @@ def _settle(recipe, fit, source, relative):
         gains = channel_gains(names, theta[places], std[places], relative, common)
     shown[own] = np.isfinite(std[own])
     known = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
+    known["covariance"] = covariance_of_all
     powers = robot.powers.with_tangents(powers, robot.effects_)
     changes = {"identifiable_": shown, "gains_": gains, "powers": powers}
     fit = fit.telling(replace(found, **known), **changes)
     return replace(fit, made=source.segments(fit.robot))
+
+
+def _of_bodies(robot):
+    """Whether values in the model may stand for bodies that are not as described."""
+    return any(effect.in_model and effect.of_bodies for effect in robot.effects_)
 
 
 def _corrected(recipe, fit, source, relative):
@@ -332,8 +341,7 @@ def _corrected(recipe, fit, source, relative):
         if relative is not None:
             zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
         # Beside bodies that are held, a value of the geometry would stay where it is.
-        free = any(one.in_model and one.of_bodies for one in robot.effects_)
-        bodies = None if free else fit.found.bodies
+        bodies = None if _of_bodies(robot) else fit.found.bodies
         known = robot.effects_, n_rigid, recipe.joint_weights, bodies
         values = ModelValues.of(moments.zeroed(zeros), *known)
         if values.stay() or (relative is not None and relative.vague(values).any()):
@@ -465,6 +473,21 @@ class ModelValues:
         below, above = (np.concatenate(x) for x in zip(*map(_at_bounds, own)))
         out = (below & (self.step < 0)) | (above & (self.step > 0))
         return not (moves & ~out).any()
+
+    def beside(self, std, covariance):
+        """Add to deviations (p,) and a covariance what the values leave unknown."""
+        # The others were estimated with the values as found, and move with them.
+        joint, std = self.estimate.covariance, std.copy()
+        covariance = None if covariance is None else covariance.copy()
+        for place, deviation in zip(self.places, self.std):
+            if not np.isfinite(deviation):
+                continue
+            slope = joint[:, place] / joint[place, place]
+            slope[self.places] = 0.0
+            std = np.hypot(std, slope * deviation)
+            if covariance is not None:
+                covariance += np.outer(slope, slope) * deviation**2
+        return std, covariance
 
     @staticmethod
     def values_of(effects):

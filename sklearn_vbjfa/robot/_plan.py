@@ -32,6 +32,9 @@ _TOP_ROWS = 1 << 15
 CUTOFF_PER_BANDWIDTH = 5.0
 # ... but its length must remain a small fraction of the longest recording.
 SHORTEST_CUTOFF_PERIODS = 36.0
+# Share of the states' cut-off up to which their smoother, whose gain falls with the
+# sixth power, loses less than 5 %.
+_FAITHFUL = 0.6
 # Below this fraction of its top speed a joint counts as standing still: its friction
 # may then take any value inside the stiction band.
 STANDSTILL_SHARE = 0.02
@@ -110,7 +113,9 @@ def make_plan(settings, effects, lengths, estimator, facts):
     """Resolve the settings of a fit to a `Plan`."""
     # lengths: rows of each recording; facts: `MotionFacts` of all recordings.
     dt = settings.dt
-    cutoff = resolve_cutoff(settings.cutoff, max(lengths), dt, estimator)
+    cutoff = resolve_cutoff(
+        settings.cutoff, max(lengths), dt, estimator, settings.drive
+    )
     lowpass = _lowpass.design(dt or 1.0, cutoff)
     return Plan(
         dt=dt,
@@ -327,8 +332,10 @@ def _top_quantile(largest, n):
     return np.quantile(top[:2], position - below, axis=0)
 
 
-def resolve_cutoff(cutoff, longest, dt, state_estimator):
+def resolve_cutoff(cutoff, longest, dt, state_estimator, drive=None):
     """Return the cut-off of the low-pass [Hz], infinity for none."""
+    # Torques that a drive makes of positions have these in all their band, and the
+    # smoothed states only where they are faithful.
     if not isinstance(cutoff, str):
         if cutoff is None:
             return np.inf
@@ -340,10 +347,10 @@ def resolve_cutoff(cutoff, longest, dt, state_estimator):
     if state_estimator is None:
         return np.inf
     length = longest * dt
-    frequency = max(
-        CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max(),
-        SHORTEST_CUTOFF_PERIODS / length,
-    )
+    frequency = CUTOFF_PER_BANDWIDTH * state_estimator.bandwidth_.max()
+    if drive is not None and drive.of_positions:
+        frequency = min(frequency, _FAITHFUL * state_estimator.cutoff_.min())
+    frequency = max(frequency, SHORTEST_CUTOFF_PERIODS / length)
     return float(frequency) if frequency < 0.4 / dt else np.inf
 
 

@@ -178,7 +178,8 @@ def test_the_deviation_of_the_delay_is_its_scatter():
     for seed in range(30):
         recording = told(0.008)
         noise = np.random.default_rng(seed).normal(size=recording.q.shape)
-        recording = replace(recording, v=recording.states[:, 3:6] + 2.0 * noise)
+        recording = PDDrive(KP, KD).driven(recording)
+        recording = replace(recording, tau=recording.tau + 2.0 * noise)
         found.append(delay_of(identify(recording, cutoff=20.0)))
     values, stds = np.transpose(found)
     assert values.mean() == pytest.approx(0.008, abs=3 * values.std() / np.sqrt(30))

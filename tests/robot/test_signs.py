@@ -9,6 +9,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa._core._between import between  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.inspection import inspect_channels  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
@@ -102,11 +103,11 @@ def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():
 def test_a_voltage_makes_a_torque_and_its_back_emf():
     constant, resistance, gear = 0.02, 3.0, 40.0
     t = ARM.dt * np.arange(len(ARM.q))
-    v = np.gradient(ARM.q, t, axis=0)
+    v = between(ARM.q, [slice(None)], t, order=1)
     volts = (ARM.tau + (gear * constant) ** 2 / resistance * v) * resistance
     volts /= gear * constant
     recording = take_arrays(ARM.q, volts / 24.0, dt=ARM.dt, joint_names=ARM.joint_names)
-    recording = replace(recording, v=v, signals={"supply": np.full(len(t), 24.0)})
+    recording = replace(recording, signals={"supply": np.full(len(t), 24.0)})
     drive = VoltageDrive(constant, resistance, gear=gear)
     assert_allclose(drive.driven(recording).tau, ARM.tau, atol=1e-9)
     # without constants, in volts

@@ -156,6 +156,8 @@ def measure_band(view, asked, longest):
         bandwidth = float(estimator.bandwidth_[fastest])
         smoothed_at = float(estimator.cutoff_[fastest])
         automatic = resolve_cutoff("auto", longest, robot.dt, estimator)
+        if isinstance(asked, str):
+            automatic = float(robot.cutoff_)
     velocity = view.states[:, nv : 2 * nv]
     weight = view.equations.weight
     return Band(
@@ -181,7 +183,9 @@ def _decided_by(robot, asked, bandwidth):
     if not finite:
         return "sample rate"
     motion = CUTOFF_PER_BANDWIDTH * bandwidth
-    return "motion" if np.isclose(robot.cutoff_, motion) else "length"
+    if np.isclose(robot.cutoff_, motion):
+        return "motion"
+    return "length" if robot.cutoff_ > motion else "drive"
 
 
 def power_share(raw, filtered, weight):

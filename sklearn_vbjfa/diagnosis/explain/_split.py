@@ -217,6 +217,7 @@ def _amount(identifier, recording, parts):
         max(part.stop - part.start for part in parts),
         identifier.dt,
         estimator,
+        identifier.drive,
     )
     band = min(cutoff, 0.5 / dt)
     moving = np.empty((recording.n_samples, recording.nv), dtype=bool)

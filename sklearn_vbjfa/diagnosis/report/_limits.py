@@ -59,6 +59,8 @@ def _reason(outcome, band):
         f"fastest joint{noise}).",
         "length": f"Errors are taken up to {cutoff} Hz, as the low-pass has to be "
         f"short beside the recording; five times {motion}, would be less.",
+        "drive": f"Errors are taken up to {cutoff} Hz, as positions are smoothed above "
+        f"and commanded torques have their noise; five times {motion}, would be more.",
         "given": f"Errors are taken up to {cutoff} Hz, as was asked for{asked}.",
         "none": f"Nothing is filtered, as was asked for{asked}; errors are those of "
         "the torque as recorded, and there is no wider band.",

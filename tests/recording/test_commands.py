@@ -82,9 +82,10 @@ def test_all_channels_of_a_drive_are_taken(tmp_path):
     recording, said = read(path, drive="pd")
     made = recording.signals
     assert set(made) == {"q_desired", "v_desired", "tau_ff", "kp", "kd", "motor"}
-    torque = made["kp"] * (made["q_desired"] - recording.q) + made["tau_ff"]
-    torque += made["kd"] * (made["v_desired"] - recording.v)
-    assert_allclose(recording.tau, torque, atol=1e-9)
+    command = made["kp"] * made["q_desired"] + made["tau_ff"]
+    command += made["kd"] * made["v_desired"]
+    assert_allclose(recording.command, command, atol=1e-9)
+    assert_allclose(recording.v[:, 0], others["v1"], atol=1e-9)
     assert "v_desired" not in said
 
 
@@ -306,8 +307,8 @@ def test_logs_of_unitree(kind, tmp_path):
     numbered = [f"{leg}_{m}_joint" for leg in LEGS for m in MOTORS]
     order = [numbered.index(name) for name in names]
     assert_allclose(recording.q, q[:, order], atol=1e-9)
-    made = 20.0 * (aim - q) - 0.1 * np.arange(12) + 0.5
-    assert_allclose(recording.tau, made[:, order], atol=1e-8)
+    assert_allclose(recording.v, [0.1 * np.array(order)] * N, atol=1e-9)
+    assert_allclose(recording.command, (20.0 * aim + 0.5)[:, order], atol=1e-8)
     assert set(recording.signals) == {"q_desired", "v_desired", "tau_ff", "kp", "kd"}
     # what the motors estimate is a torque all the same, where it is asked for
     plain, _ = read(LOGS[kind](tmp_path / "log"), urdf=urdf)

@@ -24,9 +24,9 @@ variables with the motion simulated from the commands (``_commanded_rivals.py``)
 on simulated positions (bodies as described, as PACE has them; every eighth robot),
 least squares on the same positions (``output error``, as mujoco.sysid has it), and
 ``oracle``: least squares with true states, true delay, true bodies and the hold of the
-drive, which says how well anybody could know the values. ``package, drive`` knows of the hold
-as well (`PDDrive.period`), the others do not: half a millisecond of the feedback is
-some 2 % of the armature and 4 % of the damping.
+drive, which says how well anybody could know the values. ``package, drive`` knows of
+the hold as well (`PDDrive.period`), the others do not: half a millisecond of the
+feedback is some 2 % of the armature and 4 % of the damping.
 
 - armature, damping, Coulomb: median of the error over the true value.
 - held: share of the intervals of 90 % that hold the true value, and their width as a

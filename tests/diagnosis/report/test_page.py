@@ -234,7 +234,8 @@ def test_provenance_is_in_the_dict_and_not_on_the_terminal():
     report = Report(made())
     data = json.loads(json.dumps(report.to_dict(), allow_nan=False))
     assert data["provenance"]["file"] == "logs/arm.csv"
-    assert data["recorded"] == {"samples": 4000, "seconds": 20.0, "rate": 200.0}
+    expected = {"samples": 4000, "seconds": 20.0, "rate": 200.0, "looked_at": 0}
+    assert data["recorded"] == expected
     assert data["parameters"][0]["name"] == "joint1:m"
     assert data["parameters"][1]["nominal"] is None
     bare = made(provenance=None, parameters=(), recorded=None)

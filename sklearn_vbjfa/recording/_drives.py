@@ -430,8 +430,7 @@ class CurrentDrive(Drive):
 
     Parameters
     ----------
-    torque_constant : "unknown", float, array-like of shape (nv,) or dict, \
-            default="unknown"
+    torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
         Torque by current k_t [N m/A]. ``"unknown"`` leaves y as it is and finds the
         gains of the channels, as ``gains="unknown"`` does.
     signed : bool, default=True
@@ -517,8 +516,7 @@ class VoltageDrive(Drive):
 
     Parameters
     ----------
-    torque_constant : "unknown", float, array-like of shape (nv,) or dict, \
-            default="unknown"
+    torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
         Torque by current of the motor k_t [N m/A]. ``"unknown"``: torques are in volts,
         gains are found as with ``gains="unknown"``, and the back-EMF is part of the
         viscous friction, of which it has the column.

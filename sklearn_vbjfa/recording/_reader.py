@@ -128,8 +128,8 @@ def read_recording(
         such as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
         channels, such as q_desired1 ... or q_desired_shoulder, ``kp_...`` and
         ``kd_...``, are then needed and those of torques are not; names such as
-        q_des, q_cmd, target_position and goal_position are recognised, and in an npz file gains may
-        be one number for each joint.
+        q_des, q_cmd, target_position and goal_position are recognised, and in an npz
+        file gains may be one number for each joint.
 
     Returns
     -------

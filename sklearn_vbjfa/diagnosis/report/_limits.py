@@ -9,7 +9,7 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import Section, Table
-from sklearn_vbjfa.effects import Offset, Payload
+from sklearn_vbjfa.effects import CommandDelay, Offset, Payload
 from sklearn_vbjfa.robot._gains import HALF_WIDTH, PAYLOAD
 
 # Share of a value that rounding leaves of it.
@@ -538,7 +538,7 @@ def drive_sentences(outcome, verdict):
     if drive is None:
         return ()
     own = [one for one in outcome.parameters if one.name == "drive:delay"]
-    known = drive.get("delay")
+    known = drive.get(CommandDelay.tangent[0])
     told = [delay_sentence(one.value, one.interval) for one in own]
     if known is not None:
         told = [f"{delay_sentence(known)[:-1]}, as given."]

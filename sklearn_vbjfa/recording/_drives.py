@@ -246,7 +246,7 @@ class PDDrive(Drive):
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
         self._check_aim(aim, recording)
-        kp, kd = self.feedback(recording)
+        kp, kd = self.law(names, recording)
         gear = _by_joint("gear", self.gear, names, least=None)
         dt = check_dt(recording.dt)
         parts = recording.segments
@@ -268,31 +268,6 @@ class PDDrive(Drive):
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
         made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
         return made if self.saturation is None else self._saturated(made)
-
-    def feedback(self, recording):
-        """Gains of position and velocity with the gear, (nv,) or (n, nv) each."""
-        gear = _by_joint("gear", self.gear, recording.joint_names, least=None)
-        return tuple(
-            gear * self._recorded(recording, name, getattr(self, name))
-            for name in ("kp", "kd")
-        )
-
-    def _recorded(self, recording, name, given):
-        """Gain, (nv,) or (n, nv), from the drive or the recording."""
-        if given is not None:
-            return _by_joint(name, given, recording.joint_names)
-        values = self._channel(recording, name)
-        if values is None:
-            raise ValueError(
-                f"PDDrive: {name} is missing: give {name}=, a number for each joint "
-                f"({', '.join(recording.joint_names)}), or record columns "
-                f'{name}_<joint> (command line: --drive "pd kp=20,20,40 kd=..."). '
-                "Gains of the firmware stand in the robot's configuration; in other "
-                "units, torques are in those."
-            )
-        if (values < 0).any():
-            raise ValueError(f"PDDrive: {name} of the recording is negative.")
-        return values
 
     def _check_aim(self, aim, recording):
         """Refuse commands that do not vary where the joints move."""
@@ -333,13 +308,15 @@ class PDDrive(Drive):
 
     # -- in simulation -----------------------------------------------------------------
 
-    def updates(self, dt):
+    def updates(self, dt, usual=None):
         """Return how often torques are set in a sample period.
 
         Parameters
         ----------
         dt : float
             Sample period of the recording [s].
+        usual : float, default=None
+            Time [s] between them where the drive has no `period`; None for `dt`.
 
         Returns
         -------
@@ -352,7 +329,7 @@ class PDDrive(Drive):
             If `period` is no positive time, or longer than the sample period.
         """
         if self.period is None:
-            return 1
+            return 1 if usual is None else max(round(dt / usual), 1)
         try:
             period = float(self.period)
         except (TypeError, ValueError):
@@ -370,17 +347,19 @@ class PDDrive(Drive):
         limit = np.inf if self.saturation is None else self.saturation
         return _by_joint("saturation", limit, names, finite=False)
 
-    def law(self, names):
+    def law(self, names, recording=None):
         """Gains of position and velocity of joints, with the gear.
 
         Parameters
         ----------
         names : sequence of str
             Names of the joints.
+        recording : Recording, default=None
+            Where gains that the drive does not have are looked for, in its channels.
 
         Returns
         -------
-        kp, kd : ndarray of shape (nv,)
+        kp, kd : ndarray of shape (nv,) or (n_samples, nv)
             Gains.
 
         Raises
@@ -388,15 +367,25 @@ class PDDrive(Drive):
         ValueError
             If they are missing, not finite, negative, or of another number of joints.
         """
-        for name in ("kp", "kd"):
-            if getattr(self, name) is None:
-                raise ValueError(
-                    f"PDDrive: {name} is missing: give {name}=, one for each joint."
-                )
         gear = _by_joint("gear", self.gear, names, least=None)
-        return tuple(
-            gear * _by_joint(name, getattr(self, name), names) for name in ("kp", "kd")
-        )
+        return tuple(gear * self._gain(one, names, recording) for one in ("kp", "kd"))
+
+    def _gain(self, name, joints, recording):
+        """Gain, (nv,) or (n, nv), from the drive or the recording."""
+        given = getattr(self, name)
+        if given is not None:
+            return _by_joint(name, given, joints)
+        values = None if recording is None else self._channel(recording, name)
+        if values is None:
+            raise ValueError(
+                f"PDDrive: {name} is missing: give {name}=, a number for each joint "
+                f"({', '.join(joints)}), or record columns {name}_<joint> (command "
+                'line: --drive "pd kp=20,20,40 kd=..."). Gains of the firmware stand '
+                "in the robot's configuration; in other units, torques are in those."
+            )
+        if (values < 0).any():
+            raise ValueError(f"PDDrive: {name} of the recording is negative.")
+        return values
 
     def torque(self, q_desired, v_desired, q, v, names=None):
         """Torques of the law at no delay.
@@ -423,7 +412,35 @@ class PDDrive(Drive):
         return np.clip(tau, -most, most)
 
 
-class CurrentDrive(Drive):
+class _MotorDrive(Drive):
+    """What a motor was given, up to a torque constant that may be unknown."""
+
+    @property
+    def gains(self):
+        """Unknown, if the torque constant is."""
+        constant = self.torque_constant
+        if not isinstance(constant, str):
+            return None
+        if constant != "unknown":
+            raise ValueError(
+                f"{type(self).__name__}: torque_constant must be 'unknown' or numbers "
+                f"in N m/A; got {constant!r}."
+            )
+        return "unknown"
+
+    def _given(self, recording):
+        """Return what motors were given, (n, nv), in place of torques where need be."""
+        values = self._channel(recording, self.told)
+        return recording.tau if values is None else values
+
+    def _number(self, name, recording, least=0.0):
+        """Return one of its parameters, (nv,)."""
+        owner = type(self).__name__
+        given = getattr(self, name)
+        return _by_joint(name, given, recording.joint_names, least, owner)
+
+
+class CurrentDrive(_MotorDrive):
     r"""Motor currents, signed or as sizes.
 
     .. math:: \tau = \mathrm{gear} \, k_t \, i
@@ -470,11 +487,6 @@ class CurrentDrive(Drive):
         """Whether only sizes of torques are known."""
         return not self.signed
 
-    @property
-    def gains(self):
-        """Unknown, if the torque constant is."""
-        return "unknown" if isinstance(self.torque_constant, str) else None
-
     def driven(self, recording):
         """Return a recording of the torques of the currents; see `Drive`.
 
@@ -483,33 +495,23 @@ class CurrentDrive(Drive):
         """
         if recording.command is not None:
             return recording
-        current = self._channel(recording, "current")
-        current = recording.tau if current is None else current
-        names = recording.joint_names
+        current = self._given(recording)
         if self.gains is None:
-            known = {"least": None, "owner": "CurrentDrive"}
-            constant = _by_joint(
-                "torque_constant", self.torque_constant, names, **known
-            )
-            current = constant * _by_joint("gear", self.gear, names, **known) * current
-        elif self.torque_constant != "unknown":
-            raise ValueError(
-                "CurrentDrive: torque_constant must be 'unknown' or numbers in N m/A; "
-                f"got {self.torque_constant!r}."
-            )
+            for name in ("torque_constant", "gear"):
+                current = self._number(name, recording, least=None) * current
         if self.signed:
             return replace(recording, tau=current, command=current)
         below = np.flatnonzero((current < 0).any(axis=0))
         if below.size:
             raise ValueError(
                 "CurrentDrive(signed=False) takes sizes of currents, and "
-                f"{names[below[0]]} has negative ones: they have their sign, leave "
-                "signed=True."
+                f"{recording.joint_names[below[0]]} has negative ones: they have their "
+                "sign, leave signed=True."
             )
         return replace(recording, tau=current)
 
 
-class VoltageDrive(Drive):
+class VoltageDrive(_MotorDrive):
     r"""Motor voltage, or duty cycle times supply: hobby servos, Dynamixel in PWM mode.
 
     .. math:: \tau = \frac{n k_t}{R} V - \frac{(n k_t)^2}{R} v
@@ -558,11 +560,6 @@ class VoltageDrive(Drive):
         self.supply = supply
         self.gear = gear
 
-    @property
-    def gains(self):
-        """Unknown, if the torque constant is."""
-        return "unknown" if isinstance(self.torque_constant, str) else None
-
     def driven(self, recording):
         """Return a recording of the torques of the voltages; see `Drive`.
 
@@ -570,20 +567,12 @@ class VoltageDrive(Drive):
         """
         if recording.command is not None:
             return recording
-        names, owner = recording.joint_names, "VoltageDrive"
-        volts = self._channel(recording, "voltage")
-        volts = recording.tau if volts is None else volts
-        supply = self._channel(recording, "supply")
+        volts, supply = self._given(recording), self._channel(recording, "supply")
         if self.supply is not None:
-            supply = _by_joint("supply", self.supply, names, owner=owner)
+            supply = self._number("supply", recording)
         if supply is not None:
             volts = volts * supply
         if self.gains is not None:
-            if self.torque_constant != "unknown":
-                raise ValueError(
-                    "VoltageDrive: torque_constant must be 'unknown' or numbers in "
-                    f"N m/A; got {self.torque_constant!r}."
-                )
             return replace(recording, tau=volts, command=volts)
         if self.resistance is None:
             raise ValueError(
@@ -591,7 +580,7 @@ class VoltageDrive(Drive):
                 "give resistance= in ohm, or torque_constant='unknown'."
             )
         constant, resistance, gear = (
-            _by_joint(name, getattr(self, name), names, owner=owner)
+            self._number(name, recording)
             for name in ("torque_constant", "resistance", "gear")
         )
         if not (resistance > 0).all():

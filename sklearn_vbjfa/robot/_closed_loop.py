@@ -42,6 +42,8 @@ class Loop:
         robot, nv = predictor.torque_model(), recording.tau.shape[1]
         plan, simulated = predictor.plan, np.empty((*recording.tau.shape, 3))
         clock = plan.clock(recording)
+        kp, kd = controller.law(predictor.joint_names_)
+        most = controller.most(predictor.joint_names_)
         errors = []
         simulated = simulated.reshape(-1, 3 * nv)
         for part, own in zip(recording.segments, states.own):
@@ -50,7 +52,7 @@ class Loop:
             v_ref = 0.0 * q_ref
             if controller.feedforward:
                 v_ref = np.gradient(q_ref, recording.dt, axis=0)
-            control = _follow(controller, q_ref, v_ref, predictor.joint_names_)
+            control = _law(kp * q_ref + kd * v_ref, kp, kd, most)
             n = part.stop - part.start
             t = recording.dt * np.arange(n)
             if plan.timed:
@@ -73,15 +75,19 @@ class Loop:
         )
 
 
-def _follow(controller, q_ref, v_ref, names):
-    """Let a controller follow a reference (n, nv), which goes straight between rows."""
+def _law(command, kp, kd, most):
+    """Let a drive follow commands (n, nv) that go straight between rows.
 
-    def at(values, row):
-        i = min(int(row), len(values) - 2)
-        return values[i] + (row - i) * (values[i + 1] - values[i])
+    Commands are torques, what is asked for at position and velocity zero; gains (nv,)
+    or (n, nv) hold until the next row.
+    """
+    kp, kd = (np.broadcast_to(x, command.shape) for x in (kp, kd))
 
     def control(row, q, v):
-        return controller.torque(at(q_ref, row), at(v_ref, row), q, v, names)
+        i = min(int(row), len(command) - 1)
+        j = min(i + 1, len(command) - 1)
+        asked = command[i] + (row - i) * (command[j] - command[i])
+        return np.clip(asked - kp[i] * q - kd[i] * v, -most, most)
 
     return control
 
@@ -164,32 +170,23 @@ def follow(robot, drive, recording, window=None):
     for effect in robot.effects_:
         if isinstance(effect, CommandDelay):
             command = command + effect.change(command, recording.segments, clock)
-    kp, kd = (np.broadcast_to(x, command.shape) for x in drive.feedback(recording))
-    names = recording.joint_names
+    names, shape = recording.joint_names, command.shape
+    kp, kd = (np.broadcast_to(x, shape) for x in drive.law(names, recording))
     most = drive.most(names)
     measured, _ = robot.query(recording.inputs, recording.groups)
     model, dt, nv = robot.torque_model(), recording.dt, recording.nv
-    period = _DRIVE_PERIOD if drive.period is None else drive.period
-    updates = max(round(dt / period), 1)
+    updates = drive.updates(dt, _DRIVE_PERIOD)
     length = recording.n_samples if window is None else max(round(window / dt), 2)
     states = np.empty((recording.n_samples, 3 * nv))
     for part in recording.segments:
         for first in range(part.start, part.stop, length):
-            last = min(first + length, part.stop) - 1
-
-            def control(row, q, v, first=first, last=last, part=part):
-                i = min(first + int(row), last)
-                j, share = min(i + 1, part.stop - 1), row - int(row)
-                asked = command[i] + share * (command[j] - command[i])
-                return np.clip(asked - kp[i] * q - kd[i] * v, -most, most)
-
+            rows = slice(first, min(first + length, part.stop))
             start = measured[first]
-            rows = slice(first, last + 1)
             own = {name: x[rows] for name, x in recording.signals.items()}
             own = {name: x for name, x in own.items() if x.ndim == 1}
             states[rows], _ = simulate_controlled(
                 model,
-                control,
+                _law(command[rows], kp[rows], kd[rows], most),
                 start[:nv],
                 start[nv : 2 * nv],
                 clock[rows],

@@ -56,6 +56,15 @@ def gain(frequency, dt, cutoff):
     return 1.0 / (1.0 + loss)
 
 
+def rounding(cutoff):
+    """Mean of abs(t) under the impulse response of the smoother [s]."""
+    # (2 / pi) times the integral of (1 - G) / omega^2 over all positive omega
+    share = np.pi / (2 * _ORDER)
+    return (
+        0.0 if not np.isfinite(cutoff) else share / np.sin(share) / (np.pi**2 * cutoff)
+    )
+
+
 def _difference_gain(frequency, h):
     # third differences of spline coefficients against the spline's own amplitude
     square = np.sin(np.pi * frequency * h) ** 2

@@ -36,6 +36,11 @@ class Rest:
     # (nv,): T, for which a joint stands at least [s]: the fastest period; 0 if unknown
     time: np.ndarray
     noise: np.ndarray  # (nv,): sigma, of the velocities [rad/s or m/s]
+    # (nv,) each: half of the jump of the acceleration where the true velocity turns, of
+    # which the estimated one rounds the corner, and the time over which it does so, see
+    # `StateEstimator.rounding` [rad/s^2 or m/s^2, s]
+    corner: np.ndarray | float = 0.0
+    rounding: np.ndarray | float = 0.0
 
     def pick(self, *joints):
         """Return what holds for a joint, or for the sum of the speeds of several."""
@@ -44,17 +49,28 @@ class Rest:
             speed=self.speed[own].sum(keepdims=True),
             time=self.time[own].max(keepdims=True),
             noise=np.sqrt((self.noise[own] ** 2).sum(keepdims=True)),
+            corner=_of(self.corner, own).sum(keepdims=True),
+            rounding=_of(self.rounding, own).max(keepdims=True),
         )
 
     def sign(self, v, a, smoothing=0.0):
         """Mean sign of velocities (n, nv) with accelerations (n, nv)."""
         # That of tanh(v / smoothing) where a speed is given.
+        # Where the jump is larger than the acceleration can be, the joint stays.
+        v = v + self.rounding * np.clip(a, -self.corner, self.corner)
         passed = np.abs(a) * self.time
         # vs / (1 + passed / vs), and zero where vs is
         width = self.speed**2 / np.maximum(self.speed + passed, _TINY)
         mean = _mean_sign if not smoothing > 0 else _mean_tanh(smoothing)
         columns = [mean(*column) for column in zip(v.T, width.T, self.noise)]
         return np.column_stack(columns)
+
+
+def _of(values, joints):
+    """Values of some joints, which may be one for all."""
+    return (
+        np.asarray(values)[joints] if np.ndim(values) else np.full(len(joints), values)
+    )
 
 
 def _mean_sign(v, width, noise):

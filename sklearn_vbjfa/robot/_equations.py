@@ -651,6 +651,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
     # measured; theta: parameters for the load in effects' columns, see `make_motion`;
     # rest: velocity signs at rest, for comparisons only (a fit masks standstill);
     # first: number of the first segment. Returns a list of `Segment`.
+    rest = plan.turning if rest is None else rest
 
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)

@@ -17,6 +17,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording
 from sklearn_vbjfa.robot._alike import beside_each_other
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
+from sklearn_vbjfa.robot._corners import with_corners
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
@@ -231,13 +232,22 @@ def fit_robot(recipe, robot, source, before=None):
     load, passes = _load_of(before, robot), robot.plan.passes()
     if load is not None:
         passes = passes[1:]
+    fit = _settled(recipe, robot, source, relative, passes, load)
+    turned = with_corners(fit.robot, source)
+    if turned is not None:
+        fit = _settled(recipe, turned, source, relative, [turned.plan], fit.robot.load)
+    return fit.with_loads()
+
+
+def _settled(recipe, robot, source, relative, passes, load):
+    """Fit a robot until the loads and the values of its effects in the model stay."""
     for plan in passes:
         own = replace(robot, plan=plan, load=load)
         fit = recipe.of_source(own, source)
         load = _known_load(fit.robot)
     if any(effect.in_model for effect in robot.effects_):
         fit = _settle(recipe, fit, source, relative)
-    return fit.with_loads()
+    return fit
 
 
 def _at(robot, effects):

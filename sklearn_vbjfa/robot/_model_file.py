@@ -239,6 +239,8 @@ def _fit(robot):
         "time_unit": "s",
         "fastest_period": None if period is None else spelled_all(period),
         "fastest_period_unit": "s",
+        "corners": None if plan.corners is None else spelled_all(plan.corners),
+        "corners_unit": "rad/s^2 or m/s^2",
         "state_cutoff": _state_cutoff(cutoff),
         "state_cutoff_unit": "Hz",
         "states": None
@@ -533,7 +535,7 @@ def _plan(file, effects):
     except (ValueError, ZeroDivisionError) as error:
         raise fit["cutoff"].wrong(f"is of no use: {error}") from error
     nv = len(file["joints"].items())
-    period, time = fit["fastest_period"], fit["time"]
+    period, time, corners = fit["fastest_period"], fit["time"], fit["corners"]
     return Plan(
         dt=dt,
         state_estimator=None
@@ -545,6 +547,7 @@ def _plan(file, effects):
         effects=effects,
         fastest_period=None if period.absent else period.numbers(nv),
         time=None if time.absent else tuple(map(float, time.numbers(2))),
+        corners=None if corners.absent else corners.numbers(nv),
     )
 
 

@@ -68,6 +68,9 @@ class Plan:
     # for each effect, what its motion is held within, None where nothing is held; empty
     # for a fit
     ranges: tuple = ()
+    # (nv,): half of the jump that an acceleration makes when its joint turns round, see
+    # `corners` [rad/s^2 or m/s^2]; None where it is not known
+    corners: np.ndarray | None = None
 
     @property
     def smoother(self):
@@ -99,14 +102,29 @@ class Plan:
         plain = tuple(e for e in self.effects if "load" not in e.needs)
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
 
-    def rest(self, noise):
+    @property
+    def turning(self):
+        """`Rest` of the velocities of a fit, None if their signs are as they are."""
+        # A fit masks joints that may be standing.
+        own, nothing = self._corners(self.state_estimator), 0.0 * self.standstill
+        return Rest(speed=nothing, time=nothing, noise=nothing, **own) if own else None
+
+    def _corners(self, estimator):
+        """How the velocities of an estimator turn, see `Rest`."""
+        if self.corners is None or estimator is None:
+            return {}
+        return {"corner": self.corners, "rounding": estimator.rounding()}
+
+    def rest(self, noise, estimator=None):
         """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
+        # estimator: of the velocities, None for those that are known.
         time = np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
         if not np.isfinite(self.cutoff) and self.fastest_period is not None:
             # unknown for rows of a running robot
             time = self.fastest_period
         # Negative speeds mask nothing.
-        return Rest(speed=np.maximum(self.standstill, 0.0), time=time, noise=noise)
+        speed, own = np.maximum(self.standstill, 0.0), self._corners(estimator)
+        return Rest(speed=speed, time=time, noise=noise, **own)
 
 
 def make_plan(settings, effects, lengths, estimator, facts):

@@ -886,7 +886,7 @@ class IdentifiedRobot(SimulatesTorques):
         """Return the `Rest` of the velocities of an estimator, or of given ones."""
         if estimator is None:
             return self.plan.rest(np.zeros(self.features_.n_joints_))
-        return self.plan.rest(estimator.velocity_noise())
+        return self.plan.rest(estimator.velocity_noise(), estimator)
 
     def query(self, X, groups):
         """States (n, 3 nv) of a query as the fit smooths, and the `Rest` of them."""

@@ -244,6 +244,13 @@ class StateEstimator(TransformerMixin, BaseEstimator):
                 noise[j] = np.sqrt(variance * power)
         return noise
 
+    def rounding(self):
+        """Mean absolute time (nv,) over which the smoother averages [s].
+
+        By half of it times the jump of a velocity's slope, the corner is rounded.
+        """
+        return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
+
     def _splines(self, x, start):
         """Fit a spline to each joint of the recording from row `start` on."""
         if x.shape[0] < _MIN_SAMPLES:

@@ -1,7 +1,7 @@
 """Robots moved by commands, simulated with MuJoCo and not with the package.
 
 A robot is its numbers: bodies, armature, damping, Coulomb friction and offset of every
-joint, and the delay of its commands. The truth is stepped at 4 kHz under a drive that
+joint, and the delay of its commands. The truth is stepped at 20 kHz under a drive that
 sets its torque at 1 kHz; what methods found is simulated at `STEP`, from the commands
 alone. MuJoCo's friction is a soft constraint: `SOLREF` makes it turn within some
 hundredths of a rad/s, where its default needs a tenth and more.
@@ -16,7 +16,7 @@ from mujoco import rollout
 from scipy import interpolate, signal
 
 TICK = 1e-3  # period of the drive [s]
-SUBSTEPS = 4  # steps of the physics in it
+SUBSTEPS = 20  # steps of the physics in it
 LOG = 5  # ticks from one row of the log to the next
 DT = LOG * TICK
 STEP = 1e-3  # step of simulations of what was found [s]

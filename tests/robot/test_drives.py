@@ -352,7 +352,8 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
     (segment,) = segments(made, own, robot.robot_.plan, robot.features_)
     lowpass = robot.robot_.plan.lowpass
     moments = segment.moments(lowpass, slice(0, segment.n_rows))
-    first, second = (robot.features_.matrices(x) for x in (even, odd))
+    turning = robot.robot_.plan.turning
+    first, second = (robot.features_.matrices(x, turning) for x in (even, odd))
     difference = first - second
     apart = -(200.0 * (even - odd)[:, 0] + 2.0 * (even - odd)[:, 1])
     weight = segment.counts(slice(0, segment.n_rows), own.own[0][:, 1:2])[:, 0]

@@ -73,6 +73,7 @@ class FinalFit:
             view.parts,
             identifier.robot_.load,
             view.robot.cutoff_,
+            rest=view.robot.plan.turning,
             effects=effects,
             signals=view.signals,
         )

@@ -250,6 +250,7 @@ class RecordingView:
             self.parts,
             parameters,
             self.robot.cutoff_,
+            rest=self.robot.plan.turning,
             effects=effects,
             signals=self.signals,
             command=self.command,

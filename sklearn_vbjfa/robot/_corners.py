@@ -1,0 +1,72 @@
+"""When joints turn round, by estimated velocities whose corners are rounded.
+
+Where a joint turns round its friction changes sign at once, and its acceleration jumps:
+the velocity has a corner, which a smoother rounds, so that the estimated one turns
+late. The lag goes with the acceleration and would be taken for inertia, some per cent
+of an armature. How large the jump is follows from the friction, the inertia and, where
+a drive makes its torque of the motion, its gains; so it is known after a first fit.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_vbjfa._core import _smoothing
+from sklearn_vbjfa.model import import_pinocchio
+
+# Rows at which the inertia of a joint is looked at.
+_ROWS = 64
+# Frequencies of the integral, in cut-offs: what lies beyond is a share of 1e-3.
+_LOWEST, _HIGHEST, _COUNT = 0.1, 1e3, 4000
+
+
+def with_corners(robot, source):
+    """Return a fitted robot whose plan knows its corners, None where there are none."""
+    # Of drives whose law is known. Torques that are measured belong to controllers
+    # which nothing is known of, and may take the jump away.
+    plan, features = robot.plan, robot.features_
+    estimator, feedback = plan.state_estimator, source.recording.feedback
+    if feedback is None or estimator is None or "coulomb" not in features.friction_:
+        return None
+    terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
+    dry = np.maximum(terms["coulomb"], 0.0)
+    damping = feedback[1] + np.maximum(terms.get("viscous", 0.0), 0.0)
+    rotors = np.maximum(terms.get("rotor_inertia", np.zeros(dry.size)), 0.0)
+    inertia = _inertias(robot, rotors, source.states)
+    jumps = [
+        jump(*own) for own in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
+    ]
+    return replace(robot, plan=replace(plan, corners=np.array(jumps)))
+
+
+def jump(dry, inertia, damping, stiffness, cutoff):
+    """Half of the jump of an acceleration that rounds a velocity as much as a drive's.
+
+    With the smoother's gain G the velocity that is estimated when the true one turns is
+    2 Fc / pi times the integral of (1 - G) / Re(I omega^2 - k - i d omega) over all
+    positive omega. For d = k = 0 it is Fc / I times `StateEstimator.rounding`.
+    """
+    if not (np.isfinite(cutoff) and inertia > 0 and dry > 0):
+        return 0.0
+    x = np.geomspace(_LOWEST, _HIGHEST, _COUNT)
+    omega = 2 * np.pi * cutoff * x
+    lost = x**10 / (1 + x**10)
+    answer = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
+    late = 2 * dry / np.pi * np.trapezoid(lost * answer.real, omega)
+    return max(late, 0.0) / _smoothing.rounding(cutoff)
+
+
+def _inertias(robot, rotors, states):
+    """Inertia (nv,) of each joint while all others are free, in the mean of poses."""
+    pin = import_pinocchio()
+    model = robot.features_.model_.copy()
+    for i, values in enumerate(robot.inertial()):
+        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(values)
+    data, found = model.createData(), []
+    for own in states.own:
+        for i in np.unique(np.linspace(0, own.shape[0] - 1, _ROWS).astype(int)):
+            q = own[slice(i, i + 1)].reshape(-1)[: model.nv]
+            upper = np.triu(pin.crba(model, data, q))
+            mass = upper + np.triu(upper, 1).T + np.diag(rotors)
+            found.append(1.0 / np.diagonal(np.linalg.pinv(mass)))
+    return np.mean(found, axis=0)

@@ -36,7 +36,7 @@ from sklearn_vbjfa.recording._layout import (
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
 from sklearn_vbjfa.recording._recording import Recording, _check_dt, on_disk
-from sklearn_vbjfa.recording._sampling import distinct, on_grid, on_one_grid
+from sklearn_vbjfa.recording._sampling import distinct, in_order, on_grid, on_one_grid
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
 from sklearn_vbjfa.recording.formats import expanded, read_table
 
@@ -168,7 +168,7 @@ def read_recording(
         interpolated on a uniform grid from their neighbours; otherwise the rows are
         taken as equidistant. If up to five consecutive rows are missing: they are
         interpolated and the others kept. If more are missing: the recording is split
-        there, and pieces of fewer than ten rows are dropped. If rows occur twice, or
+        there, and pieces of fewer than 16 rows are dropped. If rows occur twice, or
         stamps repeat. If one of several files is a copy of another: it is taken once.
         With ``on_bad_files="warn"``, which files are left out, and why.
 
@@ -342,7 +342,10 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
-    fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
+    channels |= signals
+    if t is not None and labels is None:
+        t, channels, table = in_order(table, t, channels, notes)
+    fields = on_grid(table, t, labels, dt, channels, notes)
     recording = Recording(
         name=_stem(table.path),
         joint_names=names,

@@ -13,7 +13,7 @@ which asks the stamps first what they are; several of them then go through
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -419,8 +419,10 @@ def _first(rows):
     return f"row {listed(rows)}"
 
 
-# Fewer samples than this between two gaps cannot be differentiated.
-_MIN_SAMPLES = 10
+# Fewer samples than this between two gaps cannot be differentiated and held out from.
+_MIN_SAMPLES = 16
+# Of the logs of measured sets: cannot be differentiated.
+_MIN_LOG = 10
 # A log is uniform already up to this part of dt: a steady clock with six decimals.
 _UNIFORM_RTOL = 1e-3
 # A step of a log above this many periods ends a part and starts another one.
@@ -601,7 +603,7 @@ def resample_uniform(
     parts = []
     ends = np.flatnonzero(np.diff(t) > _LOG_GAP_PERIODS * dt) + 1
     for rows in np.split(np.arange(len(t)), ends):
-        if len(rows) < _MIN_SAMPLES:
+        if len(rows) < _MIN_LOG:
             continue
         part = {key: values[rows] for key, values in channels.items()}
         at, grid = t[rows] - t[rows[0]], dt * np.arange(len(rows))
@@ -612,7 +614,7 @@ def resample_uniform(
         parts.append((grid, part))
     if not parts:
         raise ValueError(
-            f"No {_MIN_SAMPLES} samples follow one another with steps below "
+            f"No {_MIN_LOG} samples follow one another with steps below "
             f"{_LOG_GAP_PERIODS * dt:.3g} s; dt = {dt:.3g} s does not suit these "
             "stamps."
         )
@@ -649,6 +651,30 @@ class _Tally:
         errors = [prediction_errors(t, torques) for t, torques in self.off_grid]
         errors = np.abs(np.concatenate(errors))
         return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
+
+
+def in_order(table: Table, t, channels, notes):
+    """Sort rows that are out of order in time, where that makes one smooth motion."""
+    # Two recordings, one behind the other, would be mixed: they stay as they are, to be
+    # refused.
+    back = int((np.diff(t) < 0).sum())
+    if not back:
+        return t, channels, table
+    order = np.argsort(t, kind="stable")
+    late = np.diff(t[order])
+    if not late.all() or late.max() > GAP_PERIODS * np.median(late):
+        return t, channels, table
+    q, n = channels["q"], t.size
+    rough = [np.abs(np.diff(x, n=2, axis=0)).sum() for x in (q, q[order])]
+    if not rough[1] < rough[0]:
+        return t, channels, table
+    notes.append(
+        f"rows are not in the order of time (in {back} places of {n} it goes back): "
+        "they were sorted by it."
+    )
+    where = table.where
+    table = replace(table, where=lambda row: where(order[row]))
+    return t[order], {key: x[order] for key, x in channels.items()}, table
 
 
 def on_grid(table: Table, t, labels, dt, channels, notes):

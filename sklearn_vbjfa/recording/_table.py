@@ -17,6 +17,10 @@ LARGEST = 1 << 30
 _ENTRIES, _CHARACTERS = 20, 60
 
 
+# Note of a file that ends within a line.
+CUT = "the last line is cut, as where a logger is stopped: it is left out."
+
+
 class Loss(str):
     """A note on what of a recording, or of its robot, is left out."""
 
@@ -100,6 +104,7 @@ class Format:
     # (folder, Wanted, function that unpacks a Source) -> Table, or None if the folder
     # is not one of this format
     read_folder: Callable | None = None
+    marks: tuple[str, ...] = ()  # patterns of files that only such a folder has
     has_topics: bool = False
     # package that reads it, what needs it, and the extra that installs it
     needs: tuple[str, str, str] = ()
@@ -266,13 +271,6 @@ def nameless(path: Source, matrix, scalars=(), **known) -> Table:
         scalars=dict(scalars),
         nameless=True,
         **known,
-    )
-
-
-def cut_line(k):
-    """Note that the last line of a file, from 0, is no whole one."""
-    return (
-        f"the last line, {k + 1}, is cut, as where a logger is stopped: it is left out."
     )
 
 

@@ -8,14 +8,9 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import make_robot_recording, read_recording
+from sklearn_vbjfa.datasets import read_recording
 
 DOF = 6
-
-
-@pytest.fixture(scope="module")
-def made():
-    return make_robot_recording(duration=4, dt=0.004, random_state=3)
 
 
 def blocks(made):
@@ -216,7 +211,7 @@ def test_the_last_line_of_json_may_be_cut(made, tmp_path):
     path.write_text("\n".join(map(json.dumps, messages(made)))[:-30])
     recording, notes = read(path, made)
     assert_same(recording, made, slice(0, made.n_samples - 1))
-    assert any("the last line, 1000, is cut" in x for x in notes)
+    assert any("the last line is cut" in x for x in notes)
 
 
 # -- text that is cut or out of order --------------------------------------------------
@@ -235,7 +230,7 @@ def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_pa
     path.write_text("\n".join([text[0], *text[1]])[:-cut])
     recording, notes = read(path, made)
     assert_same(recording, made, slice(0, made.n_samples - 1))
-    assert any(f"the last line, {made.n_samples + 1}, is cut" in x for x in notes)
+    assert any("the last line is cut" in x for x in notes)
 
 
 def test_a_whole_last_line_needs_no_end(made, text, tmp_path):

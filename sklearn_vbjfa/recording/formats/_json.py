@@ -6,11 +6,11 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
+    CUT,
     Format,
     Source,
     Table,
     check_size,
-    cut_line,
     flattened,
     nameless,
     quoted,
@@ -94,7 +94,7 @@ def _parsed(path, text):
             found += [json.loads(line)] if line.strip() else []
         except (ValueError, RecursionError) as error:
             if k == len(lines) - 1 and not text.endswith("\n"):
-                return found, (cut_line(k),)
+                return found, (CUT,)
             raise _broken(path, error, k) from error
     return found, ()
 

@@ -16,10 +16,10 @@ import numpy as np
 
 from sklearn_vbjfa.recording._layout import is_unit
 from sklearn_vbjfa.recording._table import (
+    CUT,
     Format,
     Source,
     Table,
-    cut_line,
     quoted,
 )
 
@@ -120,7 +120,7 @@ def _read(path):
         names = _places(path, header, separator)
     end = _cut_line(path, _Lines(path, header), len(names), separator)
     if end is not None:
-        notes.append(cut_line(end))
+        notes.append(CUT)
     lines = _Lines(path, header, end)
     columns = None
     first = next(iter(lines), None)

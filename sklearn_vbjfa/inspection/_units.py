@@ -215,11 +215,18 @@ def _tiny(x):
 # -- torques ---------------------------------------------------------------------------
 
 
+def _without_mass(model):
+    """Whether a body of a description has no mass, so that its torques say nothing."""
+    return min(one.mass for one in model.inertias[1:]) <= 0
+
+
 def gear_factors(model, names, signals):
     """Find torques of another size than the model's."""
     # These are doubts and not errors: the loop is right in whatever unit all channels
     # share, and a robot description with invented inertias looks the same. Factors that
     # differ between joints, however, would be compensated by spurious effects.
+    if _without_mass(model):
+        return []
     equations = ChannelEquations(model, signals)
     found = []
     for j in np.flatnonzero(signals.informative()):
@@ -346,7 +353,9 @@ def sample_periods(model, names, dt, ratio, signals):
     j = int(np.argmax(ratio))
     unit = "m/s" if is_prismatic(model)[j] else "rad/s"
     crawls = ratio.max() * _TOO_FAST < _TOO_SLOW and dt >= _LONG_PERIOD
-    found = _other_period(model, signals, ratio, dt)
+    found = None
+    if not _without_mass(model):
+        found = _other_period(model, signals, ratio, dt)
     if found is None and crawls:
         found = _inertia_too_large(model, names, signals)
     if found is None and not crawls:

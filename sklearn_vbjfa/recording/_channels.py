@@ -91,7 +91,7 @@ def laid_out(table: Table, asked, robot) -> Layout:
     if table.joints:
         return replace(plain, certain=True)
     if preset is None and any(
-        matched(plain, kind, names, asked.drive) for kind in asked.needed
+        _matched(plain, kind, names, asked.drive) for kind in asked.needed
     ):
         return plain
     fitted = by_preset(table, preset, *known)
@@ -123,7 +123,7 @@ def otherwise(table: Table, asked, names):
     said = {"columns": asked.mapping, "preset": asked.preset}
     nothing = {key: None for key, value in said.items() if value}
     plain = by_names(table, names)
-    if all(matched(plain, kind, names, asked.drive) for kind in asked.needed):
+    if all(_matched(plain, kind, names, asked.drive) for kind in asked.needed):
         return nothing
     if len(by_preset(table, None, names, asked.told)) == 1:
         return nothing
@@ -149,7 +149,7 @@ def _named(layout: Layout) -> Layout:
     return replace(layout, roles=roles)
 
 
-def matched(layout: Layout, kind, names, drive=None):
+def _matched(layout: Layout, kind, names, drive=None):
     """Return the columns of a kind by joint and by number, two dicts of roles."""
     by_joint, by_number = {}, {}
     spelled = spellings(kind, drive)
@@ -177,19 +177,19 @@ def channels_of(table: Table, layout, asked, robot, notes):
     # Refuses, all at once, what is missing.
     names = robot.names or _own_joints(layout)
     robot = replace(robot, names=names)
-    pairs = {kind: matched(layout, kind, names, asked.drive) for kind in asked.kinds}
-    missing = [kind for kind in asked.needed if not pairs[kind]]
+    matched = {kind: _matched(layout, kind, names, asked.drive) for kind in asked.kinds}
+    missing = [kind for kind in asked.needed if not matched[kind]]
     no_time = not (asked.timed or layout.times)
     if missing or no_time:
         raise _all_missing(table, layout, asked, names, missing, no_time)
-    for pair in filter(None, pairs.values()):
+    for pair in filter(None, matched.values()):
         _refuse_both(table, *pair, names)
-    by_joint = {kind: pair[0] for kind, pair in pairs.items() if pair}
+    by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
     if any(by_joint.values()):
         robot = _held(table, layout, robot, by_joint, notes)
     return {
         kind: _in_order(table, kind, pair, robot.names) if pair else []
-        for kind, pair in pairs.items()
+        for kind, pair in matched.items()
     }, robot
 
 
@@ -329,7 +329,7 @@ def _commands(layout, names):
     """Return the columns of commands by their channels, in words."""
     found = {}
     for kind in COMMANDS:
-        for own in matched(layout, kind, names) or ():
+        for own in _matched(layout, kind, names) or ():
             columns = [role.column for (role, *_) in own.values()]
             if columns:
                 more = f" ... {columns[-1]}" if len(columns) > 1 else ""
@@ -355,16 +355,8 @@ _WORDS = {
     | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
     "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
     | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
-    | {
-        "strom": 2,
-        "curr": 2,
-        "i": 2,
-        "load": 2,
-        "force": 2,
-        "actual": 1,
-        "measured": 1,
-        "m": 1,
-    }
+    | {"strom": 2, "curr": 2, "i": 2}
+    | {"load": 2, "force": 2, "actual": 1, "measured": 1, "m": 1}
     | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
 }
 # Words of what is asked for, or of something else.
@@ -374,28 +366,13 @@ _OTHER |= {"velocity", "vel", "speed", "qd", "dq", "acc", "acceleration", "d", "
 _OTHER |= {"temperature", "temp", "voltage", "stamp", "external", "soll", "window"}
 _OTHER |= {"enable", "enabled", "limit", "limits", "mode"}
 # Words of what is asked for, and of what they do not ask a position.
-COMMAND_WORDS = {
-    "target",
-    "cmd",
-    "command",
-    "commanded",
-    "desired",
-    "des",
-    "ref",
-    "goal",
-}
-COMMAND_WORDS |= {"reference", "setpoint", "sp", "soll", "action"}
-_WORDS["q_desired"] = _WORDS["q"] | dict.fromkeys(COMMAND_WORDS, 2)
-_NO_POSITION = (_OTHER - COMMAND_WORDS) | {
-    "tau",
-    "torque",
-    "effort",
-    "current",
-    "force",
-}
+_COMMAND = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goal"}
+_COMMAND |= {"reference", "setpoint", "sp", "soll", "action"}
+_WORDS["q_desired"] = _WORDS["q"] | dict.fromkeys(_COMMAND, 2)
+_NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "force"}
 _NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
-CURRENT = {"current", "currents", "curr", "strom", "i"}
+_CURRENT = {"current", "currents", "curr", "strom", "i"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
 # A clock that steps by this or more [s] is in another unit.
@@ -430,7 +407,7 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         units = {split_unit(column)[1] for column in best["tau"].columns}
         units = (units | {split_unit(mapping["tau"])[1]}) - {""}
         bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
-        if not units and CURRENT & set(words(best["tau"].pattern)):
+        if not units and _CURRENT & set(_words(best["tau"].pattern)):
             mapping["tau"] += " [A]"
             bases = {"A"}
         if bases - {"N m", "N"} and not gained:
@@ -511,7 +488,7 @@ def _is_row(pattern, found, joints):
     )
 
 
-def words(pattern):
+def _words(pattern):
     """Return the words in a pattern, in small letters."""
     text = re.sub(r"\{\w+\}", " ", pattern)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
@@ -520,12 +497,12 @@ def words(pattern):
 
 def _score(pattern, kind):
     """How well the words of a pattern say that it is of a kind."""
-    own = words(pattern)
-    points = [_WORDS.get(kind, {}).get(word, 0) for word in own]
+    words = _words(pattern)
+    points = [_WORDS.get(kind, {}).get(word, 0) for word in words]
     others = _NO_POSITION if kind == "q_desired" else _OTHER
-    if not points or max(points) < _ENOUGH or others & set(own):
+    if not points or max(points) < _ENOUGH or others & set(words):
         return 0
-    if kind == "q_desired" and not COMMAND_WORDS & set(own):
+    if kind == "q_desired" and not _COMMAND & set(words):
         return 0
     return sum(points)
 
@@ -583,7 +560,7 @@ def _clock(table):
         if {bare.lower(), stem.lower(), last} & set(TIME_NAMES) and _rises(values):
             named.append(name)
     if not named:
-        clocks = {x: y for x, y in table.columns.items() if "time" in words(x)}
+        clocks = {x: y for x, y in table.columns.items() if "time" in _words(x)}
         # What goes up by one counts rows.
         clocks = {x: y for x, y in clocks.items() if is_clock(y) and usual_step(y) != 1}
         first = next(iter(clocks.values()), None)

@@ -21,7 +21,7 @@ _WORDS = {
     "v": {"v", "dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds"},
     "a": {"a", "ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations"},
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"}
-    | {"m", "drehmoment", *_channels.CURRENT},
+    | {"m", "drehmoment", *_channels._CURRENT},
 }
 _NAMES = "positions, velocities, torques, currents or time"
 
@@ -124,10 +124,10 @@ def _has_positions(part):
 
 def _part(table: Table, joints):
     """Name the columns of a file by its own name, where they need it; None: unused."""
-    words = set(_channels.words(table.path.stem))
+    words = set(_channels._words(table.path.stem))
     kinds = [kind for kind, known in _WORDS.items() if words & known]
     kind = kinds[0] if len(kinds) == 1 else ""
-    if kind and words & _channels.COMMAND_WORDS:
+    if kind and words & _channels._COMMAND:
         # Of references only those of the motion are of use.
         kind = {"q": "q_desired", "v": "v_desired"}.get(kind)
         if kind is None:
@@ -136,7 +136,7 @@ def _part(table: Table, joints):
         return _by_file(table, kind, joints)
     plain = _layout.by_names(table, joints)
     time = plain.times[0] if plain.times else None
-    if any(_channels.matched(plain, x, joints) for x in _layout.KINDS) or not kind:
+    if any(_channels._matched(plain, x, joints) for x in _layout.KINDS) or not kind:
         return _Part(table=table, time=time)
     own = [x for x in table.columns if time is None or x != time.column]
     held = {x: [one for one in joints if _holds(x, one, joints)] for x in own}
@@ -160,7 +160,7 @@ def _holds(column, joint, joints):
 def _by_file(table: Table, kind, joints):
     """Name the columns of a table without names by its file."""
     count, n, path = len(table.columns), len(joints), table.path
-    words = set(_channels.words(path.stem))
+    words = set(_channels._words(path.stem))
     if kind == "t" and count == 1:
         table = _renamed(table, {"1": "t"}, words)
         return _Part(table=table, time=_layout.Role(column="t"), kind=kind)
@@ -190,7 +190,7 @@ def _renamed(table, names, words):
     """Return a table with other names of columns, and currents as such."""
     columns = {names.get(key, key): x for key, x in table.columns.items()}
     units = {names.get(key, key): x for key, x in table.units.items()}
-    if words & _channels.CURRENT:
+    if words & _channels._CURRENT:
         units |= {x: "A" for x in names.values() if x not in units and x != "t"}
     return replace(table, columns=columns, units=units, nameless=False)
 

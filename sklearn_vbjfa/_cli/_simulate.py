@@ -67,6 +67,7 @@ def run(arguments, folder):
         text=text,
         doubts=doubts_of(found),
         folder=out,
+        fresh=not arguments.force,
         files=tuple(files),
         write=write,
         left=left,

@@ -42,6 +42,9 @@ _SOME_TICKS, _FINE_TICKS = 0.3, 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
+# Rows are sorted by their stamps if the sum of second differences falls below this
+# share.
+_SMOOTHER = 0.99
 # Beside a given period: beyond the first many of them a sample is missing, beyond the
 # second share of one a step is worth a warning. Accelerations go with the square of a
 # wrong period: this share of it, and no less than a row over a recording, is refused.
@@ -666,7 +669,8 @@ def in_order(table: Table, t, channels, notes):
         return t, channels, table
     q, n = channels["q"], t.size
     rough = [np.abs(np.diff(x, n=2, axis=0)).sum() for x in (q, q[order])]
-    if not rough[1] < rough[0]:
+    # A motion that is reversed is as smooth.
+    if not rough[1] < _SMOOTHER * rough[0]:
         return t, channels, table
     notes.append(
         f"rows are not in the order of time (in {back} places of {n} it goes back): "

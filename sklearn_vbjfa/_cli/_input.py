@@ -57,6 +57,7 @@ class Taken:
     held: tuple = ()  # those joints
     gains: object = None  # what was said of the channels of torque
     drive: object = None  # `Drive` that torques were made by
+    bodies: str = "prior"  # what is taken of the bodies that are described
 
     def check(self, chosen):
         """Refuse settings that the recording and its robot cannot show."""
@@ -65,16 +66,17 @@ class Taken:
 
     def findings(self):
         """Look for faults of the channels; factors that are unknown are none."""
-        from sklearn_vbjfa.inspection import inspect_channels
+        from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
 
         one = self.recording
         known = one.q, one.tau, one.dt, one.groups
         found = inspect_channels(str(self.urdf), *known, drive=self.drive)
         motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
         known = self.drive is None or self.drive.gains is None
+        allowed = ("torque_unit",) if self.bodies == "free" else ()
         if motor or self.gains == "unknown" or not known:
-            return [one for one in found if one.kind != "gear_factor"]
-        return found
+            allowed = OF_SIZE
+        return [one for one in found if one.kind not in allowed]
 
     def check_channels(self):
         """Refuse channels that are not what they are called, warn of doubtful ones."""
@@ -138,6 +140,7 @@ def taken(arguments, folder, *, assumed=None, stored=False):
         held=tuple(held),
         gains=known,
         drive=drive(arguments.drive),
+        bodies=getattr(arguments, "bodies", "prior"),
     )
 
 

@@ -13,12 +13,17 @@ from sklearn_vbjfa.inspection._rivals import (
 )
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import ChannelFinding, listed_joints
+from sklearn_vbjfa.robot._bodies import TOO_LIGHT, of_another_unit
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._signs import most_explaining, signed_columns
 from sklearn_vbjfa.robot._states import StateEstimator
 
-# Nominal inertias (without payload and rotor) are not wrong by more than this.
+# Nominal inertias of one joint (without payload and rotor) are not wrong by more.
 _GEAR_FACTOR = 20.0
+# What is found of torques whose unit is not N m or N, or not known.
+OF_SIZE = ("torque_unit", "gear_factor")
+# Standard errors that the factor of a torque may be off.
+_OFF = 3.0
 # Commanded torques of all joints together are asked for one order of magnitude.
 _COMMANDED = 10.0
 # A joint without limits does not turn farther than this within a recording [rad].
@@ -216,36 +221,44 @@ def _tiny(x):
 
 
 def gear_factors(model, names, signals):
-    """Find torques of another size than the model's."""
+    """Find torques of another size than the model's, of single joints or of all."""
     # These are doubts and not errors: the loop is right in whatever unit all channels
     # share, and a robot description with invented inertias looks the same. Factors that
     # differ between joints, however, would be compensated by spurious effects.
-    equations = ChannelEquations(model, signals)
-    found = []
-    for j in np.flatnonzero(signals.informative()):
+    equations, sizes, most = ChannelEquations(model, signals), {}, {}
+    for j in map(int, np.flatnonzero(signals.informative())):
         scale, scale_t, share = equations.nominal_scale(j)
         if scale_t < SURE or share < NOMINAL_SHARE:
             continue
+        most[j] = scale * (1.0 + _OFF / scale_t)
         if scale >= _GEAR_FACTOR:
             # The rotor behind a gear may be many times its link.
             scale, scale_t, _ = equations.nominal_scale(j, rotor=True)
             if scale_t < SURE:
                 continue
-        if 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR:
-            continue
-        factor = f"{1 / scale:.3g}" if scale < 1 else f"1/{scale:.3g}"
-        found.append(
-            ChannelFinding(
-                "gear_factor",
-                (int(j),),
-                "doubt",
-                f"The torque of {names[j]} is {scale:.3g} times what the model's "
-                f"inertias ask for ({scale_t:.0f} standard errors from zero): motor "
-                "side instead of joint side, or a current or voltage? Multiply by the "
-                f"gear ratio (about {factor} would fit).",
-            )
-        )
-    return found
+        sizes[j] = scale
+    if most and np.median(list(most.values())) < TOO_LIGHT:
+        told = list(sizes.values())
+        message = of_another_unit(np.median(told), told, len(names))
+        return [ChannelFinding("torque_unit", tuple(sizes), "doubt", message)]
+    return [
+        _gear_factor(names, j, scale)
+        for j, scale in sizes.items()
+        if not 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR
+    ]
+
+
+def _gear_factor(names, j, scale):
+    """Return the finding that one torque is of another size."""
+    factor = f"{1 / scale:.3g}" if scale < 1 else f"1/{scale:.3g}"
+    return ChannelFinding(
+        "gear_factor",
+        (j,),
+        "doubt",
+        f"The torque of {names[j]} is {scale:.3g} times what the masses of the robot "
+        "description ask for: torque of the motor instead of the joint, a current, or "
+        f"another unit? Multiply it by the gear ratio (about {factor} would fit).",
+    )
 
 
 def commanded_sizes(model, names, signals, drive):

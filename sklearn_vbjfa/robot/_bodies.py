@@ -1,5 +1,6 @@
 """Bodies around their description: a prior whose scale is found body by body."""
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -8,7 +9,7 @@ from scipy.special import softmax
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.model import nominal_parameters, solid_bodies
+from sklearn_vbjfa.model import DoubtWarning, nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
 # How far a description is expected to be off: a body's distance from it in each of ten
@@ -24,6 +25,11 @@ RIVALS = 3.0
 SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
+# Torques that are, of all joints together, below this share of what the description
+# asks for are asked for their unit. Midway, by factors, between masses that are all
+# wrong by half and motor currents that pass for N m: the torque constant of a geared
+# motor is 5 to 20 N m/A. Loads and rotors that a description lacks make torques larger.
+TOO_LIGHT = np.sqrt(0.5 / 5.0)
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Directions of the Gram matrix below this are never used.
@@ -127,6 +133,7 @@ class BodyPosterior:
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
+    common_std: float = 0.0  # standard deviation of that
 
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
@@ -396,7 +403,30 @@ def around(description, A, b):
         centre=common * description.vector(b.size),
         departures=asked.departures(),
         common=common,
+        common_std=common_std,
     )
+
+
+def of_another_unit(factor, each, n_joints):
+    """Ask for the unit of torques that are a small share of the description's."""
+    # each: shares of single joints, where they are known.
+    low, high = (f"{end:.2g}" for end in (min(each), max(each)))
+    apart = f" ({low} to {high} on single joints)" if low != high else ""
+    unknown = ', or have them identified (--gain unknown; Python: gains="unknown")'
+    return (
+        f"The torques are {factor:.2g} times what the masses of the robot description "
+        f"ask for{apart}: are they motor currents, or in another unit than N m? Give "
+        f"the factors to N m (--gain){unknown if n_joints > 1 else ''}. If they are N "
+        "m, the described masses are wrong: give --bodies free (Python: "
+        'bodies="free").'
+    )
+
+
+def warn_of_unit(bodies, n_joints):
+    """Warn of a `BodyPosterior` too light for torques in N m and N."""
+    if bodies.common + _FAR_OFF * bodies.common_std < TOO_LIGHT:
+        message = of_another_unit(bodies.common, [bodies.common], n_joints)
+        warnings.warn(message, DoubtWarning, stacklevel=4)
 
 
 def as_described(description, A, b):

@@ -350,7 +350,8 @@ _WORDS = {
     | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
     "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
     | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
-    | {"strom": 2, "i": 1, "load": 1, "force": 2, "actual": 1, "measured": 1, "m": 1}
+    | {"strom": 2, "amp": 2, "amps": 2, "ampere": 2, "amperes": 2, "i": 2}
+    | {"load": 1, "force": 2, "actual": 1, "measured": 1, "m": 1}
     | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
 }
 # Words of what is asked for, or of something else.
@@ -365,7 +366,9 @@ _WORDS["q_desired"] = _WORDS["q"] | dict.fromkeys(_COMMAND, 2)
 _NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "force"}
 _NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
-_CURRENT = {"current", "currents", "strom", "i"}
+_CURRENT = {"current", "currents", "strom", "i", "amp", "amps", "ampere", "amperes"}
+# Words of a torque, whatever it was made of.
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "force"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
 # A clock that steps by this or more [s] is in another unit.
@@ -399,10 +402,7 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
     if "tau" in needed and not gained and len(best["tau"].keys) > 1:
         units = {split_unit(column)[1] for column in best["tau"].columns} - {""}
         bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
-        if not units and _CURRENT & set(_words(best["tau"].pattern)):
-            mapping["tau"] += " [A]"
-            options["gains"] = "unknown"
-        elif bases - {"N m", "N"}:
+        if bases - {"N m", "N"} or (not units and is_current(best["tau"].pattern)):
             options["gains"] = "unknown"
     if "t" in needed and not timed:
         column = _clock(table)
@@ -473,6 +473,12 @@ def _words(pattern):
     text = re.sub(r"\{\w+\}", " ", pattern)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def is_current(name):
+    """Whether a column's name says that it is a motor's current, and no torque."""
+    words = set(_words(name))
+    return bool(_CURRENT & words) and not _TORQUE & words
 
 
 def _score(pattern, kind):

@@ -290,7 +290,7 @@ def inspect(arguments, folder):
         "",
         *_table(recording, motions),
         "",
-        *_wrong(recording, findings),
+        *_wrong(recording, findings, arguments.drive),
         "",
         *_shown(motions),
     ]
@@ -351,15 +351,15 @@ def _table(recording, motions):
     return table.splitlines()
 
 
-def _wrong(recording, findings):
+def _wrong(recording, findings, drive):
     """Say what is wrong with the channels."""
     odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
     lines = ["What is wrong with it"]
     lines += [f"- {x.severity}: {x.message}" for x in findings]
-    if odd:
+    if odd and drive is None:
         lines.append(
-            f"- torques are recorded in {odd[0]}: close-loop needs --gain unknown, or "
-            "the factors to N m"
+            f"- torques are recorded in {odd[0]}: close-loop needs the factors to N m "
+            f"(--gain){', or --gain unknown' if recording.nv > 1 else ''}"
         )
     return lines if len(lines) > 1 else [*lines, "- nothing that the robot would show"]
 

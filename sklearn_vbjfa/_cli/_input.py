@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import spelled
+from sklearn_vbjfa._cli._run import blaming
 
 # What the file of --ranges is called in messages.
 _RANGES = "ranges.json"
@@ -80,12 +81,14 @@ class Taken:
 
     def check_channels(self):
         """Refuse channels that are not what they are called, warn of doubtful ones."""
+        from sklearn_vbjfa.inspection import refusal
         from sklearn_vbjfa.model import DoubtWarning
 
         findings = self.findings()
-        errors = [found.message for found in findings if found.severity == "error"]
-        if errors:
-            raise ValueError(f"{self.source}: {' '.join(errors)}")
+        with blaming(self.source):
+            wrong = refusal(findings)
+            if wrong is not None:
+                raise wrong
         for message in channel_doubts(findings):
             warnings.warn(f"{self.source}: {message}", DoubtWarning, stacklevel=2)
 

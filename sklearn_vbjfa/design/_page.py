@@ -543,7 +543,9 @@ def summary(motion, background):
         *wrong,
         "",
         # A screen has so many lines.
-        *_shares_text(motion, background, _JOINTS - len(repeated) - max(len(wrong) - 2, 0)),
+        *_shares_text(
+            motion, background, _JOINTS - len(repeated) - max(len(wrong) - 2, 0)
+        ),
         *([] if wrong else _wrapped(_clearance_text(motion), "")),
         "",
         *_decides_text(motion, background),

@@ -23,7 +23,7 @@ from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._thinned import stretches
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
-from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
+from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
@@ -511,9 +511,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             return (), []
         known = whole.q, whole.tau, whole.dt, whole.groups
         findings = inspect_channels(model, *known, drive=self.identifier.drive)
-        errors = [f.message for f in findings if f.severity == "error"]
-        if errors:
-            raise ValueError(" ".join(errors))
+        wrong = refusal(findings)
+        if wrong is not None:
+            raise wrong
         allowed = ()
         if self.identifier.asked_gains is not None:
             allowed = OF_SIZE

@@ -26,7 +26,9 @@ from sklearn_vbjfa.model import (
 )
 from sklearn_vbjfa.recording import (
     COMMANDS,
+    UNSIGNED,
     ChannelFinding,
+    RecordingRefused,
     check_dt,
     contiguous_groups,
     in_order,
@@ -73,6 +75,27 @@ def inspect_recording(recording, model=None):
     if all(unit in ("N m", "N") for unit in recording.torque_units):
         return found
     return tuple(one for one in found if one.kind not in OF_SIZE)
+
+
+def refusal(findings):
+    """Return the error that findings are, with the option that mends it; None if none.
+
+    Parameters
+    ----------
+    findings : sequence of ChannelFinding
+        Of a recording.
+
+    Returns
+    -------
+    RecordingRefused or None
+        Its options are those of `read_recording`.
+    """
+    errors = [one for one in findings if one.severity == "error"]
+    if not errors:
+        return None
+    unsigned = [one.kind for one in errors] == ["unsigned_torque"]
+    text = " ".join(one.message for one in errors)
+    return RecordingRefused(text, {"drive": UNSIGNED} if unsigned else {})
 
 
 def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):

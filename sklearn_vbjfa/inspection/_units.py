@@ -12,7 +12,7 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import ChannelFinding, listed_joints
+from sklearn_vbjfa.recording import UNSIGNED, ChannelFinding, listed_joints
 from sklearn_vbjfa.robot._bodies import TOO_LIGHT, of_another_unit
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._signs import most_explaining, signed_columns
@@ -31,6 +31,8 @@ _LARGEST_TURN = 25.0
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows.
 _SIGN_GAIN, _RARE = 2.0, 0.02
+# A joint turns round between speeds of at least this share of its fastest.
+_STANDS = 0.05
 # Positions in degrees run beyond the joint's limits by more than this [rad].
 _FAR_BEYOND = 5.0
 # Another reading of the positions must lower the squared errors by this factor.
@@ -307,17 +309,26 @@ def unsigned_torques(model, names, q, tau, dt, parts):
             found.append(left[1] / left[0])
     if not found:
         return []
+    often = max(_reversals(states[:, model.nv + j]) for j in one_way)
     return [
         ChannelFinding(
             kind="unsigned_torque",
             joints=tuple(one_way),
             severity="error",
-            message=f"{listed_joints(names, one_way)}: torques have one sign only, and "
-            f"with signs that change the motion explains them up to {max(found):.2g} "
-            "times better: sizes of currents. Give drive=CurrentDrive(signed=False), "
-            'or --drive "current signed=false", which finds the signs.',
+            message=f"The torques of {listed_joints(names, one_way)} have one sign "
+            f"only, although a joint reverses {often} times, and with signs that "
+            "change the motion explains them better: their signs were not logged, as "
+            "of unsigned currents. Give "
+            f'--drive "{UNSIGNED}", which finds the signs (Python: '
+            "drive=CurrentDrive(signed=False)).",
         )
     ]
+
+
+def _reversals(speed):
+    """How often a joint turns round, from its speeds (n,)."""
+    moving = speed[np.abs(speed) > _STANDS * np.abs(speed).max()]
+    return int((moving[1:] * moving[:-1] < 0).sum())
 
 
 def fastest(model):

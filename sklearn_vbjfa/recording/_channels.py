@@ -367,6 +367,8 @@ _NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "for
 _NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
 _CURRENT = {"current", "currents", "strom", "i", "amp", "amps", "ampere", "amperes"}
+# What to give where currents have no signs, as `parse_drive` reads it.
+UNSIGNED = "current signed=no"
 # Words of a torque, whatever it was made of.
 _TORQUE = {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "force"}
 # A name must have a word that says it by itself.
@@ -404,6 +406,11 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
         if bases - {"N m", "N"} or (not units and is_current(best["tau"].pattern)):
             options["gains"] = "unknown"
+    if "tau" in needed and is_current(best["tau"].pattern):
+        values = [table.columns[column] for column in best["tau"].columns]
+        if not any((own < 0).any() for own in values):
+            # A drive has gains of its own.
+            options = {"drive": UNSIGNED}
     if "t" in needed and not timed:
         column = _clock(table)
         if column is None:

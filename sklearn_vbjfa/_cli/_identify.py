@@ -244,6 +244,11 @@ def method_doubts(results, joints):
     blank = [] if ours.message else np.flatnonzero(~np.isfinite(ours.error))
     if len(blank):
         doubts.append(f"no error of {', '.join(joints[j] for j in blank)}")
+    doubts += [
+        f"do not trust the model of {joints[j]}: it predicts the held-out torque worse "
+        "than its mean does"
+        for j in np.flatnonzero(ours.error >= 1.0)
+    ]
     if ours.n_inconsistent:
         doubts.append(f"{ours.n_inconsistent} bodies are not physically consistent")
     return doubts

@@ -30,6 +30,8 @@ _FAR_OFF = 3.0
 # wrong by half and motor currents that pass for N m: the torque constant of a geared
 # motor is 5 to 20 N m/A. Loads and rotors that a description lacks make torques larger.
 TOO_LIGHT = np.sqrt(0.5 / 5.0)
+# Share of what friction and drive leave of a torque that the bodies must explain.
+_TELLING = 0.5
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Directions of the Gram matrix below this are never used.
@@ -133,7 +135,6 @@ class BodyPosterior:
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
-    common_std: float = 0.0  # standard deviation of that
 
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
@@ -182,6 +183,21 @@ class _Solution:
         cross = np.outer(self.covariance[:-1, -1], centre)
         covariance = self.covariance[:-1, :-1] + cross + cross.T
         return mean, covariance + self.covariance[-1, -1] * np.outer(centre, centre)
+
+
+def _along(description, A, b):
+    """Return the normal equation of the size of all bodies together, all else free."""
+    # Returns its two sides, 0 first where nothing tells the size, and the squares that
+    # all else explains.
+    centre = description.vector(b.size)
+    rest = np.ones(b.size, dtype=bool)
+    rest[description.places] = False
+    across = A[rest] @ centre
+    others = scaled_eigen(A[np.ix_(rest, rest)], _RANK)
+    seen, explained = centre @ A @ centre, others.solve(b[rest])
+    own = seen - across @ others.solve(across)
+    product = centre @ b - across @ explained
+    return own if own > _RANK * seen else 0.0, product, b[rest] @ explained
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,16 +250,8 @@ class _Problem:
     def common(self):
         """Size of all bodies together by least squares, all else free; or one."""
         # A description in other units, or torques in others, is thousands of times off.
-        centre = self.centre
-        rest = np.ones(centre.size, dtype=bool)
-        rest[self.description.places] = False
-        across = self.A[rest] @ centre
-        others = scaled_eigen(self.A[np.ix_(rest, rest)], _RANK)
-        seen = centre @ self.A @ centre
-        own = seen - across @ others.solve(across)
-        product = centre @ self.b - across @ others.solve(self.b[rest])
-        told = own > _RANK * seen and product > 0
-        return float(product / own) if told else 1.0
+        own, product, _ = _along(self.description, self.A, self.b)
+        return product / own if own > 0 and product > 0 else 1.0
 
     def marginal(self, solution, k):
         """Precision and its product with the mean of a body, everything in."""
@@ -403,7 +411,6 @@ def around(description, A, b):
         centre=common * description.vector(b.size),
         departures=asked.departures(),
         common=common,
-        common_std=common_std,
     )
 
 
@@ -422,10 +429,17 @@ def of_another_unit(factor, each, n_joints):
     )
 
 
-def warn_of_unit(bodies, n_joints):
-    """Warn of a `BodyPosterior` too light for torques in N m and N."""
-    if bodies.common + _FAR_OFF * bodies.common_std < TOO_LIGHT:
-        message = of_another_unit(bodies.common, [bodies.common], n_joints)
+def warn_of_unit(description, moments):
+    """Warn of torques that are too small for N m and N, joint by joint."""
+    # moments: `JointMoments` of the fit. What friction and drive leave of a joint's
+    # torque must be the described bodies for the most part, or it tells nothing.
+    found = []
+    for G, g, squares in zip(moments.G, moments.g, moments.yy):
+        own, product, others = _along(description, G, g)
+        if own > 0 and product**2 > _TELLING * own * (squares - others):
+            found.append(product / own)
+    if found and np.median(found) < TOO_LIGHT:
+        message = of_another_unit(np.median(found), found, len(moments.n))
         warnings.warn(message, DoubtWarning, stacklevel=4)
 
 

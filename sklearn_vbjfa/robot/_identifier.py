@@ -517,8 +517,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         UserWarning
             With ``criterion="simulation"``, if there are fewer than two windows of
             joints for each direction of the parameters that they determine. With
-            ``bodies="prior"``, if all bodies together come out so light that the
-            torques are motor currents, or in another unit.
+            ``bodies="prior"`` or ``"fixed"``, if the torques are so small for the
+            described bodies that they are motor currents, or in another unit.
         """
         check_criterion(self)
         self._declare()
@@ -581,10 +581,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return self._set(fit)
 
     def _of_a_size(self):
-        """Return the fitted estimator, with a warning if all bodies are too light."""
-        in_newtons = self.asked_gains is None and self.drive is None
-        if in_newtons and self._bodies is not None:
-            warn_of_unit(self._bodies, len(self.joint_names_))
+        """Return the fitted estimator, with a warning if its torques are too small."""
+        if self._description is not None and self.drive is None:
+            warn_of_unit(self._description, self.estimator_.statistics_)
         return self
 
     # Robot whose load the next fit begins with, in place of a first pass.

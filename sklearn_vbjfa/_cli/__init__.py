@@ -377,9 +377,9 @@ _COMMANDS = {
         "own": {"recording": {"nargs": "*"}},
         "help": "identify a recording and compare methods on its held-out part",
         "description": "Identify a recording and compare the torque errors of fifteen "
-        "methods on the part of it that was held out: of your own recording the last "
-        "30 % (of each, if it holds several). Without RECORDING, the one that comes "
-        "with the package, or a measured set. Nothing is written but the file of "
+        "methods on the part of it that was held out: of your own recording the one "
+        "that close-loop holds out. Without RECORDING, the one that comes with the "
+        "package, or a measured set. Nothing is written but the file of "
         "--ranges, of what is not held out.",
     },
     "effects": {"run": "_identify:list_effects", "help": "list the library of effects"},

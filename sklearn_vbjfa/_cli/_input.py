@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import spelled
-from sklearn_vbjfa._cli._run import say
+from sklearn_vbjfa._cli._run import blaming, say
 
 # What the file of --ranges is called in messages.
 _RANGES = "ranges.json"
@@ -61,6 +61,7 @@ class Taken:
     held: tuple = ()  # those joints
     gains: object = None  # what was said of the channels of torque
     drive: object = None  # `Drive` that torques were made by
+    bodies: str = "prior"  # what is taken of the bodies that are described
 
     def check(self, chosen):
         """Refuse settings that the recording and its robot cannot show."""
@@ -69,25 +70,28 @@ class Taken:
 
     def findings(self):
         """Look for faults of the channels; factors that are unknown are none."""
-        from sklearn_vbjfa.inspection import inspect_channels
+        from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
 
         one = self.recording
         known = one.q, one.tau, one.dt, one.groups
         found = inspect_channels(str(self.urdf), *known, drive=self.drive)
         motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
         known = self.drive is None or self.drive.gains is None
+        allowed = ("torque_unit",) if self.bodies == "free" else ()
         if motor or self.gains == "unknown" or not known:
-            return [one for one in found if one.kind != "gear_factor"]
-        return found
+            allowed = OF_SIZE
+        return [one for one in found if one.kind not in allowed]
 
     def check_channels(self):
         """Refuse channels that are not what they are called, warn of doubtful ones."""
+        from sklearn_vbjfa.inspection import refusal
         from sklearn_vbjfa.model import DoubtWarning
 
         findings = self.findings()
-        errors = [found.message for found in findings if found.severity == "error"]
-        if errors:
-            raise ValueError(f"{self.source}: {' '.join(errors)}")
+        with blaming(self.source):
+            wrong = refusal(findings)
+            if wrong is not None:
+                raise wrong
         for message in channel_doubts(findings):
             warnings.warn(f"{self.source}: {message}", DoubtWarning, stacklevel=2)
 
@@ -142,6 +146,7 @@ def taken(arguments, folder, *, assumed=None, stored=False):
         held=tuple(held),
         gains=known,
         drive=drive(arguments.drive),
+        bodies=getattr(arguments, "bodies", "prior"),
     )
 
 

@@ -93,7 +93,12 @@ def blaming(source):
     try:
         yield
     except (ValueError, ProjectionError) as error:
-        raise ValueError(f"{source}: {error}") from error
+        refused = ValueError(f"{source}: {getattr(error, 'reason', error)}")
+        refused.options = dict(getattr(error, "options", {}))
+        if "drive" in refused.options:
+            # It has gains of its own.
+            refused.options["gains"] = None
+        raise refused from error
 
 
 def _told(caught):

@@ -8,7 +8,7 @@ import os
 import re
 import textwrap
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -245,10 +245,9 @@ def _robots(recording, urdf, library, known, settings):
 
     if not library:
         robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
-        if robot.drive is not None:
-            return {"simulated": robot.fit_recording(recording)}
-        robot.fit(recording.q, recording.tau, groups=recording.groups, t=known["t"])
-        return {"simulated": robot}
+        if robot.drive is None:
+            recording = replace(recording, t=known["t"])
+        return {"simulated": robot.fit_inspected(recording)}
     loop = _close_loop.close(
         recording, urdf, effects=library, ceiling=False, **known, **settings
     )

@@ -355,7 +355,7 @@ _WORDS = {
     | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
     "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
     | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
-    | {"strom": 2, "curr": 2, "i": 2}
+    | {"strom": 2, "amp": 2, "amps": 2, "ampere": 2, "amperes": 2, "i": 2, "curr": 2}
     | {"load": 2, "force": 2, "actual": 1, "measured": 1, "m": 1}
     | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
 }
@@ -373,6 +373,11 @@ _NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "for
 _NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
 _CURRENT = {"current", "currents", "curr", "strom", "i"}
+_CURRENT |= {"amp", "amps", "ampere", "amperes"}
+# What to give where currents have no signs, as `parse_drive` reads it.
+UNSIGNED = "current signed=no"
+# Words of a torque, whatever it was made of.
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "force"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
 # A clock that steps by this or more [s] is in another unit.
@@ -407,14 +412,15 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         units = {split_unit(column)[1] for column in best["tau"].columns}
         units = (units | {split_unit(mapping["tau"])[1]}) - {""}
         bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
-        if not units and _CURRENT & set(_words(best["tau"].pattern)):
-            mapping["tau"] += " [A]"
+        if not units and is_current(best["tau"].pattern):
             bases = {"A"}
-        if bases - {"N m", "N"} and not gained:
-            if len(best["tau"].keys) < 2:
-                # Nothing shows the factor of a single motor.
-                return {}
+        if bases - {"N m", "N"} and not gained and len(best["tau"].keys) > 1:
             options["gains"] = "unknown"
+    if "tau" in needed and is_current(best["tau"].pattern):
+        values = [table.columns[column] for column in best["tau"].columns]
+        if not any((own < 0).any() for own in values):
+            # A drive has gains of its own.
+            options = {"drive": UNSIGNED}
     if "t" in needed and not timed:
         column = _clock(table)
         if column is None:
@@ -493,6 +499,12 @@ def _words(pattern):
     text = re.sub(r"\{\w+\}", " ", pattern)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def is_current(name):
+    """Whether a column's name says that it is a motor's current, and no torque."""
+    words = set(_words(name))
+    return bool(_CURRENT & words) and not _TORQUE & words
 
 
 def _score(pattern, kind):

@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording._channels import (
     Asked,
     Joints,
     channels_of,
+    is_current,
     laid_out,
     otherwise,
     refuse_two,
@@ -540,6 +541,8 @@ def _values(table: Table, kind, roles):
     columns, bases = [], []
     for role in roles:
         unit = _layout.channel_unit(table, kind, role)
+        if unit is None and kind == "tau" and is_current(role.column):
+            unit = unit_of("tau", "A")
         values = _numbers(table, role.column)
         if unit is not None:
             values = values * unit.factor

@@ -129,8 +129,6 @@ def test_recordings_may_stand_behind_options(here, capsys):
     "argv",
     [
         ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv", "--fast"],
-        ["simulate", "runs/a.csv", "runs/b.csv", "--urdf", "arm.urdf"],
-        ["simulate", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"],
         ["effects", "runs/a.csv"],
     ],
 )
@@ -139,6 +137,13 @@ def test_what_no_command_takes_is_refused(argv, here, capsys):
         main(argv)
     assert end.value.code == 2
     assert "unrecognized arguments: " in capsys.readouterr().err
+
+
+def test_a_simulation_takes_one_recording(here, capsys):
+    argv = ["simulate", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"]
+    assert main(argv) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "simulate takes one recording, got 2 files" in line
 
 
 @pytest.mark.parametrize("command", COMMANDS)

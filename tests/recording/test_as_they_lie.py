@@ -322,5 +322,5 @@ def test_columns_i_are_offered_as_currents(made, text, tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("\n".join([text[0].replace("tau", "i"), *text[1]]) + "\n")
     options = refused(path, made).options
-    assert options == {"columns": "tau=i{i} [A]", "gains": "unknown"}
+    assert options == {"columns": "tau=i{i}", "gains": "unknown"}
     assert set(read(path, made, **options)[0].torque_units) == {"A"}

@@ -70,11 +70,12 @@ def get_in(paths, urdf, folder):
             break
     took = time.perf_counter() - took
     if code not in (0, 3):
-        return ["not in", refusals, "–", f"{took:.1f}"], None
+        return ["not in", refusals, code, "–", f"{took:.1f}"], None
     print(f"{path.name}: in; {said.strip()[:800]}")
     report = json.loads((out / "report.json").read_text("utf-8"))
     added = [shlex.quote(word) for word in argv if word not in first]
-    row = ["in", refusals, f"``{' '.join(added)}``" if added else "–", f"{took:.1f}"]
+    options = f"``{' '.join(added)}``" if added else "–"
+    row = ["in", refusals, code, options, f"{took:.1f}"]
     return row, np.array(report["error_before"])
 
 
@@ -106,12 +107,21 @@ def main():
     arguments.add_argument("--bags", type=Path, default=BAGS)
     given = arguments.parse_args()
     rows = study(given.duration, given.bags)
-    headers = ["log", "", "refusals", "options to add", "seconds", "same errors"]
+    headers = [
+        "log",
+        "",
+        "refusals",
+        "exit code",
+        "options to add",
+        "seconds",
+        "same errors",
+    ]
     text = (
         "The command ``close-loop LOG --urdf ROBOT`` on logs as tools write them, "
         f"and as they lie, a simulated robot of six joints, {given.duration:g} s at "
         "250 Hz, and two measured bags. A refusal is followed by the command that it "
-        "names. Last "
+        "names. Exit "
+        "code 3: a doubt is stated, as that the torques are in another unit. Last "
         "column: whether the errors of the report are those of the plain file, to "
         "1 %.\n\n"
     )

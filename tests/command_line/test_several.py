@@ -109,7 +109,7 @@ def test_other_commands(command, here, capsys):
     assert (code, err) == (0, [])
     assert "3 recordings" in out.splitlines()[0]
     told = {
-        "identify": "first 70 % of a, b, c fitted",
+        "identify": "s in 3 stretches, those of close-loop",
         "inspect": "a 8 s, b 8 s, c 8 s",
     }
     assert told[command] in out
@@ -123,7 +123,7 @@ def test_recordings_may_stand_behind_options(here, capsys):
     assert "a 8 s, b 8 s" in capsys.readouterr().out
     argv = ["identify", "--urdf", "arm.urdf", "runs/a.csv", "--friction", "none"]
     assert main([*argv, "runs/b.csv", "runs/c.csv"]) == 0
-    assert "first 70 % of a, b, c fitted" in capsys.readouterr().out
+    assert "s in 3 stretches, those of close-loop" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

@@ -69,7 +69,7 @@ def parse_text(content, path):
     except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
-            f"A xacro file must be expanded first: {_expanding(path)}"
+            "A xacro file must be expanded first: xacro FILE > robot.urdf"
         ) from error
     if any("xacro" in str(one.tag).rpartition("}")[0] for one in root.iter()):
         raise ValueError(

@@ -441,7 +441,9 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
 def _unit_before_number(family, kind):
     """Return the unit that names such as pos_deg3 have before the number, to add."""
     unit = split_last_part(family.pattern.removesuffix("{i}").rstrip("_"), kind)[1]
-    return f" [{unit}]" if unit and family.pattern.endswith("{i}") else ""
+    # What is named like a current is one.
+    own = family.pattern.endswith("{i}") and not is_current(family.pattern)
+    return f" [{unit}]" if unit and own else ""
 
 
 def _nearest(table: Table, kind, joints):

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import spelled
-from sklearn_vbjfa._cli._run import blaming, say
+from sklearn_vbjfa._cli._run import blaming
 
 # What the file of --ranges is called in messages.
 _RANGES = "ranges.json"
@@ -223,9 +223,9 @@ def free_folder(arguments, default, names, inputs, endings=()):
         return out
     other = free(out)
     if arguments.out is None:
-        say(
-            f"note: {out} has the files of an earlier run, this one goes to {other} "
-            "(--force replaces them)"
+        # Said when they are written: a refusal is one line.
+        arguments.moved = (
+            f"{out} has the files of an earlier run, which stay (--force replaces them)"
         )
         return other
     raise Refused(

@@ -82,7 +82,8 @@ def _write(arguments, done, caught):
             raise OSError(error.errno, error.strerror, str(done.folder)) from error
         raise
     names = ", ".join(str(done.folder / name) for name in done.files)
-    return [*lines, f"written: {names}{done.left}"]
+    moved = filter(None, [getattr(arguments, "moved", "")])
+    return [*lines, *moved, f"written: {names}{done.left}"]
 
 
 @contextlib.contextmanager

@@ -5,6 +5,7 @@ import os
 import sys
 import tempfile
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -44,8 +45,7 @@ def test_a_second_run_does_not_replace_the_report_of_the_first(here, capsys):
     capsys.readouterr()
     assert run() == 0
     told = capsys.readouterr()
-    assert "note: arm-report has the files of an earlier run" in told.err
-    assert "this one goes to arm-report-2 (--force replaces them)" in told.err
+    assert "arm-report has the files of an earlier run, which stay" in told.out
     assert "written: arm-report-2" in told.out
     assert first == {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
     assert {x.name for x in Path("arm-report-2").iterdir()} == set(first)
@@ -63,13 +63,16 @@ def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
         run("--out", "v1.2", "--force")
 
 
-def test_simulations_of_earlier_runs_stay_as_well(here, capsys, nothing_read):
+def test_simulations_of_earlier_runs_stay_as_well(here):
     Path("arm-simulation").mkdir()
     Path("arm-simulation/simulation.csv").write_text("")
-    argv = ["simulate", "arm.csv", "--urdf", "arm.urdf"]
-    with pytest.raises(AssertionError, match="was read"):
-        main(argv)
-    assert "this one goes to arm-simulation-2" in capsys.readouterr().err
+    given = SimpleNamespace(out=None, force=False)
+    names = ("simulation.csv",)
+    found = _input.free_folder(given, "arm-simulation", names, ())
+    assert str(found) == "arm-simulation-2"
+    given.force = True
+    found = _input.free_folder(given, "arm-simulation", names, ())
+    assert str(found) == "arm-simulation"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")

@@ -69,7 +69,14 @@ _OUT = "folder for the files; by default the name of RECORDING{} plus -{}"
 _ARGUMENTS = {
     "recording": {
         "metavar": "RECORDING",
-        "help": f"{_RECORDING}; or several such files of one robot, recorded alike",
+        "help": f"{_RECORDING}; or several such files of one robot, recorded alike, or "
+        "a folder of them",
+    },
+    "--join": {
+        "action": "store_const",
+        "const": True,
+        "help": "RECORDING is several files of one recording side by side, such as "
+        "positions.csv torques.csv, or a folder of them",
     },
     "--urdf": {"metavar": "FILE", "help": "description of the robot, URDF or MJCF"},
     "--base-orientation": {
@@ -251,8 +258,20 @@ _ARGUMENTS = {
 # Options with a short name beside theirs.
 _SHORT = {"--quiet": ("-q",)}
 # How a recording is read, and what is identified of it, in the order of the help.
-READING = ("joints", "dt", "columns", "preset", "topic", "time_unit", "gain", "drive")
-_READ = "--base-orientation --joints --dt --columns --preset --topic --time-unit "
+READING = (
+    "join",
+    "joints",
+    "dt",
+    "columns",
+    "preset",
+    "topic",
+    "time_unit",
+    "gain",
+    "drive",
+)
+_READ = (
+    "--join --base-orientation --joints --dt --columns --preset --topic --time-unit "
+)
 _READ += "--gain --drive"
 _IDENTIFIED = "--friction --known-mass --bodies --alike --cutoff"
 _REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
@@ -296,7 +315,7 @@ _COMMANDS = {
         "arguments": f"recording --urdf --model --window {_READ} --signals --out "
         f"--force {_IDENTIFIED} --effects --quiet",
         "own": {
-            "recording": {"nargs": "?", "help": _RECORDING},
+            "recording": {"nargs": "*", "help": _RECORDING},
             "--out": {"help": _OUT.format("", "simulation")},
             "--effects": {
                 "default": "none",
@@ -358,9 +377,9 @@ _COMMANDS = {
         "own": {"recording": {"nargs": "*"}},
         "help": "identify a recording and compare methods on its held-out part",
         "description": "Identify a recording and compare the torque errors of fifteen "
-        "methods on the part of it that was held out: of your own recording the last "
-        "30 % (of each, if it holds several). Without RECORDING, the one that comes "
-        "with the package, or a measured set. Nothing is written but the file of "
+        "methods on the part of it that was held out: of your own recording the one "
+        "that close-loop holds out. Without RECORDING, the one that comes with the "
+        "package, or a measured set. Nothing is written but the file of "
         "--ranges, of what is not held out.",
     },
     "effects": {"run": "_identify:list_effects", "help": "list the library of effects"},
@@ -533,7 +552,9 @@ def _remedy(error, argv):
         elif "=" not in str(word):
             next(given, None)
     for option, value in changed.items():
-        if value is not None:
+        if value is True:
+            words.append(option)
+        elif value is not None:
             text = _typed(value)
             # A list that begins with a minus would be taken for an option.
             words += [f"{option}={text}"] if text.startswith("-") else [option, text]

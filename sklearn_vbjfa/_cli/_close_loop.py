@@ -64,6 +64,7 @@ def run(arguments, folder):
         text="\n".join([str(recording), *others, str(loop.report_)]),
         doubts=report_doubts(loop.report_),
         folder=out,
+        fresh=not arguments.force,
         files=_FILES,
         write=write,
     )

@@ -75,11 +75,16 @@ def run(arguments, folder):
         page = _page.page(motion, background)
         motion.to_csv(folder / out.name)
         folder.joinpath(_page_of(out).name).write_text(page, encoding="utf-8")
-        return ["", "Next:", *(f"  {step}" for step in background.commands)]
+        steps = _page.steps(motion, background)
+        return ["", "Next:", *(f"  {step}" for step in steps)]
 
     return Done(
         text="\n".join(_page.summary(motion, background)),
-        doubts=(*_page.undecided(motion), *_page.unseen(motion, asked)),
+        doubts=(
+            *_page.unchecked(motion),
+            *_page.undecided(motion),
+            *_page.unseen(motion, asked),
+        ),
         folder=out.parent,
         files=(out.name, _page_of(out).name),
         write=write,

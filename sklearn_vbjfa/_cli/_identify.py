@@ -12,6 +12,8 @@ from sklearn_vbjfa._cli._run import Done, blaming, wrapped
 _OF_RECORDING = (*READING, "friction", "bodies", "alike", "cutoff", "urdf")
 _OF_RECORDING += ("base_orientation",)
 _OF_SETS = ("data", "data_home")
+# Which method is the declared model of close-loop, by what is taken of the bodies.
+_DECLARED = {"prior": " (its declared model is VB + description)"}
 _TOO_SHORT = "too short for a look at the motion"
 
 
@@ -52,7 +54,8 @@ class _Task:
     """What is identified."""
 
     recording: object
-    protocol: object  # what of it is fitted, and what is held out
+    parts: tuple  # what of it is fitted, and what is held out: (q, tau, labels) each
+    told: str  # the same in words
     identifier: object  # settings that all methods share
     source: object = None  # files that were read, named
     held: tuple = ()  # joints of the description that were not recorded
@@ -66,14 +69,10 @@ def identify(arguments, folder):
     _check(arguments)
     ranges = _input.ranges_file(arguments)
     task = (_own if arguments.recording else _of_catalogue)(arguments, folder)
-    recording = task.recording
-    parts = (
-        (recording.q[rows], recording.tau[rows], recording.groups[rows])
-        for rows in tuple(task.protocol.split(recording))
-    )
-    # A measured set is not at fault.
-    with blaming(task.source) if arguments.recording else contextlib.nullcontext():
-        results, fitted = compare_methods(task.identifier, *parts)
+    own = bool(arguments.recording)
+    # A measured set is not at fault; it is judged by its protocol.
+    with blaming(task.source) if own else contextlib.nullcontext():
+        results, fitted = compare_methods(task.identifier, *task.parts, of_both=own)
     done = Done(
         text=_report(task, results, fitted),
         doubts=method_doubts(results, fitted.joint_names_),
@@ -128,35 +127,55 @@ def _of_catalogue(arguments, folder):
         cutoff=protocol.cutoff,
         standstill=protocol.standstill,
     )
-    return _Task(recording=recording, protocol=protocol, identifier=identifier)
+    parts = [
+        (recording.q[rows], recording.tau[rows], recording.groups[rows])
+        for rows in protocol.split(recording)
+    ]
+    return _Task(
+        recording=recording,
+        parts=tuple(parts),
+        told=protocol.describe(recording),
+        identifier=identifier,
+    )
 
 
 def _own(arguments, folder):
     """Read a recording of one's own."""
-    from sklearn_vbjfa import RobotIdentifier
-    from sklearn_vbjfa.datasets import Protocol
+    from sklearn.base import clone
+
+    from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+    from sklearn_vbjfa.diagnosis.explain import split_in_time
 
     settings, taken = _input.settings(arguments), _input.taken(arguments, folder)
     recording, drive = taken.recording, settings.pop("drive", None)
     taken.check(settings)
     taken.check_channels()
-    protocol = Protocol(friction=settings["friction"], cutoff=settings["cutoff"])
     identifier = RobotIdentifier(
         str(taken.urdf),
         dt=recording.dt,
         torque_noise=recording.torque_noise,
         **settings,
     )
-    robot = None
-    if drive is not None:
-        rows = next(iter(protocol.split(recording)))
-        with blaming(taken.source):
-            recording, robot = _at_delay(recording, rows, drive, identifier)
-        if recording.nv > 1:
-            identifier.set_params(gains=drive.gains)
+    # What close-loop does not touch is held out here, so that both say the same of the
+    # declared model.
+    robot, share = None, EffectDiscovery(identifier).test_size
+    with blaming(taken.source):
+        told = clone(identifier).set_params(drive=drive)
+        split = split_in_time(told, recording, share)
+        if drive is not None:
+            recording, robot = _at_delay(recording, split, drive, told)
+    if drive is not None and recording.nv > 1:
+        identifier.set_params(gains=drive.gains)
+    parts = [part(recording) for part in (split.searched, split.untouched)]
+    seconds, count = split.test.size * recording.dt, len(split.stretches)
     return _Task(
         recording=recording,
-        protocol=protocol,
+        parts=tuple((part.q, part.tau, part.groups) for part in parts),
+        told=(
+            f"held out: {seconds:.3g} s in {count} stretch{'es' if count > 1 else ''}, "
+            "those of close-loop, which leaves out the rows right beside what it fits"
+            f"{_DECLARED.get(settings['bodies'], '')}"
+        ),
         identifier=identifier,
         source=taken.source,
         held=taken.held,
@@ -164,23 +183,17 @@ def _own(arguments, folder):
     )
 
 
-def _at_delay(recording, rows, drive, identifier):
-    """Make torques of commands at the delay of some rows; return their robot, too."""
+def _at_delay(recording, split, drive, identifier):
+    """Make torques of commands at the delay of the fitted part; return its robot."""
     # All methods get the same torques.
-    from sklearn.base import clone
-
-    from sklearn_vbjfa.recording import take_rows
-
-    part = take_rows(recording, rows, recording.groups[rows])
-    robot = clone(identifier).set_params(drive=drive).fit_recording(part)
+    robot = identifier.fit_inspected(split.searched(recording))
     return _input.followed(drive, robot, recording), robot
 
 
 def _report(task, results, fitted):
     from tabulate import tabulate
 
-    recording, protocol = task.recording, task.protocol
-    names = fitted.joint_names_
+    recording, names = task.recording, fitted.joint_names_
     percent = [
         [result.name, *(100 * result.error), _overall(result)] for result in results
     ]
@@ -198,8 +211,8 @@ def _report(task, results, fitted):
     lines = [
         f"{recording}",
         wrapped(
-            f"{protocol.describe(recording)}; {cutoff}, standstill masked; friction: "
-            f"{', '.join(protocol.friction) or 'none'}",
+            f"{task.told}; {cutoff}, standstill masked; friction: "
+            f"{', '.join(task.identifier.friction) or 'none'}",
             sys.stdout,
         ),
         *([f"held at zero: {', '.join(task.held)}"] if task.held else []),
@@ -231,6 +244,11 @@ def method_doubts(results, joints):
     blank = [] if ours.message else np.flatnonzero(~np.isfinite(ours.error))
     if len(blank):
         doubts.append(f"no error of {', '.join(joints[j] for j in blank)}")
+    doubts += [
+        f"do not trust the model of {joints[j]}: it predicts the held-out torque worse "
+        "than its mean does"
+        for j in np.flatnonzero(ours.error >= 1.0)
+    ]
     if ours.n_inconsistent:
         doubts.append(f"{ours.n_inconsistent} bodies are not physically consistent")
     return doubts
@@ -277,7 +295,7 @@ def inspect(arguments, folder):
         "",
         *_table(recording, motions),
         "",
-        *_wrong(recording, findings),
+        *_wrong(recording, findings, arguments.drive),
         "",
         *_shown(motions),
     ]
@@ -338,15 +356,15 @@ def _table(recording, motions):
     return table.splitlines()
 
 
-def _wrong(recording, findings):
+def _wrong(recording, findings, drive):
     """Say what is wrong with the channels."""
     odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
     lines = ["What is wrong with it"]
     lines += [f"- {x.severity}: {x.message}" for x in findings]
-    if odd:
+    if odd and drive is None:
         lines.append(
-            f"- torques are recorded in {odd[0]}: close-loop needs --gain unknown, or "
-            "the factors to N m"
+            f"- torques are recorded in {odd[0]}: close-loop needs the factors to N m "
+            f"(--gain){', or --gain unknown' if recording.nv > 1 else ''}"
         )
     return lines if len(lines) > 1 else [*lines, "- nothing that the robot would show"]
 

@@ -1,6 +1,7 @@
 """Input of the command line, checked or refused: arguments and files."""
 
 import contextlib
+import errno
 import itertools
 import math
 import os
@@ -13,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import spelled
+from sklearn_vbjfa._cli._run import blaming
 
 # What the file of --ranges is called in messages.
 _RANGES = "ranges.json"
@@ -20,6 +22,8 @@ _RANGES = "ranges.json"
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
+# What the files of a run take at most [bytes].
+_ROOM = 8 << 20
 # Warnings about channels that are left out of what was asked for.
 _LEFT_OUT = ("coarse_torque", "still_joint", "unusable_signal")
 
@@ -57,6 +61,7 @@ class Taken:
     held: tuple = ()  # those joints
     gains: object = None  # what was said of the channels of torque
     drive: object = None  # `Drive` that torques were made by
+    bodies: str = "prior"  # what is taken of the bodies that are described
 
     def check(self, chosen):
         """Refuse settings that the recording and its robot cannot show."""
@@ -65,25 +70,28 @@ class Taken:
 
     def findings(self):
         """Look for faults of the channels; factors that are unknown are none."""
-        from sklearn_vbjfa.inspection import inspect_channels
+        from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
 
         one = self.recording
         known = one.q, one.tau, one.dt, one.groups
         found = inspect_channels(str(self.urdf), *known, drive=self.drive)
         motor = any(unit not in ("N m", "N") for unit in self.recording.torque_units)
         known = self.drive is None or self.drive.gains is None
+        allowed = ("torque_unit",) if self.bodies == "free" else ()
         if motor or self.gains == "unknown" or not known:
-            return [one for one in found if one.kind != "gear_factor"]
-        return found
+            allowed = OF_SIZE
+        return [one for one in found if one.kind not in allowed]
 
     def check_channels(self):
         """Refuse channels that are not what they are called, warn of doubtful ones."""
+        from sklearn_vbjfa.inspection import refusal
         from sklearn_vbjfa.model import DoubtWarning
 
         findings = self.findings()
-        errors = [found.message for found in findings if found.severity == "error"]
-        if errors:
-            raise ValueError(f"{self.source}: {' '.join(errors)}")
+        with blaming(self.source):
+            wrong = refusal(findings)
+            if wrong is not None:
+                raise wrong
         for message in channel_doubts(findings):
             warnings.warn(f"{self.source}: {message}", DoubtWarning, stacklevel=2)
 
@@ -138,6 +146,7 @@ def taken(arguments, folder, *, assumed=None, stored=False):
         held=tuple(held),
         gains=known,
         drive=drive(arguments.drive),
+        bodies=getattr(arguments, "bodies", "prior"),
     )
 
 
@@ -206,9 +215,24 @@ def free_folder(arguments, default, names, inputs, endings=()):
     """Return the folder for files, refused if it holds what is not to be lost."""
     out = expanded(arguments.out or default)
     check_folder(out)
-    if not arguments.force:
-        check_overwriting(out, names, inputs, endings)
-    return out
+    if arguments.force:
+        return out
+    check_overwriting(out, names, inputs, endings)
+    there = [name for name in names if (out / name).exists()]
+    if not there:
+        return out
+    other = free(out)
+    if arguments.out is None:
+        # Said when they are written: a refusal is one line.
+        arguments.moved = (
+            f"{out} has the files of an earlier run, which stay (--force replaces them)"
+        )
+        return other
+    raise Refused(
+        f"{out} has {there[0]} of an earlier run; give another folder, or --force to "
+        "replace it",
+        {"out": str(other)},
+    )
 
 
 def ranges_file(arguments):
@@ -228,6 +252,7 @@ def ranges_file(arguments):
         wrong = f"{out} exists; give another --ranges"
     if wrong:
         raise Refused(wrong, {"ranges": str(free(out))})
+    _check_room(out.parent, "--ranges")
     return out
 
 
@@ -350,6 +375,7 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
             on_bad_files="warn",
             stored=stored and len(files) > 1 and arguments.drive is None,
             drive=drive(arguments.drive),
+            join=bool(arguments.join),
         )
     except RecordingRefused as error:
         if identified or error.options.get("gains") != "unknown":
@@ -472,10 +498,11 @@ def _beside(out):
 def free(wanted, *endings):
     """Return a path, with a number behind its stem if there is something already."""
     # endings: of further files beside it, which must not be there either.
-    more = (
-        wanted.with_name(f"{wanted.stem}-{k}{wanted.suffix}")
-        for k in itertools.count(2)
-    )
+    # Of a folder a point in the name begins no ending.
+    stem, suffix = wanted.stem, wanted.suffix
+    if wanted.is_dir():
+        stem, suffix = wanted.name, ""
+    more = (wanted.with_name(f"{stem}-{k}{suffix}") for k in itertools.count(2))
     return next(
         x
         for x in itertools.chain([wanted], more)
@@ -494,9 +521,25 @@ def check_folder(out, needs="must name a folder", ending="-report"):
                     f"{folder} is a file, where --out {needs}",
                     {"out": str(other)},
                 )
-            if not os.access(folder, os.W_OK):
-                raise ValueError(f"{folder} cannot be written to; give another --out.")
+            _check_room(folder)
             return
+
+
+def _check_room(folder, option="--out"):
+    """Refuse, before the work begins, a folder that takes no files."""
+    # Rights, a read-only or special file system, a full disk, a quota: trying knows.
+    try:
+        with tempfile.TemporaryFile(dir=folder) as file:
+            file.write(bytes(_ROOM))
+    except OSError as error:
+        reason = error.strerror
+        if error.errno == errno.ENOENT:
+            reason = "it takes no files"
+        elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
+            reason += f", for the {_ROOM >> 20} MB that the files of a run may take"
+        raise ValueError(
+            f"{folder} cannot be written to ({reason}); give another {option}."
+        ) from error
 
 
 def names(option, text, known):
@@ -621,16 +664,16 @@ def workers(where):
     return workers(where)
 
 
-def default_folder(paths):
+def default_folder(paths, what="report"):
     """Folder for the files of a run if none is named."""
     # It is called after the recording, or after the folder that holds several.
     from sklearn_vbjfa.recording import common_folder
 
     folder = common_folder(paths) if len(paths) > 1 else ""
     if folder:
-        return Path(f"{folder}-report")
-    source = paths[0]
+        return Path(f"{folder}-{what}")
+    source = paths[0].resolve() if paths[0].is_dir() else paths[0]
     name = source.stem if source.name != "-" else "stdin"
     if source.suffix in (".gz", ".bz2", ".xz"):
         name = Path(name).stem
-    return Path(f"{name or 'recording'}-report")
+    return Path(f"{name or 'recording'}-{what}")

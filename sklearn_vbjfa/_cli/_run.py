@@ -16,7 +16,7 @@ import tempfile
 import textwrap
 import threading
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 # -- the skeleton of every command -----------------------------------------------------
@@ -29,6 +29,8 @@ class Done:
     text: str  # printed
     doubts: tuple = ()  # what stands against using it
     folder: Path | None = None  # where its files go
+    # whether the folder had none of them: those that are there now are another run's
+    fresh: bool = False
     files: tuple = ()  # their names
     # writes them to a folder, given the warnings; returns lines to print behind `text`
     write: object = None
@@ -58,8 +60,11 @@ def run(arguments):
 
 def _write(arguments, done, caught):
     """Write all files or none, each complete; return what is to be said of them."""
+    from sklearn_vbjfa._cli._input import free
     from sklearn_vbjfa._core._progress import stage
 
+    if done.fresh and any((done.folder / name).exists() for name in done.files):
+        done = replace(done, folder=free(done.folder))
     try:
         with undisturbed(), stage("writing"):
             done.folder.mkdir(parents=True, exist_ok=True)
@@ -77,7 +82,8 @@ def _write(arguments, done, caught):
             raise OSError(error.errno, error.strerror, str(done.folder)) from error
         raise
     names = ", ".join(str(done.folder / name) for name in done.files)
-    return [*lines, f"written: {names}{done.left}"]
+    moved = filter(None, [getattr(arguments, "moved", "")])
+    return [*lines, *moved, f"written: {names}{done.left}"]
 
 
 @contextlib.contextmanager
@@ -88,7 +94,12 @@ def blaming(source):
     try:
         yield
     except (ValueError, ProjectionError) as error:
-        raise ValueError(f"{source}: {error}") from error
+        refused = ValueError(f"{source}: {getattr(error, 'reason', error)}")
+        refused.options = dict(getattr(error, "options", {}))
+        if "drive" in refused.options:
+            # It has gains of its own.
+            refused.options["gains"] = None
+        raise refused from error
 
 
 def _told(caught):

@@ -8,7 +8,7 @@ import os
 import re
 import textwrap
 import warnings
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -33,10 +33,10 @@ _RESOLUTION = 120  # dots per inch
 def run(arguments, folder):
     """Simulate windows of a recording, tell their errors and write the files."""
     _check(arguments)
-    source = _input.expanded(arguments.recording or "demo")
-    default = f"{source.stem or 'recording'}-simulation"
+    files = _input.sources(arguments.recording or "demo")
+    source, default = _input.named(files), _input.default_folder(files, "simulation")
     given = filter(None, (arguments.urdf, arguments.model))
-    inputs = (source, *map(_input.expanded, given))
+    inputs = (*files, *map(_input.expanded, given))
     out = _input.free_folder(arguments, default, (_TABLE,), inputs, (".png",))
     take = _identified if arguments.model is None else _saved
     task = take(arguments, source, folder)
@@ -67,6 +67,7 @@ def run(arguments, folder):
         text=text,
         doubts=doubts_of(found),
         folder=out,
+        fresh=not arguments.force,
         files=tuple(files),
         write=write,
         left=left,
@@ -75,7 +76,7 @@ def run(arguments, folder):
 
 def _check(arguments):
     """Refuse options that do not go together."""
-    if arguments.recording is None:
+    if not arguments.recording:
         _input.refuse_given(
             arguments,
             _OF_RECORDING,
@@ -86,6 +87,12 @@ def _check(arguments):
         raise ValueError(
             "give --urdf FILE, the description of the robot, or --model FILE, an "
             "identified robot."
+        )
+    if len(arguments.recording) > 1 and not arguments.join:
+        raise _input.Refused(
+            f"simulate takes one recording, got {len(arguments.recording)} files; "
+            "--join if they are one",
+            {"join": True},
         )
     if arguments.model is not None:
         _input.refuse_given(
@@ -190,7 +197,7 @@ def _identified(arguments, source, folder):
 
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
     signals = None
-    if arguments.recording is None:
+    if not arguments.recording:
         demo = load_demo_recording()
         taken = _input.Taken(recording=demo, urdf=demo.urdf, source=source)
     else:
@@ -238,10 +245,9 @@ def _robots(recording, urdf, library, known, settings):
 
     if not library:
         robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
-        if robot.drive is not None:
-            return {"simulated": robot.fit_recording(recording)}
-        robot.fit(recording.q, recording.tau, groups=recording.groups, t=known["t"])
-        return {"simulated": robot}
+        if robot.drive is None:
+            recording = replace(recording, t=known["t"])
+        return {"simulated": robot.fit_inspected(recording)}
     loop = _close_loop.close(
         recording, urdf, effects=library, ceiling=False, **known, **settings
     )

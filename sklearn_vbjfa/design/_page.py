@@ -108,15 +108,17 @@ def _headline(motion, background):
         totals.append((f"{nearest} mm", "between the nearest bodies"))
     if narrower is not None:
         totals.append((f"{narrower[0]} of {narrower[1]}", "parameters become narrower"))
+    wrong = [] if motion.within_limits else [f"{words.capital(exceeded(motion))}."]
+    wrong += unchecked(motion)
     return Section(
         heading=f"Motion to record next with {background.robot}",
         sentences=(_verdict(motion, background),),
         template="headline",
         drawn=dict(
-            colour="good" if motion.within_limits else "bad",
+            colour="bad" if wrong else "good",
             text=_verdict(motion, background),
             totals=tuple(totals),
-            causes="" if motion.within_limits else exceeded(motion),
+            causes=" ".join(wrong),
             files=(background.file,) if background.file else (),
         ),
     )
@@ -223,10 +225,35 @@ def _to_do(motion, background):
     ]
     rest = "It stands still where it begins and ends"
     first = f"Go to the start first: {', '.join(starts)}. {rest}."
+    before = _before(motion)
+    steps = first, *_repeated_texts(motion, background), *background.commands
     return Section(
         heading="What to do next",
-        sentences=(first, *_repeated_texts(motion, background), *background.commands),
+        sentences=(*before, *steps),
         template="steps",
+        # What comes before the first step.
+        drawn={"before": len(before)},
+    )
+
+
+def unchecked(motion):
+    """Warn that links may meet, a list of str; empty where their distances are kept."""
+    if "clearance" in motion.margins:
+        return []
+    reason = motion.no_clearance.rstrip(".")
+    return [f"SELF-COLLISION WAS NOT CHECKED. {reason}."]
+
+
+def _before(motion):
+    """Say what to do before a motion that may make the robot hit itself."""
+    if not unchecked(motion):
+        return ()
+    most = max(float(np.max(1.0 - motion.margins[name])) for name in _QUANTITIES)
+    return (
+        "BEFORE IT RUNS: the robot may hit itself, at up to "
+        f"{words.whole_percent(most)} of its limits. Watch all of the motion in a "
+        "simulator, then run it slowly with a hand on the emergency stop; or give a "
+        "robot description with collision geometry, and design keeps the links apart.",
     )
 
 
@@ -506,16 +533,20 @@ def summary(motion, background):
     of = f" for what {background.report} left open" if background.report else ""
     joints = words.plural(len(names), "joint")
     repeated = _wrapped(" ".join(_repeated_texts(motion, background)))
+    wrong = _wrapped(" ".join(unchecked(motion)), "")
     lines = [
         f"Motion of {background.robot}{of}: {joints}, {motion.duration:g} s at "
         f"{1 / motion.dt:.4g} Hz",
         f"condition number {words.number(motion.condition_number)}, at first "
         f"{words.number(motion.start_condition_number)} (columns over their sizes at "
         "random states)",
+        *wrong,
         "",
         # A screen has so many lines.
-        *_shares_text(motion, background, _JOINTS - len(repeated)),
-        *_wrapped(_clearance_text(motion), ""),
+        *_shares_text(
+            motion, background, _JOINTS - len(repeated) - max(len(wrong) - 2, 0)
+        ),
+        *([] if wrong else _wrapped(_clearance_text(motion), "")),
         "",
         *_decides_text(motion, background),
         *_never_text(motion, background),
@@ -609,6 +640,19 @@ def _parameters_text(motion, background):
     )
 
 
+def steps(motion, background):
+    """List what to do next for a terminal, from 0 where something comes first."""
+    before, told = _before(motion), []
+    number = 1 - len(before)
+    for step in (*before, *background.commands):
+        if step.startswith("python "):
+            told.append(step)
+            continue
+        told += _wrapped(f"{number}. {step}", "   ")
+        number += 1
+    return told
+
+
 def _wrapped(text, indent="  "):
     """Break a text into lines of a terminal, the further ones indented."""
     return textwrap.wrap(text, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
@@ -684,8 +728,7 @@ def _clearance_text(motion):
             f"Bodies stay {nearest} mm apart (at least {1e3 * ROOM:g} mm are kept); "
             "what stands around the robot is not known."
         )
-    reason = motion.no_clearance.rstrip(".")
-    return f"Nothing was done against self-collision. {words.capital(reason)}."
+    return " ".join(unchecked(motion))
 
 
 def _repeated_texts(motion, background):

@@ -23,7 +23,7 @@ from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._thinned import stretches
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
-from sklearn_vbjfa.inspection import inspect_channels
+from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
@@ -47,8 +47,6 @@ from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 # Channels with these faults are reported and not searched: the search would find the
 # fault.
 _NO_INFORMATION = ("coarse_torque", "still_joint")
-# What is found of torques in another unit, which unknown gains allow for.
-_OF_GAIN = "gear_factor"
 
 
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
@@ -513,11 +511,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             return (), []
         known = whole.q, whole.tau, whole.dt, whole.groups
         findings = inspect_channels(model, *known, drive=self.identifier.drive)
-        errors = [f.message for f in findings if f.severity == "error"]
-        if errors:
-            raise ValueError(" ".join(errors))
+        wrong = refusal(findings)
+        if wrong is not None:
+            raise wrong
+        allowed = ()
         if self.identifier.asked_gains is not None:
-            findings = tuple(f for f in findings if f.kind != _OF_GAIN)
+            allowed = OF_SIZE
+        elif self.identifier.bodies == "free":
+            # Then the masses of the description say nothing of the torques.
+            allowed = ("torque_unit",)
+        findings = tuple(f for f in findings if f.kind not in allowed)
         silent = [j for f in findings if f.kind in _NO_INFORMATION for j in f.joints]
         return findings, silent
 
@@ -664,4 +667,4 @@ def _names(whole, groups):
 
 def _fitted(identifier, recording):
     """Fit an identifier to a recording and return it."""
-    return identifier.fit_recording(recording)
+    return identifier.fit_inspected(recording)

@@ -19,7 +19,8 @@ __all__ = [
 
 # For other rooms, and for the tests.
 _MODULES = {
-    "_inspect": ("one_speed",),
+    "_inspect": ("one_speed", "refusal"),
+    "_units": ("OF_SIZE",),
     "_rivals": ("ChannelEquations", "channel_signals", "fits_of"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
 from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
 from sklearn_vbjfa.inspection._units import (
+    OF_SIZE,
     commanded_sizes,
     counts,
     degrees,
@@ -25,7 +26,9 @@ from sklearn_vbjfa.model import (
 )
 from sklearn_vbjfa.recording import (
     COMMANDS,
+    UNSIGNED,
     ChannelFinding,
+    RecordingRefused,
     check_dt,
     contiguous_groups,
     in_order,
@@ -66,9 +69,33 @@ def inspect_recording(recording, model=None):
     ['torque_sign']
     """
     robot = recording.robot_model() if model is None else model
-    return inspect_channels(
+    found = inspect_channels(
         robot, recording.q, recording.tau, recording.dt, recording.groups
     )
+    if all(unit in ("N m", "N") for unit in recording.torque_units):
+        return found
+    return tuple(one for one in found if one.kind not in OF_SIZE)
+
+
+def refusal(findings):
+    """Return the error that findings are, with the option that mends it; None if none.
+
+    Parameters
+    ----------
+    findings : sequence of ChannelFinding
+        Of a recording.
+
+    Returns
+    -------
+    RecordingRefused or None
+        Its options are those of `read_recording`.
+    """
+    errors = [one for one in findings if one.severity == "error"]
+    if not errors:
+        return None
+    unsigned = [one.kind for one in errors] == ["unsigned_torque"]
+    text = " ".join(one.message for one in errors)
+    return RecordingRefused(text, {"drive": UNSIGNED} if unsigned else {})
 
 
 def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
@@ -105,7 +132,9 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
           (both signs), "swapped_torques",
           "swapped_positions", "swapped_joints" (both), "joint_order" (three joints or
           more);
-        - doubts, which rule out a favourable verdict: "gear_factor", "position_zero",
+        - doubts, which rule out a favourable verdict: "torque_unit" if all torques are
+          so small that they are motor currents, or in another unit than N m, or the
+          masses of the robot are wrong; "gear_factor", "position_zero",
           "frozen_recording", "held_position", "held_torque", "repeated_rows" if there
           are many, "wrong_dt" if the motion is merely slower than a robot's,
           "position_jumps";

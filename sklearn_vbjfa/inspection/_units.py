@@ -12,13 +12,18 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.recording import ChannelFinding, listed_joints
+from sklearn_vbjfa.recording import UNSIGNED, ChannelFinding, listed_joints
+from sklearn_vbjfa.robot._bodies import TOO_LIGHT, of_another_unit
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._signs import most_explaining, signed_columns
 from sklearn_vbjfa.robot._states import StateEstimator
 
-# Nominal inertias (without payload and rotor) are not wrong by more than this.
+# Nominal inertias of one joint (without payload and rotor) are not wrong by more.
 _GEAR_FACTOR = 20.0
+# What is found of torques whose unit is not N m or N, or not known.
+OF_SIZE = ("torque_unit", "gear_factor")
+# Standard errors that the factor of a torque may be off.
+_OFF = 3.0
 # Commanded torques of all joints together are asked for one order of magnitude.
 _COMMANDED = 10.0
 # A joint without limits does not turn farther than this within a recording [rad].
@@ -26,6 +31,8 @@ _LARGEST_TURN = 25.0
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows.
 _SIGN_GAIN, _RARE = 2.0, 0.02
+# A joint turns round between speeds of at least this share of its fastest.
+_STANDS = 0.05
 # Positions in degrees run beyond the joint's limits by more than this [rad].
 _FAR_BEYOND = 5.0
 # Another reading of the positions must lower the squared errors by this factor.
@@ -215,37 +222,52 @@ def _tiny(x):
 # -- torques ---------------------------------------------------------------------------
 
 
+def _without_mass(model):
+    """Whether a body of a description has no mass, so that its torques say nothing."""
+    return min(one.mass for one in model.inertias[1:]) <= 0
+
+
 def gear_factors(model, names, signals):
-    """Find torques of another size than the model's."""
+    """Find torques of another size than the model's, of single joints or of all."""
     # These are doubts and not errors: the loop is right in whatever unit all channels
     # share, and a robot description with invented inertias looks the same. Factors that
     # differ between joints, however, would be compensated by spurious effects.
-    equations = ChannelEquations(model, signals)
-    found = []
-    for j in np.flatnonzero(signals.informative()):
+    if _without_mass(model):
+        return []
+    equations, sizes, most = ChannelEquations(model, signals), {}, {}
+    for j in map(int, np.flatnonzero(signals.informative())):
         scale, scale_t, share = equations.nominal_scale(j)
         if scale_t < SURE or share < NOMINAL_SHARE:
             continue
+        most[j] = scale * (1.0 + _OFF / scale_t)
         if scale >= _GEAR_FACTOR:
             # The rotor behind a gear may be many times its link.
             scale, scale_t, _ = equations.nominal_scale(j, rotor=True)
             if scale_t < SURE:
                 continue
-        if 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR:
-            continue
-        factor = f"{1 / scale:.3g}" if scale < 1 else f"1/{scale:.3g}"
-        found.append(
-            ChannelFinding(
-                "gear_factor",
-                (int(j),),
-                "doubt",
-                f"The torque of {names[j]} is {scale:.3g} times what the model's "
-                f"inertias ask for ({scale_t:.0f} standard errors from zero): motor "
-                "side instead of joint side, or a current or voltage? Multiply by the "
-                f"gear ratio (about {factor} would fit).",
-            )
-        )
-    return found
+        sizes[j] = scale
+    if most and np.median(list(most.values())) < TOO_LIGHT:
+        told = list(sizes.values())
+        message = of_another_unit(np.median(told), told, len(names))
+        return [ChannelFinding("torque_unit", tuple(sizes), "doubt", message)]
+    return [
+        _gear_factor(names, j, scale)
+        for j, scale in sizes.items()
+        if not 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR
+    ]
+
+
+def _gear_factor(names, j, scale):
+    """Return the finding that one torque is of another size."""
+    factor = f"{1 / scale:.3g}" if scale < 1 else f"1/{scale:.3g}"
+    return ChannelFinding(
+        "gear_factor",
+        (j,),
+        "doubt",
+        f"The torque of {names[j]} is {scale:.3g} times what the masses of the robot "
+        "description ask for: torque of the motor instead of the joint, a current, or "
+        f"another unit? Multiply it by the gear ratio (about {factor} would fit).",
+    )
 
 
 def commanded_sizes(model, names, signals, drive):
@@ -294,17 +316,26 @@ def unsigned_torques(model, names, q, tau, dt, parts):
             found.append(left[1] / left[0])
     if not found:
         return []
+    often = max(_reversals(states[:, model.nv + j]) for j in one_way)
     return [
         ChannelFinding(
             kind="unsigned_torque",
             joints=tuple(one_way),
             severity="error",
-            message=f"{listed_joints(names, one_way)}: torques have one sign only, and "
-            f"with signs that change the motion explains them up to {max(found):.2g} "
-            "times better: sizes of currents. Give drive=CurrentDrive(signed=False), "
-            'or --drive "current signed=false", which finds the signs.',
+            message=f"The torques of {listed_joints(names, one_way)} have one sign "
+            f"only, although a joint reverses {often} times, and with signs that "
+            "change the motion explains them better: their signs were not logged, as "
+            "of unsigned currents. Give "
+            f'--drive "{UNSIGNED}", which finds the signs (Python: '
+            "drive=CurrentDrive(signed=False)).",
         )
     ]
+
+
+def _reversals(speed):
+    """How often a joint turns round, from its speeds (n,)."""
+    moving = speed[np.abs(speed) > _STANDS * np.abs(speed).max()]
+    return int((moving[1:] * moving[:-1] < 0).sum())
 
 
 def fastest(model):
@@ -346,7 +377,9 @@ def sample_periods(model, names, dt, ratio, signals):
     j = int(np.argmax(ratio))
     unit = "m/s" if is_prismatic(model)[j] else "rad/s"
     crawls = ratio.max() * _TOO_FAST < _TOO_SLOW and dt >= _LONG_PERIOD
-    found = _other_period(model, signals, ratio, dt)
+    found = None
+    if not _without_mass(model):
+        found = _other_period(model, signals, ratio, dt)
     if found is None and crawls:
         found = _inertia_too_large(model, names, signals)
     if found is None and not crawls:

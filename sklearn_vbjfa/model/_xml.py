@@ -4,6 +4,7 @@ A description is checked before a parser sees it, since these do not limit the d
 """
 
 import os
+import shlex
 import uuid
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -64,12 +65,27 @@ def parse_text(content, path):
     """Parse the bytes of a description; path : what messages name."""
     try:
         _check_structure(content)
-        return ElementTree.ElementTree(ElementTree.fromstring(content))
+        root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ExpatError, LookupError, ValueError) as error:
         raise ValueError(
             f"{str(path)!r} is not readable as URDF or MJCF (XML): {error}. "
-            "A xacro file must be expanded first."
+            "A xacro file must be expanded first: xacro FILE > robot.urdf"
         ) from error
+    if any("xacro" in str(one.tag).rpartition("}")[0] for one in root.iter()):
+        raise ValueError(
+            f"{str(path)!r} is a xacro file, from which a URDF is made first: "
+            f"{_expanding(path)}"
+        )
+    return ElementTree.ElementTree(root)
+
+
+def _expanding(path):
+    """Return the command that makes a URDF of a xacro file."""
+    path = Path(path)
+    stem = path.name.removesuffix(".xacro").removesuffix(".urdf")
+    if not path.name.endswith(".xacro"):
+        stem += "-expanded"
+    return f"xacro {shlex.quote(str(path))} > {shlex.quote(f'{stem}.urdf')}"
 
 
 def _check_structure(content):

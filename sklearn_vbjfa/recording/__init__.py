@@ -5,6 +5,7 @@ from sklearn_vbjfa import _lazily
 # Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
 # for other rooms.
 _MODULES = {
+    "_channels": ("UNSIGNED",),
     "_columns": (
         "OfferedSignals",
         "check_given",

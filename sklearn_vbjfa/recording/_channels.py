@@ -25,6 +25,7 @@ from sklearn_vbjfa.recording._layout import (
     split_unit,
     unit_of,
 )
+from sklearn_vbjfa.recording._nameless import is_clock, refusal
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
 
@@ -84,6 +85,8 @@ def laid_out(table: Table, asked, robot) -> Layout:
             raise RecordingRefused(
                 f"{table.path}: {error}.", otherwise(table, asked, names)
             ) from None
+    if table.nameless:
+        raise refusal(table, asked, names)
     plain = by_names(table, names)
     if table.joints:
         return replace(plain, certain=True)
@@ -115,6 +118,8 @@ def laid_out(table: Table, asked, robot) -> Layout:
 
 def otherwise(table: Table, asked, names):
     """Return the options that would read a file, had the user said nothing of it."""
+    if table.nameless:
+        return refusal(table, asked, names).options
     said = {"columns": asked.mapping, "preset": asked.preset}
     nothing = {key: None for key, value in said.items() if value}
     plain = by_names(table, names)
@@ -350,7 +355,8 @@ _WORDS = {
     | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
     "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
     | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
-    | {"strom": 2, "i": 1, "load": 1, "force": 2, "actual": 1, "measured": 1, "m": 1}
+    | {"strom": 2, "amp": 2, "amps": 2, "ampere": 2, "amperes": 2, "i": 2, "curr": 2}
+    | {"load": 2, "force": 2, "actual": 1, "measured": 1, "m": 1}
     | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
 }
 # Words of what is asked for, or of something else.
@@ -358,6 +364,7 @@ _OTHER = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goa
 _OTHER |= {"reference", "setpoint", "sp", "error", "err", "tcp", "cartesian", "ext"}
 _OTHER |= {"velocity", "vel", "speed", "qd", "dq", "acc", "acceleration", "d", "ff"}
 _OTHER |= {"temperature", "temp", "voltage", "stamp", "external", "soll", "window"}
+_OTHER |= {"enable", "enabled", "limit", "limits", "mode"}
 # Words of what is asked for, and of what they do not ask a position.
 _COMMAND = {"target", "cmd", "command", "commanded", "desired", "des", "ref", "goal"}
 _COMMAND |= {"reference", "setpoint", "sp", "soll", "action"}
@@ -365,7 +372,12 @@ _WORDS["q_desired"] = _WORDS["q"] | dict.fromkeys(_COMMAND, 2)
 _NO_POSITION = (_OTHER - _COMMAND) | {"tau", "torque", "effort", "current", "force"}
 _NO_POSITION |= {"kp", "kd"}
 # Words of a motor's current.
-_CURRENT = {"current", "currents", "strom", "i"}
+_CURRENT = {"current", "currents", "curr", "strom", "i"}
+_CURRENT |= {"amp", "amps", "ampere", "amperes"}
+# What to give where currents have no signs, as `parse_drive` reads it.
+UNSIGNED = "current signed=no"
+# Words of a torque, whatever it was made of.
+_TORQUE = {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "force"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
 # A clock that steps by this or more [s] is in another unit.
@@ -393,17 +405,22 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         if kind != "t":
             if best.get(kind) is None:
                 return {}
-            mapping[kind] = best[kind].pattern
+            mapping[kind] = best[kind].pattern + _unit_before_number(best[kind], kind)
             numbered = best[kind].keys if "{i}" in best[kind].pattern else None
     options = {}
-    if "tau" in needed and not gained and len(best["tau"].keys) > 1:
-        units = {split_unit(column)[1] for column in best["tau"].columns} - {""}
+    if "tau" in needed:
+        units = {split_unit(column)[1] for column in best["tau"].columns}
+        units = (units | {split_unit(mapping["tau"])[1]}) - {""}
         bases = {x.base for x in (unit_of("tau", unit) for unit in units) if x}
-        if not units and _CURRENT & set(_words(best["tau"].pattern)):
-            mapping["tau"] += " [A]"
+        if not units and is_current(best["tau"].pattern):
+            bases = {"A"}
+        if bases - {"N m", "N"} and not gained and len(best["tau"].keys) > 1:
             options["gains"] = "unknown"
-        elif bases - {"N m", "N"}:
-            options["gains"] = "unknown"
+    if "tau" in needed and is_current(best["tau"].pattern):
+        values = [table.columns[column] for column in best["tau"].columns]
+        if not any((own < 0).any() for own in values):
+            # A drive has gains of its own.
+            options = {"drive": UNSIGNED}
     if "t" in needed and not timed:
         column = _clock(table)
         if column is None:
@@ -419,6 +436,14 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         options["joint_names"] = chosen
     columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
     return {"columns": columns, **options}
+
+
+def _unit_before_number(family, kind):
+    """Return the unit that names such as pos_deg3 have before the number, to add."""
+    unit = split_last_part(family.pattern.removesuffix("{i}").rstrip("_"), kind)[1]
+    # What is named like a current is one.
+    own = family.pattern.endswith("{i}") and not is_current(family.pattern)
+    return f" [{unit}]" if unit and own else ""
 
 
 def _nearest(table: Table, kind, joints):
@@ -450,6 +475,9 @@ def _families(table, joints):
         for match in re.finditer(r"\d+", split_unit(name)[0]):
             pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
             groups.setdefault(pattern, {})[int(match[0])] = column
+        if len(joints) == 1:
+            # Of one joint nothing needs a number.
+            groups.setdefault(name, {})[joints[0]] = column
     return [
         _Family(pattern, tuple(sorted(found, key=str)), tuple(found.values()))
         for pattern, found in groups.items()
@@ -459,7 +487,7 @@ def _families(table, joints):
 
 def _is_row(pattern, found, joints):
     """Whether a group counts from 0 or 1 without a hole, or has joints' names."""
-    if "{joint}" in pattern:
+    if "{joint}" in pattern or "{i}" not in pattern:
         return True
     numbers = sorted(found)
     alone = len(numbers) > 1 or len(joints) == 1
@@ -473,6 +501,12 @@ def _words(pattern):
     text = re.sub(r"\{\w+\}", " ", pattern)
     text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
     return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def is_current(name):
+    """Whether a column's name says that it is a motor's current, and no torque."""
+    words = set(_words(name))
+    return bool(_CURRENT & words) and not _TORQUE & words
 
 
 def _score(pattern, kind):
@@ -539,6 +573,13 @@ def _clock(table):
         last = re.split(r"[/. ]", bare)[-1].lower()
         if {bare.lower(), stem.lower(), last} & set(TIME_NAMES) and _rises(values):
             named.append(name)
+    if not named:
+        clocks = {x: y for x, y in table.columns.items() if "time" in _words(x)}
+        # What goes up by one counts rows.
+        clocks = {x: y for x, y in clocks.items() if is_clock(y) and usual_step(y) != 1}
+        first = next(iter(clocks.values()), None)
+        if all(np.allclose(x, first, rtol=0, atol=1e-6) for x in clocks.values()):
+            named = list(clocks)[:1]
     return named[0] if len(named) == 1 else None
 
 
@@ -558,7 +599,8 @@ def _clock_unit(table, column):
 
 def usual_step(t):
     """Return the middle one of the steps by which a clock rises, 0 without any."""
-    step = np.diff(t)
+    # Of rows that are out of order as if they were sorted.
+    step = np.diff(np.sort(t))
     step = step[step > 0]
     return float(np.median(step)) if step.size else 0.0
 

@@ -646,10 +646,13 @@ def parse_drive(text):
     return DRIVES[kind](**given)
 
 
+_SWITCHES = {"none": None, "true": True, "yes": True, "false": False, "no": False}
+
+
 def _parsed_value(name, text):
     """Return a number, some of them, some by joints' names, a word or a switch."""
-    if text in ("none", "true", "false"):
-        return {"none": None, "true": True, "false": False}[text]
+    if text in _SWITCHES:
+        return _SWITCHES[text]
     if ":" in text:
         pairs = [one.partition(":")[::2] for one in text.split(",")]
         values = {joint: _number(one) for joint, one in pairs}

@@ -270,6 +270,8 @@ def matches(pattern: str, table: Table) -> list[Match]:
     # {i} is a number, {joint} and * are anything. A unit behind the name counts with it
     # or without.
     bare, unit = split_unit(pattern)
+    if table.nameless:
+        return _in_places(bare, unit, table)
     expression, without = _expression(pattern), _expression(bare)
     found = []
     for name in table.columns:
@@ -285,6 +287,20 @@ def matches(pattern: str, table: Table) -> list[Match]:
             key = key.lstrip("0").rjust(1, "0")
         found.append(Match(groups.get("any", ""), key, name, own or unit))
     return found
+
+
+def _in_places(places, unit, table):
+    """Return the columns of a table without names that are in places such as 2-7."""
+    match = re.fullmatch(r"0*(\d{1,6})(?:-0*(\d{1,6}))?", places.strip())
+    if match is None:
+        return []
+    first, last = int(match[1]), int(match[2] or match[1])
+    columns = [str(place) for place in range(first, last + 1)]
+    if not columns or not all(x in table.columns for x in columns):
+        return []
+    if match[2] is None:
+        return [Match("", "", columns[0], unit)]
+    return [Match("", str(k), x, unit) for k, x in enumerate(columns, start=1)]
 
 
 def _expression(pattern):
@@ -334,6 +350,12 @@ def by_mapping(table: Table, mapping: dict, joints=(), rest=None) -> Layout:
         if own.column not in taken:
             kept = role if kind_of(role) not in kinds else own.column
             roles.setdefault(kept, own)
+    if table.nameless:
+        # What nobody has named is no signal.
+        rest = frozenset(table.columns) - set(taken)
+        roles = {name: own for name, own in roles.items() if own.column in taken}
+        times = [roles.pop(name) for name in ("t", "T") if name in roles]
+        return Layout(roles=roles, times=tuple(times), beside=rest, certain=True)
     times = tuple(x for x in plain.times if x.column not in taken)
     if "t" in kinds:
         # What else might be time is a column like others.

@@ -138,6 +138,20 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             beside=(r"header\..*", r"name_\d+"),
         ),
         KnownLog(
+            what="/joint_states as JSON",
+            source="sensor_msgs/msg/JointState.msg of github.com/ros2/common_interfaces"
+            ", its fields as rosidl_runtime_py/convert.py writes them",
+            q="position{i}",
+            v="velocity{i}",
+            tau="effort{i}",
+            times=(
+                "header.stamp.sec+header.stamp.nanosec",
+                "header.stamp.secs+header.stamp.nsecs",
+            ),
+            joints="name{i}",
+            beside=(r"header\..*", r"name\d+"),
+        ),
+        KnownLog(
             what="/joint_states, exported from PlotJuggler",
             source=_PLOTJUGGLER,
             q="*/{joint}/position",

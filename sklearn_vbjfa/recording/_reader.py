@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording._channels import (
     Asked,
     Joints,
     channels_of,
+    is_current,
     laid_out,
     otherwise,
     refuse_two,
@@ -28,6 +29,7 @@ from sklearn_vbjfa.recording._channels import (
 )
 from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
+from sklearn_vbjfa.recording._joined import joined
 from sklearn_vbjfa.recording._layout import (
     TIME_UNITS,
     kind_of,
@@ -36,9 +38,9 @@ from sklearn_vbjfa.recording._layout import (
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
 from sklearn_vbjfa.recording._recording import Recording, _check_dt, on_disk
-from sklearn_vbjfa.recording._sampling import distinct, on_grid, on_one_grid
+from sklearn_vbjfa.recording._sampling import distinct, in_order, on_grid, on_one_grid
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
-from sklearn_vbjfa.recording.formats import expanded, read_table
+from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
@@ -68,6 +70,7 @@ def read_recording(
     on_bad_files: str = "raise",
     stored: bool = False,
     drive: str | Drive | None = None,
+    join: bool = False,
 ) -> Recording:
     r"""Read a recording of your own robot: a table, a bag, arrays, or several of them.
 
@@ -87,7 +90,9 @@ def read_recording(
         JSON may also be a list of records, or one record a line. Text is separated by
         comma, semicolon, tab or blanks; # begins a comment. Of several files of one
         robot the recordings stand one after the other, called after their files, with
-        their own names behind where a file has several.
+        their own names behind where a file has several. A folder of tables stands for
+        them: one recording each if a file can be read on its own, and with `join`
+        otherwise. Columns without names are called by their places, from 1.
     dt : float, default=None
         Sample period [s]; needed if there is no time.
     urdf : str or os.PathLike, default=None
@@ -104,7 +109,8 @@ def read_recording(
         Which columns are which channels, such as
         "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
         of a joint, from 0 or 1, and {joint} for its name. A unit may follow, as in
-        "q=pos_{i} [deg]". Single joints are q1=..., tau_elbow=....
+        "q=pos_{i} [deg]". Single joints are q1=..., tau_elbow=.... Of a table without
+        names "t=1,q=2-7,tau=8-13" says the places.
     preset : {"ros", "ur", "franka", "lerobot", "unitree"}, default=None
         Take names as these tools write them; None recognises them.
     topic : str, default=None
@@ -130,6 +136,13 @@ def read_recording(
         ``kd_...``, are then needed and those of torques are not; names such as
         q_des, q_cmd, target_position and goal_position are recognised, and in an npz
         file gains may be one number for each joint.
+    join : bool, default=False
+        Whether several files are one recording, side by side: positions in one, torques
+        in another. Each column comes from one file. Rows go by the time stamps of the
+        file with the positions, others being interpolated by straight lines where they
+        have none there, or one by one where files have as many rows and no stamps. The
+        name of a file (positions.csv, tau.txt, t.txt) says what its columns are where
+        their names do not, or where there are none.
 
     Returns
     -------
@@ -168,7 +181,7 @@ def read_recording(
         interpolated on a uniform grid from their neighbours; otherwise the rows are
         taken as equidistant. If up to five consecutive rows are missing: they are
         interpolated and the others kept. If more are missing: the recording is split
-        there, and pieces of fewer than ten rows are dropped. If rows occur twice, or
+        there, and pieces of fewer than 16 rows are dropped. If rows occur twice, or
         stamps repeat. If one of several files is a copy of another: it is taken once.
         With ``on_bad_files="warn"``, which files are left out, and why.
 
@@ -227,7 +240,12 @@ def read_recording(
         raise ValueError("path must name one file or more, got none.")
     bad = None if is_one or on_bad_files == "raise" else {}
     given = dt, urdf, joint_names, asked, topic, gains, time_unit
+    paths, unfolded = _without_folders(paths, join, given)
+    is_one = is_one or join
+    if len(paths) > 1:
+        is_one = False
     files = _read_files(paths, given, bad, stored)
+    files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:
         recording, notes = files[0].recording, _said(files)
         if name:
@@ -267,21 +285,85 @@ def _read_files(paths, given, bad, stored):
         except (ValueError, OSError) as error:
             if bad is not None:
                 bad[one] = error
-            elif files and isinstance(error, RecordingRefused):
+            elif not files:
+                raise _offering_join(paths, given, error) from error
+            elif isinstance(error, RecordingRefused):
                 # The files before it were read without the options that it offers.
                 raise RecordingRefused(error.reason) from error
             else:
                 raise
     if bad and not files:
-        raise next(iter(bad.values()))
+        raise _offering_join(paths, given, next(iter(bad.values())))
     return files
+
+
+def _offering_join(paths, given, error):
+    """Return an error about the first of several files, or the offer to join them."""
+    # None of them is a recording; side by side they may be one.
+    options = getattr(error, "options", {})
+    if len(paths) < 2 or options or any(isinstance(x, tuple) for x in paths):
+        return error
+    try:
+        _read_file(tuple(map(Path, paths)), *given)
+    except RecordingRefused as other:
+        if not other.options:
+            return error
+        options = other.options
+    except (ValueError, OSError):
+        return error
+    return RecordingRefused(
+        f"{_named(paths)}: none is a recording on its own; side by side they would be "
+        "one",
+        {"join": True, **options},
+    )
+
+
+def _without_folders(paths, join, given):
+    """Return files, those that are one recording in a tuple, and what to say of it."""
+    found, notes = [], []
+    for path in paths:
+        files = tables_in(path)
+        if join or len(files) < 2:
+            found += files or [path]
+        elif any(_is_whole(one, given) for one in files):
+            notes.append(
+                f"{path} is taken as a folder of {len(files)} recordings, one a file."
+            )
+            found += files
+        else:
+            found.append(tuple(files))
+    if join and len(found) > 1:
+        found = [tuple(map(Path, found))]
+    return found, notes
+
+
+def _is_whole(path, given):
+    """Whether a file is a recording on its own, or would be with other options."""
+    try:
+        _read_file(path, *given)
+    except RecordingRefused as error:
+        return bool(error.options)
+    except (ValueError, OSError):
+        return False
+    return True
+
+
+def _table_of(path, topic, joints):
+    """Read the table of a file, or those of one recording in several files."""
+    if not isinstance(path, tuple):
+        with _finished(path):
+            return read_table(path, topic, joints)
+    tables = [_table_of(one, topic, joints) for one in path]
+    shown = path[0].parent / "+".join([x.name for x in path[:2]])
+    if len(path) > 2:
+        shown = path[0].parent / f"{path[0].name} and {len(path) - 1} more"
+    return joined(tables, joints(), shown)
 
 
 def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
-    with _finished(path):
-        table = read_table(path, topic, lambda: names or _movable(urdf))
+    table = _table_of(path, topic, lambda: names or _movable(urdf))
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)
@@ -342,9 +424,12 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
-    fields = on_grid(table, t, labels, dt, {**channels, **signals}, notes)
+    channels |= signals
+    if t is not None and labels is None:
+        t, channels, table = in_order(table, t, channels, notes)
+    fields = on_grid(table, t, labels, dt, channels, notes)
     recording = Recording(
-        name=_stem(table.path),
+        name=_name_of(path, table),
         joint_names=names,
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
@@ -395,6 +480,12 @@ def _unfinished(path):
 def _is_effort(table, layout):
     """Whether torques are efforts of ROS, of whatever unit the driver publishes."""
     return bool(table.joints) or layout.what.startswith("/joint_states")
+
+
+def _name_of(path, table):
+    """Return the name of a recording: of its file, or of the folder of several."""
+    folder = common_folder(path) if isinstance(path, tuple) else ""
+    return folder or _stem(table.path)
 
 
 def _stem(path):
@@ -450,6 +541,8 @@ def _values(table: Table, kind, roles):
     columns, bases = [], []
     for role in roles:
         unit = _layout.channel_unit(table, kind, role)
+        if unit is None and kind == "tau" and is_current(role.column):
+            unit = unit_of("tau", "A")
         values = _numbers(table, role.column)
         if unit is not None:
             values = values * unit.factor

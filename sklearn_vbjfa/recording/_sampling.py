@@ -13,7 +13,7 @@ which asks the stamps first what they are; several of them then go through
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +42,9 @@ _SOME_TICKS, _FINE_TICKS = 0.3, 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
+# Rows are sorted by their stamps if the sum of second differences falls below this
+# share.
+_SMOOTHER = 0.99
 # Beside a given period: beyond the first many of them a sample is missing, beyond the
 # second share of one a step is worth a warning. Accelerations go with the square of a
 # wrong period: this share of it, and no less than a row over a recording, is refused.
@@ -419,8 +422,10 @@ def _first(rows):
     return f"row {listed(rows)}"
 
 
-# Fewer samples than this between two gaps cannot be differentiated.
-_MIN_SAMPLES = 10
+# Fewer samples than this between two gaps cannot be differentiated and held out from.
+_MIN_SAMPLES = 16
+# Of the logs of measured sets: cannot be differentiated.
+_MIN_LOG = 10
 # A log is uniform already up to this part of dt: a steady clock with six decimals.
 _UNIFORM_RTOL = 1e-3
 # A step of a log above this many periods ends a part and starts another one.
@@ -601,7 +606,7 @@ def resample_uniform(
     parts = []
     ends = np.flatnonzero(np.diff(t) > _LOG_GAP_PERIODS * dt) + 1
     for rows in np.split(np.arange(len(t)), ends):
-        if len(rows) < _MIN_SAMPLES:
+        if len(rows) < _MIN_LOG:
             continue
         part = {key: values[rows] for key, values in channels.items()}
         at, grid = t[rows] - t[rows[0]], dt * np.arange(len(rows))
@@ -612,7 +617,7 @@ def resample_uniform(
         parts.append((grid, part))
     if not parts:
         raise ValueError(
-            f"No {_MIN_SAMPLES} samples follow one another with steps below "
+            f"No {_MIN_LOG} samples follow one another with steps below "
             f"{_LOG_GAP_PERIODS * dt:.3g} s; dt = {dt:.3g} s does not suit these "
             "stamps."
         )
@@ -649,6 +654,31 @@ class _Tally:
         errors = [prediction_errors(t, torques) for t, torques in self.off_grid]
         errors = np.abs(np.concatenate(errors))
         return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
+
+
+def in_order(table: Table, t, channels, notes):
+    """Sort rows that are out of order in time, where that makes one smooth motion."""
+    # Two recordings, one behind the other, would be mixed: they stay as they are, to be
+    # refused.
+    back = int((np.diff(t) < 0).sum())
+    if not back:
+        return t, channels, table
+    order = np.argsort(t, kind="stable")
+    late = np.diff(t[order])
+    if not late.all() or late.max() > GAP_PERIODS * np.median(late):
+        return t, channels, table
+    q, n = channels["q"], t.size
+    rough = [np.abs(np.diff(x, n=2, axis=0)).sum() for x in (q, q[order])]
+    # A motion that is reversed is as smooth.
+    if not rough[1] < _SMOOTHER * rough[0]:
+        return t, channels, table
+    notes.append(
+        f"rows are not in the order of time (in {back} places of {n} it goes back): "
+        "they were sorted by it."
+    )
+    where = table.where
+    table = replace(table, where=lambda row: where(order[row]))
+    return t[order], {key: x[order] for key, x in channels.items()}, table
 
 
 def on_grid(table: Table, t, labels, dt, channels, notes):

@@ -2,6 +2,7 @@
 
 import contextlib
 import re
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +15,10 @@ LARGEST = 1 << 30
 # Entries of a list, and characters of a name or cell, that are quoted at most: a file
 # may have thousands of columns and cells without an end.
 _ENTRIES, _CHARACTERS = 20, 60
+
+
+# Note of a file that ends within a line.
+CUT = "the last line is cut, as where a logger is stopped: it is left out."
 
 
 class Loss(str):
@@ -56,6 +61,8 @@ class Table:
     units: Mapping[str, str] = field(default_factory=dict)
     # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
+    # whether columns have no names and are called by their places, from "1" on
+    nameless: bool = False
     notes: tuple[str, ...] = ()  # what a user should know of the file
 
     @property
@@ -97,6 +104,7 @@ class Format:
     # (folder, Wanted, function that unpacks a Source) -> Table, or None if the folder
     # is not one of this format
     read_folder: Callable | None = None
+    marks: tuple[str, ...] = ()  # patterns of files that only such a folder has
     has_topics: bool = False
     # package that reads it, what needs it, and the extra that installs it
     needs: tuple[str, str, str] = ()
@@ -195,6 +203,8 @@ def table_of_records(path: Source, records) -> Table:
 def table_of_arrays(path: Source, arrays) -> Table:
     """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
+    # Messages have empty lists for what is not measured.
+    arrays = {name: values for name, values in arrays.items() if values.size}
     lengths = {
         name: len(values)
         for name, values in arrays.items()
@@ -206,6 +216,12 @@ def table_of_arrays(path: Source, arrays) -> Table:
         if values.ndim == 2 and len(values) > 1
     }
     if not lengths and not matrices:
+        # Columns of other names, as many of the same length as there are.
+        several = Counter(len(x) for x in arrays.values() if x.ndim == 1 and len(x) > 1)
+        n_rows, count = max(several.items(), key=lambda x: x[1], default=(0, 0))
+        if count > 1:
+            matrices = {k: n_rows for k, x in arrays.items() if x.shape == (n_rows,)}
+    if not lengths and not matrices:
         raise ValueError(
             f"{path}: holds {', '.join(arrays) or 'nothing'}; expected arrays q and "
             "tau of shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
@@ -213,13 +229,22 @@ def table_of_arrays(path: Source, arrays) -> Table:
     if not any(name.lower().startswith(("q", "tau")) for name in lengths):
         # Matrices of other names become columns, for a mapping to say what they are.
         lengths = matrices or lengths
-    n_rows = lengths.get("q", next(iter(lengths.values())))
+    (usual, _), *_ = Counter(lengths.values()).most_common(1)
+    n_rows, notes = lengths.get("q", usual), ()
+    if matrices and not any(_is_channel(x) for x in lengths):
+        others = [x for x in arrays if arrays[x].shape == (n_rows,)]
+        if len(lengths) == 1 and not others:
+            (name,) = lengths
+            return nameless(path, arrays.pop(name), arrays)
     for name, length in lengths.items():
-        if length != n_rows:
+        if length != n_rows and _is_channel(name, exactly=True):
             raise ValueError(
                 f"{path}: array {name!r} has {length} rows, others have {n_rows}; all "
                 "channels need one row per sample."
             )
+    others = [name for name, length in lengths.items() if length != n_rows]
+    if others:
+        notes = (f"array(s) {listed(others)} have not {n_rows} rows: left out.",)
     columns, scalars = {}, {}
     for name, values in arrays.items():
         if values.ndim not in (1, 2) or len(values) != n_rows:
@@ -235,7 +260,18 @@ def table_of_arrays(path: Source, arrays) -> Table:
                 "matrix; each needs its own name."
             )
         columns.update(own)
-    return Table(path=path.shown, columns=columns, scalars=scalars)
+    return Table(path=path.shown, columns=columns, scalars=scalars, notes=notes)
+
+
+def nameless(path: Source, matrix, scalars=(), **known) -> Table:
+    """Make columns of a matrix (n_rows, n) without names, called by their places."""
+    return Table(
+        path=path.shown,
+        columns={str(k + 1): column for k, column in enumerate(matrix.T)},
+        scalars=dict(scalars),
+        nameless=True,
+        **known,
+    )
 
 
 def _array(path, name, values):
@@ -243,8 +279,9 @@ def _array(path, name, values):
     if isinstance(values, np.ndarray):
         return values
     first = values
-    if isinstance(values, list):
-        first = next((x for x in values if x is not None), None)
+    while isinstance(first, list) and first:
+        # Messages name all joints in each.
+        first = next((x for x in first if x is not None), None)
     try:
         return np.array(values, dtype=str if isinstance(first, str) else float)
     except (TypeError, ValueError, OverflowError) as error:
@@ -255,11 +292,12 @@ def _array(path, name, values):
         ) from error
 
 
-def _is_channel(name: str) -> bool:
+def _is_channel(name: str, exactly: bool = False) -> bool:
     """Whether a name is one of a channel, which has a value for every row."""
+    # What begins like one may be another thing: tau_limits.
     name = name.lower()
-    own = re.fullmatch(r"t|segment|[va]([_.\[(]?\d+[\])]?)?", name)
-    return own is not None or name.startswith(("q", "tau"))
+    own = re.fullmatch(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", name)
+    return own is not None or (not exactly and name.startswith(("q", "tau")))
 
 
 # -- what a file holds, quoted ---------------------------------------------------------

@@ -8,6 +8,7 @@ from sklearn.linear_model import LassoCV, LinearRegression, RidgeCV
 from sklearn.model_selection import KFold
 
 from sklearn_vbjfa._core._progress import counted, say
+from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.regression import (
     InstrumentalVariables,
     JFARegressor,
@@ -17,7 +18,7 @@ from sklearn_vbjfa.regression import (
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._plan import corrects_noise
-from sklearn_vbjfa.robot._residuals import collect_residuals
+from sklearn_vbjfa.robot._residuals import collect_residuals, torque_spread
 
 OURS = "VB + projection"
 # Methods with physically consistent parameters.
@@ -149,16 +150,20 @@ class MethodResult:
     message: str = ""  # why the method gave no result; empty otherwise
 
 
-def compare_methods(identifier, train, test, *, names=None):
+def compare_methods(identifier, train, test, *, names=None, of_both=False):
     """Fit all methods to the training part and evaluate them on the held-out part."""
-    # train, test: (X, y, groups); names: by default all. Returns a `MethodResult` each,
-    # and the fitted identifier of the first method.
+    # train, test: (X, y, groups); names: by default all; of_both: whether errors are
+    # over the torque's deviation in both parts, as in a report, and not in each.
+    # Returns a `MethodResult` each, and the fitted identifier of the first method.
     if identifier.period is not None:
         raise ValueError(
             "Methods are compared on recordings as they are: identifier must have "
             f"period=None; got {identifier.period!r}."
         )
-    base = clone(identifier).fit(train[0], train[1], groups=train[2])
+    base = clone(identifier)
+    X, y, groups = train
+    own = {"dt": base.dt, "joint_names": base.load().joint_names_}
+    base.fit_inspected(take_arrays(X, y, groups, **own))
     robot = base.robot_
     train_pieces, test_pieces = robot.pieces(*train), robot.pieces(*test)
     halves = None if base.input_noise is None else "noise"
@@ -192,9 +197,13 @@ def compare_methods(identifier, train, test, *, names=None):
             continue
         rigid = found.theta[: base.features_.n_parameters_]
         eigenvalues = min_eigenvalues(rigid.reshape(len(base.joint_names_), -1))
-        error, train_error = (
-            collect_residuals(parts, found.theta).normalised_error()
+        left = [
+            collect_residuals(parts, found.theta)
             for parts in (test_pieces, train_pieces)
+        ]
+        spreads = [torque_spread(*left)] * 2 if of_both else map(torque_spread, left)
+        error, train_error = (
+            own.relative_error(spread) for own, spread in zip(left, spreads)
         )
         results.append(
             MethodResult(

@@ -24,7 +24,7 @@ from sklearn_vbjfa.recording import (
     torques_in_order,
 )
 from sklearn_vbjfa.robot._alike import alike_joints
-from sklearn_vbjfa.robot._bodies import described_bodies
+from sklearn_vbjfa.robot._bodies import described_bodies, warn_of_unit
 from sklearn_vbjfa.robot._closed_loop import check_drive, check_reference, delay_of
 from sklearn_vbjfa.robot._equations import as_driven, numbered
 from sklearn_vbjfa.robot._features import (
@@ -516,13 +516,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         -----
         UserWarning
             With ``criterion="simulation"``, if there are fewer than two windows of
-            joints for each direction of the parameters that they determine.
+            joints for each direction of the parameters that they determine. With
+            ``bodies="prior"`` or ``"fixed"``, if the torques are so small for the
+            described bodies that they are motor currents, or in another unit.
         """
         check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
         with telling(self.verbose, progress):
-            return self._fit(recording, reference)
+            return self._fit(recording, reference)._of_a_size()
 
     def fit_recording(self, recording, reference=None):
         """Identify the robot from a recording as it is.
@@ -539,10 +541,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         -------
         self : object
             Fitted estimator.
+
+        Warns
+        -----
+        UserWarning
+            As of `fit`.
         """
-        check_criterion(self)
-        self._declare()
-        return self._fit(self._checked(recording), reference)
+        return self.fit_inspected(recording, reference)._of_a_size()
 
     def _fit(self, recording, reference):
         """Fit to a checked recording."""
@@ -574,6 +579,12 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             fit = refine_fit(recipe, fit, source, self, reference)
             self.criteria_ = fit.criteria
         return self._set(fit)
+
+    def _of_a_size(self):
+        """Return the fitted estimator, with a warning if its torques are too small."""
+        if self._description is not None and self.drive is None:
+            warn_of_unit(self._description, self.estimator_.statistics_)
+        return self
 
     # Robot whose load the next fit begins with, in place of a first pass.
     _before = None
@@ -608,6 +619,25 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return fit.with_torque_noise(filtered_noise(facts, plan.dt, plan.cutoff))
 
     # -- for other rooms -------------------------------------------------------------
+
+    def fit_inspected(self, recording, reference=None):
+        """Identify the robot from a recording whose channels were looked at.
+
+        Parameters
+        ----------
+        recording : Recording
+            As of `fit_recording`.
+        reference : array-like of shape (n_samples, nv), default=None
+            Commanded positions [rad or m], for `controller`.
+
+        Returns
+        -------
+        self : object
+            Fitted estimator.
+        """
+        check_criterion(self)
+        self._declare()
+        return self._fit(self._checked(recording), reference)
 
     def load(self):
         """Load the model without data.

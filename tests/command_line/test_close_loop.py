@@ -693,7 +693,8 @@ def test_missing_files(good, urdf, capsys):
     assert "none.csv: no such file" in refusal(capsys, "none.csv", "--urdf", urdf)
     line = refusal(capsys, good, "--urdf", "none.urdf")
     assert "none.urdf: no such robot description; give --urdf FILE." in line
-    assert "is a folder; give a file" in refusal(capsys, ".", "--urdf", urdf)
+    Path("empty").mkdir()
+    assert "is a folder; give a file" in refusal(capsys, "empty", "--urdf", urdf)
 
 
 FAULTS = {

@@ -21,6 +21,8 @@ from tests.command_line.test_close_loop import LINK, URDF
 
 pytest.importorskip("pinocchio")
 
+# The robots of these tests have no collision geometry, which is a doubt.
+UNCHECKED = 3
 # Few harmonics, so that a motion takes a second or two.
 QUICK = ("--duration", "4", "--acceleration", "3")
 # Fast enough to tell frictions apart.
@@ -77,8 +79,9 @@ def designed(home):
     argv = ["--report", str(home / "report"), *FAST, "--out", str(out)]
     text, errors = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.redirect_stderr(errors):
-        assert main(["design", *argv]) == 0
-    assert errors.getvalue() == ""
+        assert main(["design", *argv]) == UNCHECKED
+    (line,) = errors.getvalue().splitlines()
+    assert line.startswith("note: exit code 3: SELF-COLLISION WAS NOT CHECKED")
     return out, text.getvalue(), argv
 
 
@@ -180,7 +183,7 @@ def test_all_recordings_of_a_report_go_into_the_next_one(home, tmp_path, capsys)
     )
     out = tmp_path / "motion.csv"
     argv = ["--report", str(tmp_path), *FAST, "--out", str(out)]
-    assert main(["design", *argv]) == 0
+    assert main(["design", *argv]) == UNCHECKED
     text = capsys.readouterr().out
     # What came through a pipe is not there any more.
     assert "close-loop runs/a.csv before.csv runs/b.csv recording.csv --urdf" in text
@@ -214,8 +217,34 @@ def test_the_same_again_gives_the_same(designed, capsys):
     out.write_text("mine")
     assert "exist" in refusal(capsys, *argv)
     assert out.read_text() == "mine"
-    assert main(["design", *argv, "--force"]) == 0
+    assert main(["design", *argv, "--force"]) == UNCHECKED
     assert out.read_bytes() == before
+
+
+# Bars about the links of the arm: those of one joint apart need not be looked at.
+GEOMETRY = """<collision><origin xyz="0.1 0 0"/><geometry><box size="0.2 0.02 0.02"/>
+</geometry></collision></link>"""
+
+
+def test_the_first_step_is_what_was_not_checked_and_none_where_it_was(here, capsys):
+    argv = ["design", "--urdf", "arm.urdf", *QUICK]
+    assert main(argv) == UNCHECKED
+    text = capsys.readouterr().out
+    steps = text.partition("Next:")[2].split("\n")
+    assert steps[1].startswith("  0. BEFORE IT RUNS: the robot may hit itself")
+    assert text.splitlines()[2].startswith("SELF-COLLISION WAS NOT CHECKED")
+    page = (here / "motion.html").read_text(encoding="utf-8")
+    assert '<ol start="0">' in page
+    assert '<header class="bad">' in page
+    described = URDF.replace("</link>", GEOMETRY)
+    Path("arm.urdf").write_text(described)
+    assert main([*argv, "--force"]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    assert "Next:\n  1. Run motion.csv" in captured.out
+    page = (here / "motion.html").read_text(encoding="utf-8")
+    assert "SELF-COLLISION" not in captured.out + page
+    assert '<ol start="0">' not in page
 
 
 def test_a_described_robot_with_held_joints_and_slow(here, capsys):
@@ -230,7 +259,7 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     argv += ["--limits", "limits.csv", "--scale", "0.5", "--dt", "0.02"]
     argv += ["--duration", "5"]
     argv += ["--start", "-1,0", "--effects", "stribeck,spring", "--seed", "3"]
-    assert main(["design", *argv]) == 0
+    assert main(["design", *argv]) == UNCHECKED
     text = capsys.readouterr().out
     found = read(here / "motion.csv")
     assert found["q_shoulder"][0] == -1
@@ -262,7 +291,7 @@ def test_bodies_are_kept_apart_where_the_description_has_shapes(here, capsys):
         "".join(link + shape.format(x) for link, x in places) + rest + "</robot>"
     )
     argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
-    assert main(["design", *argv]) == 0
+    assert main(["design", *argv]) == UNCHECKED
     (said,) = re.findall(r"Bodies stay (.*) mm apart", capsys.readouterr().out)
     elbow = read(here / "motion.csv")["q_elbow"]
     # Lower arm and hand to the base, hand to the upper arm.
@@ -328,7 +357,7 @@ def test_what_a_robot_lacks_is_a_number_that_works(
     argv = offered(line)
     assert option in argv
     assert "limits=" not in line
-    assert main([*argv, "--acceleration", "3"]) == 0
+    assert main([*argv, "--acceleration", "3"]) == UNCHECKED
 
 
 def test_relative_gains_need_limits_of_their_own(home, here, capsys):
@@ -345,7 +374,7 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     line = refusal(capsys, "--report", folder, "--duration", "4")
     assert "gains of the torque channels are relative" in line
     assert offered(line)[-2:] == ["--acceleration", "20,20"]
-    assert main(["design", "--report", str(folder), *FAST]) == 0
+    assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
     assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
 
@@ -361,7 +390,8 @@ def test_what_a_slow_motion_does_not_tell_apart_is_said(home, here, capsys):
     assert float(least) > 100
     assert "It tells apart" not in captured.out
     line = captured.err.splitlines()[-1]
-    assert line.startswith("note: exit code 3: not told apart on joint 1 (shoulder)")
+    assert line.startswith("note: exit code 3: SELF-COLLISION WAS NOT CHECKED")
+    assert "; not told apart on joint 1 (shoulder)" in line
     page = (here / "motion.html").read_text(encoding="utf-8")
     assert "Not told apart on joint 1 (shoulder)" in page
 
@@ -374,7 +404,7 @@ def test_durations_and_starts_that_would_do(here, capsys):
     wanted = float(argv[argv.index("--duration") + 1])
     # (1 - cos) / 2 through a quarter of the range of 6 rad
     assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
-    assert main(argv) == 0
+    assert main(argv) == UNCHECKED
     capsys.readouterr()
     out = ("--out", "other.csv")
     line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", "-4,0.5")
@@ -441,7 +471,7 @@ def test_the_file_that_is_shown_works(here, capsys):
     shown = line.partition("this would work: a file with ")[2]
     Path("none.json").write_text(shown)
     argv = ["--urdf", "arm.urdf", "--limits", "none.json", "--duration", "4"]
-    assert main(["design", *argv, "--acceleration", "3"]) == 0
+    assert main(["design", *argv, "--acceleration", "3"]) == UNCHECKED
 
 
 def test_places_where_nothing_can_be_written(here, capsys):

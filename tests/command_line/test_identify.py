@@ -1,12 +1,17 @@
 """The command identify on a recording of one's own."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa._cli import main
-from sklearn_vbjfa.datasets import Protocol, read_recording
+from sklearn_vbjfa._cli._identify import method_doubts
+from sklearn_vbjfa.datasets import Protocol, load_demo_recording, read_recording
+from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.robot import compare_methods
 from tests.hostile._case import URDF, clean_text
 
@@ -36,26 +41,60 @@ def rows_of(text):
     return found
 
 
-def test_the_last_part_of_ones_own_recording_is_held_out(folder, capsys):
-    from sklearn_vbjfa import RobotIdentifier
-
+def test_what_close_loop_holds_out_of_ones_own_recording_is_held_out(folder, capsys):
     code, out, err = identify(capsys, "arm.csv", "--urdf", "arm.urdf")
     assert code == 0, err
-    assert "first 70 % of recording fitted, the rest held out" in out
+    assert "s in 1 stretch, those of close-loop" in out
     rows = rows_of(out)
     assert len(rows) == 15
 
     recording = read_recording("arm.csv", urdf="arm.urdf")
-    train, test = Protocol().split(recording)
     identifier = RobotIdentifier("arm.urdf", dt=recording.dt)
-    parts = [
-        (recording.q[rows], recording.tau[rows], recording.groups[rows])
-        for rows in (train, test)
-    ]
-    (result,), _ = compare_methods(identifier, *parts, names=["WLS"])
+    split = split_in_time(identifier, recording, EffectDiscovery(identifier).test_size)
+    own = split.searched(recording), split.untouched(recording)
+    parts = [(part.q, part.tau, part.groups) for part in own]
+    (result,), _ = compare_methods(identifier, *parts, names=["WLS"], of_both=True)
     np.testing.assert_allclose(rows["WLS"][:2], 100 * result.error, atol=0.051)
     # Nothing is written.
     assert {path.name for path in folder.iterdir()} == {"arm.csv", "arm.urdf"}
+
+
+def test_the_declared_model_is_as_wrong_as_in_close_loop(tmp_path, capsys):
+    """A torque that is clipped in one part only: any other part has another error."""
+    demo = load_demo_recording()
+    tau = demo.tau.copy()
+    tau[:, 1] = np.clip(tau[:, 1], -30.0, 30.0)
+    tau[1500:3000, 1] = demo.tau[1500:3000, 1]
+    identifier = RobotIdentifier(demo.urdf, dt=demo.dt)
+    loop = EffectDiscovery(identifier, effects=[], ceiling=False)
+    loop.fit(demo.q, tau, demo.groups)
+    table = np.column_stack([demo.groups, demo.q, tau])
+    heads = ["segment", *(f"{k}{j + 1}" for k in ("q", "tau") for j in range(6))]
+    path = tmp_path / "arm.csv"
+    np.savetxt(path, table, delimiter=",", header=",".join(heads), comments="")
+    given = str(path), "--urdf", str(demo.urdf), "--dt", str(demo.dt)
+    code, out, err = identify(capsys, *given)
+    assert code == 3, err
+    (line,) = (x for x in out.splitlines() if x.startswith("VB + description"))
+    error = float(line.split()[4])
+    # But for the rows next to what is fitted.
+    assert error == pytest.approx(100 * loop.error_before_[1], rel=0.1)
+    # The last 30 % of each recording, by themselves.
+    parts = [
+        (demo.q[rows], tau[rows], demo.groups[rows]) for rows in Protocol().split(demo)
+    ]
+    (result,), _ = compare_methods(identifier, *parts, names=["VB + description"])
+    assert 100 * result.error[1] != pytest.approx(error, rel=0.2)
+
+
+def test_a_joint_that_is_predicted_worse_than_by_its_mean_is_a_doubt():
+    result = SimpleNamespace(
+        message="", error=np.array([0.1, 1.2]), n_inconsistent=0, name="ours"
+    )
+    assert method_doubts([result], ("shoulder", "elbow")) == [
+        "do not trust the model of elbow: it predicts the held-out torque worse than "
+        "its mean does"
+    ]
 
 
 def test_it_is_read_like_by_the_other_commands(folder, capsys):

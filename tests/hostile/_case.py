@@ -10,7 +10,7 @@ import numpy as np
 
 from sklearn_vbjfa.datasets import make_robot_recording
 
-SEED = 20260
+SEED = 20261124
 DT = 0.005
 # The robot is sampled this much finer, for samples at any time.
 FINE = 20

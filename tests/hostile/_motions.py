@@ -309,7 +309,8 @@ def _link_in_a_circle(folder):
 
 def _folder_cases():
     return [
-        _folder_case("a report there", _report_there, "same"),
+        _folder_case("a report there", _report_there, "refused", "--out out-2$"),
+        _folder_case("a report there, by force", _report_there, "same", "", "--force"),
         _folder_case("there, empty", lambda x: (x / "out").mkdir(), "same"),
         _folder_case(
             "a file there", lambda x: (x / "out").touch(), "refused", "a file"
@@ -318,7 +319,14 @@ def _folder_cases():
         _folder_case("a folder named report.html", _folder_in_its_place, "refused"),
         _folder_case("a link to nothing", _link_to_nothing, "either"),
         _folder_case("a link to itself", _link_in_a_circle, "refused"),
-        _folder_case("read-only", lambda x: None, "refused", "", "--out", "/proc/a"),
+        _folder_case(
+            "read-only",
+            lambda x: None,
+            "refused",
+            "/proc cannot be written to",
+            "--out",
+            "/proc/a",
+        ),
         _folder_case("a device", lambda x: None, "refused", "", "--out", "/dev/null"),
         _folder_case("NUL", lambda x: None, "refused", "", "--out", "a\0b"),
         _folder_case("long", lambda x: None, "refused", "", "--out", "x" * 5000),

@@ -210,7 +210,11 @@ def cases():
     strange = "s,rad,parsec,Nm,Nm"
     text("row of strange units", _lines(lambda x, rng: x.insert(1, strange)), "refused")
     text("end of log", _lines(lambda x, rng: x.append("end of log")), "refused")
-    text("header missing", _lines(lambda x, rng: x.pop(0)), "refused", "line 1")
+    places = "no names of columns, only 5 .*--columns t=1,q=2-3,tau=4-5$"
+    text("header missing", _lines(lambda x, rng: x.pop(0)), "refused", places)
+    for k in (7, 12, 25):
+        cut = "the last line is cut"
+        text(f"last line cut by {k}", lambda rng, k=k: plain[:-k], "read", cut)
     text("two logs", lambda rng: plain + plain, "refused")
     text("header only", lambda rng: "t,q1,q2,tau1,tau2\n", "refused", "only a header")
     text("one row", lambda rng: "\n".join(clean_lines()[:2]), "refused")
@@ -271,6 +275,12 @@ def cases():
     table("column of text", lambda x, rng: x | {"mode": ["run"] * len(x["t"])}, "same")
     holes = lambda x, rng: x | {"I": np.where(x["q1"] > 0, np.nan, 1.0)}  # noqa: E731
     table("holes beside", holes, "same", "column")
+
+    def mixed(x, rng):
+        order = rng.permutation(len(x["t"]))
+        return {name: values[order] for name, values in x.items()}
+
+    table("rows shuffled", mixed, "same", "sorted by it")
     table("columns shuffled", lambda x, rng: {k: x[k] for k in sorted(x)[::-1]}, "same")
     found.append(Case(name="text: 2,000 columns", build=_wide(2000), expect="read"))
     found.append(Case(name="text: 200,000 columns", build=_wide(200_000), slow=True))

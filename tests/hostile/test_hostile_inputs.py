@@ -1,8 +1,11 @@
 """No input ends in a traceback, a crash, a hang, a full memory or half a report."""
 
+import contextlib
 import json
 import re
+import shutil
 import sys
+import threading
 import warnings
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -22,6 +25,7 @@ from tests.hostile import (
     _descriptions,
     _formats,
     _motions,
+    _several,
     _tables,
     _times,
 )
@@ -31,7 +35,15 @@ from tests.hostile._sample import pairs_of, pairwise
 
 CASES = [
     case
-    for family in (_tables, _archives, _formats, _descriptions, _motions, _times)
+    for family in (
+        _tables,
+        _archives,
+        _formats,
+        _descriptions,
+        _motions,
+        _times,
+        _several,
+    )
     for case in family.cases()
 ]
 # Every so many cases are simulated as well: reading is the same, what follows is not.
@@ -206,6 +218,79 @@ def test_hostile_input(case, runner, clean, tmp_path):
         assert verdict(out / "report.json") == clean, outcome.out + told
     if case.message:
         assert re.search(case.message, outcome.err), told
+
+
+# -- files and folders that change during a run ----------------------------------------
+
+
+def _grows(folder):
+    with (folder / "arm.csv").open("a") as file:
+        file.write("1,2,3\n")
+
+
+def _is_rewritten(folder):
+    text = clean_text()
+    (folder / "arm.csv").write_text(text[: len(text) // 2])
+    (folder / "arm.csv").write_text(text)
+
+
+def _is_deleted(folder):
+    (folder / "arm.csv").unlink(missing_ok=True)
+    (folder / "arm.csv").write_text(clean_text())
+
+
+def _out_disappears(folder):
+    shutil.rmtree(folder / "out", ignore_errors=True)
+
+
+def _out_becomes_a_file(folder):
+    with contextlib.suppress(OSError):
+        shutil.rmtree(folder / "out", ignore_errors=True)
+        (folder / "out").touch()
+
+
+def _report_appears(folder):
+    with contextlib.suppress(OSError):
+        (folder / "out").mkdir()
+        (folder / "out" / "report.json").write_text("of another run")
+
+
+CHANGES = [_grows, _is_rewritten, _is_deleted, _out_disappears, _out_becomes_a_file]
+CHANGES += [_report_appears]
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_what_changes_during_a_run_ends_in_one_line_or_whole_files(
+    change, runner, tmp_path
+):
+    ended = threading.Event()
+
+    def keep_changing():
+        while not ended.wait(0.002):
+            change(tmp_path)
+
+    def build(folder):
+        (folder / "arm.csv").write_text(clean_text())
+        other.start()
+        return argv("arm.csv", "--effects", "none")
+
+    other = threading.Thread(target=keep_changing)
+    try:
+        _, outcome = run(runner, build, tmp_path)
+    finally:
+        ended.set()
+        other.join()
+    told = outcome.err[-2000:]
+    assert "Traceback" not in outcome.err, told
+    check_code(outcome)
+    if outcome.code == 2:
+        check_refusal(outcome)
+        assert not list(tmp_path.glob("**/.writing-*"))
+    if change is _grows:
+        assert "was written to while it was read" in outcome.err
+    if change is _report_appears and (tmp_path / "out").is_dir():
+        text = (tmp_path / "out" / "report.json").read_text()
+        assert text == "of another run"
 
 
 # -- simulated -------------------------------------------------------------------------

@@ -1,6 +1,6 @@
 """Channels that cannot be what they are called: found where they are, only there."""
 
-from dataclasses import FrozenInstanceError
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
@@ -10,8 +10,12 @@ from sklearn_vbjfa.datasets import make_robot_recording
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.inspection import ChannelFinding, inspect_channels
-from sklearn_vbjfa.recording import levels
+from sklearn_vbjfa.inspection import (
+    ChannelFinding,
+    inspect_channels,
+    inspect_recording,
+)
+from sklearn_vbjfa.recording import levels, parse_drive
 from tests._quick import checkered, one_in
 
 # What the notes on the measured sets say of their channels: the currents of the last
@@ -193,9 +197,74 @@ def test_clipped_torque(arm):
     tau = arm[0].tau.copy()
     limit = 0.6 * np.abs(tau[:, 1]).max()
     tau[:, 1] = np.clip(tau[:, 1], -limit, limit)
-    assert f"{limit:.5g}" in only(
-        inspect(arm, tau=tau), "clipped_torque", (1,), "warning"
-    )
+    share = np.mean(np.abs(arm[0].tau[:, 1]) >= limit)
+    assert share > 0.02
+    message = only(inspect(arm, tau=tau), "clipped_torque", (1,), "doubt")
+    assert f"clipped at +-{limit:.4g}: {100 * share:.2g} % of its samples" in message
+
+
+def test_few_clipped_samples_are_no_doubt(arm):
+    tau = arm[0].tau.copy()
+    tau[:, 1] = np.minimum(tau[:, 1], np.quantile(tau[:, 1], 0.997))
+    only(inspect(arm, tau=tau), "clipped_torque", (1,), "warning")
+
+
+def test_torques_that_drop_to_zero_are_no_friction(arm):
+    tau = arm[0].tau.copy()
+    rows = np.concatenate([np.arange(k, k + 30) for k in range(200, 3000, 400)])
+    tau[rows, 3] = 0.0
+    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
+    assert "up to 0.15 s" in message
+    times = int(message.split(" times")[0].split()[-1])
+    # Some begin or end where the torque is near zero by itself.
+    assert 4 <= times <= 7
+
+
+def test_torques_that_pass_zero_slowly_or_are_off_do_not_drop_out(arm):
+    coarse = np.round(arm[0].tau / (0.02 * arm[0].tau.std(axis=0)))
+    dead = np.where(np.abs(coarse) < 4, 0.0, coarse - 4 * np.sign(coarse))
+    for tau in (coarse, dead):
+        kinds = {one.kind for one in inspect(arm, tau=tau * arm[0].tau.std(axis=0))}
+        assert "torque_dropouts" not in kinds
+
+
+def test_coarse_torques_are_that_and_nothing_else(arm):
+    step = 1.5 * arm[0].tau.std(axis=0)
+    findings = inspect(arm, tau=np.round(arm[0].tau / step) * step)
+    assert {one.kind for one in findings} == {"coarse_torque"}
+    assert {j for one in findings for j in one.joints} == set(range(6))
+
+
+@pytest.mark.parametrize("step", [0.0, 0.05])
+def test_sizes_of_torques_are_not_clipped_at_zero(arm, step):
+    tau = np.abs(arm[0].tau)
+    if step:
+        tau = np.floor(tau / (step * tau.std(axis=0))) * step * tau.std(axis=0)
+    message = only(inspect(arm, tau=tau), "unsigned_torque", tuple(range(6)), "error")
+    assert '--drive "current signed=no"' in message
+    assert parse_drive("current signed=no").unsigned
+
+
+@pytest.mark.parametrize("constant", [5.0, 9.0, 20.0, (12.0, 12.0, 9.0, 6.0, 6.0, 5.0)])
+def test_currents_do_not_pass_for_torques(arm, constant):
+    (finding,) = inspect(arm, tau=arm[0].tau / constant)
+    assert (finding.kind, finding.severity) == ("torque_unit", "doubt")
+    assert "--gain unknown" in finding.message
+    factor = float(finding.message.split("are ")[1].split()[0])
+    assert factor == pytest.approx(1 / np.median(constant), rel=0.5)
+
+
+@pytest.mark.parametrize("factor", [0.5, 2.0])
+def test_masses_that_are_wrong_by_half_are_no_currents(arm, factor):
+    assert inspect(arm, tau=factor * arm[0].tau) == ()
+
+
+def test_what_is_no_torque_is_not_asked_for_its_unit():
+    recording = make_robot_recording(random_state=3, duration=16.0)
+    recording = replace(recording, tau=recording.tau / 9)
+    (finding,) = inspect_recording(recording)
+    assert finding.kind == "torque_unit"
+    assert inspect_recording(replace(recording, torque_units=("A",) * 6)) == ()
 
 
 def test_frozen_positions(arm):

@@ -380,8 +380,8 @@ def test_a_folder_says_what_it_holds(tmp_path):
     folder = tmp_path / "logs"
     folder.mkdir()
     assert "It holds nothing." in refused(folder)[0]
-    (folder / "a.csv").write_text("t,q1\n")
-    assert "It holds a.csv." in refused(folder)[0]
+    (folder / "a.md").write_text("t,q1\n")
+    assert "It holds a.md." in refused(folder)[0]
     (folder / "bag.db3.lz4").write_bytes(b"1")
     text = str(refused_at(folder / "bag.db3.lz4", folder))
     assert text.endswith(f"unpack it first: lz4 -d {folder / 'bag.db3.lz4'}")

@@ -225,7 +225,7 @@ def test_cells_and_names_of_a_sheet_are_refused_by_their_line(sheet):
     assert "nan or nothing in line 8 of sheet" in refused(sheet(rows))
     rows[0][1] = "t"
     assert "line 1 names column 't' twice" in refused(sheet(rows))
-    assert "line 1 holds numbers where the header" in refused(sheet(rows[1:]))
+    assert "has no names of columns, only 4" in refused(sheet(rows[1:]))
     assert "no rows of data" in refused(sheet([]))
     assert "only a header" in refused(sheet([["t", "q1"], ["s", "rad"]]))
 
@@ -320,9 +320,9 @@ def test_npy_with_named_fields(tmp_path):
 
 def test_npy_of_something_else(tmp_path):
     path = tmp_path / "arm.npy"
-    np.save(path, np.zeros((N, 5)))
+    np.save(path, np.zeros((N, 5, 2)))
     message = refused(path)
-    assert "array of shape (60, 5) without names" in message
+    assert "array of shape (60, 5, 2) without names" in message
     assert "numpy.savez(FILE, t=t, q=q, tau=tau)" in message
     np.save(path, {"q": np.zeros(3)}, allow_pickle=True)
     assert "holds Python objects and not numbers, which are not loaded" in refused(path)
@@ -490,7 +490,7 @@ def test_what_is_beside_the_channels_in_json(tmp_path):
         ("5", "holds 5 as record 1; expected objects such as"),
         ('[{"q1": 1}, 2]', "holds 2 as record 2"),
         ('[{"q1": 1}', "is no whole JSON file (Expecting ',' delimiter in line 1)"),
-        ('{"q1": 1}\n{"q1": 1', "(Expecting ',' delimiter in line 2)"),
+        ('{"q1": 1}\n{"q1": 1\n', "(Expecting ',' delimiter in line 2)"),
         ('{"q": [[1, 2], [3]], "tau": [1, 2]}', "or lists of other lengths"),
         ('{"q": [1, "off"], "tau": [1, 2]}', "'q' holds 1 and others that are no"),
         ("[" * 100_000, "is no whole JSON file"),

@@ -528,13 +528,46 @@ def test_columns_of_currents_are_offered_with_their_gains(tmp_path):
     names = {f"tau{k}": f"motor_current_{k}" for k in (1, 2)}
     path = write(tmp_path / "arm.csv", renamed(names))
     said, recording = follow(path)
-    assert "columns='tau=motor_current_{i} [A]', gains='unknown'" in said
+    assert "columns='tau=motor_current_{i}', gains='unknown'" in said
     assert recording.torque_units == ("A", "A")
     # Gains that are known stay.
     said, recording = follow(path, gains=(2.0, 3.0))
     assert "unknown" not in said
     assert recording.torque_units == ("N m", "N m")
     np.testing.assert_allclose(recording.tau[:, 1], 3 * table()["tau2"], atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["i{}", "current{}", "motor_amps_{}", "Strom{}"])
+def test_a_column_that_is_named_like_a_current_is_one(name, tmp_path):
+    path = write(
+        tmp_path / "arm.csv", renamed({f"tau{k}": name.format(k) for k in (1, 2)})
+    )
+    mapping = f"tau={name.format('{i}')}"
+    said, recording = follow(path)
+    assert f"columns='{mapping}', gains='unknown'" in said
+    assert recording.torque_units == ("A", "A")
+    with pytest.warns(UserWarning, match="recorded in A: give the gains"):
+        read_recording(path, columns=mapping)
+    # What is said of it counts.
+    told = read_recording(path, columns=f"{mapping} [Nm]")
+    assert told.torque_units == ("N m", "N m")
+
+
+def test_torques_that_were_made_of_currents_are_torques(tmp_path):
+    names = {f"tau{k}": f"current_as_torque_{k}" for k in (1, 2)}
+    path = write(tmp_path / "arm.csv", renamed(names))
+    _, recording = follow(path)
+    assert recording.torque_units == ("N m", "N m")
+
+
+def test_currents_that_are_never_negative_are_offered_without_signs(tmp_path):
+    names = {f"tau{k}": f"current{k}" for k in (1, 2)}
+    columns = renamed(names)
+    columns |= {name: np.abs(columns[name]) for name in names.values()}
+    path = write(tmp_path / "arm.csv", columns)
+    said, recording = follow(path)
+    assert "columns='tau=current{i}', drive='current signed=no'" in said
+    assert (recording.tau >= 0).all()
 
 
 def test_the_first_joints_are_offered_for_fewer_columns(made, tmp_path):

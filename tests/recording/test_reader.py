@@ -387,7 +387,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
     [
         ("", "no rows of data"),
         ("t,q1,tau1\n", "only a header"),
-        ("0,1,2\n1,2,3\n", "line 1 holds numbers where the header should be"),
+        ("0,1,2\n1,2,3\n", "has no names of columns, only 3 columns of numbers"),
         ("t,q1,q1,tau1\n0,1,1,2\n", "names column 'q1' twice"),
         ("t,,tau1\n0,1,2\n", "column 2 has no name in line 1"),
         ("t,q1,tau1\n0,1,2\n0.1,1\n", "line 3 has 2 cells, the header names 3"),
@@ -501,7 +501,7 @@ def test_missing_samples_are_bridged_and_gaps_are_not(csv):
         recording = read_recording(csv(columns))
     text = " ".join(str(w.message) for w in caught)
     assert "2 gap(s) of more than 5 periods in time, the first after line 148" in text
-    assert "1 piece(s) of fewer than 10 samples" in text
+    assert "1 piece(s) of fewer than 16 samples" in text
     assert "3 single sample(s) are missing and were interpolated" in text
     assert "irregular" not in text
     np.testing.assert_array_equal(np.bincount(recording.groups), [150, 120])

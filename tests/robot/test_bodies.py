@@ -1,11 +1,14 @@
 """Bodies around their description, against closed forms, quadrature and true robots."""
 
+import warnings
+
 import numpy as np
 import pinocchio as pin
 import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import _bodies
 from sklearn_vbjfa.robot._bodies import (
     DESCRIBED,
@@ -195,6 +198,22 @@ def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suff
     assert first.factors[own] > 3
     rotors = [r.theta_.reshape(3, -1)[:, 10:] for r in (right, wrong)]
     np.testing.assert_allclose(*rotors, rtol=0.05, atol=0.01)
+
+
+@pytest.mark.parametrize("bodies", ["prior", "fixed"])
+def test_a_fit_asks_for_the_unit_of_torques_that_are_too_small(recording, bodies):
+    model, (q, tau) = a_robot(), recording
+    robot = RobotIdentifier(model, dt=DT, bodies=bodies)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DoubtWarning)
+        robot.fit(q, tau)
+        robot.fit(q, 0.5 * tau)
+        # Said: the masses of the description do not count, or the unit is not known.
+        RobotIdentifier(model, dt=DT, bodies="free").fit(q, tau / 9)
+        RobotIdentifier(model, dt=DT, gains="unknown").fit(q, tau / 9)
+    with pytest.warns(DoubtWarning, match="are they motor currents") as caught:
+        robot.fit(q, tau / 9)
+    assert caught[0].filename == __file__
 
 
 def test_fixed_bodies_are_those_of_the_description(recording):

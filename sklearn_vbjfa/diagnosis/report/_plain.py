@@ -127,9 +127,26 @@ def remedies(outcome):
         for one in own:
             joint = words.joint_label(outcome.joint_names, one.joint)
             told.append(Remedy(name=name, joint=one.joint, text=text(one, joint)))
-    # Nobody mends a robot on a perhaps.
+    # Nobody mends a robot on a perhaps, nor on what may as well be nothing.
     open_ = {(one.name, one.joint) for one in outcome.perhaps}
-    return tuple(one for one in told if (one.name, one.joint) not in open_)
+    return tuple(
+        one
+        for one in told
+        if (one.name, one.joint) not in open_ and not _may_be_nothing(outcome, one)
+    )
+
+
+def _may_be_nothing(outcome, remedy):
+    """Whether every interval of what a remedy is for holds the value of no fault."""
+    joint = outcome.joint_names[remedy.joint] if outcome.joint_names else ""
+    begins = f"{joint}:{remedy.name}:", f"{remedy.name}:"
+    known = [one for one in outcome.parameters if one.name.startswith(begins)]
+    return bool(known) and all(
+        one.interval[0]
+        <= (1.0 if one.name.endswith(":gain") else 0.0)
+        <= one.interval[1]
+        for one in known
+    )
 
 
 def _level(tilt):

@@ -253,11 +253,12 @@ def _headline(outcome, joints, status):
             f"floor.{silent}"
         )
     if status == "complete":
-        return f"{found} missing; what remains is {near} the noise floor.{silent}"
+        text = f"what remains is {near} the noise floor.{silent}"
+        return f"{found} {_missing(outcome)}; {text}"
     which, one = _where(outcome, joints, "unexplained")
     first = "Something is missing that has no name"
     if count:
-        first = f"{found} missing, but that is not all"
+        first = f"{found} {_missing(outcome)}, but that is not all"
     open_joints = {v.joint for v in joints if v.status == "unexplained"}
     left = max(u.of_torque for u in outcome.unexplained if u.joint in open_joints)
     return (
@@ -321,13 +322,13 @@ def _unsure(outcome, joints, status):
     if status == "unsettled":
         which, _ = _where(outcome, joints, "above")
         return (
-            f"{f'{found} missing' if count else 'No effect was found to be missing'}; "
+            f"{found if count else 'No effect was found to be'} {_missing(outcome)}; "
             f"{which} reached the noise floor in the search but not on "
             "untouched data: record more, or look for what changed."
         )
     first = "No effect of the library was found; whether one is missing"
     if count:
-        first = f"{found} missing; whether more is"
+        first = f"{found} {_missing(outcome)}; whether more is missing"
     which, _ = _where(outcome, joints, "unknown")
     return f"{first} cannot be said, as the noise floor of {which} is unknown."
 
@@ -359,6 +360,14 @@ def _found(outcome):
         return "0 effects were"
     verb = "was" if len(effects) == 1 else "were"
     return f"{words.capital(_named(outcome, effects))} {verb}"
+
+
+def _missing(outcome):
+    """Say that effects were missing, or only that they were found."""
+    errors = _mean_errors(outcome)
+    if outcome.effects and errors.after >= min(errors.before, errors.plain):
+        return "found, though the held-out error did not fall"
+    return "missing"
 
 
 def _named(outcome, effects):

@@ -120,6 +120,25 @@ def expanded(path):
         return path
 
 
+def tables_in(path):
+    """Return the tables of a folder that is none of a format's, in order."""
+    path = expanded(path)
+    if not path.is_dir():
+        return []
+    if any(next(path.glob(mark), None) for one in FORMATS for mark in one.marks):
+        return []
+    packed = (*_OPEN, *_ZSTANDARD)
+    found = []
+    for file in sorted(path.iterdir()):
+        endings = [x.lower() for x in file.suffixes[-2:]]
+        if endings and endings[-1] in packed:
+            endings.pop()
+        known = _BY_ENDING.get(endings[-1]) if endings else None
+        if known and file.is_file() and not file.name.startswith("."):
+            found.append(file)
+    return found
+
+
 def _read_folder(stack, path, wanted):
     """Read the folder of a bag or of a LeRobot data set."""
     for one in FORMATS:

@@ -378,6 +378,7 @@ BAG = Format(
     read=read_bag,
     begins=tuple((begin, ending) for ending, begin in _BEGIN.items()),
     read_folder=read_bag_folder,
+    marks=("metadata.yaml", "*.db3*", "*.mcap*", "*.bag*"),
     has_topics=True,
     needs=("rosbags", "bags", "bags"),
 )

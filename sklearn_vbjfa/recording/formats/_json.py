@@ -1,13 +1,18 @@
 """Records or arrays out of JSON, as a list, one record a line, or arrays by names."""
 
 import json
+from dataclasses import replace
+
+import numpy as np
 
 from sklearn_vbjfa.recording._table import (
+    CUT,
     Format,
     Source,
     Table,
     check_size,
     flattened,
+    nameless,
     quoted,
     table_of_arrays,
     table_of_records,
@@ -20,25 +25,65 @@ _SPREAD = 4
 
 
 def read_json(path: Source, wanted) -> Table:
-    """Read a list of records, records one a line, or arrays by their names."""
+    """Read a list of records or rows, one a line or not, or arrays by their names."""
     check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
-    found = _parsed(path, text_of(path))
+    found, notes = _parsed(path, text_of(path))
     if isinstance(found, dict):
-        return table_of_arrays(path, without_common_part(flattened(found)))
+        records = _records_in(found)
+        if not records:
+            table = table_of_arrays(path, without_common_part(flattened(found)))
+            return replace(table, notes=notes)
+        found = found[records]
+        notes = (*notes, f"the records are those of {records!r}.")
+    if isinstance(found, list) and found and all(map(_is_row, found)):
+        return _rows(path, found, notes)
     for k, record in enumerate(found if isinstance(found, list) else [found]):
         if not isinstance(record, dict) or not record:
             raise ValueError(
                 f"{path}: holds {quoted(record)} as record {k + 1}; expected objects "
-                'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, or arrays '
-                "by their names."
+                'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of '
+                "numbers, or arrays by their names."
             )
-    return table_of_records(path, found)
+    return replace(table_of_records(path, found), notes=notes)
+
+
+def _records_in(found):
+    """Return the name of the only list of records in an object, "" for none."""
+    lists = [
+        name
+        for name, one in found.items()
+        if isinstance(one, list) and one and all(isinstance(x, dict) for x in one)
+    ]
+    # A list of joints has arrays in it, not samples.
+    if len(lists) != 1 or any(
+        isinstance(x, list) and len(x) > len(found[lists[0]])
+        for x in found[lists[0]][0].values()
+    ):
+        return ""
+    return lists[0]
+
+
+def _is_row(one):
+    return isinstance(one, list) and all(isinstance(x, (int, float)) for x in one)
+
+
+def _rows(path, found, notes):
+    """Make a table without names of rows of numbers, or refuse rows that differ."""
+    lengths = [len(row) for row in found]
+    usual = max(set(lengths), key=lengths.count)
+    if not usual or len(set(lengths)) > 1:
+        k = next((k for k, n in enumerate(lengths) if n != usual or not n), 0)
+        raise ValueError(
+            f"{path}: record {k + 1} has {lengths[k]} numbers, others have {usual}; "
+            "all need as many."
+        )
+    return nameless(path, np.array(found, dtype=float), notes=notes)
 
 
 def _parsed(path, text):
-    """Return what a text says: all of it, or a list of what its lines say."""
+    """Return what a text says, all of it or a list of its lines, and notes."""
     try:
-        return json.loads(text)
+        return json.loads(text), ()
     except (ValueError, RecursionError) as error:
         lines = text.strip().split("\n")
         if getattr(error, "msg", "") != "Extra data" or len(lines) < 2:
@@ -48,8 +93,10 @@ def _parsed(path, text):
         try:
             found += [json.loads(line)] if line.strip() else []
         except (ValueError, RecursionError) as error:
+            if k == len(lines) - 1 and not text.endswith("\n"):
+                return found, (CUT,)
             raise _broken(path, error, k) from error
-    return found
+    return found, ()
 
 
 def _broken(path, error, line=0):

@@ -3,10 +3,12 @@
 import struct
 import zipfile
 import zlib
+from dataclasses import replace
 
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
+    LARGEST,
     Format,
     Source,
     Table,
@@ -17,10 +19,13 @@ from sklearn_vbjfa.recording._table import (
     without_common_part,
 )
 
+# Type of a packed variable, as its tag has it, and the bytes that are unpacked at once.
+_PACKED, _CHUNK = 15, 1 << 20
+
 
 def read_mat(path: Source, wanted) -> Table:
     """Read the variables of a MATLAB file."""
-    from scipy.io import loadmat, matlab, whosmat
+    from scipy.io import loadmat, matlab
 
     broken = (
         f"{path}: is no whole MATLAB file of version 5 to 7.2; write it anew with "
@@ -51,20 +56,55 @@ def read_mat(path: Source, wanted) -> Table:
         zlib.error,
     )
     with reading_arrays(path, broken, errors):
-        # Sizes as its headers tell: what is packed small must not fill the memory.
-        sizes = [
-            np.prod([float(n) for n in shape]) for _, shape, _ in whosmat(path.file)
-        ]
-        check_memory(max(8 * sum(sizes), path.file.stat().st_size))
+        # What is packed small must not fill the memory. Numbers may be stored as bytes,
+        # and become eight of them.
+        check_memory(8 * _unpacked_size(path.file))
         found = loadmat(path.file, simplify_cells=True)
-    found = {name: x for name, x in found.items() if name[:2] != "__"}
-    arrays = without_common_part(flattened(found, _is_numeric))
-    arrays = {name: np.asarray(x) for name, x in arrays.items()}
-    return table_of_arrays(path, _upright(arrays))
+    # Objects of MATLAB's own classes (tables, time series) have no name here.
+    objects = [x for name, x in found.items() if _is_object(x)]
+    found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
+    arrays = flattened(found, _is_numeric)
+    if objects and not arrays:
+        raise ValueError(
+            f"{path}: holds objects of MATLAB, such as a table or time series, and no "
+            "arrays; in MATLAB write its numbers: t = T.Time; q = T{:, 2:7}; ... "
+            "save(FILE, 't', 'q', 'tau', '-v7')."
+        )
+    arrays = {k: np.asarray(x) for k, x in without_common_part(arrays).items()}
+    table = table_of_arrays(path, _upright(arrays))
+    if not objects:
+        return table
+    note = f"{len(objects)} object(s) of MATLAB's own classes are left out."
+    return replace(table, notes=(*table.notes, note))
 
 
 def _is_numeric(value):
-    return np.asarray(value).dtype.kind in "biufU"
+    return np.asarray(value).dtype.kind in "biufU" and not _is_object(value)
+
+
+def _is_object(value):
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
+
+    return isinstance(value, (MatlabOpaque, MatlabFunction))
+
+
+def _unpacked_size(path):
+    """Return the bytes of a file of version 5 with its variables unpacked."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        order = "<" if file.read(128)[126:] == b"IM" else ">"
+        while len(tag := file.read(8)) == 8:
+            kind, count = struct.unpack(f"{order}II", tag)
+            if kind != _PACKED:
+                file.seek(count, 1)
+                continue
+            unpacker = zlib.decompressobj()
+            while count > 0 and (chunk := file.read(min(count, _CHUNK))):
+                count -= len(chunk)
+                while chunk and size <= LARGEST:
+                    size += len(unpacker.decompress(chunk, _CHUNK))
+                    chunk = unpacker.unconsumed_tail
+    return size
 
 
 def _upright(arrays):

@@ -12,6 +12,7 @@ from sklearn_vbjfa.recording._table import (
     Source,
     Table,
     check_memory,
+    nameless,
     reading_arrays,
     table_of_arrays,
 )
@@ -65,6 +66,8 @@ def read_npy(path: Source, wanted) -> Table:
     )
     with reading_arrays(path, broken, _BROKEN, lambda: objects):
         array = np.load(path.file, allow_pickle=False)
+    if isinstance(array, np.ndarray) and array.ndim == 2 and array.dtype.kind in "biuf":
+        return nameless(path, array)
     if not isinstance(array, np.ndarray) or array.dtype.names is None:
         shape = getattr(array, "shape", ())
         raise ValueError(

@@ -133,5 +133,6 @@ PARQUET = Format(
     read=read_parquet,
     begins=((b"PAR1", ".parquet"),),
     read_folder=read_lerobot,
+    marks=(_INFO.as_posix(),),
     needs=("pyarrow", "parquet files", "parquet"),
 )

@@ -34,10 +34,14 @@ def read_sheet(path: Source, wanted) -> Table:
             "the columns."
         )
     filled = filled[_titles(rows, filled) :]
-    header = _header(path, rows[filled[0]], filled[0])
+    first = [x for x in rows[filled[0]] if x != ""]
+    nameless = all(isinstance(x, (int, float)) for x in first)
+    if nameless:
+        header, lines = [str(k + 1) for k in range(len(first))], filled
+    else:
+        header, lines = _header(path, rows[filled[0]], filled[0]), filled[1:]
     keep = [k for k, name in enumerate(header) if name]
     header = [header[k] for k in keep]
-    lines = filled[1:]
     cells = [[rows[k][j] if j < len(rows[k]) else "" for j in keep] for k in lines]
     units = row_of_units([str(x) for x in cells[0]], header)
     if units:
@@ -56,7 +60,12 @@ def read_sheet(path: Source, wanted) -> Table:
     if len(names) > 1:
         notes = (f"sheet {used!r} of {len(names)} was read.",)
     return Table(
-        path=path.shown, columns=columns, where=where, units=units, notes=notes
+        path=path.shown,
+        columns=columns,
+        where=where,
+        units=units,
+        nameless=nameless,
+        notes=notes,
     )
 
 
@@ -97,12 +106,6 @@ def _header(path, row, line):
                 f"{path}: line {line + 1} names column {name!r} twice; each column "
                 "needs its own name."
             )
-    numbers = [x for x in row if isinstance(x, (int, float))]
-    if len(numbers) == sum(x != "" for x in row):
-        raise ValueError(
-            f"{path}: line {line + 1} holds numbers where the header should be; put "
-            "column names such as t,q1,q2,tau1,tau2 in the first line."
-        )
     return names
 
 

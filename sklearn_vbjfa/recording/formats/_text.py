@@ -15,13 +15,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.recording._layout import is_unit
-from sklearn_vbjfa.recording._table import Format, Source, Table, quoted
+from sklearn_vbjfa.recording._table import (
+    CUT,
+    Format,
+    Source,
+    Table,
+    quoted,
+)
 
 # Separators that are guessed, and others that a header in one piece may have.
 _MARKS = (";", "\t", ",")
 _OTHER_MARKS = ("|", ":", "/")
 # Lines that an instrument may say of itself before the names of its columns.
 _LONGEST_PREAMBLE = 100
+# Of fewer lines of data the last is not said to be cut.
+_FEWEST = 10
 # A longer line is not a row of a table.
 _LONGEST_LINE = 1 << 25
 # float() takes more (1_000, digits of other scripts), which no logger writes.
@@ -48,9 +56,9 @@ class _Lines:
 
     # Iterating reads the file anew, line by line.
 
-    def __init__(self, path, header=-1):
+    def __init__(self, path, header=-1, end=None):
         self.path = path
-        self.header = header
+        self.header, self.end = header, end
         self.numbers = array.array("q")
 
     def __iter__(self):
@@ -58,6 +66,8 @@ class _Lines:
         for k, line in _raw_lines(self.path):
             if k <= self.header:
                 continue
+            if k == self.end:
+                return
             error = _SHEET_ERROR.search(line) if "#" in line else None
             if error:
                 raise ValueError(
@@ -105,14 +115,20 @@ def read_text(path: Source, wanted) -> Table:
 
 def _read(path):
     header, names, separator, notes = _header(path)
-    lines = _Lines(path, header)
+    nameless = names == []
+    if nameless:
+        names = _places(path, header, separator)
+    end = _cut_line(path, _Lines(path, header), len(names), separator)
+    if end is not None:
+        notes.append(CUT)
+    lines = _Lines(path, header, end)
     columns = None
     first = next(iter(lines), None)
     if first is None:
         raise ValueError(f"{path}: only a header and no rows of data.")
     units = row_of_units(_split(first, separator), names)
     if units:
-        lines = _Lines(path, lines.numbers[0])
+        lines = _Lines(path, lines.numbers[0], end)
         if next(iter(lines), None) is None:
             raise ValueError(f"{path}: only a header and no rows of data.")
     try:
@@ -140,8 +156,45 @@ def _read(path):
         columns=columns,
         where=lines.where,
         units=units,
+        nameless=nameless,
         notes=tuple(notes),
     )
+
+
+def _cut_line(path, lines, n_columns, separator):
+    """Return the number of the last line if the file ends within it, else None."""
+    with path.file.open("rb") as file:
+        file.seek(max(path.file.stat().st_size - 4, 0))
+        if file.read().replace(b"\0", b"").endswith((b"\n", b"\r")):
+            return None
+    # Whole files may lack the end of the last line, too: of a whole cell the decimals
+    # are as many as in one of the others.
+    before, last, fewest = "", "", _LONGEST_LINE
+    for line in lines:
+        if last:
+            fewest = min(fewest, _decimals(last, separator))
+        before, last = last, line
+    if len(lines.numbers) < _FEWEST:
+        return None
+    cells, usual = _split(last, separator), _split(before, separator)
+    whole = len(cells) >= n_columns and bool(cells[-1]) >= bool(usual[-1])
+    if whole and _decimals(last, separator) >= fewest:
+        return None
+    return lines.numbers[-1]
+
+
+def _decimals(line, separator):
+    """Count the decimals of the last cell of a line."""
+    cell = line.rstrip().rpartition(separator or " ")[2]
+    return len(cell.rpartition("." if separator == "," or "." in cell else ",")[2])
+
+
+def _places(path, header, separator):
+    """Return names for the columns of a table that has none, by the first row."""
+    cells = _split(next(iter(_Lines(path, header))), separator)
+    while cells and not cells[-1]:
+        cells.pop()
+    return [str(k + 1) for k in range(len(cells))]
 
 
 def _left_out_index(path, columns, header):
@@ -171,6 +224,7 @@ def row_of_units(cells, names):
 
 def _header(path):
     """Return the header's line number, the column names, the separator and notes."""
+    # No names: the table has none.
     before = first = None
     for k, line in _raw_lines(path):
         if _TOLD_SEPARATOR.fullmatch(line.strip()):
@@ -186,13 +240,14 @@ def _header(path):
     if echo:
         return first[0] - 1, echo, ",", []
     header, text = _below_preamble(path, first)
-    if all(_is_number(cell) for cell in _split(text, _separator(text))):
+    cells = _numbers(text)
+    if cells:
         # Numbers at once: the header may be the last comment before them.
-        if before is None:
-            raise ValueError(
-                f"{path}: line {header + 1} holds numbers where the header should be; "
-                "put column names such as t,q1,q2,tau1,tau2 in the first line."
-            )
+        named = [] if before is None else _names_of(before[1])
+        if len(named) != len(cells) or _numbers(named and before[1].lstrip(" #")):
+            # Data frames without names count them in a header of their own.
+            counts = cells == [str(k) for k in range(len(cells))] and len(cells) > 2
+            return header - (not counts), [], _separator(text), []
         header, text = before
     text = text.strip().lstrip("#").split("#")[0]
     separator = _separator(text)
@@ -228,6 +283,23 @@ def _header(path):
     if header > first[0] and before != (header, text):
         notes.append(f"the names of the columns are in line {header + 1}.")
     return header, names, separator, notes
+
+
+def _names_of(comment):
+    """Return the cells of a comment as names."""
+    text = comment.strip().lstrip("#").split("#")[0]
+    return _split(text, _separator(text.strip()))
+
+
+def _numbers(text):
+    """Return the cells of a line that holds nothing but numbers, else []."""
+    separator = _separator(text or "")
+    cells = _split(text or "", separator)
+    while cells and not cells[-1]:
+        cells.pop()
+    if separator != ",":
+        cells = [x.replace(",", ".", 1) for x in cells]
+    return cells if all(map(_is_number, cells)) else []
 
 
 def _echo_names(line):

@@ -8,6 +8,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import DiscoveredEffect, Hidden
+from sklearn_vbjfa.diagnosis.explain._identified import ParameterValue
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.robot import (
@@ -186,6 +187,39 @@ def test_what_was_declared_is_to_be_corrected_as_well():
         text = "ubtract 4.04 degrees from what the encoder of joint 3 reads."
         assert text in shown
         assert "zero is off by" not in shown
+
+
+@pytest.mark.parametrize("declared", [ZERO, AXIS, GAIN, TILT])
+def test_nothing_is_to_be_corrected_that_may_be_nothing(declared):
+    """Of declared effects: those that are found have values away from nothing."""
+    joint = "" if declared is TILT else f"{NAMES[declared.joint]}:"
+
+    def shown(reach):
+        values = tuple(
+            ParameterValue(
+                name=f"{joint}{declared.name}:{name}",
+                value=value,
+                interval=(value - reach, value + reach),
+                unit="",
+                nominal=np.nan,
+                known="yes",
+            )
+            for name, value in declared.parameters.items()
+        )
+        outcome = outcome_of(corrections=only(declared), parameters=values)
+        return formats(Report(outcome))[0]
+
+    assert "To correct: " in shown(0.001)
+    assert "To correct: " not in shown(1.0)
+
+
+def test_an_effect_that_held_out_data_do_not_confirm_is_not_told_as_missing():
+    outcome = make_outcome(n_effects=1)
+    assert " was missing; " in Report(outcome).headline
+    same = replace(outcome, error_after=outcome.error_before * 1.01)
+    headline = Report(same).headline
+    assert "missing" not in headline
+    assert " was found, though the held-out error did not fall; " in headline
 
 
 def test_a_tilt_belongs_to_no_joint():

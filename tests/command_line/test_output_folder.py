@@ -1,0 +1,141 @@
+"""Where files go: folders that take none are told first, earlier reports stay."""
+
+import errno
+import os
+import sys
+import tempfile
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from sklearn_vbjfa._cli import _input, main
+from tests.hostile._case import URDF, clean_text
+
+pytest.importorskip("pinocchio")
+
+QUICK = ("--effects", "none", "--no-ceiling", "--cutoff", "8", "--quiet")
+
+
+@pytest.fixture
+def here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(URDF)
+    Path("arm.csv").write_text(clean_text())
+    return tmp_path
+
+
+def run(*options, command="close-loop"):
+    return main([command, "arm.csv", "--urdf", "arm.urdf", *QUICK, *options])
+
+
+@pytest.fixture
+def nothing_read(monkeypatch):
+    """Fail if a recording is read: the folder is looked at before."""
+
+    def fail(*arguments, **given):
+        raise AssertionError("a recording was read")
+
+    monkeypatch.setattr("sklearn_vbjfa.datasets.read_recording", fail)
+
+
+def test_a_second_run_does_not_replace_the_report_of_the_first(here, capsys):
+    assert run() == 0
+    first = {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
+    capsys.readouterr()
+    assert run() == 0
+    told = capsys.readouterr()
+    assert "arm-report has the files of an earlier run, which stay" in told.out
+    assert "written: arm-report-2" in told.out
+    assert first == {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
+    assert {x.name for x in Path("arm-report-2").iterdir()} == set(first)
+
+
+def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
+    Path("v1.2").mkdir()
+    Path("v1.2/report.json").write_text("{}")
+    assert run("--out", "v1.2") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "v1.2 has report.json of an earlier run" in line
+    assert line.endswith("--out v1.2-2")
+    assert Path("v1.2/report.json").read_text() == "{}"
+    with pytest.raises(AssertionError, match="was read"):
+        run("--out", "v1.2", "--force")
+
+
+def test_simulations_of_earlier_runs_stay_as_well(here):
+    Path("arm-simulation").mkdir()
+    Path("arm-simulation/simulation.csv").write_text("")
+    given = SimpleNamespace(out=None, force=False)
+    names = ("simulation.csv",)
+    found = _input.free_folder(given, "arm-simulation", names, ())
+    assert str(found) == "arm-simulation-2"
+    given.force = True
+    found = _input.free_folder(given, "arm-simulation", names, ())
+    assert str(found) == "arm-simulation"
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+@pytest.mark.parametrize("option", ["--out", "--ranges"])
+def test_a_folder_that_takes_no_files_is_told_first(here, capsys, nothing_read, option):
+    assert run(option, "/proc/x") == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    expected = f"/proc cannot be written to (it takes no files); give another {option}"
+    assert expected in line
+
+
+@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
+def test_a_full_disk_is_told_first(here, capsys, nothing_read, number, monkeypatch):
+    class Full:
+        def __enter__(self):
+            return self
+
+        def __exit__(self, *exception):
+            return None
+
+        def write(self, content):
+            raise OSError(number, os.strerror(number))
+
+    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **given: Full())
+    with pytest.raises(ValueError, match=r"8 MB that the files of a run may take"):
+        _input.check_folder(Path("new/deep"))
+    assert not Path("new").exists()
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+def test_a_limit_on_the_size_of_files_is_found_by_trying(here):
+    resource = pytest.importorskip("resource")
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
+    try:
+        with pytest.raises(ValueError, match=r"cannot be written to \(File too large"):
+            _input.check_folder(Path("out"))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    _input.check_folder(Path("out"))
+    assert not list(Path().glob("tmp*"))
+
+
+def test_a_xacro_file_is_refused_with_the_command_that_expands_it(here, capsys):
+    text = URDF.replace("<robot ", '<robot xmlns:xacro="http://ros.org/wiki/xacro" ')
+    text = text.replace("</robot>", '<xacro:include filename="a"/></robot>')
+    for name, command in (
+        ("arm.urdf.xacro", "xacro arm.urdf.xacro > arm.urdf"),
+        ("a b.xacro", "xacro 'a b.xacro' > 'a b.urdf'"),
+        ("other.urdf", "xacro other.urdf > other-expanded.urdf"),
+    ):
+        Path(name).write_text(text)
+        assert main(["inspect", "arm.csv", "--urdf", name]) == 2
+        assert command in capsys.readouterr().err
+
+
+def test_a_description_without_masses_is_named_and_not_the_period(here, capsys):
+    import re
+
+    text = re.sub('<mass value="[^"]*"', '<mass value="0"', URDF)
+    Path("arm.urdf").write_text(text)
+    assert main(["inspect", "arm.csv", "--urdf", "arm.urdf"]) in (0, 3)
+    told = capsys.readouterr()
+    assert "has no mass" in told.err
+    assert "does not go with the motion" not in told.out + told.err
+    assert "inertias ask for" not in told.out + told.err

@@ -1,0 +1,326 @@
+"""Logs as they lie: without names, as messages, cut, out of order, with objects."""
+
+import json
+import re
+import struct
+import warnings
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa.datasets import read_recording
+
+DOF = 6
+
+
+def blocks(made):
+    """Return what a logger has of each joint, by kind."""
+    v = np.gradient(made.q, made.dt, axis=0)
+    warm = 30 + np.cumsum(np.full(made.q.shape, 1e-3), axis=0)
+    a = np.gradient(v, made.dt, axis=0)
+    return {"q": made.q, "v": v, "a": a, "tau": made.tau, "warm": warm}
+
+
+def numbers(made, order, time=True):
+    """Return the matrix of a table without names."""
+    known = blocks(made)
+    parts = [known[kind] for kind in order]
+    return np.column_stack([made.t, *parts] if time else parts)
+
+
+def written(path, matrix, separator=" ", header=""):
+    np.savetxt(path, matrix, "%.9g", delimiter=separator, header=header, comments="")
+    return path
+
+
+def refused(path, made, **options):
+    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
+        read_recording(path, urdf=made.urdf, **options)
+    return caught.value
+
+
+def read(path, made, **options):
+    """Read with the robot; the recording and the notes."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        recording = read_recording(path, urdf=made.urdf, **options)
+    return recording, [str(one.message) for one in caught]
+
+
+def assert_same(recording, made, rows=slice(None)):
+    np.testing.assert_allclose(recording.q, made.q[rows], atol=1e-7)
+    np.testing.assert_allclose(recording.tau, made.tau[rows], rtol=1e-6, atol=1e-6)
+
+
+# -- without names ---------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("order", "expected"),
+    [
+        (("q", "tau"), "t=1,q=2-7,tau=8-13"),
+        (("tau", "q"), "t=1,q=8-13,tau=2-7"),
+        (("q", "v", "tau"), "t=1,q=2-7,v=8-13,tau=14-19"),
+        (("q", "v", "a", "tau", "warm"), "t=1,q=2-7,v=8-13,tau=20-25"),
+        (("warm", "tau", "a", "q", "v"), "t=1,q=20-25,v=26-31,tau=8-13"),
+    ],
+)
+def test_the_mapping_that_is_offered_is_the_right_one(order, expected, made, tmp_path):
+    path = written(tmp_path / "log.txt", numbers(made, order))
+    error = refused(path, made)
+    assert error.options == {"columns": expected}
+    count = 1 + DOF * len(order)
+    assert f"no names of columns, only {count} columns of numbers" in error.reason
+    assert f"time and {len(order)} times the 6 joint(s)" in error.reason
+    recording, _ = read(path, made, **error.options)
+    assert_same(recording, made)
+    # What nobody has named is no condition of the robot.
+    assert not recording.signals
+
+
+def test_nothing_is_taken_from_a_guess_alone(made, tmp_path):
+    path = written(tmp_path / "log.csv", numbers(made, ("q", "tau")), ",")
+    assert "check that before you use it" in refused(path, made).reason
+    with pytest.raises(ValueError, match="or give the description of the robot"):
+        read_recording(path)
+
+
+def test_without_a_clock_the_period_is_asked_for(made, tmp_path):
+    path = written(tmp_path / "log.csv", numbers(made, ("q", "tau"), time=False), ",")
+    error = refused(path, made)
+    assert not error.options
+    assert 'columns="q=1-6,tau=7-12" and the sample period dt' in error.reason
+    found, _ = read(path, made, dt=made.dt, columns="q=1-6,tau=7-12")
+    assert_same(found, made)
+    assert refused(path, made, dt=made.dt).options == {"columns": "q=1-6,tau=7-12"}
+
+
+def test_degrees_and_milliseconds_are_offered_as_such(made, tmp_path):
+    matrix = numbers(made, ("q", "tau"))
+    matrix[:, 0] *= 1e3
+    matrix[:, 1:7] = np.rad2deg(matrix[:, 1:7])
+    path = written(tmp_path / "log.csv", matrix, ",")
+    options = refused(path, made).options
+    assert options == {"columns": "t=1,q=2-7 [deg],tau=8-13", "time_unit": "ms"}
+    recording, _ = read(path, made, **options)
+    assert_same(recording, made)
+
+
+def test_a_count_that_does_not_fit_the_robot_says_so(made, tmp_path):
+    path = written(tmp_path / "log.txt", numbers(made, ("q", "tau"))[:, :-2])
+    error = refused(path, made)
+    assert not error.options
+    assert "only 11 columns of numbers, which are not time and" in error.reason
+    error = refused(path, made, columns="t=1,q=2-7,tau=8-13")
+    assert "has no column 8-13" in error.reason
+
+
+@pytest.mark.parametrize(
+    "ending", ["csv", "npy", "npz", "mat", "json", "jsonl", "xlsx"]
+)
+def test_every_format_may_lack_the_names(ending, made, tmp_path):
+    matrix, path = numbers(made, ("q", "tau")), tmp_path / f"log.{ending}"
+    if ending == "csv":
+        # As a data frame writes columns that have none.
+        header = ",".join(map(str, range(13)))
+        written(path, matrix, ",", header)
+    elif ending == "npy":
+        np.save(path, matrix)
+    elif ending == "npz":
+        np.savez(path, matrix)
+    elif ending == "mat":
+        pytest.importorskip("scipy").io.savemat(path, {"data": matrix})
+    elif ending == "json":
+        path.write_text(json.dumps(matrix.tolist()))
+    elif ending == "jsonl":
+        path.write_text("\n".join(map(json.dumps, matrix.tolist())))
+    else:
+        pytest.importorskip("python_calamine")
+        book = pytest.importorskip("openpyxl").Workbook()
+        for row in matrix.tolist():
+            book.active.append(row)
+        book.save(path)
+    options = refused(path, made).options
+    assert options == {"columns": "t=1,q=2-7,tau=8-13"}
+    recording, _ = read(path, made, **options)
+    assert_same(recording, made)
+
+
+def test_a_comment_names_columns_only_if_it_has_as_many_cells(made, tmp_path):
+    matrix = numbers(made, ("q", "tau"))
+    path = written(tmp_path / "log.txt", matrix, " ", "# recorded on Monday")
+    assert refused(path, made).options == {"columns": "t=1,q=2-7,tau=8-13"}
+    names = " ".join(["t", *(f"{x}{k + 1}" for x in ("q", "tau") for k in range(DOF))])
+    recording, _ = read(written(path, matrix, " ", f"# {names}"), made)
+    assert_same(recording, made)
+
+
+# -- JSON ------------------------------------------------------------------------------
+
+
+def messages(made):
+    """Return the recording as messages of ROS."""
+    return [
+        {
+            "header": {"stamp": {"sec": 5 + int(t), "nanosec": round(t % 1 * 1e9)}},
+            "name": list(made.joint_names),
+            "position": q.tolist(),
+            "velocity": [],
+            "effort": tau.tolist(),
+        }
+        for t, q, tau in zip(made.t, made.q, made.tau)
+    ]
+
+
+@pytest.mark.parametrize("lines", [True, False])
+def test_messages_of_ros_as_json(lines, made, tmp_path):
+    path = tmp_path / "states.json"
+    found = messages(made)
+    path.write_text("\n".join(map(json.dumps, found)) if lines else json.dumps(found))
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    assert any("taken as /joint_states as JSON" in x for x in notes)
+
+
+def test_records_inside_of_an_object(made, tmp_path):
+    path = tmp_path / "log.json"
+    records = [
+        {"timestamp": t, "q": q.tolist(), "tau": tau.tolist()}
+        for t, q, tau in zip(made.t.tolist(), made.q, made.tau)
+    ]
+    path.write_text(json.dumps({"robot": "arm", "kp": 100, "entries": records}))
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    assert any("the records are those of 'entries'" in x for x in notes)
+
+
+def test_arrays_of_each_joint(made, tmp_path):
+    path = tmp_path / "log.json"
+    joints = [
+        {"name": name, "position": made.q[:, j].tolist(), "torque": x}
+        for j, (name, x) in enumerate(zip(made.joint_names, made.tau.T.tolist()))
+    ]
+    path.write_text(json.dumps({"time": made.t.tolist(), "joints": joints}))
+    options = refused(path, made).options
+    assert options == {"columns": "q=joints[{i}].position,tau=joints[{i}].torque"}
+    assert_same(read(path, made, **options)[0], made)
+
+
+def test_the_last_line_of_json_may_be_cut(made, tmp_path):
+    path = tmp_path / "log.jsonl"
+    path.write_text("\n".join(map(json.dumps, messages(made)))[:-30])
+    recording, notes = read(path, made)
+    assert_same(recording, made, slice(0, made.n_samples - 1))
+    assert any("the last line is cut" in x for x in notes)
+
+
+# -- text that is cut or out of order --------------------------------------------------
+
+
+@pytest.fixture
+def text(made):
+    names = ["t", *(f"{x}{k + 1}" for x in ("q", "tau") for k in range(DOF))]
+    rows = numbers(made, ("q", "tau"))
+    return ",".join(names), [",".join(f"{x:.7f}" for x in row) for row in rows]
+
+
+@pytest.mark.parametrize("cut", [100, 40, 9, 8, 3])
+def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([text[0], *text[1]])[:-cut])
+    recording, notes = read(path, made)
+    assert_same(recording, made, slice(0, made.n_samples - 1))
+    assert any("the last line is cut" in x for x in notes)
+
+
+def test_a_whole_last_line_needs_no_end(made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([text[0], *text[1]]))
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    assert not notes
+
+
+def test_a_short_line_in_the_middle_is_still_refused(made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "\n".join([text[0], *text[1][:500], text[1][500][:50], *text[1][501:]])
+    )
+    assert "line 502 has" in str(refused(path, made))
+
+
+def test_rows_out_of_order_are_sorted_with_a_word(made, text, tmp_path):
+    path, order = tmp_path / "log.csv", np.random.default_rng(0).permutation(1000)
+    path.write_text("\n".join([text[0], *(text[1][k] for k in order)]))
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    assert any("they were sorted by it" in x for x in notes)
+
+
+def test_two_recordings_one_behind_the_other_are_not_mixed(made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    again = [
+        f"{k / 250 + 0.002:.7f},{x.split(',', 1)[1]}" for k, x in enumerate(text[1])
+    ]
+    path.write_text("\n".join([text[0], *text[1], *again]) + "\n")
+    assert "time runs backwards" in str(refused(path, made))
+
+
+def test_pieces_between_gaps_are_long_enough_to_be_held_out(made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [x for k, x in enumerate(text[1]) if not (300 <= k < 320 or 332 <= k < 350)]
+    path.write_text("\n".join([text[0], *rows]) + "\n")
+    recording, notes = read(path, made)
+    assert min(np.bincount(recording.groups)) >= 16
+    assert any("1 piece(s) of fewer than 16 samples" in x for x in notes)
+
+
+# -- MATLAB ----------------------------------------------------------------------------
+
+
+def element(kind, content):
+    """Return an element of a file of MATLAB's version 5."""
+    padded = content + b"\0" * (-len(content) % 8)
+    return struct.pack("<II", kind, len(content)) + padded
+
+
+def opaque():
+    """Return a variable of a class of MATLAB's own, as tables are saved."""
+    flags = element(6, struct.pack("<II", 17, 0))
+    names = [element(1, x) for x in (b"T", b"MCOS", b"table")]
+    inner = element(6, struct.pack("<II", 13, 0)) + element(5, struct.pack("<ii", 1, 1))
+    inner += element(1, b"") + element(6, struct.pack("<I", 7))
+    return element(14, flags + b"".join(names) + element(14, inner))
+
+
+@pytest.mark.parametrize("compressed", [True, False])
+def test_matlab_with_an_object_beside_arrays(compressed, made, tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "log.mat"
+    arrays = {"t": made.t, "q": made.q, "tau": made.tau, "tau_max": np.ones(DOF)}
+    savemat(path, arrays, do_compression=compressed)
+    path.write_bytes(path.read_bytes() + opaque())
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    assert any("1 object(s) of MATLAB's own classes are left out" in x for x in notes)
+
+
+def test_matlab_with_nothing_but_an_object(made, tmp_path):
+    from scipy.io import savemat
+
+    path = tmp_path / "log.mat"
+    savemat(path, {})
+    path.write_bytes(path.read_bytes() + opaque())
+    assert "holds objects of MATLAB, such as a table" in str(refused(path, made))
+
+
+# -- currents --------------------------------------------------------------------------
+
+
+def test_columns_i_are_offered_as_currents(made, text, tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("\n".join([text[0].replace("tau", "i"), *text[1]]) + "\n")
+    options = refused(path, made).options
+    assert options == {"columns": "tau=i{i}", "gains": "unknown"}
+    assert set(read(path, made, **options)[0].torque_units) == {"A"}

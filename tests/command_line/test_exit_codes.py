@@ -217,7 +217,7 @@ def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
         ("few", "no verdict: moves for 2 s only"),
         ("no data", "no samples that count"),
         ("failed", "WORSE than its mean torque"),
-        ("worse", "WORSE on untouched data"),
+        ("worse", "WORSE on held-out data"),
         ("unknown", "noise floor unknown"),
         ("floor", ""),
         ("above", ""),

@@ -396,7 +396,7 @@ def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
     assert f"of joint_2 reads by {channel['gain']:.5g}" in written
     assert "The base of the recorded robot was not level" in written
     page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "What to correct" in page
+    assert "What to do next" in page
 
 
 def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):

@@ -136,7 +136,7 @@ RECORDINGS = {
         lambda x: {name: column[:100] for name, column in x.items()},
         {
             "": (0, ""),
-            "close-loop": (3, r"joint 1 \(shoulder\): noise floor unknown"),
+            "close-loop": (3, r"joint 1 \(shoulder\): noise unknown"),
             "simulate": (2, "No recording is as long as a window of 0.3 s"),
         },
     ),
@@ -218,7 +218,7 @@ def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
         ("no data", "no samples that count"),
         ("failed", "WORSE than its mean torque"),
         ("worse", "WORSE on held-out data"),
-        ("unknown", "noise floor unknown"),
+        ("unknown", "noise unknown"),
         ("floor", ""),
         ("above", ""),
         ("unexplained", ""),

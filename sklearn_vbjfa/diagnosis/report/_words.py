@@ -24,7 +24,8 @@ TERMS = (
     (
         "[Ee]rror",
         "Error",
-        "root mean square of the residual over the standard deviation of the torque.",
+        "root mean square of measured minus predicted torque over the standard "
+        "deviation of the torque.",
     ),
     (
         "[Rr]esidual",

@@ -368,8 +368,8 @@ def time_line(judgement, clock, begins):
     seconds = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
     torques = []
     for j in range(measured.shape[1]):
-        # Half of them are those of the residual.
-        own = measured[:, j], np.where(counts, measured - after, np.nan)[:, j]
+        # Half of them are those of the residual; rows that do not count are no gaps.
+        own = measured[:, j], np.where(counts, measured - after, 0.0)[:, j]
         half = curve_size(measured.shape[1]) // 2
         rows = np.union1d(*(extremes(values, half) for values in own))
         torques.append(

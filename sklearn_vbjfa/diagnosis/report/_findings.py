@@ -119,7 +119,7 @@ def to_do(outcome, verdict):
     record, expected = recordings(outcome), next_sentences(outcome)
     shown = [f"Channel: {message}" for message in channels if message != first]
     shown += [f"To correct: {mend}."] if mend else []
-    shown += [f"Record next: {words.join(record)}."] if record else []
+    shown += [f"Record next: {words.join(record, 2)}."] if record else []
     return Section(
         heading="What to do next",
         sentences=(

@@ -338,9 +338,8 @@ def next_sentences(outcome):
     text += f"[{low}, {high}]"
     if one.source == "assumed":
         return (f"{text}, assumed from other robots; record another motion to know.",)
-    left_out = words.plural(one.recordings, "recording")
-    also = " and from other robots" if one.source == "mixed" else ""
-    return (f"{text}, from leaving out each of {left_out}{also}.",)
+    also = ", and other robots" if one.source == "mixed" else ""
+    return (f"{text} ({one.recordings} left out in turn{also}).",)
 
 
 def repeated_sentences(outcome):

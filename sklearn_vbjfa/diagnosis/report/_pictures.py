@@ -168,7 +168,8 @@ def torque_figure(torques, line, floor, *, title, y_labels):
     ]
     x_label = "time [s]" if line.in_seconds else "row"
     rows = np.union1d(
-        extremes(torques.measured, _CURVE // 2), extremes(left[1], _CURVE // 2)
+        extremes(torques.measured, _CURVE // 2),
+        extremes(np.nan_to_num(left[1]), _CURVE // 2),
     )
     x, charts, beyond = _ends(seconds), [], []
     # What the declared model leaves goes behind what the completed one does.

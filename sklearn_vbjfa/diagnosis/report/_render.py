@@ -146,7 +146,9 @@ def plain_text(sections):
 def _wrapped(sentence, indent):
     """Wrap a sentence, with no number apart from its unit."""
     whole = _UNIT.sub("\u00a0", sentence)
-    lines = textwrap.wrap(whole, _TERMINAL, subsequent_indent=indent)
+    lines = textwrap.wrap(
+        whole, _TERMINAL, subsequent_indent=indent, break_on_hyphens=False
+    )
     return "\n".join(lines).replace("\u00a0", " ")
 
 

@@ -386,9 +386,9 @@ def test_repeated_motion_says_where_it_is():
 @pytest.mark.parametrize(
     ("source", "said"),
     [
-        ("assumed", "assumed from other robots; record another motion to know"),
-        ("mixed", "from leaving out each of 4 recordings and from other robots"),
-        ("measured", "from leaving out each of 4 recordings"),
+        ("assumed", ", assumed from other robots; record another motion to know"),
+        ("mixed", " (4 left out in turn, and other robots)"),
+        ("measured", " (4 left out in turn)"),
     ],
 )
 def test_what_the_next_recording_will_show_says_what_that_rests_on(source, said):
@@ -402,7 +402,7 @@ def test_what_the_next_recording_will_show_says_what_that_rests_on(source, said)
     )
     outcome = make_outcome(next_recording=one)
     text = sentences("What to do next", outcome)[-1]
-    assert text == f"Next recording: expect an error of 5.0 % [3.0, 9.0], {said}."
+    assert text == f"Next recording: expect an error of 5.0 % [3.0, 9.0]{said}."
     assert text in " ".join(str(Report(outcome)).split())
 
 

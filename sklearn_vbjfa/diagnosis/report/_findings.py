@@ -20,6 +20,7 @@ _FORMS = (
     "a function of its own state and history",
     "the motion of other joints",
 )
+_NO_PERIOD = "a motion that does not repeat (design makes one)"
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # A speed below this share of the fastest is that of a reversal.
 _SLOW = 0.1
@@ -403,7 +404,8 @@ def _changes(outcome, rest):
 
 def recordings(outcome):
     """Say what to record next, what matters most first, without repetition; a list."""
-    wanted = _record_again(outcome)
+    wanted = dict.fromkeys([_NO_PERIOD] if outcome.repeated else [], ())
+    wanted |= _record_again(outcome)
     for rest in outcome.unexplained:
         for signal in rest.signals:
             advice = words.record_for_signal(signal.signal)

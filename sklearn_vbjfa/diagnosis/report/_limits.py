@@ -350,8 +350,7 @@ def repeated_sentences(outcome):
     return (
         f"Motion that repeats: {words.join(told, 4)}. What the model lacks repeats "
         "with it, in the held-out part as well: effects are judged between the phases "
-        "of the motion, and the errors hold for this motion alone. Record a motion "
-        "that does not repeat; design makes one.",
+        "of the motion, and the errors hold for this motion alone.",
     )
 
 

@@ -274,7 +274,11 @@ def parameter_text(effect):
         unit = "" if unit == "1" else unit
         if value is None:
             continue
-        found.append(f"{key} = {with_error(value, interval, unit)}")
+        text = f"{key} = {with_error(value, interval, unit)}"
+        meaning = dict(getattr(effect.effect, "negative", ())).get(key)
+        if meaning and value < 0:
+            text += f" (negative: {meaning})"
+        found.append(text)
     return found
 
 

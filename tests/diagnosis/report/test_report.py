@@ -16,7 +16,13 @@ from sklearn_vbjfa.diagnosis.report import (
     sections,
 )
 from sklearn_vbjfa.diagnosis.search import SMALL
-from sklearn_vbjfa.effects import Coulomb, Effect, OutsideRange, available
+from sklearn_vbjfa.effects import (
+    Coulomb,
+    Effect,
+    OutsideRange,
+    ViscousQuadratic,
+    available,
+)
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
     finding,
@@ -156,6 +162,22 @@ def test_an_effect_is_named_with_value_gain_and_rivals():
         "odds 3600 : 1; this data cannot tell it from hysteresis after reversals "
         "(presliding)"
     )
+
+
+def test_a_negative_coefficient_says_what_it_means():
+    effect = make_effect(0, 0, NAMES)
+    for value, told in ((-0.4, True), (0.4, False)):
+        own = replace(
+            effect,
+            name="viscous_quadratic",
+            parameters={"F2": value},
+            intervals={"F2": (value - 0.1, value + 0.1)},
+            effect=ViscousQuadratic(),
+        )
+        report = Report(make_outcome(effects=(own,)))
+        for text in (str(report), report.to_markdown(), report.to_html()):
+            meaning = "(negative: friction that flattens at high speed)"
+            assert (meaning in " ".join(text.split())) == told
 
 
 def test_status():

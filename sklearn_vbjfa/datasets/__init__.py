@@ -1,35 +1,40 @@
 """Robot recordings: measured sets, found on disk or downloaded, and simulated ones."""
 
-from sklearn_vbjfa import _lazily
-from sklearn_vbjfa.datasets._closed_loop import (
-    ClosedLoopRecording,
-    TrackingResult,
-    make_closed_loop_recording,
-    simulate_tracking,
-)
-from sklearn_vbjfa.datasets._measured import (
-    fetch_bam_xl330,
-    fetch_dfki_double_pendulum,
-    fetch_emps,
-    fetch_franka_panda,
-    fetch_kuka_kr300,
-    fetch_kuka_lbr_med7,
-    fetch_staubli_tx40,
-    fetch_tflex_1dof,
-    fetch_tiago,
-    fetch_unitree_go2,
-    fetch_ur5,
-)
-from sklearn_vbjfa.datasets._robot_recording import (
-    SimulatedRecording,
-    load_demo_recording,
-    make_robot_recording,
-)
-from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
-from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
-from sklearn_vbjfa.inspection import inspect_recording
-from sklearn_vbjfa.recording import Recording, read_recording
+from typing import TYPE_CHECKING
 
+from sklearn_vbjfa import _lazily
+
+if TYPE_CHECKING:
+    from sklearn_vbjfa.datasets._closed_loop import (
+        ClosedLoopRecording,
+        TrackingResult,
+        make_closed_loop_recording,
+        simulate_tracking,
+    )
+    from sklearn_vbjfa.datasets._measured import (
+        fetch_bam_xl330,
+        fetch_dfki_double_pendulum,
+        fetch_emps,
+        fetch_franka_panda,
+        fetch_kuka_kr300,
+        fetch_kuka_lbr_med7,
+        fetch_staubli_tx40,
+        fetch_tflex_1dof,
+        fetch_tiago,
+        fetch_unitree_go2,
+        fetch_ur5,
+    )
+    from sklearn_vbjfa.datasets._robot_recording import (
+        SimulatedRecording,
+        load_demo_recording,
+        make_robot_recording,
+    )
+    from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
+    from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
+    from sklearn_vbjfa.inspection import inspect_recording
+    from sklearn_vbjfa.recording import Recording, read_recording
+
+# A name is imported when it is asked for: the demonstration needs no loader of others.
 # What is not in __all__ is for the command line, and for tests of the catalogue, the
 # downloads and the simulators.
 _MODULES = {
@@ -48,7 +53,21 @@ _MODULES = {
         "simulate_tracking",
     ),
     "_download": ("Access", "DataFiles", "find_file", "remote_files"),
-    "_measured": ("CATALOGUE", "protocols"),
+    "_measured": (
+        "CATALOGUE",
+        "fetch_bam_xl330",
+        "fetch_dfki_double_pendulum",
+        "fetch_emps",
+        "fetch_franka_panda",
+        "fetch_kuka_kr300",
+        "fetch_kuka_lbr_med7",
+        "fetch_staubli_tx40",
+        "fetch_tflex_1dof",
+        "fetch_tiago",
+        "fetch_unitree_go2",
+        "fetch_ur5",
+        "protocols",
+    ),
     "_robot_recording": (
         "SimulatedRecording",
         "load_demo_recording",

@@ -1,4 +1,4 @@
-"""The discovery loop: residual, effect, refit, and the error on untouched data."""
+"""The discovery loop: residual, effect, refit, and the error on held-out data."""
 
 from dataclasses import replace
 
@@ -111,7 +111,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     added_ : tuple of str
         Plain terms that were fitted on every joint beyond what was declared.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
-        Root mean square of the torque residual on the untouched part, of the declared
+        Root mean square of the torque residual on the held-out part, of the declared
         model, with the four plain terms, and with the effects as well, over
         `torque_spread_`. Their intervals, ``report_.outcome.intervals``, are a
         statement about the same robot in the same motion: they hold the errors over its
@@ -204,7 +204,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     filtered row, and beyond 50,000 of these at stretches of equal motion; parameters,
     errors and the spread of the torque are those of all rows.
 
-    The untouched part begins and ends as far from the search part as the residual
+    The held-out part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
     and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was
     identified, as a controller would meet them.
@@ -213,7 +213,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     the scatter of its residuals between forty blocks of time, shape parameters beside
     the coefficients. What was chosen in the search (which effects, which grid points)
     counts as given. The intervals of the errors add how much such an error scatters in
-    the untouched part and how much in the next 50 s, as squared residuals vary slowly
+    the held-out part and how much in the next 50 s, as squared residuals vary slowly
     in the whole recording (ten cosines of time, Student's t with as many degrees of
     freedom).
 

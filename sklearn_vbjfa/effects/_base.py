@@ -92,6 +92,8 @@ class Effect(TransformerMixin, BaseEstimator):
     nonnegative : tuple of str
         Coefficients that are not negative in nature: what a search finds with another
         sign is something else.
+    negative : tuple of (str, str)
+        Coefficients whose sign is not plain, and what a negative one means.
     depends : tuple of {"position", "speed", "load", "direction"}
         Quantities of its joint that its columns go on changing with however large they
         become: predictions follow them up to the margin of the range of the fit, beyond
@@ -167,6 +169,7 @@ class Effect(TransformerMixin, BaseEstimator):
     named_units = ()
     visible = "the joint moves"
     record = ""
+    negative = ()
     seen_over = ""
     with_motion = False
     # What its columns are made from, and where predictions follow them.

@@ -148,6 +148,10 @@ class AsymmetricFriction(Effect):
     formula = r"\Delta F_c\,|\mathrm{sign}(v)| + \Delta F_v\,|v|"
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
+    negative = (
+        ("dFc", "more friction backward than forward"),
+        ("dFv", "more friction backward than forward"),
+    )
     contains = ("coulomb", "viscous")
     holds = (("offset", "dFc"),)
     depends = ("speed", "direction")
@@ -271,6 +275,7 @@ class ViscousQuadratic(Effect):
     formula = r"F_2\,v\,|v|"
     coefficients = ("F2",)
     units = (("N m s^2/rad^2", "N s^2/m^2"),)
+    negative = (("F2", "friction that flattens at high speed"),)
     contains = ("viscous", "coulomb")
     depends = ("speed",)
     curved = True

@@ -140,8 +140,9 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     inside = {link[1:] for link in links if link.startswith("#")}
     assert inside <= set(re.findall(r'id="([^"]+)"', page))
     assert {link for link in links if link[0] != "#"} == set(FILES) - {"report.html"}
-    # a spring is seen over the position, and each joint has its torque over time
-    assert page.count('<figure class="wide"') == 1 + 2
+    # a spring is seen over the position, and each joint has its torque over time, its
+    # friction and the spectrum of its residual
+    assert page.count('<figure class="wide"') == 1 + 3 * 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
     assert report["provenance"]["file"] == str(source)
     assert report["recorded"]["rate"] == pytest.approx(200.0)
@@ -319,7 +320,8 @@ def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
     options = ["--effects", "none", "--no-ceiling", "--out", "shared"]
     command = ["close-loop", "arm.csv", "--urdf", str(urdf), *options]
     assert main([*command, "--alike", "shoulder,elbow"]) == 0
-    assert "the shoulder/elbow joints" in capsys.readouterr().out
+    page = Path("shared/report.html").read_text(encoding="utf-8")
+    assert "the shoulder/elbow joints" in page
     with open("shared/parameters.csv", newline="", encoding="utf-8") as file:
         rows = {row["parameter"]: row for row in csv.DictReader(file)}
     shared = [row for name, row in rows.items() if name.startswith("shoulder/elbow:")]
@@ -396,7 +398,7 @@ def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
     assert f"of joint_2 reads by {channel['gain']:.5g}" in written
     assert "The base of the recorded robot was not level" in written
     page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "What to correct" in page
+    assert "What to do next" in page
 
 
 def test_an_interrupted_run_leaves_nothing(good, urdf, monkeypatch, capsys):
@@ -564,7 +566,7 @@ def test_joints_are_in_the_order_of_the_columns(good, recording, urdf, capsys):
     options = ["--joints", "elbow,shoulder"]
     assert main(["close-loop", "turned.csv", *options, *common, "b"]) == 0
     captured = capsys.readouterr()
-    assert "held" not in captured.out
+    assert "held at" not in captured.out
     for name in ("parameters.csv", "identified.urdf"):
         with open(f"a/{name}") as one, open(f"b/{name}") as other:
             assert one.read() == other.read()

@@ -254,7 +254,7 @@ def test_untouched_data_outside_of_the_fit_are_told():
     position, states = ARM.position.copy(), ARM.q
     rows = split_of(ARM.robot(), position)[2].test
     weight = np.ones(position.shape)
-    # Beyond the middle third of its range joint 1 counts in the untouched part alone.
+    # Beyond the middle third of its range joint 1 counts in the held-out part alone.
     far = np.abs(states[:, 0] - np.median(states[:, 0])) > 0.15 * np.ptp(states[:, 0])
     searched = np.ones(len(position), dtype=bool)
     searched[rows] = False
@@ -279,7 +279,7 @@ def test_intervals_of_the_errors_hold_them(one):
 
 
 def split_of(robot, position, share=0.25, groups=None):
-    """Rows of the search, of the untouched stretches, and their labels."""
+    """Rows of the search, of the held-out stretches, and their labels."""
     names = [f"joint_{k}" for k in range(position.shape[1])]
     whole = take_arrays(position, position, groups, dt=robot.dt, joint_names=names)
     split = split_in_time(robot, whole, share)
@@ -358,7 +358,7 @@ def test_prediction_is_that_of_the_completed_model(one):
     assert one.score(ARM.position, ARM.torque(joint_1=spring(4.0, 1.0))) > 0.99
 
 
-# -- the untouched part
+# -- the held-out part
 
 
 def test_the_search_does_not_touch_the_untouched_part(one):
@@ -625,7 +625,7 @@ def test_what_the_library_does_not_have_is_unexplained(kind):
         assert rest.share > 0.9
         # What is no noise may hide it.
         assert np.isnan(rest.floor) or rest.rms > 3 * rest.floor
-        # On the untouched part, where the floor is a small part of it.
+        # On the held-out part, where the floor is a small part of it.
         assert rest.of_torque == pytest.approx(loop.error_after_[joint], rel=0.1)
     # Of a level of 5 %.
     assert wrong <= 1

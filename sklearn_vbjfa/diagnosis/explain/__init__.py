@@ -20,6 +20,8 @@ _MODULES = {
         "contradictions",
     ),
     "_drawn": (
+        "FrictionCurves",
+        "SpectrumCurves",
         "TimeLine",
         "TorqueCurves",
         "cloud_size",

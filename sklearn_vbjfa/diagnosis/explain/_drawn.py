@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.effects import RotorInertia
+
 # Most points of a cloud, and of a curve over time (lowest and highest of each
 # interval), and of all of them together, which have to fit into one page.
 _CLOUD, _CURVE, _TOGETHER = 1500, 2000, 20_000
@@ -16,6 +18,10 @@ _LOST = 0.05
 _ENDS = (0.001, 0.999)
 # Rows that are farther apart than this many usual steps have something between them.
 _GAP = 2.5
+# Most points of a friction curve.
+_DOTS = 400
+# Rows of a spectrum, in periods of the end of the band: lines are 1/16 of it apart.
+_PERIODS = 16
 # Kinds of a signal that the state of a joint has.
 _OF_STATE = {"position": "q", "speed": "v", "acceleration": "a", "load": "load"}
 _UNITS = {
@@ -62,6 +68,34 @@ class TorqueCurves:
     # (k,): behind the low-pass; predicted by the declared and by the completed model,
     # both fitted to the search part [N m or N]. They are nan where rows are missing
     measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+    counts: np.ndarray  # (k,): whether the joint moves, so that errors count there
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrictionCurves:
+    """Friction of a joint over its speed, measured and of both models."""
+
+    per = ""  # what the unit of the torque is divided by
+
+    joint: int  # from zero
+    # over speed, with what all else of the completed model leaves of the measured
+    # torque as what is "without the effect": the effect is the friction of each model
+    before: EffectCurves
+    after: EffectCurves
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SpectrumCurves:
+    """Amplitude spectra of a joint's residual on the held-out part, of both models."""
+
+    per = "/√Hz"
+
+    joint: int  # from zero
+    cutoff: float  # end of the band of the fit [Hz]
+    hertz: np.ndarray  # (k,): frequencies [Hz]
+    # (k,): root of the power spectral density [N m/sqrt(Hz) or N/sqrt(Hz)]
     before: np.ndarray
     after: np.ndarray
 
@@ -195,6 +229,108 @@ def _bins(x, law, weight, low, high):
     return np.clip((n * (x - low) / (high - low)).astype(int), 0, n - 1), n
 
 
+def friction_curves(declared, final):
+    """Friction curves of each joint that moves, a tuple of FrictionCurves."""
+    # declared: the declared model, fitted; what it lacks of the plain terms is zero.
+    view, motion, after = final.view, final.motion, final.residuals()[1]
+    given = dict(zip(declared.parameter_names_, declared.theta_))
+    names, theta = final.identifier.parameter_names_, final.identifier.theta_
+    before = np.array([given.get(name, 0.0) for name in names])
+    torques = zip(final.effects, final.effect_torques())
+    own = [torque for effect, torque in torques if is_friction(effect)]
+    most = min(_DOTS, cloud_size(after.weight.shape[1]))
+    found = []
+    for j, columns in enumerate(_friction_columns(final.declared)):
+        Phi = view.equations.Phi[:, j, columns]
+        law = Phi @ theta[columns] + sum(torque[:, j] for torque in own)
+        x = view.filtered(motion.v[:, [j]])[:, 0]
+        used = (after.weight[:, j] > 0) & np.isfinite(x)
+        completed, simple = (
+            curves_over(
+                x[used],
+                after.residual[used, j],
+                values[used],
+                after.weight[used, j],
+                joint=j,
+                kind="speed",
+                signal="",
+                unit=_UNITS["speed"][int(motion.prismatic[j])],
+                with_motion=False,
+                most=most,
+            )
+            for values in (law, Phi @ before[columns])
+        )
+        if completed is not None:
+            found.append(FrictionCurves(joint=j, before=simple, after=completed))
+    return tuple(found)
+
+
+def _friction_columns(identifier):
+    """Parameters of a fitted identifier that are friction, of each joint an array."""
+    features = identifier.features_
+    width = features.n_parameters_ // features.n_joints_
+    terms = [k for k, x in enumerate(features.friction_) if x != RotorInertia.name]
+    terms = np.array(terms, dtype=int) + width - len(features.friction_)
+    found = [j * width + terms for j in range(features.n_joints_)]
+    at = features.n_parameters_
+    for effect in identifier.effects_:
+        count = len(effect.coefficients)
+        if is_friction(effect):
+            found[effect.joint] = np.r_[found[effect.joint], at : at + count]
+        at += count
+    return found
+
+
+def is_friction(effect):
+    """Whether the torque of an effect is against the motion."""
+    return (
+        effect.with_motion
+        or effect.seen_over == "speed"
+        or "direction" in effect.depends
+    )
+
+
+def spectra(pair, dt, cutoff, wide):
+    """Spectra of the residuals of two models, a tuple of SpectrumCurves."""
+    # pair: residuals of both in a band up to `wide`, wider than that of the fit, which
+    # ends at `cutoff` [Hz]; dt: sample period [s]. Above both only the filter is seen.
+    index, weight = pair[0].index, pair[0].weight
+    steps = np.diff(index)
+    step = dt * float(np.median(steps))
+    apart = steps > _GAP * np.median(steps)
+    stretches = np.split(np.arange(index.size), np.flatnonzero(apart) + 1)
+    size = int(min(max(map(len, stretches)), _PERIODS / (cutoff * step)))
+    if size < _FEWEST:
+        return ()
+    hertz = np.fft.rfftfreq(size, step)
+    shown = (hertz > 0) & (hertz <= wide)
+    window = np.hanning(size)
+    starts = [
+        own[0] + first
+        for own in stretches
+        for first in range(0, own.size - size + 1, max(size // 2, 1))
+    ]
+    rows = np.array(starts)[:, None] + np.arange(size)
+    found = []
+    for j in np.flatnonzero((weight > 0).any(axis=0)):
+        counts = (weight[:, j] > 0)[rows] * window
+        roots = []
+        for part in pair:
+            bins = np.fft.rfft(part.residual[rows, j] * counts)[:, shown]
+            power = 2.0 * step * (np.abs(bins) ** 2).sum(axis=0) / (counts**2).sum()
+            roots.append(np.sqrt(power))
+        found.append(
+            SpectrumCurves(
+                joint=int(j),
+                cutoff=float(cutoff),
+                hertz=hertz[shown],
+                before=roots[0],
+                after=roots[1],
+            )
+        )
+    return tuple(found)
+
+
 def time_line(judgement, clock, begins):
     """Torques over time of the models that were judged, `TimeLine`."""
     # clock (n,): time of each row [s] or None; begins: first rows of the recordings.
@@ -214,6 +350,7 @@ def time_line(judgement, clock, begins):
 
     measured = series(0, "torque")
     before, after = series(0, "predicted"), series(1, "predicted")
+    counts = series(0, "weight") > 0
     step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
     starts = np.searchsorted(index, np.asarray(begins)[1:])
     starts = starts[starts < index.size]
@@ -222,15 +359,19 @@ def time_line(judgement, clock, begins):
         "untouched": _stretches(seconds, fresh, step),
         "in_seconds": clock is not None,
     }
-    # Nothing is known between recordings, and between search and untouched part.
+    # Nothing is known between recordings, and between search and held-out part.
     gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
     measured, before, after = (
         np.insert(values, gaps, np.nan, axis=0) for values in (measured, before, after)
     )
+    counts = np.insert(counts, gaps, False, axis=0)
     seconds = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
     torques = []
     for j in range(measured.shape[1]):
-        rows = extremes(measured[:, j], curve_size(measured.shape[1]))
+        # Half of them are those of the residual; rows that do not count are no gaps.
+        own = measured[:, j], np.where(counts, measured - after, 0.0)[:, j]
+        half = curve_size(measured.shape[1]) // 2
+        rows = np.union1d(*(extremes(values, half) for values in own))
         torques.append(
             TorqueCurves(
                 joint=j,
@@ -238,6 +379,7 @@ def time_line(judgement, clock, begins):
                 measured=measured[rows, j],
                 before=before[rows, j],
                 after=after[rows, j],
+                counts=counts[rows, j],
             )
         )
     return TimeLine(torques=tuple(torques), **line)

@@ -49,7 +49,7 @@ class Unexplained:
     floor: float
     share: float  # share of the residual's mean square above the floor
     # root mean square of what is above the floor over the spread of the torque, on the
-    # untouched part (on the search part where the untouched one shows nothing above the
+    # held-out part (on the search part where the held-out one shows nothing above the
     # floor, or is too short); of the whole residual, if the floor is unknown
     of_torque: float
     # signals that it varies with, the strongest first
@@ -73,7 +73,7 @@ class Hidden:
 def unexplained(model, names, spread, floors, errors):
     """Joints above their floor, with the signals that the rest varies with."""
     # Of a `FoundModel`; spread and noise floors (nv,) in N m or N, nan where unknown,
-    # and the errors on the untouched part over the spread, nan where there is none.
+    # and the errors on the held-out part over the spread, nan where there is none.
     view = model.view
     residual = model.residual / np.where(view.root.T > 0, view.root.T, np.inf)
     signals = motion_signals(model.motion, names)
@@ -107,7 +107,7 @@ def unexplained(model, names, spread, floors, errors):
 
 
 def _above(floor, searched, untouched):
-    """Share of the torque above the floor: of the untouched part, if it shows one."""
+    """Share of the torque above the floor: of the held-out part, if it shows one."""
     floor = np.nan_to_num(floor)
     error = untouched if untouched > floor else searched
     return float(np.sqrt(max(error**2 - floor**2, 0.0)))

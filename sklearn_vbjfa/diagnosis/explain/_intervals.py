@@ -210,7 +210,7 @@ class FinalFit:
 
 def error_intervals(untouched, searched, spread, step):
     """Intervals that hold the errors over the next seconds of the same motion."""
-    # An error is a mean over time, of the next stretch as of the untouched one, and
+    # An error is a mean over time, of the next stretch as of the held-out one, and
     # both scatter. How much is read off the slow variation of what the error is a mean
     # of, the squared residual, in both parts of the recording. The spread (nv,) of the
     # torque that it is divided by is that of the whole recording and counts as given.
@@ -283,7 +283,7 @@ def _blocks(view):
 
 # -- the next recording ----------------------------------------------------------------
 
-# Logarithm of the error on another recording over that on untouched data of a single
+# Logarithm of the error on another recording over that on held-out data of a single
 # one, to be divided by how many were fitted, and its deviation between recordings: of
 # measured robots with several.
 _AGAIN, _DIFFER = np.log(1.5), 0.45
@@ -315,7 +315,7 @@ def next_recording(left_out, untouched, floor):
     """Tell what to expect of the next recording, as `NextRecording`."""
     # left_out (r, nv): errors on each recording of a model fitted to the others, over
     # the spread, nan where there is none; r may be zero. untouched (nv,): error on
-    # untouched data of the recordings that were fitted; floor (nv,): error that noise
+    # held-out data of the recordings that were fitted; floor (nv,): error that noise
     # alone would leave, nan if unknown.
     # What differs between recordings is the part of the error above the noise.
     # Logarithms of the errors are normal between recordings, conjugate to what is

@@ -1,7 +1,7 @@
-"""The errors on the untouched part, which is looked at here and only once.
+"""The errors on the held-out part, which is looked at here and only once.
 
 A model without the constraints fits its recording better, if only its noise. Where it
-also predicts untouched data better, by more than chance, the constraints contradict the
+also predicts held-out data better, by more than chance, the constraints contradict the
 torques: something that is not in the model was taken up by impossible bodies.
 """
 
@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.explain._drawn import spectra
 from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._identified import Band, measure_band
 from sklearn_vbjfa.diagnosis.explain._intervals import (
@@ -65,7 +66,7 @@ class Pushed:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ProjectionPrice:
-    """Errors on untouched data with and without physically consistent parameters."""
+    """Errors on held-out data with and without physically consistent parameters."""
 
     # (nv,): error of the completed model with `theta_unconstrained_` and with `theta_`,
     # over the spread of the torque
@@ -247,7 +248,7 @@ def _channel(robot):
     return None, np.nan
 
 
-# -- errors on the untouched part ------------------------------------------------------
+# -- errors on the held-out part ------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -262,7 +263,7 @@ class Models:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Judgement:
-    """Errors of the models of a loop on the untouched part."""
+    """Errors of the models of a loop on the held-out part."""
 
     # residuals of the declared model, with the plain terms, and of the completed one
     before: TorqueResiduals
@@ -279,7 +280,7 @@ class Judgement:
     # "plain" and "added" are the error with the plain terms and what the effects add to
     # it
     intervals: dict
-    seconds: np.ndarray  # (nv,): untouched time in which each joint moves [s]
+    seconds: np.ndarray  # (nv,): held-out time in which each joint moves [s]
     enough: np.ndarray  # (nv,): whether that is enough for an error
     n_stretches: int  # untouched ones
     # those left out since something jumps in them, the search cannot say when
@@ -288,7 +289,8 @@ class Judgement:
     band: Band  # of the fit
     # what consistent parameters cost; None if they were not made consistent
     price: ProjectionPrice | None
-    # where the untouched part leaves what the completed model was fitted on
+    spectra: tuple = ()  # of the residuals before and after, see `SpectrumCurves`
+    # where the held-out part leaves what the completed model was fitted on
     outside: tuple = ()
     looked_at: int = 0  # see `RecordedMotion`
 
@@ -341,8 +343,12 @@ def judge(models, found, split, near, whole):
     intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
     wide_cutoff = _wide(completed.cutoff_, dt)
     wide = None
+    told = ()
     if np.isfinite(wide_cutoff):
-        wide = tuple(part.rms() for part in errors(cutoff=wide_cutoff))
+        parts = errors(cutoff=wide_cutoff)
+        wide = tuple(part.rms() for part in parts)
+        compared = tuple(_numbered(part, rows) for part in parts[::2])
+        told = spectra(compared, dt, completed.cutoff_, wide_cutoff)
     # Rows in which a joint moves throughout have its largest weight.
     full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
     seconds = (before.weight / full).sum(axis=0) * step
@@ -379,6 +385,7 @@ def judge(models, found, split, near, whole):
         ),
         price=price,
         outside=completed.robot_.outside_of(rest),
+        spectra=told,
         looked_at=_looked_at(model.view, split),
     )
 

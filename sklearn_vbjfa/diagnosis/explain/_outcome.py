@@ -16,7 +16,11 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Parts,
     contradictions,
 )
-from sklearn_vbjfa.diagnosis.explain._drawn import effect_curves, time_line
+from sklearn_vbjfa.diagnosis.explain._drawn import (
+    effect_curves,
+    friction_curves,
+    time_line,
+)
 from sklearn_vbjfa.diagnosis.explain._evidence import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     hidden,
@@ -163,7 +167,7 @@ class Outcome:
     torque_units: tuple  # "N m" or "N"
     unsearched: tuple  # joints whose channels show too little to be searched
     added: tuple  # plain terms that were fitted on every joint beyond what was declared
-    # (nv,): errors on the untouched part over `spread`: declared, plain, completed
+    # (nv,): errors on the held-out part over `spread`: declared, plain, completed
     error_before: object
     error_plain: object
     error_after: object
@@ -175,7 +179,7 @@ class Outcome:
     wide_plain: object
     wide_after: object
     wide_cutoff: float  # where that band ends [Hz]; nan for none
-    seconds: object  # (nv,): untouched time in which each joint moves [s]
+    seconds: object  # (nv,): held-out time in which each joint moves [s]
     enough: object  # (nv,): whether that is enough for a verdict
     # (2, nv): where the errors ``"before"``, ``"plain"``, ``"after"``, and after minus
     # before (``"difference"``) and minus plain (``"added"``), over the next 50 s of the
@@ -196,11 +200,12 @@ class Outcome:
     contradictions: Contradictions = field(default_factory=Contradictions)
     # masses of the model that is handed over, and which of them are known
     bodies: tuple = ()
-    # residuals and signals for pictures; "seconds" is the time in the untouched part,
+    # residuals and signals for pictures; "seconds" is the time in the held-out part,
     # its recordings joined [s]; "maps" has a `Map` of some joints, "effects" an
-    # `EffectCurves` or None of each effect, "line" the `TimeLine`
+    # `EffectCurves` or None of each effect, "friction" and "spectra" the curves of the
+    # joints, "line" the `TimeLine`
     curves: dict = field(default_factory=dict)
-    # where the untouched part leaves what the judged model was fitted on
+    # where the held-out part leaves what the judged model was fitted on
     outside: tuple = ()
     # those of the torque channels in the model that is handed over, if unknown
     gains: ChannelGains | None = None
@@ -285,7 +290,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
             parts, spread, float(asked["alpha"]), search.settings
         ),
         next_recording=next_recording(left_out, after, relative_floor),
-        curves=_curves(models.judged, final, judgement, maps, effects, whole),
+        curves=_curves(models, final, judgement, maps, effects, whole),
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
@@ -502,14 +507,14 @@ def _ceiling(model, rest, names, asked):
     return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
 
 
-def _curves(judged, final, judgement, maps, effects, whole):
-    """Residuals of the untouched part with their signals, thinned for pictures."""
+def _curves(models, final, judgement, maps, effects, whole):
+    """Residuals of the held-out part with their signals, thinned for pictures."""
     before, after = judgement.before, judgement.after
     m = before.torque.shape[0]
     rows = np.arange(0, m, max(1, m // _POINTS))
     # Without a sample period, rows need not be equidistant.
-    dt = judged.dt
-    lowpass = _lowpass.design(dt or 1.0, judged.cutoff_)
+    dt = models.judged.dt
+    lowpass = _lowpass.design(dt or 1.0, models.judged.cutoff_)
     return {
         "index": before.index[rows],
         # Stretches one after the other.
@@ -524,5 +529,7 @@ def _curves(judged, final, judgement, maps, effects, whole):
             for own, effect in zip(effect_curves(final), effects)
             if not effect.doubt
         ),
+        "friction": friction_curves(models.declared, final),
+        "spectra": judgement.spectra,
         "line": time_line(judgement, whole.t, [p.start for p in whole.segments]),
     }

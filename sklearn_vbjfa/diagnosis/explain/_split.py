@@ -1,4 +1,4 @@
-"""The untouched part: stretches of motion that are kept for the end."""
+"""The held-out part: stretches of motion that are kept for the end."""
 
 from bisect import bisect_right
 from dataclasses import dataclass, replace
@@ -28,7 +28,7 @@ _MOST_STRETCHES = 12
 _FILTER_LENGTHS, _LENGTHS_OF_MORE = 2.0, 2.5
 # Samples, where nothing is filtered.
 _FEWEST_SAMPLES = 24
-# Each joint should have this share of its due in the untouched part.
+# Each joint should have this share of its due in the held-out part.
 _DUE = 0.5
 # At most this share of a stretch is given to the guard at either end, and what is tried
 # where that would leave too little.
@@ -36,20 +36,20 @@ _MOST_GUARD = 0.25
 _GUARDS = (1.0, 0.75, 0.5, 0.25, 0.0)
 # Values that are independent in the band of the fit: fewer are no sample of an error.
 FEWEST_VALUES = 10.0
-# The untouched part may grow to this share for them.
+# The held-out part may grow to this share for them.
 _LARGEST = 0.4
 _GROWTH = 1.2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Rows of the search and untouched stretches beside them."""
+    """Rows of the search and held-out stretches beside them."""
 
     # slices of rows of the search: nothing is filtered or differentiated from one to
     # the next
     searched_parts: tuple
     origins: tuple  # number of the recording that each of them is from
-    stretches: tuple  # untouched rows
+    stretches: tuple  # held-out rows
     # whether rows of the search lie right before and right after each stretch
     borders: tuple
     amount: object  # how much of a motion a stretch holds
@@ -73,7 +73,7 @@ class Split:
         return replace(self, searched_parts=tuple(parts), origins=tuple(origins))
 
     def untouched(self, recording):
-        """Return the untouched rows of a recording, as a recording."""
+        """Return the held-out rows of a recording, as a recording."""
         return take_rows(recording, self.stretches, range(len(self.stretches)))
 
     @property
@@ -123,7 +123,7 @@ class Split:
         )
 
     def guarded(self, rows):
-        """Return the split without the untouched rows next to rows of the search."""
+        """Return the split without the held-out rows next to rows of the search."""
         # What is left of a residual after `rows` rows is new. At least half of what is
         # there is kept, and as much as a verdict needs.
         there = self.amount.of(self.stretches)
@@ -196,7 +196,7 @@ def check_share(test_size):
 
 
 def split_in_time(identifier, recording, test_size):
-    """Choose the untouched stretches from the motion; torques are not looked at."""
+    """Choose the held-out stretches from the motion; torques are not looked at."""
     # At both ends of each of several recordings, or at several places of a single one;
     # of recordings that are too short to be cut, some as a whole. The identifier is the
     # declared model, not fitted.

@@ -12,6 +12,7 @@ _MODULES = {
         "documentation_of",
         "explanation",
         "source_of",
+        "torque_figures",
     ),
     "_limits": ("contradiction", "delay_sentence", "gain_doubts"),
     "_mathml": ("mathml",),
@@ -22,9 +23,7 @@ _MODULES = {
         "line_figure",
         "map_picture",
         "packed",
-        "residual_picture",
         "ticks",
-        "time_axis",
     ),
     "_render": (
         "Section",

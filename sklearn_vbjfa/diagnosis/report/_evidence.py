@@ -12,14 +12,14 @@ from sklearn_vbjfa.diagnosis.explain import Provenance
 from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._findings import anchors
-from sklearn_vbjfa.diagnosis.report._limits import interval_text
+from sklearn_vbjfa.diagnosis.report._limits import band_sentences
 from sklearn_vbjfa.diagnosis.report._mathml import mathml
 from sklearn_vbjfa.diagnosis.report._pictures import (
     About,
     Figure,
     effect_figure,
-    residual_picture,
-    time_axis,
+    friction_figure,
+    spectrum_figure,
     torque_figure,
 )
 from sklearn_vbjfa.diagnosis.report._render import Section, Table, table_of
@@ -52,7 +52,7 @@ def effect_pictures(outcome, verdict):
         heading="Effects in the torque",
         note="What the rest of the completed model leaves of the torque, without and "
         "with the effect, on all rows in which the joint moves; the parameters are "
-        "those of the files. The errors above are of the untouched part instead.",
+        "those of the files. The errors above are of the held-out part instead.",
         template="figures",
         drawn=effect_figures(outcome),
     )
@@ -172,11 +172,11 @@ def documentation_of(name):
 
 
 def torques(outcome, verdict):
-    """Draw the torques over time."""
+    """Draw the torques over time, and what both models leave of them below."""
     return Section(
-        heading="Measured and predicted torque",
-        note="Behind the low-pass of the fit. Both models were fitted to what is not "
-        "shaded.",
+        heading="Torque and residual over time",
+        note="Both models were fitted to what is not shaded; where they agree, one "
+        "line hides the other. Residuals are left out where the joint stands still.",
         template="figures",
         drawn=torque_figures(outcome),
     )
@@ -187,14 +187,52 @@ def torque_figures(outcome):
     line = outcome.curves.get("line")
     if line is None:
         return None
+    floor = outcome.floor * outcome.spread
     found = []
     for one in line.torques:
         unit = outcome.torque_units[one.joint]
         what = "torque" if unit == "N m" else "force"
-        joint = words.joint_label(outcome.joint_names, one.joint)
-        title, label = f"{words.capital(what)} of {joint}", f"{what} [{unit}]"
-        found.append(torque_figure(one, line, title=title, y_label=label))
+        title = words.joint_label(outcome.joint_names, one.joint)
+        labels = f"{what} [{unit}]", f"residual [{unit}]"
+        drawn = torque_figure(one, line, floor[one.joint], title=title, y_labels=labels)
+        found.append(drawn)
     return {"figures": tuple(found)}
+
+
+def friction(outcome, verdict):
+    """Draw what is left of each torque without the bodies, over speed."""
+    return Section(
+        heading="Friction of each joint",
+        note="Measured: the torque less what the completed model says of bodies and "
+        "all else that is no friction, behind the same low-pass. Lines are means at a "
+        "speed; friction that varies with load or time spreads about them.",
+        template="figures",
+        drawn=_small(outcome, "friction", friction_figure, "friction"),
+    )
+
+
+def spectra(outcome, verdict):
+    """Draw the spectrum of what both models leave."""
+    return Section(
+        heading="Spectrum of the residual",
+        note="On held-out data. Shaded: the band of the fit, in which the errors are "
+        "taken; nothing was fitted above it.",
+        template="figures",
+        drawn=_small(outcome, "spectra", spectrum_figure, "residual"),
+    )
+
+
+def _small(outcome, key, draw, what):
+    """Draw curves of each joint side by side; None where there are none."""
+    found = tuple(
+        draw(
+            one,
+            title=words.joint_label(outcome.joint_names, one.joint),
+            y_label=f"{what} [{outcome.torque_units[one.joint]}{one.per}]",
+        )
+        for one in outcome.curves.get(key, ())
+    )
+    return {"figures": found, "pairs": True} if found else None
 
 
 # -- parameters -------------------------------------------------------------------
@@ -230,7 +268,7 @@ def parameter_groups(outcome):
         )
         groups.append(
             dict(
-                label=words.capital(label),
+                label=label,
                 summary=f"{known} of {len(own)} determined by the recording",
                 rows=tuple(_cells(one, own, outcome, joint) for one in own),
             )
@@ -275,7 +313,6 @@ def provenance(outcome, verdict):
     return Section(
         heading="Provenance",
         table=table_of((), rows),
-        terminal=(),
         template="provenance",
         drawn={"files": tuple(given.files)} if given else None,
     )
@@ -307,32 +344,7 @@ def provenance_rows(outcome):
     return tuple(row for row in rows if row[1])
 
 
-# -- residuals and steps -----------------------------------------------------------
-
-
-def residuals(outcome, verdict):
-    """Draw what remains over time."""
-    curves = outcome.curves
-    heading = "Torque residuals"
-    if not {"before", "after", "weight"} <= set(curves):
-        return Section(heading=heading)
-    floor = outcome.floor * outcome.spread
-    found = []
-    for v in verdict.joints:
-        picture = residual_picture(curves, v.joint, floor[v.joint])
-        if picture is not None:
-            unit = outcome.torque_units[v.joint]
-            found.append((v.label, words.number(picture.limit, 2), unit, picture))
-    axis = time_axis(curves)
-    time = "Untouched part in the order of its samples"
-    if axis:
-        time = "Untouched part, one stretch after the other, over time in seconds"
-    return Section(
-        heading=heading,
-        note=f"one standard deviation. {time}; gaps where the joint stands still.",
-        template="residuals",
-        drawn={"pictures": tuple(found), "axis": axis} if found else None,
-    )
+# -- method ----------------------------------------------------------------------------
 
 
 def steps(outcome, verdict):
@@ -361,18 +373,14 @@ def steps(outcome, verdict):
             )
         )
     heads = ("no.", "joint", "effect", "step", "odds", "rivals")
-    # A terminal has no room for the way to what was found.
-    table = table_of(heads, rows)
-    return Section(heading="Steps of the search", table=table, terminal=())
+    return Section(heading="Steps of the search", table=table_of(heads, rows))
 
 
-# -- settings ---------------------------------------------------------------------
-
-
-def settings(outcome, verdict):
-    """Say what was asked for, and how it was done."""
+def method(outcome, verdict):
+    """Say what was asked for, how it was done, and what the figures hold for."""
     given = outcome.settings
-    sentences = (_short(outcome), _split(given), _named(given), _errors(given))
+    sentences = (_short(outcome), *band_sentences(outcome, verdict), _split(given))
+    sentences += (_named(given), _errors(given))
     versions = [f"{name} {v}" for name, v in given.get("versions", {}).items()]
     effects = given.get("effects", ())
     if not isinstance(effects, str):
@@ -387,10 +395,9 @@ def settings(outcome, verdict):
     )
     sentences = tuple(filter(None, sentences))
     return Section(
-        heading="Settings",
+        heading="Method",
         sentences=sentences,
         table=Table(rows=tuple(row for row in rows if row[1])),
-        terminal=sentences,
     )
 
 
@@ -412,10 +419,10 @@ def _short(outcome):
 
 
 def _split(settings):
-    """Say what was untouched and how the rest was divided."""
+    """Say what was held out and how the rest was divided."""
     if "test_size" not in settings:
         return ""
-    text = f"Untouched: {words.whole_percent(settings['test_size'])} of the motion"
+    text = f"Held out: {words.whole_percent(settings['test_size'])} of the motion"
     if "untouched_stretches" in settings:
         count = settings["untouched_stretches"]
         text += f" ({count} {'stretch' if count == 1 else 'stretches'}"
@@ -424,13 +431,13 @@ def _split(settings):
             text += ", without what a change of payload falls into"
     if "n_blocks" in settings:
         seconds = words.number(settings.get("block_seconds", math.nan))
-        text += f"; search: {settings['n_blocks']} blocks of {seconds} s, "
+        text += f". Search: {settings['n_blocks']} blocks of {seconds} s in "
         text += f"{settings.get('n_folds', '?')} folds"
     if "correlation_seconds" in settings:
         seconds = settings["correlation_seconds"]
         known = math.isfinite(seconds)
         length = f"for {words.number(seconds, 2)} s" if known else "throughout"
-        text += f"; residual correlated {length}"
+        text += f"; residuals are correlated {length}"
     return f"{text}."
 
 
@@ -443,20 +450,21 @@ def _named(settings):
     worth = words.whole_percent(own["worth"])
     candidates = words.plural(settings["n_candidates"], "candidate")
     return (
-        f"Named: probability of {sure} or more among {candidates}, of which "
-        f"{words.number(own['expected'])} is expected before looking; saves >= {worth} "
-        "of squared error on stretches that were not fitted, beyond chance; "
-        f"unexplained: > {ABOVE_FLOOR[0]} x floor."
+        f"An effect is named if its probability is at least {sure} ({candidates}, of "
+        f"which {words.number(own['expected'])} is expected before looking) and it "
+        f"saves at least {worth} of the squared error on data that was not fitted, "
+        "beyond chance. A joint is unexplained above "
+        f"{ABOVE_FLOOR[0]} times its noise floor."
     )
 
 
 def _errors(settings):
-    """Say what the intervals are of, and what the model was fitted to in the end."""
+    """Say what the model was fitted to in the end."""
     if "error_seconds" not in settings:
         return ""
     return (
-        f"+-: 90 % interval of a parameter; [ ]: {interval_text(settings)}. Files and "
-        "parameters: fitted to all data after the errors were taken, in the same band."
+        "The model in the files was fitted to all data, in the same band, after the "
+        "errors were taken."
     )
 
 

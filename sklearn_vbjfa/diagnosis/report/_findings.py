@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._limits import doubts, next_sentences
 from sklearn_vbjfa.diagnosis.report._pictures import map_picture
 from sklearn_vbjfa.diagnosis.report._render import Section, listed, table_of
 from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
@@ -19,6 +20,7 @@ _FORMS = (
     "a function of its own state and history",
     "the motion of other joints",
 )
+_NO_PERIOD = "a motion that does not repeat (design makes one)"
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # A speed below this share of the fastest is that of a reversal.
 _SLOW = 0.1
@@ -47,7 +49,8 @@ def effects(outcome, verdict):
         known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
         told += known
         sentences.append("; ".join(told))
-        short.append((f"- {joint}", label, evidence))
+        beside = " (or another)" if rivals else ""
+        short.append((f"- {joint}", label + beside, evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, (*parameters, *known), gain, odds, cannot))
@@ -92,17 +95,17 @@ def perhaps(outcome, verdict):
     )
 
 
-def corrections(outcome, verdict):
-    """Say what to mend on the robot, in the program that reads it, or in its files."""
+def to_do(outcome, verdict):
+    """Say what to mend, what to record, and what to expect; what matters most first."""
     own = [e for e in outcome.effects if _plain.in_model(outcome, e)]
     remedies = {(one.name, one.joint): one.text for one in _plain.remedies(outcome)}
+    mend = words.join(remedies.values(), len(remedies))
     told = []
     for e in own:
         said = [_plain.statement(outcome, e), remedies.pop((e.name, e.joint), "")]
         told.append(". ".join(map(words.capital, filter(None, said))))
     # The others were declared.
     told += map(words.capital, remedies.values())
-    todo = [one.text for one in _plain.remedies(outcome)]
     rows = [
         (
             *_called(outcome, e)[:2],
@@ -111,27 +114,37 @@ def corrections(outcome, verdict):
         )
         for e in own
     ]
+    channels = [" ".join(c.message.split()) for c in outcome.channels]
+    # The headline has the first doubt already.
+    first = " ".join("".join(doubts(outcome)[:1]).split())
+    record, expected = recordings(outcome), next_sentences(outcome)
+    shown = [f"Channel: {message}" for message in channels if message != first]
+    shown += [f"To correct: {mend}."] if mend else []
+    shown += [f"Record next: {words.join(record, 2)}."] if record else []
     return Section(
-        heading="What to correct",
-        sentences=tuple(f"{text}." for text in told),
+        heading="What to do next",
+        sentences=(
+            *(f"Channel: {message}" for message in channels),
+            *(f"{text}." for text in told),
+            *(f"Record {text}." for text in record),
+            *expected,
+        ),
         table=table_of(("where", "what", "value (90 %)", "in SI units"), rows),
         note="The completed model has all of it: it takes positions and torques as "
         "they were recorded."
-        if told
+        if own
         else "",
-        terminal=(f"To correct: {'; '.join(todo)}.",) if todo else (),
+        terminal=(*shown, *expected),
     )
 
 
 def outside(outcome, verdict):
-    """Say where the untouched part leaves what effects were fitted on."""
+    """Say where the held-out part leaves what effects were fitted on."""
     sentences = _outside_sentences(outcome)
-    title = "Outside the range of the fit"
     held = held_text(outcome.outside, lambda name: words.effect_label(outcome, name))
     return Section(
-        heading=f"{title}, on untouched data",
+        heading="Outside the range of the fit, on held-out data",
         sentences=(*sentences, *([f"{held}."] if held else [])),
-        terminal=listed([f"{title}: {sentence}." for sentence in sentences]),
     )
 
 
@@ -183,7 +196,7 @@ def _known_for(outcome, effect):
 
 
 def _outside_sentences(outcome):
-    """Say where the untouched part leaves what effects were fitted on."""
+    """Say where the held-out part leaves what effects were fitted on."""
     found = []
     for one in outcome.outside:
         labels = [words.effect_label(outcome, name) for name in one.names]
@@ -221,44 +234,42 @@ def unexplained(outcome, verdict):
     """Say what remains on joints above their noise floor."""
     names = outcome.joint_names
     order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
-    sentences, short = [], []
+    sentences = []
     for group in _unexplained_groups(outcome, order):
         first = group[0]
         joints = words.joint_list(names, [u.joint for u in group])
         shares = [words.percent(share) for share in sorted(u.of_torque for u in group)]
         share = f"{' to '.join(dict.fromkeys([shares[0], shares[-1]]))} of the torque"
-        share += " has no name" if first.floor > 0 else " remains, noise floor unknown"
-        all_of_it, strongest = _of_the_rest(outcome, group)
-        sentences.append(f"{joints}: {share}; {all_of_it}")
-        short.append((f"? {joints}", share, strongest))
+        share += " remains unexplained"
+        if not first.floor > 0:
+            share += ", noise floor unknown"
+        sentences.append(f"{joints}: {share}; {_of_the_rest(outcome, group)}")
     pictures = _maps(outcome)
     return Section(
         heading="Unexplained",
         sentences=tuple(sentences),
         note=_ceiling_note(outcome),
-        terminal=listed([f"? {sentence}" for sentence in sentences], short),
         template="unexplained",
         drawn={"pictures": pictures} if pictures else None,
     )
 
 
 def _of_the_rest(outcome, group):
-    """Say what is known of the rest of some joints, and the same in a few words."""
+    """Say what is known of the rest of some joints."""
     alike = [remains(outcome, u.joint) for u in group]
     first = group[0]
     if alike[0] is not None:
-        return (
-            _statement(alike, first.floor),
-            _short_statement(alike),
-        )
+        return _statement(alike, first.floor)
     signals = [
         f"{words.signal_label(s.signal, outcome.joint_names, first.joint)} "
         f"({words.whole_percent(s.share)})"
         for s in first.signals
     ]
-    if not signals:
-        return ("it varies with no single signal",) * 2
-    return f"varies with {words.join(signals, 3)}", f"varies with {signals[0]}"
+    if signals:
+        return f"correlated with {words.join(signals, 3)}"
+    recorded = outcome.settings.get("signals", ())
+    signals = ["position", "speed", "acceleration", "load", "time", *recorded]
+    return f"not correlated with {words.join(signals, 8, 'or')}"
 
 
 def _unexplained_groups(outcome, unexplained):
@@ -364,16 +375,6 @@ def _statement(alike, floor):
     return f"what remains {repeats}; whether it is noise is not known"
 
 
-def _short_statement(alike):
-    """Say the same in a few words, for a row of a table."""
-    first = alike[0]
-    if first.kind == "form":
-        return f"{_FORMS[first.source]} ({words.whole_percent(first.share)})"
-    if first.kind == "recording":
-        return "repeats within a recording only"
-    return "does not repeat" if first.share == 0 else "hardly repeats"
-
-
 def remains_of_joint(outcome, joint, text):
     """Return the statement on a joint, `text` for one that has no ceiling."""
     found = remains(outcome, joint)
@@ -401,9 +402,10 @@ def _changes(outcome, rest):
 # -- what to record ---------------------------------------------------------------
 
 
-def record_next(outcome, verdict):
-    """Say what to record next, what matters most first, without repetition."""
-    wanted = _record_again(outcome)
+def recordings(outcome):
+    """Say what to record next, what matters most first, without repetition; a list."""
+    wanted = dict.fromkeys([_NO_PERIOD] if outcome.repeated else [], ())
+    wanted |= _record_again(outcome)
     for rest in outcome.unexplained:
         for signal in rest.signals:
             advice = words.record_for_signal(signal.signal)
@@ -421,11 +423,7 @@ def record_next(outcome, verdict):
         where = words.joint_list(outcome.joint_names, joints)
         if advice:
             found.append(f"{advice} ({where})" if where else advice)
-    return Section(
-        heading="Record next",
-        sentences=tuple(found),
-        terminal=(f"Record next: {words.join(found, len(found))}.",) if found else (),
-    )
+    return found
 
 
 def _own_joint(outcome, effect):
@@ -441,7 +439,7 @@ def hidden(outcome, verdict):
     for reason, title, because in (
         ("excitation", "This recording cannot show", ""),
         ("signal", "Not looked for:", "; {}"),
-        ("span", "No motion can show", ": what is fitted anyway does the same"),
+        ("span", "Not identifiable by any motion:", " (absorbed by other parameters)"),
     ):
         own = [h for h in rest if h.reason == reason]
         of_model = _model_parts(outcome, reason) if reason == "span" else []
@@ -459,7 +457,9 @@ def hidden(outcome, verdict):
         because = because.format(words.join(sorted({h.remedy for h in own}), 2))
         sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
     sentences += _together_sentences(outcome, rest)
-    return Section(heading="Not visible in this recording", sentences=tuple(sentences))
+    return Section(
+        heading="What this recording does not show", sentences=tuple(sentences)
+    )
 
 
 def _is_of_model(outcome, hidden):
@@ -502,8 +502,8 @@ def _unseen(outcome, reason, name, why, own):
             words.other_label(outcome, one.remedy, name) for one in own
         )
         return (
-            f"{what} can be seen only together with {words.join(partners, 4)}: one of "
-            "them stands for both."
+            f"{what} can be seen only together with {words.join(partners, 4)}: only "
+            "their sum is identifiable."
         )
     needed = f": that takes {why}" if why else ""
     return f"{what} cannot be seen in this recording{needed}."
@@ -536,4 +536,4 @@ def _together_sentences(outcome, hidden):
     ]
     if not parts:
         return []
-    return [f"Visible only together: {words.join(parts, len(parts))}."]
+    return [f"Only their sum is identifiable: {words.join(parts, len(parts))}."]

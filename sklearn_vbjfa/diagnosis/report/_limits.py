@@ -42,33 +42,32 @@ def _reason(outcome, band):
     """Say what the cut-off is and what decided it."""
     fastest = words.joint_label(outcome.joint_names, band.fastest)
     cutoff, bandwidth = words.number(band.cutoff), words.number(band.bandwidth)
-    motion = (
-        f"{bandwidth} Hz, below which 99 % of the power of the speed of {fastest} lies"
+    motion = "five times the motion's bandwidth"
+    given = (
+        f"99 % of the power of the speed of {fastest}, the fastest joint, is below "
+        f"{bandwidth} Hz"
     )
-    noise = ""
     if np.isfinite(band.smoothed_at):
-        noise = f"; its position is smoothed at {words.number(band.smoothed_at, 2)} Hz"
-        noise += ", where the motion meets the encoder noise"
+        given += f"; its position is smoothed at {words.number(band.smoothed_at, 2)} Hz"
+        given += ", where the motion falls below the encoder noise"
     asked = f"; the motion asks for {words.number(band.automatic, 2)} Hz"
     if np.isnan(band.automatic):
         asked = ""
     elif np.isinf(band.automatic):
         asked = "; the motion asks for no low-pass"
+    first = f"Errors are for 0 to {cutoff} Hz"
+    whole = "errors are for all frequencies of the recording"
     return {
-        "motion": f"Errors are taken up to {cutoff} Hz: five times {motion} (the "
-        f"fastest joint{noise}).",
-        "length": f"Errors are taken up to {cutoff} Hz, as the low-pass has to be "
-        f"short beside the recording; five times {motion}, would be less.",
-        "drive": f"Errors are taken up to {cutoff} Hz, as positions are smoothed above "
-        f"and commanded torques have their noise; five times {motion}, would be more.",
-        "given": f"Errors are taken up to {cutoff} Hz, as was asked for{asked}.",
-        "none": f"Nothing is filtered, as was asked for{asked}; errors are those of "
-        "the torque as recorded, and there is no wider band.",
-        "states": "States were given, which are not filtered; errors are those of the "
-        "torque as recorded, and there is no wider band.",
-        "sample rate": f"Nothing is filtered, as five times {motion}, is too close to "
-        "half the sample rate; errors are those of the torque as recorded, and there "
-        "is no wider band.",
+        "motion": f"{first} ({motion}: {given}).",
+        "length": f"{first}: a lower limit needs a longer recording ({motion} would be "
+        f"lower: {given}).",
+        "drive": f"{first}: above it positions are smoothed, and commanded torques "
+        f"have their noise ({motion} would be higher: {given}).",
+        "given": f"{first}, as was asked for{asked}.",
+        "none": f"Nothing is filtered, as was asked for{asked}; {whole}.",
+        "states": f"States were given, which are not filtered; {whole}.",
+        "sample rate": f"Nothing is filtered: {motion} is too close to half the sample "
+        f"rate ({given}); {whole}.",
     }[band.decided_by]
 
 
@@ -84,8 +83,8 @@ def _content(band):
     if len(shares) < 2:
         return ""
     return (
-        f"That band holds {shares[0]} of the power of the speeds and {shares[1]} of "
-        "that of the torques."
+        f"This band has {shares[0]} of the power of the speeds and {shares[1]} of the "
+        "power of the torques."
     )
 
 
@@ -104,20 +103,19 @@ def _share(value):
 
 
 def _above(outcome, errors):
-    """Say what a controller meets above the band."""
+    """Say how large errors are above the band, where a controller meets them too."""
     band = outcome.band
     if not np.isfinite(band.cutoff):
         return ""
     if not np.isfinite(outcome.wide_cutoff):
         rate = words.number(band.sample_rate)
-        return f"{rate} samples a second leave no room for a wider band."
+        return f"At {rate} samples a second there is no wider band."
     wide = words.number(outcome.wide_cutoff, 2)
-    text = f"A controller meets what lies above as well: up to {wide} Hz"
     if not (np.isfinite(errors.wide) and np.isfinite(errors.after)):
-        return f"{text} nothing was identified."
+        return f"Up to {wide} Hz the error is not known."
     return (
-        f"{text}, where nothing was identified, the mean error is "
-        f"{words.percent(errors.wide)} instead of {words.percent(errors.after)}."
+        f"Up to {wide} Hz the error is {words.percent(errors.wide)} "
+        f"({words.percent(errors.after)} in the fitted band)."
     )
 
 
@@ -139,23 +137,24 @@ def projection_sentences(outcome, verdict):
         return ()
     names = outcome.joint_names
     costs = [
-        f"{words.joint_label(names, j)} {words.percent(price.price[j])} of its torque "
-        f"({words.bare_percent(price.free[j])} to {words.percent(price.held[j])})"
+        f"{words.joint_label(names, j)} from {words.bare_percent(price.free[j])} to "
+        f"{words.percent(price.held[j])}"
         for j in np.flatnonzero(price.costs)
     ]
-    text = f"Bodies that are physically possible cost {words.join(costs, 6)}"
+    text = "Requiring physically possible masses raises the error of "
+    text += words.join(costs, 6)
     pushed = [_pushed(one, names) for one in price.pushed]
     if pushed:
         text += f": {words.join(pushed, 3, 'or')}"
     cause = "a wrong gain of the torque channel, a wrong geometry or a missing effect"
     if price.channel is None:
-        return f"{text}.", f"{words.capital(cause)} does that."
+        return f"{text}.", f"Possible causes: {cause}."
     channel = words.joint_label(names, price.channel)
     share = words.whole_percent(price.channel_share)
     return (
         f"{text}.",
-        f"Of that, {share} goes if the torque of {channel} is left out: {cause} there "
-        "does that.",
+        f"Without the torque of {channel} {share} of this disappears; possible causes "
+        f"there: {cause}.",
     )
 
 
@@ -329,17 +328,18 @@ def looked_at_sentences(outcome):
     )
 
 
-def next_sentences(outcome, verdict):
+def next_sentences(outcome):
     """Say which error to expect on the next recording, and what that rests on."""
     one = outcome.next_recording
     if one is None or not np.isfinite(one.mean):
         return ()
     low, high = map(words.bare_percent, one.mean_interval)
-    text = f"Next recording: expect {words.percent(one.mean)} [{low}, {high}]"
+    text = f"Next recording: expect an error of {words.percent(one.mean)} "
+    text += f"[{low}, {high}]"
     if one.source == "assumed":
         return (f"{text}, assumed from other robots; record another motion to know.",)
-    also = " and other robots" if one.source == "mixed" else ""
-    return (f"{text}, from {one.recordings} left out{also}.",)
+    also = ", and other robots" if one.source == "mixed" else ""
+    return (f"{text} ({one.recordings} left out in turn{also}).",)
 
 
 def repeated_sentences(outcome):
@@ -349,9 +349,8 @@ def repeated_sentences(outcome):
     told = [_repeated(one, outcome.recordings) for one in outcome.repeated]
     return (
         f"Motion that repeats: {words.join(told, 4)}. What the model lacks repeats "
-        "with it, in the untouched part as well: effects are judged between the phases "
-        "of the motion, and the errors hold for this motion alone. Record a motion "
-        "that does not repeat; design makes one.",
+        "with it, in the held-out part as well: effects are judged between the phases "
+        "of the motion, and the errors hold for this motion alone.",
     )
 
 
@@ -576,19 +575,6 @@ def _saturated(outcome, shares):
     if not full:
         return ()
     return (f"At its limit of torque is {words.join(full)} of the samples, left out.",)
-
-
-def channels(outcome, verdict):
-    """Say what is wrong with the channels of the recording."""
-    messages = [" ".join(c.message.split()) for c in outcome.channels]
-    # The headline has the first doubt already.
-    first = " ".join("".join(doubts(outcome)[:1]).split())
-    below = [message for message in messages if message != first]
-    return Section(
-        heading="Channels",
-        sentences=tuple(messages),
-        terminal=tuple(f"Channel: {message}" for message in below),
-    )
 
 
 def channel_gains(outcome, verdict):

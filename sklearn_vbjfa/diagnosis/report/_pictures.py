@@ -1,4 +1,4 @@
-"""Pictures of a page as paths: charts with axes, residuals over time, and maps.
+"""Pictures of a page as paths: charts with axes, and maps.
 
 A picture is a frame that a page stretches to the room there is; texts stand beside it.
 The numbers of a chart go along in 16 bits each, for the library that zooms: from them a
@@ -6,7 +6,7 @@ picture that is zoomed is drawn, exported or written as a table.
 """
 
 import base64
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -18,10 +18,11 @@ WIDTH, HEIGHT = 400, 200
 _STEPS = 5
 # Points of a static cloud and of a static curve over time; all are in the data.
 _CLOUD, _CURVE = 500, 600
-# Values beyond these quantiles are cut off, or a spike would flatten the rest.
-_ENDS = (0.002, 0.998)
-# A step of this many usual ones, as between recordings, interrupts a residual.
-_BREAK = 1.5
+# Values farther than a share of their range beyond these quantiles are cut off, or a
+# spike would flatten the rest.
+_MOST, _REACH = (0.01, 0.99), 0.5
+# Powers of ten that a spectrum shows.
+_DECADES = 6.0
 # Shades of either sign in a map.
 _SHADES = 6
 # Largest 16-bit number; the smallest stands for nothing.
@@ -68,8 +69,10 @@ class Figure:
     charts: tuple  # side by side
     data: dict  # for the library: names, kinds and packed values of the series
     keys: tuple  # class and text of each entry of the legend
+    note: str = ""  # what is not in the frame
     about: About | None = None  # what is unfolded below
     anchor: str = ""  # its place on a page; empty for none
+    stacked: bool = False  # charts below one another, on one axis
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,33 +155,131 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     )
 
 
-def torque_figure(torques, line, *, title, y_label):
-    """Draw measured and predicted torque over time."""
-    seconds = torques.seconds
+def torque_figure(torques, line, floor, *, title, y_labels):
+    """Draw measured and predicted torque over time, and both residuals below."""
+    # floor: noise floor [N m or N], nan if unknown.
+    seconds, counts = torques.seconds, torques.counts
     # The declared model on top, or the completed one would hide where they agree.
     values = (torques.measured, torques.after, torques.before)
-    frame = _Frame(x=_ends(seconds), y=_range(np.concatenate(values)))
-    x_label = "time [s]" if line.in_seconds else "row"
-    rows = extremes(torques.measured, _CURVE)
     kinds = ("measured", "line-after", "line-before")
-    shapes = [
-        Shape(kind="untouched", path=_spans(frame, line.untouched)),
-        Shape(kind="zero", path=frame.level(0.0)),
+    left = [
+        np.where(counts, torques.measured - own, np.nan)
+        for own in (torques.before, torques.after)
     ]
-    shapes += [
-        Shape(kind=kind, path=_line(frame, seconds[rows], own[rows]))
-        for kind, own in zip(kinds, values)
-    ]
-    shapes.append(Shape(kind="border", path=_verticals(frame, line.borders)))
+    x_label = "time [s]" if line.in_seconds else "row"
+    rows = np.union1d(
+        extremes(torques.measured, _CURVE // 2),
+        extremes(np.nan_to_num(left[1]), _CURVE // 2),
+    )
+    x, charts, beyond = _ends(seconds), [], []
+    # What the declared model leaves goes behind what the completed one does.
+    for own, names, y_label in (
+        (values, kinds, y_labels[0]),
+        (left, kinds[:0:-1], y_labels[1]),
+    ):
+        frame = _Frame(x=x, y=_range(np.concatenate(own)))
+        beyond.append(_beyond(frame, own))
+        shapes = [Shape(kind="untouched", path=_spans(frame, line.untouched))]
+        if own is left and floor > 0:
+            edges = frame.down([floor, -floor])
+            path = f"M0 {edges[0]:.1f}H{WIDTH}V{edges[1]:.1f}H0Z"
+            shapes.append(Shape(kind="floor", path=path))
+        shapes.append(Shape(kind="zero", path=frame.level(0.0)))
+        shapes += [
+            Shape(kind=kind, path=_line(frame, seconds[rows], one[rows]))
+            for kind, one in zip(names, own)
+        ]
+        shapes.append(Shape(kind="border", path=_verticals(frame, line.borders)))
+        charts.append(_chart(frame, "", x_label, y_label, shapes))
     names = ("measured", "completed model", "declared model")
-    data = _data(title, x_label, y_label, seconds, tuple(zip(names, kinds, values)))
+    data = _data(title, x_label, y_labels[0], seconds, tuple(zip(names, kinds, values)))
     data["spans"] = [list(map(_short, span)) for span in line.untouched]
     data["borders"] = [_short(x) for x in line.borders]
-    keys = [*zip(kinds, names), ("untouched", "untouched part")]
+    keys = [*zip(kinds, names), ("untouched", "held-out part")]
+    if floor > 0:
+        keys.append(("floor", "noise floor, one standard deviation"))
     if line.borders:
         keys.append(("border", "next recording"))
+    return Figure(
+        title=title,
+        charts=tuple(charts),
+        data=data,
+        keys=tuple(keys),
+        note="; ".join(filter(None, beyond)),
+        stacked=True,
+    )
+
+
+def friction_figure(curves, *, title, y_label):
+    """Draw the friction of a joint over its speed, measured and of both models."""
+    before, after = curves.before, curves.after
+    frame = _Frame(x=_ends(after.x), y=_range(np.r_[after.without, after.law]))
+    x_label = f"speed [{after.unit}]"
+    lines = (
+        ("mean-after", "completed model", after.center, after.law_mean),
+        ("law", "declared model", before.center, before.law_mean),
+    )
+    shapes = [
+        Shape(kind="zero", path=frame.level(0.0)),
+        Shape(kind="zero", path=_verticals(frame, [0.0])),
+        Shape(kind="cloud", path=_cloud(frame, after.x, after.without)),
+    ]
+    # The mean jumps with the sign of the speed.
+    shapes += [
+        Shape(
+            kind=kind,
+            path="".join(_line(frame, x[way], y[way]) for way in (x < 0, x > 0)),
+        )
+        for kind, _, x, y in lines
+    ]
+    series = [("measured", "cloud before", after.without)]
+    series += [
+        (name, kind, np.interp(after.x, x, y, left=np.nan, right=np.nan))
+        for kind, name, x, y in lines
+    ]
+    keys = [("cloud", "measured"), *(line[:2] for line in lines)]
+    return Figure(
+        title=title,
+        charts=(_chart(frame, "", x_label, y_label, shapes),),
+        data=_data(title, x_label, y_label, after.x, series),
+        keys=tuple(keys),
+        note=_beyond(frame, [after.without]),
+    )
+
+
+def spectrum_figure(curves, *, title, y_label):
+    """Draw the spectrum of both residuals, in decades, with the band of the fit."""
+    logs = [np.log10(own) for own in (curves.before, curves.after)]
+    shown = np.concatenate([own[np.isfinite(own)] for own in logs])
+    top = np.max(shown, initial=-300.0)
+    low = max(np.min(shown, initial=top), top - _DECADES)
+    frame = _Frame(x=(0.0, float(curves.hertz[-1])), y=(low - 0.1, top + 0.1))
+    kinds, x_label = ("line-before", "line-after"), "frequency [Hz]"
+    shapes = [Shape(kind="untouched", path=_spans(frame, [(0.0, curves.cutoff)]))]
+    shapes += [
+        Shape(kind=kind, path=_line(frame, curves.hertz, own))
+        for kind, own in zip(kinds, logs)
+    ]
     chart = _chart(frame, "", x_label, y_label, shapes)
-    return Figure(title=title, charts=(chart,), data=data, keys=tuple(keys))
+    powers = [
+        (100 * (frame.y[1] - k) / (frame.y[1] - frame.y[0]), words.number(10.0**k))
+        for k in range(int(np.ceil(frame.y[0])), int(np.floor(frame.y[1])) + 1)
+    ]
+    names = ("declared model", "completed model")
+    data = _data(
+        title,
+        x_label,
+        y_label,
+        curves.hertz,
+        tuple(zip(names, kinds, (curves.before, curves.after))),
+    )
+    data["spans"] = [[0.0, _short(curves.cutoff)]]
+    return Figure(
+        title=title,
+        charts=(replace(chart, y_ticks=tuple(powers)),),
+        data=data,
+        keys=(*zip(kinds, names), ("untouched", "band of the fit")),
+    )
 
 
 def line_figure(seconds, values, *, title, y_label, levels=()):
@@ -219,92 +320,6 @@ def _chart(frame, title, x_label, y_label, shapes):
         y_ticks=frame.y_ticks(),
         shapes=tuple(shape for shape in shapes if shape.path),
     )
-
-
-# -- residuals --------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Picture:
-    """A joint's residual before and after, in a frame."""
-
-    shapes: tuple  # from the back to the front
-    limit: float  # torque at the upper edge, the lower one is its negative [N m or N]
-
-
-def residual_picture(curves, joint, floor):
-    """Draw a joint's residual before and after over the untouched part, if any."""
-    # curves: "before", "after", "weight" (m, nv), and "seconds" (m,), rising, where it
-    # is known; floor [N m or N] may be nan.
-    before, after, weight = (
-        np.asarray(curves[key], dtype=float)[:, joint]
-        for key in ("before", "after", "weight")
-    )
-    used = (weight > 0) & np.isfinite(before) & np.isfinite(after)
-    if used.sum() < 2:
-        return None
-    sizes = np.abs(np.r_[before[used], after[used]])
-    limit = float(np.quantile(sizes, _ENDS[1])) * 1.05
-    if not limit > 0:
-        return None
-    seconds = np.asarray(curves.get("seconds", np.arange(before.size)), dtype=float)
-    frame = _Frame(x=(seconds[0], seconds[-1]), y=(-limit, limit))
-    draw, look = (_pieces, "line") if before.size <= WIDTH else (_envelope, "area")
-    x = frame.across(seconds)
-    before, after = (
-        Shape(kind=f"{look} {name}", path=draw(x, np.where(used, y, np.nan)))
-        for name, values in (("before", before), ("after", after))
-        for y in [frame.down(np.clip(values, -limit, limit))]
-    )
-    zero = Shape(kind="zero", path=frame.level(0.0))
-    if not floor > 0:
-        return Picture(shapes=(before, zero, after), limit=limit)
-    # one standard deviation to each side
-    top, bottom = frame.down([min(floor, limit), -min(floor, limit)])
-    path = f"M0 {top:.1f}H{WIDTH}V{bottom:.1f}H0Z"
-    shapes = (before, Shape(kind="floor", path=path), zero, after)
-    return Picture(shapes=shapes, limit=limit)
-
-
-def time_axis(curves):
-    """Return the ticks below a residual, (place in per cent, text); () if unknown."""
-    seconds = np.asarray(curves.get("seconds", ()), dtype=float)
-    if seconds.size < 2:
-        return ()
-    length = seconds[-1] - seconds[0]
-    # The end says the unit; a tick close to it would be overwritten.
-    last = length - 0.75 * _step(length)
-    return (
-        *((100 * at / length, text) for at, text in ticks(0.0, length) if at < last),
-        (100.0, f"{words.number(length)} s"),
-    )
-
-
-def _pieces(x, y):
-    """Path of a line, interrupted where much time passes between two samples."""
-    steps = np.diff(x)
-    breaks = np.flatnonzero(steps > _BREAK * np.median(steps)) + 1
-    return "".join(map(_path, np.split(x, breaks), np.split(y, breaks)))
-
-
-def _envelope(x, y):
-    """Outline of a line with more points than the picture has columns."""
-    label = np.minimum(x.astype(int), WIDTH - 1)
-    starts = np.flatnonzero(np.r_[True, np.diff(label) > 0])
-    column = label[starts]
-    top = np.fmin.reduceat(y, starts)
-    bottom = np.fmax.reduceat(y, starts)
-    seen = np.isfinite(top)
-    # Neither where nothing counts nor where nothing was recorded.
-    ends = np.flatnonzero((np.diff(seen) != 0) | (np.diff(column) > 1)) + 1
-    pieces = []
-    for run in np.split(np.arange(seen.size), ends):
-        if seen[run[0]]:
-            at, up, down = column[run], top[run] - 0.7, bottom[run]
-            outline = np.r_[at, at[-1] + 1, at[-1] + 1, at[::-1]]
-            edge = np.r_[up, up[-1], down[-1], down[::-1]]
-            pieces.append(_path(outline, edge) + "Z")
-    return "".join(pieces)
 
 
 # -- maps -------------------------------------------------------------------------
@@ -376,14 +391,28 @@ def _ends(values):
 
 
 def _range(values):
-    """Find the ends of a vertical axis: all but the farthest values, and zero."""
+    """Find the ends of a vertical axis: all but outliers, and zero."""
     values = values[np.isfinite(values)]
-    low, high = np.quantile(values, _ENDS) if values.size else (0.0, 0.0)
-    low, high = min(float(low), 0.0), max(float(high), 0.0)
+    low, high = np.quantile(values, _MOST) if values.size else (0.0, 0.0)
+    reach = _REACH * (high - low)
+    low = min(max(float(low - reach), float(np.min(values, initial=0.0))), 0.0)
+    high = max(min(float(high + reach), float(np.max(values, initial=0.0))), 0.0)
     if not high > low:
         return -1.0, 1.0
     room = 0.06 * (high - low)
     return low - room, high + room
+
+
+def _beyond(frame, curves):
+    """Say how far what is cut off goes beyond a frame; empty if nothing is."""
+    values = np.concatenate([own[np.isfinite(own)] for own in curves])
+    ends = np.min(values, initial=0.0), np.max(values, initial=0.0)
+    far = [
+        words.number(x)
+        for x, cut in zip(ends, (ends[0] < frame.y[0], ends[1] > frame.y[1]))
+        if cut
+    ]
+    return f"Cut off: values to {' and '.join(far)}." if far else ""
 
 
 # -- paths ------------------------------------------------------------------------

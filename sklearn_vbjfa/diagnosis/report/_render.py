@@ -8,26 +8,31 @@ the template that it names, ``templates/section.html.j2`` if it has no look of i
 import importlib.resources
 import re
 import textwrap
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import zip_longest
 
 from tabulate import tabulate
 
 from sklearn_vbjfa.diagnosis.report import _pictures
+from sklearn_vbjfa.diagnosis.report import _words as words
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
 # The frame of the pictures.
 _SIZE = {"width": _pictures.WIDTH, "height": _pictures.HEIGHT}
-# Entries of a list that a terminal shows as sentences; each further one is a row.
-_SENTENCES = 6
+# Entries of a list that a terminal shows as sentences; of more, each is a row.
+_SENTENCES = 2
 # How the entries of a list begin.
-_MARKS = ("- ", "? ")
+_MARKS = ("- ",)
+# What is read of a section, its tables and its figures.
+_READ = ("heading", "sentences", "table", "note", "drawn")
+_READ += ("heads", "rows", "title", "charts", "keys", "x_label", "y_label")
 # Spaces at which no line is broken.
 _UNIT = re.compile(
     r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)|(?<=kg) (?=m)| (?=s/)|"
-    r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)"
+    r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)| (?=: 1)|"
+    r"(?<= :) (?=1)"
 )
 
 
@@ -51,16 +56,19 @@ class Section:
     sentences: tuple = ()  # paragraphs, or the entries of a list
     table: Table | None = None  # below them
     note: str = ""  # small print below that
-    # what a terminal shows; by default the sentences and the table
-    terminal: tuple | None = None
+    # of words that come first in it on a page: the word, and what it means
+    terms: tuple = ()
+    # what a terminal shows, sentences and tables: the verdict, its table, effects, and
+    # what to do next, in about twenty lines
+    terminal: tuple = ()
     # which of ``templates/<template>.html.j2`` draws it on a page
     template: str = "section"
     drawn: dict | None = None  # what only that template shows, by name
 
-    def __post_init__(self):
-        if self.terminal is None:
-            shown = (*self.sentences, *([self.table] if self.table else []))
-            object.__setattr__(self, "terminal", shown)
+    @property
+    def anchor(self):
+        """Its place on a page, for the contents."""
+        return re.sub(r"[^a-z]+", "-", self.heading.lower())
 
 
 def table_of(heads, rows, **more):
@@ -68,13 +76,12 @@ def table_of(heads, rows, **more):
     return Table(heads=heads, rows=tuple(rows), **more) if rows else None
 
 
-def listed(sentences, rows=()):
-    """Show the first entries as sentences, each further one as a row of a table."""
-    further = tuple(rows[_SENTENCES:])
-    return (*sentences[:_SENTENCES], *([Table(rows=further)] if further else ()))
+def listed(sentences, rows):
+    """Show a few entries as sentences, many as rows of a table."""
+    return sentences if len(rows) <= _SENTENCES else (Table(rows=tuple(rows)),)
 
 
-def paragraph(heading, sentences_of):
+def paragraph(heading, sentences_of, *, on_terminal=False):
     """Return a section that is read as one paragraph, except where lists are."""
     # sentences_of: a function of the outcome and the verdict.
 
@@ -83,11 +90,37 @@ def paragraph(heading, sentences_of):
         return Section(
             heading=heading,
             sentences=sentences,
-            terminal=(" ".join(sentences),) if sentences else (),
+            terminal=(" ".join(sentences),) if sentences and on_terminal else (),
             template="paragraph",
         )
 
     return section
+
+
+def explained(sections):
+    """Return sections with what the terms mean that come first in each."""
+    known, found = set(), []
+    for section in sections:
+        told = "\n".join(_texts(section))
+        terms = [one for one in words.TERMS if one[1] not in known]
+        terms = [(name, text) for form, name, text in terms if re.search(form, told)]
+        known |= {name for name, _ in terms}
+        found.append(replace(section, terms=tuple(terms)))
+    return tuple(found)
+
+
+def _texts(value):
+    """Yield all texts that are read in a part of a section, not the data of it."""
+    if isinstance(value, str):
+        yield value
+    elif isinstance(value, dict):
+        yield from _texts(list(value.values()))
+    elif isinstance(value, (tuple, list)):
+        for one in value:
+            yield from _texts(one)
+    else:
+        read = [getattr(value, key) for key in _READ if hasattr(value, key)]
+        yield from _texts(read)
 
 
 def plain_text(sections):
@@ -113,7 +146,9 @@ def plain_text(sections):
 def _wrapped(sentence, indent):
     """Wrap a sentence, with no number apart from its unit."""
     whole = _UNIT.sub("\u00a0", sentence)
-    lines = textwrap.wrap(whole, _TERMINAL, subsequent_indent=indent)
+    lines = textwrap.wrap(
+        whole, _TERMINAL, subsequent_indent=indent, break_on_hyphens=False
+    )
     return "\n".join(lines).replace("\u00a0", " ")
 
 
@@ -158,6 +193,7 @@ def page(sections, package=None):
     zooms = any("figures" in (section.drawn or ()) for section in sections)
     return _template("page.html.j2", package).render(
         sections=sections,
+        whole=True,
         zooms=zooms,
         library=_vendored() if zooms else {},
         **_SIZE,
@@ -166,7 +202,9 @@ def page(sections, package=None):
 
 def fragment(sections):
     """Write the sections as what a page holds, with its style, for notebooks."""
-    return _template("fragment.html.j2").render(sections=sections, zooms=False, **_SIZE)
+    return _template("fragment.html.j2").render(
+        sections=sections, whole=False, zooms=False, **_SIZE
+    )
 
 
 def figure(drawn):

@@ -26,44 +26,41 @@ _NOT_DATA = ("curves", "library")
 SECTIONS = (
     _verdict.headline,
     _verdict.joints,
-    _render.paragraph("Plain terms", _verdict.added),
-    _render.paragraph("Drive", _limits.drive_sentences),
-    _render.paragraph("Band of the errors", _limits.band_sentences),
-    _render.paragraph("The next recording", _limits.next_sentences),
-    _render.paragraph("Limits of the recordings", _limits.recording_sentences),
-    _render.paragraph("Price of physical consistency", _limits.projection_sentences),
     _findings.effects,
     _findings.perhaps,
-    _evidence.effect_pictures,
-    _findings.corrections,
-    _findings.outside,
-    _findings.unexplained,
-    _findings.record_next,
-    _findings.hidden,
+    _findings.to_do,
+    _render.paragraph("Drive", _limits.drive_sentences, on_terminal=True),
     _limits.channel_gains,
+    _evidence.effect_pictures,
+    _evidence.torques,
+    _evidence.friction,
+    _evidence.spectra,
+    _findings.unexplained,
+    _findings.hidden,
+    _render.paragraph("Limits of the recordings", _limits.recording_sentences),
+    _findings.outside,
+    _render.paragraph("Price of physical consistency", _limits.projection_sentences),
     _render.paragraph("Masses", _limits.mass_sentences),
     _render.paragraph("Alike joints", _limits.alike_sentences),
-    _limits.channels,
-    _evidence.torques,
-    _evidence.residuals,
     _evidence.parameters,
-    _evidence.steps,
-    _evidence.settings,
     _evidence.provenance,
+    _evidence.steps,
+    _evidence.method,
 )
 
 
 def sections(outcome, verdict):
     """Return the sections that have something to show, in order."""
     found = [make(outcome, verdict) for make in SECTIONS]
-    return tuple(s for s in found if s.sentences or s.table or s.drawn)
+    return _render.explained(s for s in found if s.sentences or s.table or s.drawn)
 
 
 class Report:
     """What a robot model lacked, what that was worth, and what is still open.
 
-    ``print(report)`` is for a terminal 80 characters wide, about 40 lines for six
-    effects; a notebook shows the page of `to_html`.
+    ``print(report)`` is for a terminal 80 characters wide: the verdict, the error of
+    each joint, the effects and what to do next. All else is on the page of `to_html`,
+    which a notebook shows.
 
     Parameters
     ----------
@@ -80,8 +77,8 @@ class Report:
             "worse", "failed", "no data", "unsearched", "doubtful"}
         Effects found and only noise left; nothing was missing; effects found and
         something remains; nothing found though something is missing; at the noise
-        floor in the search but not on untouched data; no noise floor to compare with;
-        a joint got worse on untouched data; a joint is predicted worse than by its
+        floor in the search but not on held-out data; no noise floor to compare with;
+        a joint got worse on held-out data; a joint is predicted worse than by its
         mean torque; nothing to judge by; no torque shows enough to be searched; a
         channel of the recording is wrong.
     headline, verdict : str

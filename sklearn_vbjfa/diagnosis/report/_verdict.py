@@ -14,7 +14,7 @@ from sklearn_vbjfa.diagnosis.report._render import Section, Table
 _WORSE = 1.05
 # Effects that the headline names.
 _NAMED = 2
-# The error of predicting the mean of the untouched torque and no more.
+# The error of predicting the mean of the held-out torque and no more.
 _MEAN_TORQUE = 1.0
 # Bars end at this many times the error of the middle joint, or one would flatten all.
 _FAR = 8.0
@@ -35,8 +35,8 @@ class JointVerdict:
     """What was found out about a joint."""
 
     # status: "floor" (only noise is left), "unexplained", "above" (above the floor on
-    # the untouched part only), "unknown" (no floor), "worse", "failed" (an error of 100
-    # % or more), "few" (moves too little in the untouched part for a verdict),
+    # the held-out part only), "unknown" (no floor), "worse", "failed" (an error of 100
+    # % or more), "few" (moves too little in the held-out part for a verdict),
     # "unsearched" (its channels show too little) and "no data".
 
     joint: int  # from zero
@@ -123,21 +123,21 @@ def _joint_status(outcome, j):
     if after >= _MEAN_TORQUE:
         return "failed", "WORSE than its mean torque"
     if any(_is_worse(outcome, j)):
-        return "worse", "WORSE on untouched data"
+        return "worse", "WORSE on held-out data"
     if j in outcome.unsearched:
         return "unsearched", "not searched: see its channels"
     for rest in outcome.unexplained:
         if rest.joint == j and np.isfinite(rest.floor):
             return "unexplained", f"{words.percent(rest.of_torque)} unexplained"
         if rest.joint == j:
-            return "unknown", "noise floor unknown"
+            return "unknown", "noise unknown"
     if not np.isfinite(floor):
-        return "unknown", "noise floor unknown"
+        return "unknown", "noise unknown"
     least = np.nan_to_num(interval(outcome, "after", j)[0], nan=np.inf)
     near, far = (factor * floor for factor in ABOVE_FLOOR)
-    # The floor does not know the error of the parameters, which untouched data shows.
+    # The floor does not know the error of the parameters, which held-out data shows.
     if after > far and least > near:
-        return "above", "above floor on untouched data"
+        return "above", "above floor on held-out data"
     if after > near and least > floor:
         return "floor", f"near the floor ({after / floor:.1f} x)"
     high = interval(outcome, "added", j)[1]
@@ -213,7 +213,7 @@ def _errors_sentence(outcome, errors):
     """Write the mean errors as a sentence; empty if they are unknown."""
     if not np.isfinite(errors.after):
         return ""
-    text = f"Mean error on untouched data {words.percent(errors.before)}"
+    text = f"Mean error on held-out data {words.percent(errors.before)}"
     completed = outcome.effects or outcome.perhaps
     if completed or outcome.added:
         text += " before"
@@ -256,15 +256,16 @@ def _headline(outcome, joints, status):
         text = f"what remains is {near} the noise floor.{silent}"
         return f"{found} {_missing(outcome)}; {text}"
     which, one = _where(outcome, joints, "unexplained")
-    first = "Something is missing that has no name"
+    first = "No known effect is missing, but"
     if count:
-        first = f"{found} {_missing(outcome)}, but that is not all"
+        first = f"{found} {_missing(outcome)};"
     open_joints = {v.joint for v in joints if v.status == "unexplained"}
-    left = max(u.of_torque for u in outcome.unexplained if u.joint in open_joints)
+    rest = [u for u in outcome.unexplained if u.joint in open_joints]
+    worst = max(rest, key=lambda u: u.of_torque)
+    noise = words.percent(outcome.floor[worst.joint])
     return (
-        f"{first}: {'' if one else 'up to '}{words.percent(left)} of the torque of "
-        f"{which} is above the noise floor and no effect of the library explains "
-        f"it.{silent}"
+        f"{first} {'' if one else 'up to '}{words.percent(worst.of_torque)} of the "
+        f"torque of {which} remains unexplained (noise: {noise}).{silent}"
     )
 
 
@@ -285,7 +286,7 @@ def _unjudged(outcome, joints, status):
         )
     if status == "no data":
         return (
-            "No verdict: no joint moves for long enough in the untouched part; record "
+            "No verdict: no joint moves for long enough in the held-out part; record "
             "more motion of each joint."
         )
     which, _ = _where(outcome, joints, "unsearched")
@@ -316,7 +317,7 @@ def _unsure(outcome, joints, status):
         )
         than = "before" if declared else "with the plain terms alone"
         return (
-            f"{what} added, but {which} {'predicts' if one else 'predict'} untouched "
+            f"{what} added, but {which} {'predicts' if one else 'predict'} held-out "
             f"data worse than {than}: do not trust what was added there."
         )
     if status == "unsettled":
@@ -324,7 +325,7 @@ def _unsure(outcome, joints, status):
         return (
             f"{found if count else 'No effect was found to be'} {_missing(outcome)}; "
             f"{which} reached the noise floor in the search but not on "
-            "untouched data: record more, or look for what changed."
+            "held-out data: record more, or look for what changed."
         )
     first = "No effect of the library was found; whether one is missing"
     if count:
@@ -391,7 +392,7 @@ def headline(outcome, verdict):
     totals = [(errors.before, "mean error before")]
     if outcome.added:
         totals.append((errors.plain, "with the four plain terms"))
-    totals.append((errors.after, "after, on untouched data"))
+    totals.append((errors.after, "after, on held-out data"))
     for value, name in (
         (errors.wide, f"after, up to {band} Hz"),
         (errors.floor, "noise floor"),
@@ -407,9 +408,11 @@ def headline(outcome, verdict):
             "at rest."
         )
     robot = outcome.declared.get("robot") or "the robot"
+    sentences = tuple(filter(None, (verdict.text, causes)))
     return Section(
         heading=f"What the declared model of {robot} lacks",
-        sentences=tuple(filter(None, (verdict.text, causes))),
+        sentences=sentences,
+        terminal=sentences,
         template="headline",
         drawn=dict(
             colour=_COLOURS.get(verdict.status, "warn"),
@@ -422,95 +425,85 @@ def headline(outcome, verdict):
 
 
 def joints(outcome, verdict):
-    """Tabulate the errors of the joints; a page has bars."""
-    heads = ["untouched\nerror, %", "before"]
-    heads += ["four\nterms"] * bool(outcome.added) + ["after [90 %]"]
-    heads += ["/".join(dict.fromkeys(outcome.torque_units)), "floor"]
-    wide, note = bool(np.isfinite(outcome.wide_cutoff)), ""
+    """Tabulate the errors of the joints, the largest gain first; a page adds bars."""
+    before, after = outcome.error_before, outcome.error_after
+    gain = np.nan_to_num(100 * (before - after))
+    order = np.argsort(-np.round(gain, 1), kind="stable")
+    unit = "/".join(dict.fromkeys(outcome.torque_units))
+    band = words.number(outcome.wide_cutoff, 2)
+    reaches = [_reach_text(outcome, j) for j in range(len(after))]
+    columns = {
+        "held-out\nerror, %": [v.label for v in verdict.joints],
+        "before": _percents(before),
+        "four\nterms": _percents(outcome.error_plain) if outcome.added else None,
+        "after [90 %]": list(map("".join, zip(_percents(after), reaches))),
+        # without the sign of a zero
+        "gain": _percents(np.round(before - after, 3) + 0.0),
+        unit: [words.number(x, 2) for x in after * outcome.spread],
+        "noise": _percents(outcome.floor),
+        f"to\n{band} Hz": _percents(outcome.wide_after),
+        "": [v.text for v in verdict.joints],
+    }
+    note, wide = "", bool(np.isfinite(outcome.wide_cutoff))
     if wide:
-        band = words.number(outcome.wide_cutoff, 2)
         fit = words.number(outcome.declared.get("cutoff", np.nan))
-        heads.append(f"to\n{band} Hz")
         note = (
-            f"; in the band of the fit, up to {fit} Hz. In the wider one, up to {band} "
-            "Hz, nothing was identified"
+            f" Errors are those in the band of the fit, up to {fit} Hz; those up to "
+            f"{band} Hz hold frequencies that were not fitted."
         )
-    rows = []
-    for v in verdict.joints:
-        j = v.joint
-        row = [
-            v.label,
-            words.bare_percent(outcome.error_before[j]),
-            *[words.bare_percent(outcome.error_plain[j])] * bool(outcome.added),
-            words.bare_percent(outcome.error_after[j]) + _reach_text(outcome, j),
-            words.number(outcome.error_after[j] * outcome.spread[j], 2),
-            words.bare_percent(outcome.floor[j]),
-        ]
-        row += [words.bare_percent(outcome.wide_after[j])] * wide
-        rows.append((*row, v.text))
-    table = Table(heads=(*heads, ""), rows=tuple(rows), numbers=True)
-    terminal = table
-    if outcome.added:
-        # A line has no room for the error in N m beside a third one in per cent.
-        at = heads.index("after [90 %]") + 1
-        heads, *rows = (
-            (*row[:at], *row[at + 1 :]) for row in (table.heads, *table.rows)
-        )
-        terminal = Table(heads=heads, rows=tuple(rows), numbers=True)
+
+    def table(left_out):
+        heads = [h for h, cells in columns.items() if cells and h not in left_out]
+        rows = tuple(tuple(columns[head][j] for head in heads) for j in order)
+        return Table(heads=tuple(heads), rows=rows, numbers=True)
+
+    unknown = () if wide else (f"to\n{band} Hz",)
+    # A line of a terminal has room for the size in N m, or for a third error.
+    short = {"gain", f"to\n{band} Hz", unit if outcome.added else "gain"}
     return Section(
-        heading="Error of each joint on untouched data",
-        table=table,
-        terminal=(terminal,),
-        note=f"Interval: {interval_text(outcome.settings)}. Root mean square of the "
-        "torque residual on data that was not touched before, over the standard "
-        f"deviation of the torque in the moving time of the whole recording{note}.",
+        heading="Error of each joint on held-out data",
+        table=table(unknown),
+        terminal=(table(short),),
+        note=f"{added(outcome)}In per cent of the standard deviation of the torque in "
+        "the moving time of the whole recording. Gain: before minus after. [ ]: "
+        f"{interval_text(outcome.settings)}.{note}",
         template="joints",
-        drawn={"joints": _bars(outcome, verdict.joints)},
+        drawn={"joints": _bars(outcome, [verdict.joints[j] for j in order])},
     )
+
+
+def _percents(values):
+    return [words.bare_percent(value) for value in values]
 
 
 def _bars(outcome, joints):
     """Return each joint's errors as bars; places are per cent of the scale."""
-    # bars: kind, length or None, text beside, whether it is cut; reach: where the
-    # interval of the error after begins and how long it is, or empty.
+    # bars: kind, length or None, whether it is cut; reach: where the interval of the
+    # error after begins and how long it is, or empty.
     longest = _longest(outcome)
 
     def place(value):
         share = 100 * float(np.clip(value / longest, 0.0, 1.0))
         return share if np.isfinite(share) else None
 
-    def bar(kind, value, text):
-        return kind, place(value), text, bool(value > longest)
-
+    kinds = {"before": outcome.error_before}
+    if outcome.added:
+        kinds["plain"] = outcome.error_plain
+    kinds["after"] = outcome.error_after
     found = []
     for v in joints:
-        j = v.joint
-        after = outcome.error_after[j]
-        kinds = {"before": outcome.error_before[j]}
-        if outcome.added:
-            kinds["plain"] = outcome.error_plain[j]
-        low, high = interval(outcome, "after", j)
-        note = ""
-        if np.isfinite(after):
-            newtons = words.number(after * outcome.spread[j], 2)
-            note = f"after: {newtons} {outcome.torque_units[j]}"
-        if np.isfinite(after) and np.isfinite(outcome.wide_after[j]):
-            band = words.number(outcome.wide_cutoff, 2)
-            note += f"; up to {band} Hz {words.percent(outcome.wide_after[j])}"
+        low, high = interval(outcome, "after", v.joint)
         known = np.isfinite(low) and np.isfinite(high)
-        text = words.percent(after) + _reach_text(outcome, j)
+        sizes = {kind: errors[v.joint] for kind, errors in kinds.items()}
         found.append(
             dict(
-                label=v.label,
                 colour=_JOINT_COLOURS.get(v.status, "warn"),
-                text=v.text,
-                note=note,
-                bars=(
-                    *(bar(kind, x, words.percent(x)) for kind, x in kinds.items()),
-                    bar("after", after, text),
+                bars=tuple(
+                    (kind, place(size), bool(size > longest))
+                    for kind, size in sizes.items()
                 ),
                 reach=(place(low), place(high) - place(low)) if known else (),
-                floor=place(outcome.floor[j]),
+                floor=place(outcome.floor[v.joint]),
             )
         )
     return tuple(found)
@@ -536,13 +529,13 @@ def _reach_text(outcome, joint):
     return f" [{words.bare_percent(low)}, {words.bare_percent(high)}]"
 
 
-def added(outcome, verdict):
-    """Say which plain terms were fitted beyond what was declared."""
+def added(outcome):
+    """Say which plain terms were fitted beyond what was declared; empty for none."""
     if not outcome.added:
-        return ()
+        return ""
     # Not "found": they are fitted on every robot, and nothing was tested.
     return (
         f"Added on every joint, as not declared: {plain_words(outcome)}. With "
         "these the model has the four plain terms that hardly any drive is without; "
-        "they were fitted, not searched for.",
+        "they were fitted, not searched for. "
     )

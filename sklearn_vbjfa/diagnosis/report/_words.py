@@ -13,6 +13,70 @@ _RECORD_SIGNAL = {
     "time": "the same motion cold and warm",
 }
 _TINY = 1e-12
+# What a reader may not know, as a pattern and what it is; told where it comes first.
+TERMS = (
+    (
+        "[Dd]eclared model",
+        "Declared model",
+        "the robot description with the friction terms that were declared; the "
+        "completed model has what was added as well.",
+    ),
+    (
+        "[Ee]rror",
+        "Error",
+        "root mean square of measured minus predicted torque over the standard "
+        "deviation of the torque.",
+    ),
+    (
+        "[Rr]esidual",
+        "Residual",
+        "measured minus predicted torque; above zero, the joint takes more torque in "
+        "its positive direction than predicted.",
+    ),
+    (
+        "[Hh]eld-out",
+        "Held-out data",
+        "the part of the recording that was used neither to fit nor to search.",
+    ),
+    (
+        "[Nn]oise( floor|:|$)",
+        "Noise floor",
+        "the error that an exact model would have, from the noise of the measured "
+        "torques and positions alone.",
+    ),
+    (
+        r"\b[Bb]ands?\b",
+        "Band",
+        "the frequencies in which model and measurement are compared; what is above is "
+        "filtered out of both.",
+    ),
+    (
+        r"\+-|±",
+        "±",
+        "half the 90 % interval.",
+    ),
+    (
+        "odds",
+        "Odds",
+        "how much more probable it is that the effect is there than that it is not.",
+    ),
+    (
+        r"\b[Ll]oads?\b|load-dependent",
+        "Load",
+        "torque of the rigid bodies (gravity and inertia) on the joint.",
+    ),
+    (
+        "presliding",
+        "Presliding",
+        "the elastic travel of a joint behind a reversal, before friction slides.",
+    ),
+    (
+        r"\bblocks?\b",
+        "Block",
+        "time that is left out and judged as one, longer than residuals stay "
+        "correlated.",
+    ),
+)
 
 
 # Logarithm of the odds of a million to one.
@@ -210,7 +274,11 @@ def parameter_text(effect):
         unit = "" if unit == "1" else unit
         if value is None:
             continue
-        found.append(f"{key} = {with_error(value, interval, unit)}")
+        text = f"{key} = {with_error(value, interval, unit)}"
+        meaning = dict(getattr(effect.effect, "negative", ())).get(key)
+        if meaning and value < 0:
+            text += f" (negative: {meaning})"
+        found.append(text)
     return found
 
 
@@ -237,5 +305,8 @@ def without_markup(text):
 
 
 def capital(text):
-    """Begin a sentence."""
-    return text[0].upper() + text[1:]
+    """Begin a sentence; the name of a joint stays as it is."""
+    first = re.match(r"\S*", text)[0].rstrip(",:.")
+    if re.search("joint|axis", first) and first not in ("joint", "joints", "axis"):
+        return text
+    return text[:1].upper() + text[1:]

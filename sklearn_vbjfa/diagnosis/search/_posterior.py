@@ -46,7 +46,7 @@ def search(view, library, settings, alpha, max_effects=None):
         view=path.view,
         effects=tuple(m.effect for m in fit.members),
         motion=path.motion,
-        # As the untouched part is: stretches between others.
+        # As the held-out part is: stretches between others.
         residual=HeldOut(path.view, path.view.blocks.fold)
         .fitted(fit, path.motion)
         .residual,

@@ -95,13 +95,15 @@ def test_a_thinned_curve_keeps_its_peaks_and_its_gaps():
 
 def part(index, torque, before, after):
     return tuple(
-        SimpleNamespace(index=index, torque=torque, predicted=predicted)
+        SimpleNamespace(
+            index=index, torque=torque, predicted=predicted, weight=torque % 7
+        )
         for predicted in (before, after)
     )
 
 
-def test_the_time_line_has_borders_gaps_and_the_untouched_part():
-    # two recordings of 60 rows; rows 20 to 39 and 100 to 119 are untouched, and 15 to
+def test_the_time_line_has_borders_gaps_and_the_held_out_part():
+    # two recordings of 60 rows; rows 20 to 39 and 100 to 119 are held out, and 15 to
     # 19 are left out beside them
     clock = np.r_[0.1 * np.arange(60), 10.0 + 0.1 * np.arange(60)]
     untouched = np.r_[20:40, 100:120]
@@ -127,6 +129,9 @@ def test_the_time_line_has_borders_gaps_and_the_untouched_part():
     )
     np.testing.assert_allclose(one.before[known], one.measured[known] + 1.0)
     np.testing.assert_allclose(other.after[known], other.measured[known] + 2.0)
+    # Where the joint stands still errors do not count, nor where nothing is known.
+    np.testing.assert_array_equal(one.counts[known], one.measured[known] % 7 > 0)
+    assert not one.counts[~known].any()
     assert not time_line(judgement, None, [0, 60]).in_seconds
 
 

@@ -105,7 +105,7 @@ def test_ninety_per_cent_of_the_next_differences():
 
 
 def test_the_order_of_time_decides_and_not_that_of_the_parts():
-    """An untouched stretch in the middle of a residual that grows."""
+    """An held-out stretch in the middle of a residual that grows."""
     rng = np.random.default_rng(2)
     whole = residuals(rng, 200.0)
     growing = replace(

@@ -25,7 +25,8 @@ def told(reference=(1, 1, 1), common=None, first=0.5, **changes):
         common=common or CommonGain(),
     )
     outcome = make_outcome(nv=3, names=NAMES, gains=gains, **changes)
-    return " ".join(str(Report(outcome)).split())
+    report = Report(outcome)
+    return " ".join(f"{report}\n{report.to_markdown()}".split())
 
 
 def test_relative_gains():
@@ -81,8 +82,8 @@ def test_masses_that_disagree():
 def test_masses_in_another_unit_are_not_compared():
     body = BodyMass(joint=0, name="arm", mass=40.0, std=0.1, nominal=3.0, known="yes")
     outcome = make_outcome(nv=3, names=NAMES, bodies=(body,))
-    assert "the robot description" in str(Report(outcome))
-    assert "the robot description" not in told(bodies=(body,))
+    assert "in the robot description" in Report(outcome).to_markdown()
+    assert "in the robot description" not in told(bodies=(body,))
 
 
 def test_gains_in_the_dictionary():

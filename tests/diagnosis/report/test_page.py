@@ -5,29 +5,34 @@ import importlib.metadata
 import json
 import re
 from dataclasses import replace
+from html import escape
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import (
+    FrictionCurves,
     ParameterValue,
     Provenance,
     RecordedMotion,
+    SpectrumCurves,
     TimeLine,
     TorqueCurves,
     cloud_size,
     curve_size,
     curves_over,
 )
-from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report import (
+    WIDTH,
     about_effect,
     documentation_of,
     mathml,
     packed,
     ticks,
+    torque_figures,
 )
+from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import Ripple, resolve
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report.test_report import parsed
@@ -66,6 +71,36 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
             measured=np.sin(seconds),
             before=0.9 * np.sin(seconds),
             after=np.where(seconds < 10, np.sin(seconds), np.nan),
+            counts=seconds > 1.0,
+        )
+        for j in range(nv)
+    )
+    speed = rng.standard_normal(rows)
+    friction = tuple(
+        FrictionCurves(
+            joint=j,
+            **{
+                name: curves_over(
+                    speed,
+                    0.1 * rng.standard_normal(rows),
+                    size * np.sign(speed) + speed,
+                    np.ones(rows),
+                    joint=j,
+                    kind="speed",
+                    signal="",
+                    unit="rad/s",
+                    with_motion=False,
+                    most=400,
+                )
+                for name, size in (("before", 0.5), ("after", 1.0))
+            },
+        )
+        for j in range(nv)
+    )
+    hertz = np.linspace(0.5, 40.0, 80)
+    spectra = tuple(
+        SpectrumCurves(
+            joint=j, cutoff=10.0, hertz=hertz, before=1.0 / hertz, after=0.1 / hertz
         )
         for j in range(nv)
     )
@@ -73,6 +108,7 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
     )
     drawn = {"effects": tuple(curves), "line": line}
+    drawn |= {"friction": friction, "spectra": spectra}
     values = {
         "effects": tuple(
             replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects
@@ -118,7 +154,7 @@ def numbers(figure):
 def test_every_effect_and_every_torque_has_its_picture():
     outcome = made(nv=3, n_effects=3)
     shown = figures(Report(outcome).to_html())
-    assert len(shown) == 3 + 3
+    assert len(shown) == 3 + 3 * 3
     for effect, figure in zip(outcome.effects, shown):
         called = words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
         assert words.capital(called) in figure
@@ -127,9 +163,125 @@ def test_every_effect_and_every_torque_has_its_picture():
             assert f'<path class="{kind}" d="M' in figure
         assert "without the effect" in figure
         assert "What it is" in figure
-    for figure in shown[3:]:
-        for kind in ("measured", "line-before", "line-after", "untouched", "border"):
+    for figure in shown[3:6]:
+        torque, residual = figure.split('<div class="chart"')[1:]
+        for kind in ("line-before", "line-after", "untouched", "border", "zero"):
+            for chart in (torque, residual):
+                assert f'<path class="{kind}" d="M' in chart
+        assert '<path class="measured" d="M' in torque
+        assert '<path class="floor" d="M' in residual
+    for figure in shown[6:9]:
+        for kind in ("cloud", "law", "mean-after", "zero"):
             assert f'<path class="{kind}" d="M' in figure
+    for figure in shown[9:]:
+        for kind in ("line-before", "line-after", "untouched"):
+            assert f'<path class="{kind}" d="M' in figure
+
+
+def test_a_residual_is_below_its_torque_on_the_same_axis_of_time():
+    figure = figures(Report(made()).to_html())[2]
+    assert '<div class="stacked">' in figure
+    torque, residual = figure.split('<div class="chart"')[1:]
+    for part in ("x-axis", "x-name"):
+        found = [
+            re.search(rf'class="{part}">(.*?)</div>', chart, re.DOTALL)[1]
+            for chart in (torque, residual)
+        ]
+        assert found[0] == found[1]
+    # Nothing is drawn where the joint stands still: before 1 s of 20 s.
+    path = re.search('class="line-before" d="M([0-9.]+) ', residual)[1]
+    assert float(path) == pytest.approx(WIDTH / 20, abs=1)
+
+
+def test_outliers_do_not_flatten_a_picture_and_are_told():
+    outcome = made(nv=1, n_effects=0)
+    line = outcome.curves["line"]
+    (one,) = line.torques
+    spikes = one.measured.copy()
+    spikes[300:310] = 500.0
+    curves = dict(outcome.curves)
+    curves["line"] = replace(line, torques=(replace(one, measured=spikes),))
+    (plain,), (spiked,) = (
+        torque_figures(replace(outcome, curves=own))["figures"]
+        for own in (outcome.curves, curves)
+    )
+    heights = [
+        [float(text) for _, text in figure.charts[0].y_ticks]
+        for figure in (plain, spiked)
+    ]
+    assert max(heights[1]) <= 2 * max(heights[0])
+    assert plain.note == ""
+    assert spiked.note.startswith("Cut off: values to 500.")
+
+
+def test_a_spectrum_is_in_decades_and_shows_the_band():
+    figure = figures(Report(made(nv=1, n_effects=0)).to_html())[-1]
+    axis = re.search('class="y-axis">(.*?)</div>', figure, re.DOTALL)[1]
+    found = [float(text) for text in re.findall(r">([^<>]+)</span>", axis)]
+    assert found == [0.01, 0.1, 1.0]
+    # The band ends at 10 of 40 Hz.
+    path = re.search('class="untouched" d="M0.0 0H([0-9.]+)', figure)[1]
+    assert float(path) == pytest.approx(WIDTH / 4)
+    assert numbers(figure)["spans"] == [[0.0, 10.0]]
+
+
+def test_the_contents_lead_to_every_section():
+    html = Report(made()).to_html()
+    nav = re.search("<nav>.*?</nav>", html, re.DOTALL)[0]
+    links = re.findall('<a href="#([^"]+)">([^<]+)</a>', nav)
+    assert links == re.findall('<h2 id="([^"]+)">([^<]+)</h2>', html)
+    headings = [heading for _, heading in links]
+    assert headings[:3] == [
+        "Error of each joint on held-out data",
+        "Effects that were missing",
+        "What to do next",
+    ]
+    assert headings[-1] == "Method"
+    # Pages in one notebook would have the same places.
+    assert "<nav>" not in Report(made())._repr_html_()
+
+
+@pytest.mark.parametrize("case", [{}, {"n_effects": 0}, {"unexplained": (1,)}])
+def test_terms_are_explained_where_they_come_first(case):
+    outcome = made(**case) if "unexplained" not in case else make_outcome(**case)
+    html = Report(outcome).to_html().replace("\u00a0", " ")
+    html = re.sub(r"<(style|script)\b.*?</\1>", "", html, flags=re.DOTALL)
+    parts = re.split("(?=<h2)", html)
+    for form, name, meaning in words.TERMS:
+        first = next((part for part in parts if re.search(form, read(part))), None)
+        told = [part for part in parts if f"<dt>{name}</dt>" in part]
+        assert told == ([] if first is None else [first]), name
+        assert first is None or escape(meaning) in first
+
+
+def read(part):
+    """Return what is read of a part of a page but for what terms mean."""
+    part = re.sub(r"<(nav|dl)\b.*?</\1>", "", part, flags=re.DOTALL)
+    what = r"<details><summary>What it is.*?</details>"
+    part = re.sub(what, "", part, flags=re.DOTALL)
+    labels = re.sub('aria-label="[^"]*"', "", part)
+    return re.sub("<[^>]*>", "\n", labels).strip()
+
+
+def test_the_table_of_errors_begins_with_the_largest_gain():
+    outcome = make_outcome(nv=3, n_effects=0)
+    before = outcome.error_after + np.array([0.01, 0.05, 0.0])
+    report = Report(replace(outcome, error_before=before))
+    names = re.findall('<tr class="joint"><td><b>(.*?)</b>', report.to_html())
+    assert names == ["joint 2", "joint 1", "joint 3"]
+    assert re.findall(r"^joint \d", str(report), re.MULTILINE) == names
+    assert [one.joint for one in report.joints] == [0, 1, 2]
+
+
+def test_names_of_joints_are_not_capitalised():
+    names = ("shoulder_pan_joint", "elbow_joint", "wrist_axis")
+    outcome = made(names=names, nv=3)
+    worse = replace(outcome, error_after=np.full(3, 1.5), intervals={})
+    for report in (Report(outcome), Report(worse)):
+        for text in (str(report), report.to_html(), report.to_markdown()):
+            for name in names:
+                assert name in text.replace("\\", "")
+                assert name.capitalize() not in text
 
 
 def test_axes_have_names_units_and_numbers():
@@ -138,7 +290,8 @@ def test_axes_have_names_units_and_numbers():
         for chart in figure.split('<div class="chart"')[1:]:
             for name in ("y-name", "x-name"):
                 label = re.search(rf'class="{name}">(?:<span>)?([^<]+)<', chart)[1]
-                assert re.search(r"\[(N m|N|s|rad|rad/s)\]$", label.strip()), label
+                known = r"\[(N m|N|s|rad|rad/s|Hz|N m/√Hz)\]$"
+                assert re.search(known, label.strip()), label
             for name in ("y-axis", "x-axis"):
                 axis = re.search(rf'class="{name}">(.*?)</div>', chart, re.DOTALL)[1]
                 ticks = re.findall(r">([^<>]+)</span>", axis)
@@ -148,7 +301,7 @@ def test_axes_have_names_units_and_numbers():
 
 def test_the_numbers_of_a_picture_are_those_that_were_drawn():
     outcome = made(nv=1, n_effects=1)
-    effect, torque = map(numbers, figures(Report(outcome).to_html()))
+    effect, torque, *_ = map(numbers, figures(Report(outcome).to_html()))
     curves = outcome.curves["effects"][0]
     x = np.frombuffer(base64.b64decode(effect["x"]), "<f4")
     np.testing.assert_allclose(x, curves.x, rtol=1e-6)
@@ -201,7 +354,7 @@ def test_ticks_are_round_and_inside(low, length):
 
 def test_the_page_says_where_it_comes_from():
     html = Report(made()).to_html()
-    text = html[html.index("<h2>Provenance</h2>") :]
+    text = html[html.index("Provenance</h2>") :]
     for said in (
         "logs/arm.csv",
         "4000 samples, 20 s, 2 recordings (slow and fast)",
@@ -224,7 +377,7 @@ def test_all_files_are_named():
     )
     assert report.to_dict()["provenance"]["file"] == list(files)
     html = report.to_html()
-    text = html[html.index("<h2>Provenance</h2>") :]
+    text = html[html.index("Provenance</h2>") :]
     for told in ("Recordings", "logs/slow.csv", "logs/&lt;fast&gt;.csv"):
         assert told in text
     assert "- Recordings: logs/slow.csv, logs/\\<fast\\>.csv" in report.to_markdown()
@@ -244,7 +397,7 @@ def test_provenance_is_in_the_dict_and_not_on_the_terminal():
 
 def test_parameters_stand_beside_those_of_the_description():
     html = Report(made(nv=1)).to_html()
-    text = html[html.index("<h2>Identified parameters</h2>") :]
+    text = html[html.index("Identified parameters</h2>") :]
     rows = re.findall(r"<tr>(<td>.*?)</tr>", text)
     cells = [re.findall("<td>(.*?)</td>", row) for row in rows][:2]
     assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes", ""]
@@ -258,10 +411,10 @@ def test_a_parameter_belongs_to_the_joint_of_the_longest_name():
     names = ("a:m", "a:b:m", "a:b:mc", "base_tilt:roll")
     own = tuple(replace(one, name=name) for name in names)
     html = Report(made(nv=2, names=("a", "a:b"), parameters=own)).to_html()
-    text = html[html.index("<h2>Identified parameters</h2>") :]
+    text = html[html.index("Identified parameters</h2>") :]
     groups = re.findall(r"<b>(.*?)</b>.*?</details>", text, re.DOTALL)
     rows = [part.count("<tr><td>") for part in text.split("<details")[1:4]]
-    assert groups[:3] == ["Joint 1 (a)", "Joint 2 (a:b)", "Robot"]
+    assert groups[:3] == ["joint 1 (a)", "joint 2 (a:b)", "robot"]
     assert rows == [1, 2, 1]
 
 
@@ -313,7 +466,7 @@ def test_a_page_without_figures_needs_no_library():
 
 def test_a_notebook_gets_the_pictures_and_no_scripts():
     html = Report(made())._repr_html_()
-    assert len(figures(html)) == 2 + 3
+    assert len(figures(html)) == 2 + 3 * 3
     assert "<script" not in html
 
 
@@ -323,7 +476,7 @@ def test_pictures_are_there_without_the_library_and_without_matplotlib(monkeypat
     outcome = made()
     html = Report(outcome).to_html()
     still = re.sub("<script.*?</script>", "", html, flags=re.DOTALL)
-    assert still.count("<svg") == 2 * 2 + 3 + 3
+    assert still.count("<svg") == 2 * 2 + 3 * 4
     assert "<button" not in still
 
 
@@ -403,7 +556,7 @@ def test_an_effect_without_a_picture_is_explained_all_the_same():
     curves = outcome.curves | {"effects": (None, second)}
     html = Report(replace(outcome, curves=curves)).to_html()
     shown = figures(html)
-    assert len(shown) == 2 + 3
+    assert len(shown) == 2 + 3 * 3
     assert "Too few rows for a picture." in shown[0]
     assert "Cogging of motors" in shown[0]
     assert "<svg" not in shown[0]
@@ -415,9 +568,10 @@ def test_the_table_leads_to_what_each_effect_is():
     outcome = made(nv=3, n_effects=3)
     html = Report(outcome).to_html()
     page = parsed(html)
-    links = [v for name, v in page.attributes if name == "href" and v.startswith("#")]
+    links = [v for name, v in page.attributes if name == "href"]
+    links = [link for link in links if link.startswith("#effect-")]
     places = [value for name, value in page.attributes if name == "id"]
-    assert links == [f"#{place}" for place in places]
+    assert links == [f"#{place}" for place in places if place.startswith("effect-")]
     assert len(links) == 3
     for effect, figure in zip(outcome.effects, figures(html)):
         label = words.effect_label(outcome, effect.name, effect.parameters)

@@ -19,7 +19,7 @@ GRAVITY = 9.81
 
 @pytest.fixture(autouse=True, scope="module")
 def at_the_end():
-    """One untouched stretch, at the end: stories are told by what is before it."""
+    """One held-out stretch, at the end: stories are told by what is before it."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(_split, "_STRETCHES", 1)
         yield

@@ -61,7 +61,7 @@ def test_plain_terms_are_added_and_not_discovered(loops):
 
 
 def test_the_three_errors_are_those_of_the_three_models(loops):
-    """Errors of the models on the untouched rows, taken again through `residuals`."""
+    """Errors of the models on the held-out rows, taken again through `residuals`."""
     loop = loops[()]
     judged = loop.report_.outcome
     # every row that was not searched, without what is next to the search

@@ -60,7 +60,7 @@ _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 _DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
-_MISSING = "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
+_MISSING = "Fits on several machines need Dask: pip install 'dask[array]' distributed."
 # Results that come back together: of many tasks to tell of each.
 _AT_ONCE = 8
 # Results that are merged in one task: few enough to be in memory together.

@@ -335,7 +335,7 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
         import pinocchio as pin
     except ImportError as error:
         raise ImportError(
-            'robot_model needs Pinocchio: pip install "sklearn-vbjfa[robot]"'
+            'robot_model needs Pinocchio: pip install "pin>=3"'
         ) from error
 
     if urdf is None and name in _BUILDERS:

@@ -29,8 +29,7 @@ def import_pinocchio():
         import pinocchio
     except ImportError as error:
         raise ImportError(
-            "Robot models need Pinocchio, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]"'
+            'Robot models need Pinocchio, which is not installed: pip install "pin>=3"'
         ) from error
     return pinocchio
 

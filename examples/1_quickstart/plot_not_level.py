@@ -78,7 +78,7 @@ for effect in misled.effects_:
 # %%
 # Before and after
 # ----------------
-# Errors on the untouched part, over the spread of the torque, and the noise floor.
+# Errors on the held-out part, over the spread of the torque, and the noise floor.
 
 names = recording.joint_names
 errors = {

@@ -304,7 +304,7 @@ def _files(source):
         folder = Path(source)
         if not folder.is_dir():
             raise FileNotFoundError(
-                f"source must be a folder or a list of files; {folder} is no folder."
+                f"source must be a folder or a list of files; {folder} is not a folder."
             )
         files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
         if not files:
@@ -329,7 +329,7 @@ def _check_settings(identifier):
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
         raise ValueError(
-            f"fit_recordings cannot do with {', '.join(refused)}: the workers return "
+            f"fit_recordings does not support {', '.join(refused)}: the workers return "
             "second moments of the rigid bodies and their friction only. Use "
             "effects=(), period=None, block_noise=False and a VBJFARegressor or "
             "JFARegressor, or fit in memory."

@@ -194,7 +194,7 @@ def _is_mjcf(tree, path):
     tag = tree.getroot().tag
     if tag not in ("robot", "mujoco"):
         raise ValueError(
-            f"{str(path)!r} is no robot description: its outermost element is "
+            f"{str(path)!r} is not a robot description: its outermost element is "
             f"<{tag[:60]}>; expected <robot> (URDF) or <mujoco> (MJCF)."
         )
     return tag == "mujoco"

@@ -1,4 +1,4 @@
-"""The discovery loop: residual, effect, refit, and the error on untouched data."""
+"""The discovery loop: residual, effect, refit, and the error on held-out data."""
 
 from dataclasses import replace
 
@@ -57,11 +57,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
     friction, an offset and the rotor's inertia, on every joint), and looks for the most
     probable set of effects beside them: every effect of the library on every joint has
-    posterior odds. What is probable enough and predicts motion that was not fitted has
-    a name; the rest that is more probable than not is told as "perhaps". Residuals that
-    no effect explains are reported as unexplained. Part of the motion is held out for
-    the errors of the declared model, with the plain terms, and with the effects;
-    finally the completed model is fitted to all data.
+    posterior odds. An effect that is probable enough and predicts motion that was not
+    fitted is named; the others that are more probable than not are listed as "perhaps".
+    Residuals that no effect explains are reported as unexplained. Part of the motion is
+    held out for the errors of the declared model, with the plain terms, and with the
+    effects; finally the completed model is fitted to all data.
 
     Parameters
     ----------
@@ -77,9 +77,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         standstill. There are more intervals if a joint would hardly move in them, and
         the share is up to 0.4 if it would be too little for a verdict.
     alpha : float, default=0.05
-        Share of recordings with nothing missing that may get any name: an effect has a
-        name from a posterior probability of ``1 - alpha`` on. Also the level, over all
-        joints, of `ceiling_` and of recordings that contradict each other.
+        Share of recordings with nothing missing in which an effect may be named: an
+        effect is named from a posterior probability of ``1 - alpha`` on. Also the
+        level, over all joints, of `ceiling_` and of recordings that contradict each
+        other.
     max_effects : int or None, default=None
         Maximum number of effects to add.
     settings : SearchSettings or None, default=None
@@ -98,14 +99,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Attributes
     ----------
     effects_ : tuple of DiscoveredEffect
-        Effects that have a name; each has `name`, `joint` (from zero), `log_odds`
+        Effects that are named; each has `name`, `joint` (from zero), `log_odds`
         (natural logarithm of the posterior odds that the model lacked it),
         `probability`, `rivals` (what would take its place within three nats),
         `parameters`, `units`, `intervals` (of 90 %), `ranges` (of the motion that it
         was fitted on). The values are those of `identifier_`.
     perhaps_ : tuple of DiscoveredEffect
-        Effects that are more probable than not and have no name; `doubt` says why.
-        They are part of `identifier_` and `judged_` like those that have one.
+        Effects that are more probable than not but not named; `doubt` says why. They
+        are part of `identifier_` and `judged_` like those that are named.
     rounds_ : tuple of Round
         The path to the most probable model: what was added, replaced or dropped
         (`action`), its `log_odds` beside the others as they were then (nan where it
@@ -113,7 +114,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     added_ : tuple of str
         Plain terms that were fitted on every joint beyond what was declared.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
-        Root mean square of the torque residual on the untouched part, of the declared
+        Root mean square of the torque residual on the held-out part, of the declared
         model, with the four plain terms, and with the effects as well, over
         `torque_spread_`. Their intervals, ``report_.outcome.intervals``, are a
         statement about the same robot in the same motion: they hold the errors over its
@@ -199,14 +200,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Beyond seven joints the branches that leave the base are searched one by one, as
     they share no body, each with its share of the effects that are expected; couplings
-    between branches are then not looked for. With `max_effects`, effects of one's own,
+    between branches are then not looked for. With `max_effects`, effects of your own,
     or effects declared already, the robot is searched as a whole.
 
     Of more than 50,000 rows the search looks at every so many samples, five for each
     filtered row, and beyond 50,000 of these at stretches of equal motion; parameters,
     errors and the spread of the torque are those of all rows.
 
-    The untouched part begins and ends as far from the search part as the residual
+    The held-out part begins and ends as far from the search part as the residual
     remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
     and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was
     identified, as a controller would meet them.
@@ -215,7 +216,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     the scatter of its residuals between forty blocks of time, shape parameters beside
     the coefficients. What was chosen in the search (which effects, which grid points)
     counts as given. The intervals of the errors add how much such an error scatters in
-    the untouched part and how much in the next 50 s, as squared residuals vary slowly
+    the held-out part and how much in the next 50 s, as squared residuals vary slowly
     in the whole recording (ten cosines of time, Student's t with as many degrees of
     freedom).
 

@@ -369,7 +369,7 @@ def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
         (arm('<inertial mass="-1"/>'), "body 'b': a body has the mass -1 kg"),
         (arm('<geom type="box" size=".1"/>'), "a box, whose size must be 3 positive"),
         (arm(MASS, '<joint name="j" axis="0 0 0"/>'), "which is not a direction"),
-        (arm(MASS, '<joint name="j" pos="0 0"/>'), r"where 3 finite number\(s\)"),
+        (arm(MASS, '<joint name="j" pos="0 0"/>'), r"expected 3 finite number\(s\)"),
         (arm(MASS, '<joint name="j" ref="nan"/>'), r"has ref='nan'"),
         (arm(MASS, '<joint name="j" type="gear"/>'), "is of a type 'gear'"),
         (arm(MASS, '<joint name="j" class="x"/>'), "a class 'x' without <default>"),

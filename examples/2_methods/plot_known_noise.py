@@ -46,7 +46,7 @@ for name, share in zip(names, noise):
 # %%
 # Are these errors independent of each other, as we assume? What is left of the
 # covariance without the noise must still be a covariance: no negative eigenvalue. With
-# a fourth input, symmetry, it has one. Nuclei with a rough outline are perhaps less
+# a fourth input, symmetry, it has one. Nuclei with a rough outline are probably less
 # symmetric too, so that the errors of the two have something in common, and the table
 # does not say how much. We leave symmetry out:
 

@@ -417,6 +417,29 @@ def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
     assert slope == pytest.approx(size, rel=0.1)
 
 
+# What is said here in another way, or is no package anywhere.
+NOT_SAID = re.compile(
+    r"untouched (part|data)|other people's|has (a|no) name|belongs? into|"
+    r"sklearn-vbjfa\["
+)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        *PAGES,
+        ROOT / "CONTRIBUTING.md",
+        *sorted((DOCS / "effects").glob("*.rst")),
+        *sorted((ROOT / "examples").rglob("*.py")),
+    ],
+    ids=lambda page: page.name,
+)
+def test_pages_use_one_word_for_one_thing(page):
+    # What is printed is quoted as it is.
+    text = re.sub(r"^```text\n.*?^```", "", read(page), flags=re.DOTALL | re.M)
+    assert not NOT_SAID.search(" ".join(text.split()))
+
+
 @pytest.mark.slow
 def test_report_to_click_is_what_the_package_writes(monkeypatch):
     pytest.importorskip("pinocchio")

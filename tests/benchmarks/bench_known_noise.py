@@ -126,7 +126,7 @@ def report(draws=20):
     """Tables of the guide."""
     first = rst_table(
         coefficients(draws),
-        ["input", "nuclei", "noise, % of variance", "least squares", "VB-JFA"],
+        ["input", "nuclei", "noise [%]", "least squares", "VB-JFA"],
     )
     second = rst_table(
         held_out(max(1, draws // 4)),

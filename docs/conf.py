@@ -61,6 +61,8 @@ html_sidebars = {"index": []}
 html_show_sourcelink = False
 html_static_path = ["_static"]
 html_css_files = ["site.css"]
+# The report of the demonstration, made by demo_report.py.
+html_extra_path = ["demo-report.html"]
 
 # MathJax from the installed package, with every extension and its glyphs in one file:
 # formulas are shown without a network, from a folder too.

@@ -4,7 +4,9 @@ import importlib.metadata
 import importlib.util
 import inspect
 import math
+import os
 import re
+import subprocess
 import sys
 import textwrap
 from collections import Counter
@@ -415,6 +417,67 @@ def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
     assert slope == pytest.approx(size, rel=0.1)
 
 
+# What is said here in another way, or is no package anywhere.
+NOT_SAID = re.compile(
+    r"untouched (part|data)|other people's|has (a|no) name|belongs? into|"
+    r"sklearn-vbjfa\["
+)
+
+
+@pytest.mark.parametrize(
+    "page",
+    [
+        *PAGES,
+        ROOT / "CONTRIBUTING.md",
+        *sorted((DOCS / "effects").glob("*.rst")),
+        *sorted((ROOT / "examples").rglob("*.py")),
+    ],
+    ids=lambda page: page.name,
+)
+def test_pages_use_one_word_for_one_thing(page):
+    # What is printed is quoted as it is.
+    text = re.sub(r"^```text\n.*?^```", "", read(page), flags=re.DOTALL | re.M)
+    assert not NOT_SAID.search(" ".join(text.split()))
+
+
+@pytest.mark.slow
+def test_report_to_click_is_what_the_package_writes(monkeypatch):
+    pytest.importorskip("pinocchio")
+    demo = script(DOCS / "demo_report.py", monkeypatch)
+    # Words, not figures: other libraries and processors move a last digit.
+    shown, made = (
+        re.findall(r">([^<>\d]*[a-z][^<>\d]*)<", text)
+        for text in (read(demo.PAGE), demo.page())
+    )
+    assert shown == made
+
+
+def test_first_numbers_of_the_readme_and_the_first_page_are_measured(recorded):
+    (models, *_) = recorded.tables_in(recorded.read("protocol_emps"))
+    judged = {
+        tuple(row[:2]): row[-1] for row in models.rows
+    }  # model and states -> error
+    published = judged["published, least squares", "theirs"]
+    completed = judged["EffectDiscovery, completed model", "positions"]
+    ratios = []
+    for stage in ("development", "confirmation"):
+        (table, *_) = recorded.tables_in(recorded.read(f"measured_sets_{stage}"))
+        rows = table.chosen(["set", "four terms", "completed"]).rows
+        ratios += [
+            float(completed) / float(plain)
+            for name, plain, completed in rows
+            if name != "mean"
+        ]
+    assert len(ratios) == 10
+    assert sum(ratio < 0.9 for ratio in ratios) == 7
+    assert sum(ratio > 0.96 for ratio in ratios) == 3
+    for page in (ROOT / "README.md", DOCS / "index.rst"):
+        text = " ".join(read(page).split())
+        assert f"{published} %" in text
+        assert f"{completed} %" in text
+        assert "more than a tenth on seven and by less than 4 % on three" in text
+
+
 def test_first_page_shows_the_commands_of_the_readme():
     text = read(DOCS / "index.rst")
     block = re.search(r"\.\. code-block:: bash\n\n((?:    .*\n)+)", text)[1]
@@ -450,6 +513,7 @@ LONG = {"output_error.rst", "design.rst", "effects.rst"}
             page, marks=[pytest.mark.slow] if page.name in LONG else [], id=page.name
         )
         for page in EXAMPLES
+        if page.name != "README.md"  # the test below
     ],
 )
 def test_examples_run(page, tmp_path, monkeypatch):
@@ -458,6 +522,31 @@ def test_examples_run(page, tmp_path, monkeypatch):
     namespace = {"__name__": "__main__"}
     for block in code_blocks(page):
         exec(compile(block, str(page), "exec"), namespace)
+
+
+def test_the_readme_needs_no_more_than_it_installs(tmp_path):
+    pytest.importorskip("pinocchio")
+    # Of other extras, and no dependency of what `pip install ".[robot]"` installs.
+    absent = """
+import sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name.split(".")[0] in ("matplotlib", "pandas", "pyarrow"):
+            raise ModuleNotFoundError(name)
+
+sys.meta_path.insert(0, Absent())
+"""
+    code = absent + "\n".join(code_blocks(ROOT / "README.md"))
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
 
 
 def test_examples_that_come_first_exist(monkeypatch):

@@ -7,6 +7,7 @@ FIRST = (
     "plot_not_level.py",
     "plot_mujoco.py",
     "plot_pipeline.py",
+    "plot_known_noise.py",
     "plot_noisy_sensors.py",
     "plot_replicates.py",
     "plot_look_at_a_fit.py",

@@ -4,8 +4,8 @@ What do the models of real robots lack?
 =========================================
 
 Four measured robots: a slide (EMPS), a UR5, a Staubli TX40 and a KUKA KR300. Their
-models include friction and still lack something; the loop says on which joint, and what
-that was worth on unseen data.
+models include friction and still lack something; the loop says on which joint, and how
+much that lowers the error on held-out data.
 
 To take seconds and not minutes, it looks only for a few effects that the publications
 of the sets make likely, in parts of the recordings or in means of neighbouring samples.

@@ -91,7 +91,7 @@ table({"stays": one.staying().errors, "goes on": one.going_on().errors})
 # ------
 # The same windows, driven by the same torques. A motor of the file takes what the
 # torque channel reads; joints are found by name. The time step divides the sample
-# period. Without MuJoCo (``pip install "sklearn-vbjfa[mujoco]"``) its curves are
+# period. Without MuJoCo (``pip install mujoco``) its curves are
 # missing here.
 
 

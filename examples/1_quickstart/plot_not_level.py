@@ -78,7 +78,7 @@ for effect in misled.effects_:
 # %%
 # Before and after
 # ----------------
-# Errors on the untouched part, over the spread of the torque, and the noise floor.
+# Errors on the held-out part, over the spread of the torque, and the noise floor.
 
 names = recording.joint_names
 errors = {
@@ -126,9 +126,9 @@ plt.show()
 # %%
 # The corrected description
 # -------------------------
-# Inertias and friction are those of the true torques. A lean and a gain are nothing
-# that a description could hold: a comment says what is to be changed, and
-# ``report.json`` has it for programs.
+# Inertias and friction are those of the true torques. A robot description cannot hold
+# the lean of a base or the gain of a torque sensor: a comment says what to change on
+# the robot, and ``report.json`` has it for programs.
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "identified.urdf"

@@ -48,7 +48,7 @@ print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 # Every step is recorded, with the posterior odds of the effect beside the others as
 # they were then. Of an effect that was found, the loop also says which share of the
 # squared error it saves on stretches of time that were not fitted. What is more
-# probable than not and has no name is told apart.
+# probable than not and is not named stands apart.
 
 for step in loop.rounds_:
     print(
@@ -61,8 +61,8 @@ for effect in loop.perhaps_:
     print(f"perhaps {effect.name}, {100 * effect.probability:.0f} %: {effect.doubt}")
 
 # %%
-# The untouched part
-# ------------------
+# The held-out part
+# -----------------
 # Root mean square of the residual over the standard deviation of the torque in the
 # moving time of the whole recording.
 

@@ -12,7 +12,7 @@ is measured, and what is from the description of the robot?
 # The recordings
 # --------------
 # Motor tests of a Unitree Go2: a chirp on all joints at once, ten runs of 24 s. The
-# torque is what the motors were told, and acts two samples later. The description holds
+# torque is the commanded one, and acts two samples later. The description holds
 # the base level; friction and rotor inertia in it are left out, as they are identified
 # here.
 #
@@ -241,8 +241,8 @@ if found is not None:
 #
 # What this does not show
 # -----------------------
-# That runs agree says nothing of what they have in common: a torque that is told and
-# not measured, a base that may not be level, whatever the model lacks, and the
+# That runs agree says nothing of what they have in common: a torque that is commanded
+# and not measured, a base that may not be level, whatever the model lacks, and the
 # description. The rotor of a hip is as right as the link that was described. And there
 # is no other motion in these recordings on which the models could be judged; ``design``
 # makes one.

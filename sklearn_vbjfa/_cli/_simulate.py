@@ -53,7 +53,7 @@ def run(arguments, folder):
     else:
         warnings.warn(
             "no pictures were drawn, as matplotlib is not installed; install it with "
-            'pip install "sklearn-vbjfa[plot]".',
+            "pip install matplotlib.",
             UserWarning,
             stacklevel=2,
         )

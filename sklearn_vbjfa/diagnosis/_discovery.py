@@ -55,11 +55,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
     friction, an offset and the rotor's inertia, on every joint), and looks for the most
     probable set of effects beside them: every effect of the library on every joint has
-    posterior odds. What is probable enough and predicts motion that was not fitted has
-    a name; the rest that is more probable than not is told as "perhaps". Residuals that
-    no effect explains are reported as unexplained. Part of the motion is held out for
-    the errors of the declared model, with the plain terms, and with the effects;
-    finally the completed model is fitted to all data.
+    posterior odds. An effect that is probable enough and predicts motion that was not
+    fitted is named; the others that are more probable than not are listed as "perhaps".
+    Residuals that no effect explains are reported as unexplained. Part of the motion is
+    held out for the errors of the declared model, with the plain terms, and with the
+    effects; finally the completed model is fitted to all data.
 
     Parameters
     ----------
@@ -75,9 +75,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         standstill. There are more intervals if a joint would hardly move in them, and
         the share is up to 0.4 if it would be too little for a verdict.
     alpha : float, default=0.05
-        Share of recordings with nothing missing that may get any name: an effect has a
-        name from a posterior probability of ``1 - alpha`` on. Also the level, over all
-        joints, of `ceiling_` and of recordings that contradict each other.
+        Share of recordings with nothing missing in which an effect may be named: an
+        effect is named from a posterior probability of ``1 - alpha`` on. Also the
+        level, over all joints, of `ceiling_` and of recordings that contradict each
+        other.
     max_effects : int or None, default=None
         Maximum number of effects to add.
     settings : SearchSettings or None, default=None
@@ -96,14 +97,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Attributes
     ----------
     effects_ : tuple of DiscoveredEffect
-        Effects that have a name; each has `name`, `joint` (from zero), `log_odds`
+        Effects that are named; each has `name`, `joint` (from zero), `log_odds`
         (natural logarithm of the posterior odds that the model lacked it),
         `probability`, `rivals` (what would take its place within three nats),
         `parameters`, `units`, `intervals` (of 90 %), `ranges` (of the motion that it
         was fitted on). The values are those of `identifier_`.
     perhaps_ : tuple of DiscoveredEffect
-        Effects that are more probable than not and have no name; `doubt` says why.
-        They are part of `identifier_` and `judged_` like those that have one.
+        Effects that are more probable than not but not named; `doubt` says why. They
+        are part of `identifier_` and `judged_` like those that are named.
     rounds_ : tuple of Round
         The path to the most probable model: what was added, replaced or dropped
         (`action`), its `log_odds` beside the others as they were then (nan where it
@@ -197,7 +198,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Beyond seven joints the branches that leave the base are searched one by one, as
     they share no body, each with its share of the effects that are expected; couplings
-    between branches are then not looked for. With `max_effects`, effects of one's own,
+    between branches are then not looked for. With `max_effects`, effects of your own,
     or effects declared already, the robot is searched as a whole.
 
     Of more than 50,000 rows the search looks at every so many samples, five for each

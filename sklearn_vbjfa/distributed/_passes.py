@@ -60,7 +60,7 @@ _SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 _DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
-_MISSING = "Fits on several machines need Dask: pip install 'sklearn-vbjfa[dask]'."
+_MISSING = "Fits on several machines need Dask: pip install 'dask[array]' distributed."
 # Results that come back together: of many tasks to tell of each.
 _AT_ONCE = 8
 # Results that are merged in one task: few enough to be in memory together.
@@ -304,7 +304,7 @@ def _files(source):
         folder = Path(source)
         if not folder.is_dir():
             raise FileNotFoundError(
-                f"source must be a folder or a list of files; {folder} is no folder."
+                f"source must be a folder or a list of files; {folder} is not a folder."
             )
         files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
         if not files:
@@ -329,7 +329,7 @@ def _check_settings(identifier):
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
         raise ValueError(
-            f"fit_recordings cannot do with {', '.join(refused)}: the workers return "
+            f"fit_recordings does not support {', '.join(refused)}: the workers return "
             "second moments of the rigid bodies and their friction only. Use "
             "effects=(), period=None, block_noise=False and a VBJFARegressor or "
             "JFARegressor, or fit in memory."

@@ -137,7 +137,7 @@ class Delay(_Channel):
     continuous = ("delay",)
     visible = "fast changes of the torque"
     record = "fast changes of the torque"
-    no_place = "the torque channel is late; it is no property of the robot"
+    no_place = "the torque channel is late; it is not a property of the robot"
 
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
@@ -294,7 +294,7 @@ class TorqueFilter(_Channel):
     nonnegative = ("time_constant_estimate",)
     visible = "changes of the torque as fast as the filter"
     record = "fast changes of the torque, both channels unfiltered"
-    no_place = "a channel's filter; it is no property of the robot"
+    no_place = "a channel's filter; it is not a property of the robot"
 
     def __init__(self, joint=0, kind="lag", of="torque", time_constant=0.01):
         super().__init__(joint)

@@ -165,7 +165,7 @@ class Counterbalance(Effect):
     seen_over = "position"
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
-    no_place = "a torque that is no linear function of the position"
+    no_place = "a torque that is not linear in the position"
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
         super().__init__(joint)
@@ -304,7 +304,7 @@ class Ripple(Effect):
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
     terms = (("ripple", "c", "s", "period"),)
-    no_place = "a torque that is no linear function of the position"
+    no_place = "a torque that is not linear in the position"
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)

@@ -194,7 +194,7 @@ def _is_mjcf(tree, path):
     tag = tree.getroot().tag
     if tag not in ("robot", "mujoco"):
         raise ValueError(
-            f"{str(path)!r} is no robot description: its outermost element is "
+            f"{str(path)!r} is not a robot description: its outermost element is "
             f"<{tag[:60]}>; expected <robot> (URDF) or <mujoco> (MJCF)."
         )
     return tag == "mujoco"
@@ -335,7 +335,7 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
         import pinocchio as pin
     except ImportError as error:
         raise ImportError(
-            'robot_model needs Pinocchio: pip install "sklearn-vbjfa[robot]"'
+            'robot_model needs Pinocchio: pip install "pin>=3"'
         ) from error
 
     if urdf is None and name in _BUILDERS:

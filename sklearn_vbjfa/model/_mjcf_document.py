@@ -50,9 +50,7 @@ class Attributes:
         wanted = "finite numbers" if size is None else f"{size} finite number(s)"
         enough = found.size == size if size is not None else found.size >= (least or 1)
         if not enough or not np.isfinite(found).all():
-            raise ValueError(
-                f"{self.what} has {key}={_short(text)}, where {wanted} must be"
-            )
+            raise ValueError(f"{self.what} has {key}={_short(text)}, expected {wanted}")
         return found
 
     def number(self, key, otherwise=0.0):
@@ -64,7 +62,7 @@ class Attributes:
         text = self.text(key, "auto")
         if text not in ("true", "false", "auto"):
             raise ValueError(
-                f"{self.what} has {key}={_short(text)}, where true or false must be"
+                f"{self.what} has {key}={_short(text)}, expected true or false"
             )
         return otherwise if text == "auto" else text == "true"
 
@@ -74,7 +72,8 @@ class Attributes:
         length = np.linalg.norm(vector)
         if not length > _SHORTEST:
             raise ValueError(
-                f"{self.what} has {key}={_short(self.text(key))}, which is no direction"
+                f"{self.what} has {key}={_short(self.text(key))}, "
+                "which is not a direction"
             )
         return vector / length
 
@@ -225,8 +224,7 @@ class Document:
         order = self.compiler.text("eulerseq", "xyz")
         if len(order) != 3 or set(order.lower()) - set("xyz"):
             raise ValueError(
-                f"<compiler> has eulerseq={_short(order)}, where three of x, y, z "
-                "must be"
+                f"<compiler> has eulerseq={_short(order)}, expected three of x, y, z"
             )
         pin, turned = import_pinocchio(), np.eye(3)
         for letter, angle in zip(order, self.angle(angles)):
@@ -253,7 +251,7 @@ def _from_axes(attributes):
     x, y = attributes.numbers("xyaxes", None, 6).reshape(2, 3)
     lengths = np.linalg.norm(x), np.linalg.norm(np.cross(x, y))
     if not min(lengths) > _SHORTEST:
-        raise ValueError(f"{attributes.what} has xyaxes that are no two directions")
+        raise ValueError(f"{attributes.what} has xyaxes that are not two directions")
     x = x / lengths[0]
     y = y - (x @ y) * x
     y = y / np.linalg.norm(y)

@@ -267,7 +267,7 @@ class MjcfRobot:
             wrong.append(f"{one.name} {why}")
         if wrong:
             raise ValueError(
-                f"{str(self.path)!r} describes no tree of hinges and slides: "
+                f"{str(self.path)!r} does not describe a tree of hinges and slides: "
                 f"{'; '.join(wrong)}. What is not recorded can be held at zero: name "
                 "the joints that are (--joints in the command line, joint_names in "
                 "Python)."
@@ -575,8 +575,8 @@ class _BodyReader:
         for name in names:
             if name not in joints:
                 raise ValueError(
-                    f"{attributes.what} of <equality> couples {name!r}, which is no "
-                    "joint"
+                    f"{attributes.what} of <equality> couples {name!r}, which is "
+                    "not a joint"
                 )
         given = attributes.numbers("polycoef", [0.0, 1.0, 0.0, 0.0, 0.0], least=1)
         if given.size > 5:

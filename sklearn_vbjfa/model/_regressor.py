@@ -120,9 +120,7 @@ class TreeRegressor:
             kernel(q, v, a, self._tree, places, out)
             return
         if self.compiled:
-            raise ImportError(
-                "A compiled regressor needs Numba: pip install sklearn-vbjfa[fast]."
-            )
+            raise ImportError("A compiled regressor needs Numba: pip install numba.")
         one, used = self.one_by_one(), places >= 0
         matrices = np.empty((q.shape[0], *places.shape))
         for matrix, *sample in zip(matrices, q, v, a):

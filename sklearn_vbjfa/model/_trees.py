@@ -29,8 +29,7 @@ def import_pinocchio():
         import pinocchio
     except ImportError as error:
         raise ImportError(
-            "Robot models need Pinocchio, which is not installed: "
-            'pip install "sklearn-vbjfa[robot]"'
+            'Robot models need Pinocchio, which is not installed: pip install "pin>=3"'
         ) from error
     return pinocchio
 
@@ -373,7 +372,7 @@ def foldable(carriers, links, path):
         if link.leader not in carriers:
             raise ValueError(
                 f"{str(path)!r}: joint {name!r} is to follow {link.leader!r}, which is "
-                "no moving joint of the robot; correct the description."
+                "not a moving joint of the robot; correct the description."
             )
         seen = [name]
         while seen[-1] in links:

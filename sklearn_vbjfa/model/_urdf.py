@@ -94,7 +94,7 @@ class UrdfRobot:
                 if value is None:
                     raise ValueError(
                         f"{str(self._path)!r}: joint {name!r} follows another one with "
-                        f"the {key} {mimic.get(key)[:40]!r}, which is no number; "
+                        f"the {key} {mimic.get(key)[:40]!r}, which is not a number; "
                         "correct the description."
                     )
                 values.append(value[0])
@@ -213,7 +213,7 @@ class UrdfRobot:
             if not 1e-6 < length < np.inf:
                 raise ValueError(
                     f"{str(self._path)!r}: joint {joint.get('name')!r} has the axis "
-                    f"{text!r}, which is no direction; correct the description."
+                    f"{text!r}, which is not a direction; correct the description."
                 )
 
     def _check_tree(self):

@@ -13,8 +13,8 @@ from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES, N_INERTIAL
 # the viscous friction of the joint.
 _PAPER_WIDTH = 11
 _HOW_TO_NAME = (
-    "name the columns, as data frames of RigidBodyFeatures do "
-    '(set_output(transform="pandas")) and parameter_names does'
+    "name the columns (pass parameter_names, or data frames of RigidBodyFeatures, "
+    'set_output(transform="pandas"))'
 )
 
 
@@ -140,7 +140,7 @@ def _check_names(names, n_features):
     names = [str(name) for name in names]
     if len(names) != n_features:
         raise ValueError(
-            f"parameter_names must hold {n_features} names, one a column; got "
+            f"parameter_names must hold {n_features} names, one for each column; got "
             f"{len(names)}."
         )
     return names

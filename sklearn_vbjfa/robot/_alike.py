@@ -95,7 +95,7 @@ def alike_joints(settings):
     if isinstance(alike, str) and alike == "auto":
         return () if why else _found(model)
     if why:
-        raise ValueError(f"alike does not go with {why}; use alike=None.")
+        raise ValueError(f"alike cannot be combined with {why}; use alike=None.")
     return _given(alike, model)
 
 
@@ -147,8 +147,8 @@ def _group(one, names):
         unknown = [name for name in one if name not in names]
         if unknown:
             raise ValueError(
-                f"alike names {', '.join(map(repr, unknown))}, no joint of the robot; "
-                f"expected some of {', '.join(names)}."
+                f"alike names {', '.join(map(repr, unknown))}, not joints of the "
+                f"robot; expected some of {', '.join(names)}."
             )
         found = sorted({names.index(name) for name in one})
         said, name = f"{tuple(one)}, of {len(found)} joint(s)", ""

@@ -483,6 +483,6 @@ def described_bodies(settings):
         why = "a description in which no body has mass and extension"
     if bodies == "fixed" and found is None:
         raise ValueError(
-            f"bodies='fixed' does not go with {why}; use 'prior' or 'free'."
+            f"bodies='fixed' cannot be combined with {why}; use 'prior' or 'free'."
         )
     return found

@@ -239,7 +239,7 @@ def check_reference(controller, reference, y, dt, names):
 
 
 def check_drive(settings):
-    """Refuse a drive that is none, or beside what it does not go with."""
+    """Refuse a drive that is none, or beside what it cannot be combined with."""
     drive = settings.drive
     if drive is None:
         return
@@ -251,11 +251,13 @@ def check_drive(settings):
     gains = settings.gains
     if gains is not None and drive.gains is None:
         raise ValueError(
-            "drive has gains of its own, and does not go with gains: leave gains=None."
+            "drive has gains of its own, and cannot be combined with gains: leave "
+            "gains=None."
         )
     if settings.period is not None:
         raise ValueError(
-            "drive does not go with period: leave period=None; what repeats is found."
+            "drive cannot be combined with period: leave period=None; motion that "
+            "repeats is found."
         )
 
 

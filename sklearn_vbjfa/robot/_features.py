@@ -356,7 +356,7 @@ def parameter_names_of(names, nv):
         "Columns of RigidBodyFeatures were left out, renamed or put in another order "
         f"before this regressor: {len(names)} columns from {names[0]} to {names[-1]} "
         f"are not the same parameters for each of {nv} joints. Take the step between "
-        "the two out of the pipeline; a selection of columns belongs into the "
+        "the two out of the pipeline; a selection of columns belongs inside the "
         "regressor, as in make_pipeline(SelectFromModel(...), Lasso())."
     )
 
@@ -559,7 +559,7 @@ def refuse_followers(effects, what, remedy):
     names = [effect.of for effect in effects if _follows(effect)]
     if names:
         raise ValueError(
-            f"{what} cannot do with joints that follow others, {', '.join(names)}: "
+            f"{what} does not support joints that follow others, {', '.join(names)}: "
             f"{remedy}, or give a description in which they are fixed joints."
         )
 

@@ -532,7 +532,7 @@ class ModelValues:
             ]
         if told:
             warnings.warn(
-                f"{', '.join(told)} went to the end of what is plausible: the "
+                f"{', '.join(told)} reached the limit of what is plausible: the "
                 "recording shows something else, or does not show it. Leave the effect "
                 "out, or look for a larger fault.",
                 DoubtWarning,

@@ -255,7 +255,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             raise ValueError(
                 f"y has {nv} joints, so that the number of columns of X must be a "
                 f"multiple of {nv}; got {X.shape[1]}. (PCA and selections of columns "
-                "belong into the regressor, not before it.)"
+                "belong inside the regressor, not before it.)"
             )
         names = getattr(self, "feature_names_in_", None)
         self.parameter_names_ = parameter_names_of(names, nv)

@@ -348,7 +348,7 @@ def read(path, effects=()):
     file = read_place(path)
     if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
         raise ValueError(
-            f"{file.path!r} holds no identified robot: its key 'format' is not "
+            f"{file.path!r} is not an identified robot: its key 'format' is not "
             f"{FORMAT!r}. Files of that format are written by RobotIdentifier.save."
         )
     version = file["version"].value

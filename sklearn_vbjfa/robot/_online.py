@@ -178,9 +178,9 @@ def check_online(identifier, effects):
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
         raise ValueError(
-            f"partial_fit cannot do with {', '.join(refused)}: it keeps second moments "
-            "of the rigid bodies and their friction only. Use effects=(), period=None, "
-            "block_noise=False and a VBJFARegressor or JFARegressor."
+            f"partial_fit does not support {', '.join(refused)}: it keeps second "
+            "moments of the rigid bodies and their friction only. Use effects=(), "
+            "period=None, block_noise=False and a VBJFARegressor or JFARegressor."
         )
 
 

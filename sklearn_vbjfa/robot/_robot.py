@@ -1140,7 +1140,7 @@ def load_identified(path, effects=()):
     FileNotFoundError
         If there is no such file.
     ValueError
-        If it is not JSON, holds no identified robot or one of a newer version, or
+        If it is not JSON, not an identified robot or one of a newer version, or
         something in it is missing or wrong; the message names the key.
     ImportError
         If Pinocchio is not installed.

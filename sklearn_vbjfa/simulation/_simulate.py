@@ -385,7 +385,7 @@ def _tell_left_out(robot, dynamics):
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         warnings.warn(
-            f"The simulation goes without {'; '.join(left)}.",
+            f"The simulation leaves out {'; '.join(left)}.",
             DoubtWarning,
             stacklevel=4,
         )

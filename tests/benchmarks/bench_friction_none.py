@@ -9,7 +9,7 @@ by 10 to 40 %, friction of 0.06 to 0.16 times the load on a random joint beside 
 and Coulomb friction in all); the demo itself; and the first recording of the demo alone
 (4,000 rows). Seeds 0 to 99 are for work.
 
-Split: that of `EffectDiscovery`; the untouched part is looked at once.
+Split: that of `EffectDiscovery`; the held-out part is looked at once.
 
 What is judged, in the report's own words: a joint is at the floor if its verdict is
 "floor" (near the floor included) and it is not among the unexplained. Beside it, the

@@ -20,7 +20,7 @@ What is judged:
 - Values: share of the parameters whose 90 % interval holds the truth; for a name of
   the class, the value that explains the torque without noise best. A parameter that
   the noise leaves open to more than a third of its value is not counted.
-- Floor: error on the untouched part of the declared model with the right geometry,
+- Floor: error on the held-out part of the declared model with the right geometry,
   zeros and gains, and without the other effect's torque, fitted by the same loop to
   the same rows with nothing looked for. Beside it: joints within 10 % of it.
 - Wrong names: faults that are not there, and other effects that are not there.
@@ -225,7 +225,7 @@ def _taken_signals(method, signals):
 
 
 def floor_of(recording):
-    """Error on the untouched part with all that is wrong put right, (nv,)."""
+    """Error on the held-out part with all that is wrong put right, (nv,)."""
     model, q, tau = recording.put_right()
     identifier = RobotIdentifier(model, dt=recording.dt, friction=FRICTION)
     loop = EffectDiscovery(identifier, effects=[], ceiling=False, random_state=0)

@@ -240,7 +240,7 @@ def errors(trials, seed, durations=(67.0, 200.0), noises=tuple(NOISES)):
     for duration in durations:
         for noise in noises:
             cell = Cell(
-                ("error after", f"untouched {duration / 4:.0f} s", noise), "error after"
+                ("error after", f"held-out {duration / 4:.0f} s", noise), "error after"
             )
             for k in range(trials):
                 _next_error(cell, duration, NOISES[noise], seed + k)

@@ -8,7 +8,7 @@ Ten measured sets. Where a set has several motions, all pairs of the frozen prot
 errors over the spread of the torque in the moving time of all recordings of the set. A
 joint of a pair counts where 80 % or more of the judged range of its torque and of its
 speed were fitted; a pair without such a joint is shown and not counted. Where there is
-one motion, the part that the loop leaves untouched (`bench_measured_sets.py`), all of
+one motion, the part that the loop holds out (`bench_measured_sets.py`), all of
 its joints.
 
 Judged for each pair:
@@ -52,15 +52,15 @@ SETTINGS = {
 }
 DEFAULT = next(iter(SETTINGS))
 # Sets of one motion.
-UNTOUCHED_SETS = (
+HELD_OUT_SETS = (
     "staubli_tx40",
     "tflex_1dof",
     "franka_panda",
     "kuka_lbr_med7",
     "tiago",
 )
-SETS = (*PAIRED_SETS, *UNTOUCHED_SETS)
-UNTOUCHED = "untouched part"
+SETS = (*PAIRED_SETS, *HELD_OUT_SETS)
+HELD_OUT = "held-out part"
 KEYS = ("settings", "values", "set", "pair")
 
 
@@ -123,8 +123,8 @@ def judge_pair(recording, identifier, scale, pair, **settings):
     }
 
 
-def judge_untouched(parts, identifier, **settings):
-    """Close the loop on a motion; errors on the part that it leaves untouched.
+def judge_held_out(parts, identifier, **settings):
+    """Close the loop on a motion; errors on the part that it holds out.
 
     Parameters
     ----------
@@ -166,10 +166,10 @@ def cases_of(name, data_home=None, recording=None):
     recording : Recording or None
         In place of a measured one with several motions, for a trial at small size.
     """
-    if name in UNTOUCHED_SETS:
+    if name in HELD_OUT_SETS:
         recording, rows, identifier = load(name, data_home)
         parts = recording.q[rows], recording.tau[rows], recording.groups[rows]
-        return {UNTOUCHED: functools.partial(judge_untouched, parts, identifier)}
+        return {HELD_OUT: functools.partial(judge_held_out, parts, identifier)}
     frozen = PAIRED_SETS[name]
     recording = recording or frozen.recording(data_home)
     identifier = frozen.identifier(recording.robot_model(), recording.dt)

@@ -5,7 +5,7 @@ Run ``python tests/benchmarks/bench_measured_sets.py --sets development --data-h
 
 Filters and masks are those of ``bench_measured_robots.py``, but for EMPS (20 Hz).
 Split: the loop's own. Every model is fitted to the rows that the loop searched and
-judged on those that it left untouched, in the same band and with the same mask; errors
+judged on those that it held out, in the same band and with the same mask; errors
 are root mean squares over the spread of the torque in the moving time of the whole
 recording, as in the report.
 
@@ -92,7 +92,7 @@ def load(name, data_home):
 
 
 def split_of(loop, q, tau, groups):
-    """Return (X, y, groups) of the searched and of the untouched part of a loop.
+    """Return (X, y, groups) of the searched and of the held-out part of a loop.
 
     Parameters
     ----------
@@ -133,7 +133,7 @@ def _rank(pieces):
 
 
 def partial_least_squares(base, train, test):
-    """Errors of PLS on the untouched part, of components up to the equations' rank."""
+    """Errors of PLS on the held-out part, of components up to the equations' rank."""
     settings = dict(methods(len(base.parameter_names_))["PLS"])
     robot = base.robot_
     pieces = robot.pieces(*train)
@@ -173,7 +173,7 @@ def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
     declared = rest.rms() / loop.torque_spread_
     if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):
         raise RuntimeError(
-            f"The declared model has {declared} on the untouched part; the loop says "
+            f"The declared model has {declared} on the held-out part; the loop says "
             f"{loop.error_before_}: not the same rows."
         )
     chosen = [OURS, *(RIVALS[name] for name in names if name != "PLS")]
@@ -181,7 +181,7 @@ def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
     results, base = compare_methods(fuller, train, test, names=chosen)
     by_name = {result.name: result for result in results}
     rest = base.residuals(test[0], test[1], groups=test[2])
-    # the comparison divides by the spread of the untouched part alone
+    # the comparison divides by the spread of the held-out part alone
     with np.errstate(divide="ignore", invalid="ignore"):
         scale = rest.rms() / rest.normalised_error() / loop.torque_spread_
     errors = {
@@ -295,7 +295,7 @@ def report(results):
         for name, message in r["failures"].items()
     ]
     parts = [
-        "Errors on the untouched part over the spread of the torque in the moving time "
+        "Errors on the held-out part over the spread of the torque in the moving time "
         "of the whole recording, mean over the joints [%].",
         rst_table(rows, ["set", *names]),
         rst_table(better, ["completed better than", "sets, in the mean", "joints"]),

@@ -107,7 +107,7 @@ def summary(results):
         "judged / promised, median",
         "least",
         "largest",
-        "judged / untouched, median",
+        "judged / held-out, median",
         "largest",
         "joints",
         "in their interval [%]",
@@ -130,7 +130,7 @@ def by_case(results):
         ]
         for r in results
     ]
-    heads = ["set", "judged", "fitted", "searched", "untouched [%]", "promised [%]"]
+    heads = ["set", "judged", "fitted", "searched", "held-out [%]", "promised [%]"]
     heads += ["judged [%]", "ratio", "in their interval"]
     return rst_table(rows, heads, n_labels=2)
 

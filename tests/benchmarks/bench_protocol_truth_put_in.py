@@ -104,7 +104,7 @@ class Answer:
     effects : tuple of DiscoveredEffect
         What was named.
     before, after : ndarray of shape (nv,)
-        Errors on the untouched part [N m].
+        Errors on the held-out part [N m].
     spread : ndarray of shape (nv,)
         Standard deviation of the torque in the moving time of all of the recording
         [N m].
@@ -444,7 +444,7 @@ def section(name, answers, recording, part=""):
 INTRODUCTION = f"""Positions, torques or model of the recording with one thing
 changed. Verdict: named is the right effect on the right joint with its value within
 {100 * TOLERANCE:.0f} % of what was put in. Added and gone: against what is named on the
-recording as it is. Errors: root mean square on the untouched part as the report
+recording as it is. Errors: root mean square on the held-out part as the report
 gives it, in N m on the joint that was changed, and the mean of all joints in per cent
 of the torque's spread in the moving time of the whole recording.
 "As recorded" are the errors of the same joint where nothing was put in.

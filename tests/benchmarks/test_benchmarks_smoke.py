@@ -42,6 +42,7 @@ def residuals(scale, index, tau):
         "interval_coverage",
         "iterations",
         "kernels",
+        "known_noise",
         "leave_one_set_out",
         "likelihood",
         "long_recordings",
@@ -227,6 +228,27 @@ def test_coverage_of_correlated_inputs_at_small_size():
     # 40 coefficients that are not zero, for noisy queries and unknown noise, with a
     # deviation of 5 %. A noise that is taken for half its bound alone holds 50 %.
     assert np.all(shares[0, [0, 2], 0] > 0.75)
+
+
+def test_known_noise_keeps_the_coefficients_when_nuclei_are_lost():
+    import bench_known_noise as bench
+
+    rows = bench.coefficients(draws=4)
+    found = {
+        (name, nuclei): [float(cell.split()[0]) for cell in cells]
+        for name, nuclei, _, *cells in rows
+    }
+    for name in ("texture", "smoothness"):
+        (plain, known), (few_plain, few_known) = (
+            found[name, nuclei] for nuclei in ("all", "1 in 4")
+        )
+        assert known > plain
+        assert few_plain < 0.85 * plain
+        assert abs(few_known - known) < 0.15 * known
+    (alike, _, cleaner) = bench.held_out(draws=1)
+    assert float(alike[2]) == pytest.approx(float(alike[1]), abs=0.1)
+    assert float(alike[3]) > float(alike[1])
+    assert float(cleaner[2]) < float(cleaner[1])
 
 
 def test_synthetic_study_at_small_size():

@@ -46,13 +46,13 @@ def test_pairs_are_judged_and_kept(tmp_path, capsys):
     assert "2 / 0" in bench.report(ledger.results)
 
 
-def test_a_motion_is_judged_on_its_untouched_part():
+def test_a_motion_is_judged_on_its_held_out_part():
     recording = make_robot_recording(duration=12.0, dt=0.01, random_state=0)
     identifier = RobotIdentifier(
         recording.robot_model(), dt=recording.dt, friction=("viscous",), cutoff=5.0
     )
     parts = recording.q, recording.tau, recording.groups
-    result = bench.judge_untouched(parts, identifier, effects=["coulomb"])
+    result = bench.judge_held_out(parts, identifier, effects=["coulomb"])
     assert result["effects"] == result["perhaps"] == []
     assert all(result["counted"])
     # the four terms are all that there is in both

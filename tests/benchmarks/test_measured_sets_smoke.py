@@ -1,4 +1,4 @@
-"""Other methods are judged on the rows that the loop left untouched."""
+"""Other methods are judged on the rows that the loop held out."""
 
 import numpy as np
 import pytest

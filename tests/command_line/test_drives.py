@@ -263,7 +263,7 @@ def test_gains_of_another_order_are_doubted(command, factor, run):
 def test_a_delay_at_the_end_of_its_range_is_told(run, told):
     late = {name: np.roll(told[name], -50) for name in told if "desired" in name}
     _, _, err = run("close-loop", *FEW, **late)
-    assert "went to the end of what is plausible" in err
+    assert "reached the limit of what is plausible" in err
 
 
 def test_gains_of_channels_do_not_go_with_a_drive(run):

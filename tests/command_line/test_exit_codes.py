@@ -301,7 +301,7 @@ def test_a_simulation_goes_without_an_effect(here, capsys):
     robot.save("arm.json")
     code, _, err = run(capsys, "simulate", write(table), "--model", "arm.json")
     assert code == 3
-    assert "The simulation goes without jerk on shoulder" in err[-1]
+    assert "The simulation leaves out jerk on shoulder" in err[-1]
 
 
 def test_two_models_are_judged_by_the_last(here, capsys, monkeypatch):

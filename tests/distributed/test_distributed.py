@@ -311,9 +311,9 @@ def test_an_estimator_of_another_kind_is_refused(recording, folder):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"period": 1.0}, "cannot do with period"),
-        ({"regressor": Ridge()}, "cannot do with block_noise or regressor"),
-        ({"block_noise": True}, "cannot do with block_noise or regressor"),
+        ({"period": 1.0}, "does not support period"),
+        ({"regressor": Ridge()}, "does not support block_noise or regressor"),
+        ({"block_noise": True}, "does not support block_noise or regressor"),
         ({"dt": 0.02}, "sample period of 0.01 s, the identifier dt=0.02 s"),
     ],
 )
@@ -325,7 +325,7 @@ def test_what_cannot_be_is_refused(recording, folder, settings, message):
 def test_sources_without_recordings_are_refused(recording, tmp_path):
     with pytest.raises(FileNotFoundError, match="No recording in"):
         fit_recordings(robot(recording), tmp_path)
-    with pytest.raises(FileNotFoundError, match="is no folder"):
+    with pytest.raises(FileNotFoundError, match="is not a folder"):
         fit_recordings(robot(recording), tmp_path / "elsewhere")
     with pytest.raises(ValueError, match="at least one file"):
         fit_recordings(robot(recording), [])

@@ -201,11 +201,11 @@ def test_what_follows_a_fixed_joint_is_fixed(write):
 @pytest.mark.parametrize(
     ("mimic", "message"),
     [
-        ('joint="gone"', "'f' is to follow 'gone', which is no moving joint"),
-        ('multiplier="2"', "'f' is to follow '', which is no moving joint"),
+        ('joint="gone"', "'f' is to follow 'gone', which is not a moving joint"),
+        ('multiplier="2"', "'f' is to follow '', which is not a moving joint"),
         ('joint="f"', "the joints f follow each other in a ring"),
-        ('joint="j2" multiplier="x"', "with the multiplier 'x', which is no number"),
-        ('joint="j2" offset="inf"', "with the offset 'inf', which is no number"),
+        ('joint="j2" multiplier="x"', "with the multiplier 'x', which is not a number"),
+        ('joint="j2" offset="inf"', "with the offset 'inf', which is not a number"),
     ],
 )
 def test_refuses_what_cannot_be_followed(write, mimic, message):

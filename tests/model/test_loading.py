@@ -247,7 +247,6 @@ def test_without_pinocchio_one_line_says_how_to_get_it():
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
     message = (
-        "Robot models need Pinocchio, which is not installed: "
-        'pip install "sklearn-vbjfa[robot]"'
+        'Robot models need Pinocchio, which is not installed: pip install "pin>=3"'
     )
     assert done.stdout.splitlines() == [message, message]

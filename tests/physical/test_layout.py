@@ -161,7 +161,7 @@ def test_torn_bodies_are_refused(names, message):
 
 
 def test_one_name_a_column():
-    with pytest.raises(ValueError, match="must hold 12 names, one a column; got 11"):
+    with pytest.raises(ValueError, match="12 names, one for each column; got 11"):
         resolve_layout(12, parameter_names=named(("a", ("viscous",))))
 
 

@@ -128,7 +128,7 @@ def test_robot_model_without_pinocchio_names_the_remedy(make_recording, monkeypa
         return real_import(name, *args, **kwargs)
 
     monkeypatch.setattr(builtins, "__import__", without_pinocchio)
-    with pytest.raises(ImportError, match=r'pip install "sklearn-vbjfa\[robot\]"'):
+    with pytest.raises(ImportError, match='pip install "pin>=3"'):
         make_recording().robot_model()
 
 

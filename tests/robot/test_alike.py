@@ -365,7 +365,7 @@ def test_groups_may_be_given():
 @pytest.mark.parametrize(
     ("alike", "message"),
     [
-        ([("FL_hip_joint", "XX")], "alike names 'XX', no joint of the robot"),
+        ([("FL_hip_joint", "XX")], "alike names 'XX', not joints of the robot"),
         ("hip FL", "alike has FL_hip_joint in two groups"),
         ("knee", "the pattern 'knee', which matches 0 joint"),
         ("FL_hip", "the pattern 'FL_hip', which matches 1 joint"),
@@ -384,7 +384,7 @@ def test_what_turns_is_not_like_what_slides():
     sliding = a_quadruped(("L", "R"), kinds=("PX", "RY"))
     with pytest.raises(ValueError, match="revolute and prismatic joints in 'L_'"):
         groups_of(sliding, "L_")
-    with pytest.raises(ValueError, match="alike does not go with gains"):
+    with pytest.raises(ValueError, match="alike cannot be combined with gains"):
         groups_of(a_quadruped(), "hip", gains="unknown")
 
 

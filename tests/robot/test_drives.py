@@ -228,8 +228,8 @@ def test_before_a_recording_its_first_command_is_held():
 
 BAD = {
     "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive, CurrentDrive"),
-    "gains of channels": ({"gains": "unknown"}, {}, "does not go with gains"),
-    "period": ({"period": 1.0}, {}, "does not go with period"),
+    "gains of channels": ({"gains": "unknown"}, {}, "cannot be combined with gains"),
+    "period": ({"period": 1.0}, {}, "cannot be combined with period"),
     "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),
     "wrong number": (
         {"drive": PDDrive(KP[:2], KD)},
@@ -278,7 +278,7 @@ def test_bad_input_is_named(case):
 
 
 def test_a_delay_longer_than_plausible_is_told():
-    with pytest.warns(UserWarning, match="went to the end of what is plausible"):
+    with pytest.warns(UserWarning, match="reached the limit of what is plausible"):
         identify(told(0.2))
 
 

@@ -130,7 +130,7 @@ def test_a_scaler_in_between_is_refused(recording, name, output):
         (FunctionTransformer(lambda X: 2 * X, feature_names_out="one-to-one"), "sign"),
         (
             VarianceThreshold(),
-            "PCA and selections of columns belong into the regressor",
+            "PCA and selections of columns belong inside the regressor",
         ),
         (PowerTransformer(), "StandardScaler"),
         (QuantileTransformer(n_quantiles=50), "MinMaxScaler"),

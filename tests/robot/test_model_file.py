@@ -551,8 +551,8 @@ def test_every_key_is_needed_or_told_beside(simulated, tmp_path):
         (b"[1, 2", "is not JSON"),
         (b"[" * 100_000, "is not JSON"),
         (b'{"format": NaN}', "is not JSON: it holds NaN"),
-        (b"[]", "holds no identified robot"),
-        (b"3", "holds no identified robot"),
+        (b"[]", "is not an identified robot"),
+        (b"3", "is not an identified robot"),
     ],
 )
 def test_what_is_no_file_of_ours(content, message, tmp_path):

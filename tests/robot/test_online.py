@@ -196,7 +196,7 @@ def test_what_is_no_weight_is_refused(recording, forgetting):
     ],
 )
 def test_what_needs_more_than_moments_is_refused(recording, settings, name):
-    with pytest.raises(ValueError, match=f"partial_fit cannot do with {name}"):
+    with pytest.raises(ValueError, match=f"partial_fit does not support {name}"):
         running(recording, **settings).partial_fit(recording.states, recording.tau)
 
 

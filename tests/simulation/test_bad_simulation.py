@@ -185,7 +185,7 @@ def test_divergence_says_when_and_where():
 @pytest.mark.parametrize("effect", [Elastic(0), Jerk(0)])
 def test_effects_without_forward_dynamics_are_left_out_with_a_warning(effect):
     robot = pendulum(effects=[(effect, [0.01])])
-    with pytest.warns(UserWarning, match=f"goes without {effect.name} on pendulum"):
+    with pytest.warns(UserWarning, match=f"leaves out {effect.name} on pendulum"):
         found = simulate(robot, np.zeros((20, 1)), [0.5])
     bare = simulate(pendulum(), np.zeros((20, 1)), [0.5])
     np.testing.assert_array_equal(found, bare)

@@ -80,6 +80,5 @@ def _import_pyplot(display):
         return importlib.import_module("matplotlib.pyplot")
     except ImportError as error:
         raise ImportError(
-            f"{display}.plot needs matplotlib; install it with "
-            'pip install "sklearn-vbjfa[plot]".'
+            f"{display}.plot needs matplotlib; install it with pip install matplotlib."
         ) from error

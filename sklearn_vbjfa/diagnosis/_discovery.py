@@ -534,7 +534,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         settings = SearchSettings() if self.settings is None else self.settings
         view = RecordingView(self.plain_, part, silent, **given)
         branches = branches_of(self.plain_, library, self.max_effects)
-        if len(branches) == 1:
+        if len(branches) == 1 and view.precision.any():
             return search(view, library, settings, self.alpha, self.max_effects)
         heard = [b for b in branches if view.precision[b.joints].any()]
         # As many effects are expected of all branches together as of one robot.

@@ -135,9 +135,9 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
         - doubts, which rule out a favourable verdict: "torque_unit" if all torques are
           so small that they are motor currents, or in another unit than N m, or the
           masses of the robot are wrong; "gear_factor", "position_zero",
-          "frozen_recording", "held_position", "held_torque", "repeated_rows" if there
-          are many, "wrong_dt" if the motion is merely slower than a robot's,
-          "position_jumps";
+          "frozen_recording", "held_position", "held_torque", "torque_dropouts",
+          "clipped_torque" of more than few samples, "repeated_rows" if there are many,
+          "wrong_dt" if the motion is merely slower than a robot's, "position_jumps";
         - warnings: "clipped_torque", "coarse_torque", "delay", "frozen_position",
           "repeated_rows", "position_spikes", "torque_spikes", "still_joint".
 
@@ -186,7 +186,7 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
 _AT_ONCE = 1 << 22
 _OF_ANY = ("repeated_rows", "frozen_position", "frozen_recording", "held_position")
 _OF_ANY += ("held_torque", "clipped_torque", "position_jumps", "position_spikes")
-_OF_ANY += ("torque_spikes",)
+_OF_ANY += ("torque_spikes", "torque_dropouts")
 _OF_EACH = ("still_joint", "coarse_torque")
 
 

@@ -249,7 +249,8 @@ def gear_factors(model, names, signals):
     if most and np.median(list(most.values())) < TOO_LIGHT:
         told = list(sizes.values())
         message = of_another_unit(np.median(told), told, len(names))
-        return [ChannelFinding("torque_unit", tuple(sizes), "doubt", message)]
+        every = tuple(range(len(names)))
+        return [ChannelFinding("torque_unit", every, "doubt", message)]
     return [
         _gear_factor(names, j, scale)
         for j, scale in sizes.items()

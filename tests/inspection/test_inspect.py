@@ -1,5 +1,6 @@
 """Channels that cannot be what they are called: found where they are, only there."""
 
+import re
 from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
@@ -200,13 +201,15 @@ def test_clipped_torque(arm):
     share = np.mean(np.abs(arm[0].tau[:, 1]) >= limit)
     assert share > 0.02
     message = only(inspect(arm, tau=tau), "clipped_torque", (1,), "doubt")
-    assert f"clipped at +-{limit:.4g}: {100 * share:.2g} % of its samples" in message
+    told = re.search(f"clipped at \\+-{limit:.4g}: (.*) % of its samples", message)
+    # Those of short runs are not counted.
+    assert 0.8 * share < 0.01 * float(told[1]) < 1.01 * share
 
 
 def test_few_clipped_samples_are_no_doubt(arm):
     tau = arm[0].tau.copy()
-    tau[:, 1] = np.minimum(tau[:, 1], np.quantile(tau[:, 1], 0.997))
-    only(inspect(arm, tau=tau), "clipped_torque", (1,), "warning")
+    tau[:, 0] = np.minimum(tau[:, 0], np.quantile(tau[:, 0], 0.996))
+    only(inspect(arm, tau=tau), "clipped_torque", (0,), "warning")
 
 
 def test_torques_that_drop_to_zero_are_no_friction(arm):

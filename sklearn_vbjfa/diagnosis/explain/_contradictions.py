@@ -372,8 +372,9 @@ class Parts:
 
     @classmethod
     def of(cls, fit):
-        """Take a fit apart; None for a single recording."""
-        return cls(fit) if np.unique(fit.view.origin).size > 1 else None
+        """Take a fit apart; None for a single recording, or if no channel counts."""
+        several = np.unique(fit.view.origin).size > 1
+        return cls(fit) if several and fit.view.precision.any() else None
 
     def __init__(self, fit):
         view = fit.view

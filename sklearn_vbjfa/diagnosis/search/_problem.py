@@ -149,6 +149,9 @@ class Family(Columns):
 def _lower(L, right, turned=False):
     """Solve a lower triangular system (r, ...), or that of its transpose."""
     # SciPy's own function checks for longer than such small systems take.
+    if not right.size:
+        # What LAPACK calls illegal.
+        return np.zeros(right.shape)
     found, _ = lapack.dtrtrs(L, right, lower=1, trans=int(turned))
     return found if right.ndim > 1 else found.ravel()
 

@@ -35,7 +35,9 @@ from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
-VERSION = 1
+VERSION = 2
+# Keys that files of version 1 may lack: they came one by one.
+_LATE = ("column_powers", "torque_spread", "unconstrained", "between_recordings")
 _URDF_IS = ("that of the robot", "written from a model")
 _KNOWN = ("yes", "in combination", "from the description", "no")
 
@@ -408,7 +410,7 @@ def _read_robot(file, classes):
         },
         spreads=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
-        powers=_read_powers(file["column_powers"], names, features, effects),
+        powers=_read_powers(file, names, features, effects),
         spread=_read_torque_spread(file, features, effects),
         text="\n".join(file["urdf"].texts()),
         from_urdf=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
@@ -586,8 +588,9 @@ def _read_range(place, names):
     )
 
 
-def _read_powers(place, names, features, effects):
-    if place.absent:
+def _read_powers(file, names, features, effects):
+    place = _of_late(file, "column_powers")
+    if place is None:
         return None
     nv, k = len(names), len(features.friction_)
     friction = [row.numbers(k) for row in place["friction"].items(nv)]
@@ -605,8 +608,10 @@ def _read_powers(place, names, features, effects):
 
 
 def _of_late(file, key):
-    """Return the value of a key that files of before do not have; None without."""
-    return None if key not in file.keys() or file[key].absent else file[key]
+    """Return the value of a key that files of version 1 may lack; None without."""
+    if file["version"].value == 1 and key in _LATE and key not in file.keys():
+        return None
+    return None if file[key].absent else file[key]
 
 
 def _read_between(file, names):

@@ -13,7 +13,14 @@ from sklearn_vbjfa.effects import resolve
 _ASKED, _POSSIBLE = 1.0, 0.2
 # Effects whose columns follow the robot's geometry or what lies in time: the motion is
 # not bent for them, and what it shows of them is told afterwards.
-_NOT_STEERED = ("base_tilt", "joint_zero", "joint_axis", "payload", "drift", "signal")
+_NOT_STEERED: tuple[str, ...] = (
+    "base_tilt",
+    "joint_zero",
+    "joint_axis",
+    "payload",
+    "drift",
+    "signal",
+)
 _NOT_STEERED += ("torque_gain", "delay", "torque_filter", "jerk", "elastic")
 # Effects that any joint may have, in forms that a motion can tell apart.
 _COMMON = (

@@ -1,8 +1,9 @@
 """Write what leads between the versions of the documentation in a folder.
 
-``python .ci/docs_versions.py SITE``, where SITE holds a folder for each version: "dev",
-and tags such as "v0.2.0". Written are ``switcher.json``, which the pages read, and
-``index.html``, which leads to the newest release.
+``python .ci/docs_versions.py FOLDER ADDRESS``: the folder holds one for each version,
+"dev" and tags such as "v0.2.0", and is published under the address. Written are
+``switcher.json``, which the pages read, and ``index.html``, which leads to the newest
+release.
 """
 
 import json
@@ -22,7 +23,7 @@ def released(name):
     return (*map(int, match.groups()[:3]), match[4] is None, match[4] or "")
 
 
-def write_versions(site):
+def write_versions(site, address):
     """Write the list of versions, newest first, and the page that leads to one."""
     folders = [path.name for path in site.iterdir() if path.is_dir()]
     tags = sorted(filter(released, folders), key=released, reverse=True)
@@ -32,13 +33,13 @@ def write_versions(site):
         {
             "name": f"{tag[1:]} (stable)" if tag == best else tag[1:],
             "version": tag,
-            "url": f"../{tag}/",
+            "url": f"{address}/{tag}/",
             "preferred": tag == best,
         }
         for tag in tags
     ]
     if "dev" in folders:
-        entries.append({"name": "dev", "version": "dev", "url": "../dev/"})
+        entries.append({"name": "dev", "version": "dev", "url": f"{address}/dev/"})
     (site / "switcher.json").write_text(json.dumps(entries, indent=1) + "\n")
     (site / "index.html").write_text(
         "<!doctype html>\n"
@@ -48,4 +49,4 @@ def write_versions(site):
 
 
 if __name__ == "__main__":
-    write_versions(Path(sys.argv[1]))
+    write_versions(Path(sys.argv[1]), sys.argv[2].rstrip("/"))

@@ -27,7 +27,7 @@ def first_sentence(doctree):
         # Not what stands in tables, notes and buttons.
         if isinstance(paragraph.parent, (nodes.section, nodes.document)):
             text = " ".join(paragraph.astext().split())
-            sentence = re.split(r"(?<=[.:]) (?=[A-Z`])", text)[0]
+            sentence = re.split(r"(?<=[a-z0-9)][.:]) (?=[A-Z`])", text)[0]
             return (
                 sentence if len(sentence) <= _LONGEST else f"{sentence[:_LONGEST]}..."
             )

@@ -1,7 +1,7 @@
 # One command per check. PYTHON chooses the environment.
 PYTHON ?= python
 
-.PHONY: all lint format test slow mutants kernels docs package clean
+.PHONY: all lint format types test slow mutants kernels lowest docs package clean
 
 all: lint test
 
@@ -12,6 +12,9 @@ lint:
 format:
 	$(PYTHON) -m ruff check --fix .
 	$(PYTHON) -m ruff format .
+
+types:
+	$(PYTHON) -m mypy
 
 test:
 	$(PYTHON) -m pytest
@@ -24,6 +27,9 @@ mutants:
 
 kernels:
 	PYTHON=$(PYTHON) .ci/kernels
+
+lowest:
+	PYTHON=$(PYTHON) .ci/lowest
 
 docs:
 	$(PYTHON) -m sphinx -W --keep-going docs docs/_build/html

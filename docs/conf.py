@@ -1,5 +1,6 @@
 """Settings of the documentation; ``sphinx-build -W docs docs/_build/html``."""
 
+import os
 import re
 import sys
 from importlib import resources
@@ -29,6 +30,7 @@ extensions = [
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "effect_pages",
+    "llms",
 ]
 templates_path = ["_templates"]
 # tables/ holds pieces that other pages include.
@@ -56,6 +58,20 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
+# Where the pages of all versions are published, and which these are: the workflow says
+# so. Pages that are built elsewhere are alone, and need no network.
+_site = os.environ.get("DOCS_SITE", "").rstrip("/")
+if _site:
+    html_baseurl = f"{_site}/"
+    html_theme_options |= {
+        "switcher": {
+            "json_url": f"{_site}/switcher.json",
+            "version_match": os.environ["DOCS_VERSION"],
+        },
+        "check_switcher": False,
+        "show_version_warning_banner": True,
+        "navbar_end": ["version-switcher", "theme-switcher", "navbar-icon-links"],
+    }
 # The first page leads on by itself.
 html_sidebars = {"index": []}
 html_show_sourcelink = False

@@ -1,7 +1,9 @@
 """The wheel and the source distribution hold what is needed, and install."""
 
+import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -9,6 +11,8 @@ import zipfile
 from pathlib import Path
 
 import pytest
+
+import sklearn_vbjfa
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = [
@@ -24,6 +28,68 @@ assert pathlib.Path(sklearn_vbjfa.__file__).is_relative_to(pathlib.Path.cwd())
 recording = make_robot_recording(duration=4.0, dt=0.01, random_state=0)
 RobotIdentifier(recording.urdf, dt=recording.dt).fit(recording.q, recording.tau)
 """
+
+
+def requirements(names):
+    """Lowest versions by package, of requirements such as "pin>=3; python_version"."""
+    pairs = (re.match(r"([\w.-]+)(?:\[\w+\])? ?>=([\w.]+)", name) for name in names)
+    return dict(pair.groups() for pair in pairs)
+
+
+def test_the_conda_recipe_asks_for_what_pip_asks_for():
+    tomllib = pytest.importorskip("tomllib")
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    recipe = (ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8")
+    listed = re.findall(r"^    - (\S+ >=[\d.]+)$", recipe, flags=re.M)
+    asked = requirements(project["dependencies"])
+    extra = requirements(project["optional-dependencies"]["robot"])
+    # conda-forge calls it as its authors do.
+    assert requirements(listed) == asked | {"pinocchio": extra["pin"]}
+    assert f"version: {sklearn_vbjfa.__version__}\n" in recipe
+    (script,) = project["scripts"].items()
+    assert f"- {' = '.join(script)}\n" in recipe
+
+
+LISTS = [
+    (["dev"], "dev", ["dev"]),
+    (["dev", "v0.2.0"], "v0.2.0", ["v0.2.0", "dev"]),
+    (["v0.10.0", "v0.2.0", "dev"], "v0.10.0", ["v0.10.0", "v0.2.0", "dev"]),
+    # A candidate is listed, and never the page that one is led to.
+    (["v0.2.0", "v0.3.0rc1"], "v0.2.0", ["v0.3.0rc1", "v0.2.0"]),
+    (["v0.3.0rc1", "v0.3.0"], "v0.3.0", ["v0.3.0", "v0.3.0rc1"]),
+]
+
+
+@pytest.mark.parametrize(("folders", "led_to", "order"), LISTS)
+def test_versions_of_the_pages_are_listed_newest_first(
+    folders, led_to, order, tmp_path
+):
+    for name in (*folders, ".git", "unrelated"):
+        (tmp_path / name).mkdir()
+    script = str(ROOT / ".ci" / "docs_versions.py")
+    run(script, str(tmp_path), "https://pages.example/arm/", cwd=tmp_path)
+    found = json.loads((tmp_path / "switcher.json").read_text("utf-8"))
+    assert [one["version"] for one in found] == order
+    assert [one["url"] for one in found] == [
+        f"https://pages.example/arm/{name}/" for name in order
+    ]
+    assert f"url={led_to}/" in (tmp_path / "index.html").read_text("utf-8")
+
+
+def test_a_release_names_one_version_everywhere():
+    if shutil.which("bash") is None:
+        pytest.skip("the script needs bash")
+    done = subprocess.run(
+        ["bash", ".ci/check-version", "v99.1.0"],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 1
+    for name in ("sklearn_vbjfa/__init__.py", "CHANGELOG.md", "CITATION.cff"):
+        assert name in done.stderr
+    assert "recipe.yaml" in done.stderr
 
 
 def run(*arguments, cwd, **environment):

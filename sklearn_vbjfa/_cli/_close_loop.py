@@ -12,10 +12,17 @@ from sklearn_vbjfa._cli._run import Done, blaming
 
 # What a run writes, the page first.
 _PAGE = "report.html"
-_FILES = (_PAGE, "report.json", "parameters.csv")
+_FILES: tuple[str, ...] = (_PAGE, "report.json", "parameters.csv")
 # The robot, as a description, for MuJoCo, and with all that was identified.
 _FILES += ("identified.urdf", "identified.xml", "identified.json")
-_COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
+_COLUMNS: tuple[str, ...] = (
+    "parameter",
+    "value",
+    "unit",
+    "std",
+    "identifiable",
+    "known",
+)
 _COLUMNS += ("description", "description_std", "learned", "scatter")
 # Verdicts on a joint that answer nothing, or say not to trust the model.
 _NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")

@@ -9,7 +9,14 @@ import numpy as np
 from sklearn_vbjfa._cli import READING, _input
 from sklearn_vbjfa._cli._run import Done, blaming, wrapped
 
-_OF_RECORDING = (*READING, "friction", "bodies", "alike", "cutoff", "urdf")
+_OF_RECORDING: tuple[str, ...] = (
+    *READING,
+    "friction",
+    "bodies",
+    "alike",
+    "cutoff",
+    "urdf",
+)
 _OF_RECORDING += ("base_orientation",)
 _OF_SETS = ("data", "data_home")
 # Which method is the declared model of close-loop, by what is taken of the bodies.

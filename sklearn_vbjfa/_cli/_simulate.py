@@ -21,7 +21,13 @@ _TABLE = "simulation.csv"
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "effects")
+_OF_IDENTIFICATION: tuple[str, ...] = (
+    "urdf",
+    "base_orientation",
+    "friction",
+    "bodies",
+    "effects",
+)
 _OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
 _OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
 # Most pictures, and most windows that failed and are named.

@@ -158,7 +158,9 @@ resample : bool, default=True
     If False, samples and stamps are as recorded."""
 
 
-def measured(catalogue: dict[str, DataSet], **entry):
+def measured(
+    catalogue: dict[str, DataSet], **entry
+) -> Callable[[Callable], Callable[..., Recording]]:
     """Enter a set in a catalogue by the function that reads it; make its loader."""
     # The loader has the options of `Access` in front of those of the set, and the
     # documentation of the function, in which braces stand for what loaders share.

@@ -50,7 +50,8 @@ class RemoteFile:
 def remote_files(dataset: str) -> tuple[RemoteFile, ...]:
     """Public files of one set, in the order of the list."""
     package = resources.files("sklearn_vbjfa.datasets")
-    files, section = [], ()
+    files: list[RemoteFile] = []
+    section: tuple[str, ...] = ()
     for line in package.joinpath("remote_files.txt").read_text("utf-8").splitlines():
         if line.startswith("["):
             section = tuple(line.replace("[", "").replace("]", "").split())

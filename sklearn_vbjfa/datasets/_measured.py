@@ -200,9 +200,9 @@ def fetch_ur5(files: DataFiles, gains: Sequence[float] = UR5_GAINS) -> list[Log]
     >>> ur5.select("No6").tau.shape  # doctest: +SKIP
     (10264, 6)
     """
-    gains = np.asarray(gains, dtype=float)
-    if gains.shape != (6,) or not np.isfinite(gains).all():
-        raise ValueError(f"gains must hold six finite numbers [N m/A], got {gains}.")
+    factors = np.asarray(gains, dtype=float)
+    if factors.shape != (6,) or not np.isfinite(factors).all():
+        raise ValueError(f"gains must hold six finite numbers [N m/A], got {factors}.")
     movements = {}
     for path, local in files.find().items():
         movement = path.split("/")[-3]
@@ -216,7 +216,7 @@ def fetch_ur5(files: DataFiles, gains: Sequence[float] = UR5_GAINS) -> list[Log]
                 t=raw.pop("t"),
                 q=raw.pop("q_actual"),
                 v=raw.pop("qd_actual"),
-                tau=gains * raw["i_actual"],
+                tau=factors * raw["i_actual"],
                 signals=raw,
             )
         )

@@ -38,10 +38,10 @@ class Misfit:
     # roll and pitch by which gravity is turned in the frame of the base [rad]
     base_tilt: tuple = (0.0, 0.0)
     # (nv,): what encoders read where their joints are at zero [rad or m]
-    zeros: np.ndarray = 0.0
+    zeros: np.ndarray | float = 0.0
     # rotation vectors by which origins of joints are turned, in their frame [rad]
     axes: dict = field(default_factory=dict)
-    gains: np.ndarray = 1.0  # (nv,): what torque channels read over the torque
+    gains: np.ndarray | float = 1.0  # (nv,): what torque channels read over the torque
 
     @classmethod
     def of(cls, base_tilt, joint_zero, joint_axis, torque_gain, nv):

@@ -1,6 +1,14 @@
 """Motions to record next: they determine the model and part what may be missing."""
 
+from typing import TYPE_CHECKING
+
 from sklearn_vbjfa import _lazily
+
+# What type checkers see of names that are imported when they are asked for.
+if TYPE_CHECKING:
+    from sklearn_vbjfa.design._design import design_motion
+    from sklearn_vbjfa.design._limits import MotionLimits
+    from sklearn_vbjfa.design._motion import DesignedMotion
 
 __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
 # The others are for the command line, and what tests hold against mathematics.

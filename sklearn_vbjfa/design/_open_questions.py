@@ -13,7 +13,14 @@ from sklearn_vbjfa.effects import resolve
 _ASKED, _POSSIBLE = 1.0, 0.2
 # Effects whose columns follow the robot's geometry or what lies in time: the motion is
 # not bent for them, and what it shows of them is told afterwards.
-_NOT_STEERED = ("base_tilt", "joint_zero", "joint_axis", "payload", "drift", "signal")
+_NOT_STEERED: tuple[str, ...] = (
+    "base_tilt",
+    "joint_zero",
+    "joint_axis",
+    "payload",
+    "drift",
+    "signal",
+)
 _NOT_STEERED += ("torque_gain", "delay", "torque_filter", "jerk", "elastic")
 # Effects that any joint may have, in forms that a motion can tell apart.
 _COMMON = (
@@ -77,6 +84,16 @@ def _read_folder(path):
         raise ValueError(
             f"{str(file)!r} is not a report of close-loop: it lacks 'effects' or "
             "'joint_names'."
+        )
+    from sklearn_vbjfa.diagnosis.report._report import SCHEMA_VERSION
+
+    # Older ones hold all that is read here.
+    version = found.get("schema_version")
+    if not isinstance(version, int) or version > SCHEMA_VERSION:
+        raise ValueError(
+            f"{str(file)!r}: 'schema_version' is {version!r}, and this release reads "
+            f"reports of versions up to {SCHEMA_VERSION}: install a newer "
+            "sklearn-vbjfa, or make the report again."
         )
     return found
 

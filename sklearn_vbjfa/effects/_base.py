@@ -161,47 +161,47 @@ class Effect(TransformerMixin, BaseEstimator):
 
     # What every effect says.
     name = ""
-    coefficients = ()
-    units = ()
+    coefficients: tuple[str, ...] = ()
+    units: tuple[tuple[str, str], ...] = ()
     # In words: reports, guide and pictures.
     label = ""
     formula = ""
-    named_units = ()
+    named_units: tuple = ()
     visible = "the joint moves"
     record = ""
     negative = ()
     seen_over = ""
     with_motion = False
     # What its columns are made from, and where predictions follow them.
-    needs = ()
+    needs: tuple[str, ...] = ()
     memory = "none"
-    depends = ()
+    depends: tuple[str, ...] = ()
     bounded = False
     curved = False
     # What a search knows of it, beside others.
-    contains = ()
-    holds = ()
-    nonnegative = ()
-    apart = ()
+    contains: tuple = ()
+    holds: tuple[tuple[str, str], ...] = ()
+    nonnegative: tuple = ()
+    apart: tuple[str, ...] = ()
     # Of effects with equal columns the one with the lowest gives its name to all.
     precedence = 0
     # Shape parameters: what is not linear.
-    shape_units = ()
-    continuous = ()
-    neutral = ()
-    cyclic = ()
-    jumping = ()
-    partners = ()
-    tangent = ()
-    positive = ()
+    shape_units: tuple = ()
+    continuous: tuple[str, ...] = ()
+    neutral: tuple = ()
+    cyclic: tuple[str, ...] = ()
+    jumping: tuple[str, ...] = ()
+    partners: tuple[str, ...] = ()
+    tangent: tuple[str, ...] = ()
+    positive: tuple[str, ...] = ()
     # Change with time.
     slow = False
     afterwards = ""
     # In simulations and in files of other programs.
-    terms = ()
+    terms: tuple = ()
     not_simulated = ""
-    mjcf = ()
-    in_files = ()
+    mjcf: tuple = ()
+    in_files: tuple = ()
     no_place = ""
     no_urdf = ""
     no_mjcf = ""

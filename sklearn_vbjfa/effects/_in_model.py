@@ -104,9 +104,9 @@ class ModelEffect(Effect):
 
     in_model = True
     of_bodies = True
-    needs = ("load",)
-    idle = ()
-    subject = ()
+    needs: tuple[str, ...] = ("load",)
+    idle: tuple[float, ...] = ()
+    subject: tuple = ()
     told = ""
     mjcf_note = ""
 

@@ -184,7 +184,12 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
 # for all: what is found in any of them, what is found in each, and else what is found
 # in most.
 _AT_ONCE = 1 << 22
-_OF_ANY = ("repeated_rows", "frozen_position", "frozen_recording", "held_position")
+_OF_ANY: tuple[str, ...] = (
+    "repeated_rows",
+    "frozen_position",
+    "frozen_recording",
+    "held_position",
+)
 _OF_ANY += ("held_torque", "clipped_torque", "position_jumps", "position_spikes")
 _OF_ANY += ("torque_spikes", "torque_dropouts")
 _OF_EACH = ("still_joint", "coarse_torque")

@@ -6,6 +6,7 @@ folded if it carries nothing but followers: the robot that is left is a tree of 
 with encoders and motors, which feel the followers' bodies.
 """
 
+import sys
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -28,8 +29,12 @@ def import_pinocchio():
     try:
         import pinocchio
     except ImportError as error:
+        # PyPI has no wheels for Windows.
+        how = 'pip install "pin>=3.3.1"'
+        if sys.platform == "win32":
+            how = "conda install -c conda-forge pinocchio"
         raise ImportError(
-            'Robot models need Pinocchio, which is not installed: pip install "pin>=3"'
+            f"Robot models need Pinocchio, which is not installed: {how}"
         ) from error
     return pinocchio
 

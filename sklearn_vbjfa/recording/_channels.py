@@ -142,9 +142,10 @@ def _named(layout: Layout) -> Layout:
     first = 0 if "q0" in layout.roles else 1
     for name, role in layout.roles.items():
         match = re.fullmatch(r"([a-z_]*[a-z])(\d+)", name)
-        j = int(match[2]) - first if match and kind_of(match[1]) == match[1] else -1
-        if 0 <= j < len(layout.joints):
-            name = f"{match[1]}_{layout.joints[j]}"
+        if match and kind_of(match[1]) == match[1]:
+            j = int(match[2]) - first
+            if 0 <= j < len(layout.joints):
+                name = f"{match[1]}_{layout.joints[j]}"
         roles[name] = role
     return replace(layout, roles=roles)
 
@@ -182,8 +183,8 @@ def channels_of(table: Table, layout, asked, robot, notes):
     no_time = not (asked.timed or layout.times)
     if missing or no_time:
         raise _all_missing(table, layout, asked, names, missing, no_time)
-    for pair in filter(None, matched.values()):
-        _refuse_both(table, *pair, names)
+    for by_joint, by_number in filter(None, matched.values()):
+        _refuse_both(table, by_joint, by_number, names)
     by_joint = {kind: pair[0] for kind, pair in matched.items() if pair}
     if any(by_joint.values()):
         robot = _held(table, layout, robot, by_joint, notes)
@@ -609,7 +610,7 @@ def unit_of_steps(step):
     """Return the unit of time in which steps are those of a robot, "" for none."""
     fitting = [
         unit
-        for unit, factor in zip(TIME_UNITS, (1.0, 1e-3, 1e-6, 1e-9))
+        for unit, factor in TIME_UNITS.items()
         if _FASTEST < step * factor < _SLOWEST
     ]
     return fitting[0] if fitting else ""

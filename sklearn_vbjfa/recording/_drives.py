@@ -43,12 +43,14 @@ class Drive(BaseEstimator):
     """
 
     told = ""
-    beside = ()
+    beside: tuple[str, ...] = ()
     of_positions = False  # whether torques are made of measured positions
     delayed = False  # whether the delay of its commands is to be found
     unsigned = False  # whether only sizes of torques are known
     gains = None  # "unknown" where torques are known up to a factor of each channel
-    spelled = ()  # names of its channel in files that have it in place of torques
+    spelled: tuple[
+        str, ...
+    ] = ()  # names of its channel in files that have it in place of torques
     numbers = "the numbers of the drive"
 
     def driven(self, recording):

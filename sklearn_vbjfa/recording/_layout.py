@@ -86,8 +86,8 @@ def _derived(angle, length, endings):
 
 
 _UNITS = _table()
-# What one may write for a time, where a unit is asked for.
-TIME_UNITS = ("s", "ms", "us", "ns")
+# What one may write for a time, where a unit is asked for, in seconds.
+TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
 _LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
 
@@ -669,7 +669,7 @@ def seconds_of_dates(table: Table, column: str):
             f"({', '.join(sorted(zones))}); write all in one."
         )
     try:
-        stamps = np.array(stamps, dtype="datetime64[ns]")
+        instants = np.array(stamps, dtype="datetime64[ns]")
     except ValueError as error:
         raise ValueError(f"{table.path}: column {column!r}: {error}.") from None
-    return (stamps - stamps[0]) / np.timedelta64(1, "s")
+    return (instants - instants[0]) / np.timedelta64(1, "s")

@@ -912,7 +912,7 @@ def _time(table: Table, layout, dt, time_unit):
         unit = _layout.channel_unit(table, "t", role)
         factor = 1.0 if unit is None else unit.factor
         if time_unit is not None and len(parts) == 1:
-            factor = unit_of("t", time_unit).factor
+            factor = TIME_UNITS[time_unit]
         t = t * factor
         if len(parts) == 2:
             t = t + 1e-9 * (values[1] - values[1][0])
@@ -938,7 +938,7 @@ def _check_unit(table: Table, role, values, period, time_unit):
         f"{table.path}: time steps by {period:.4g} s at the median, too "
         f"{'slow for a motion' if period > 1 else 'fast for a robot'}; column "
         f"{role.column!r} cannot be in {said}, in {unit} this would be a period of "
-        f"{step * unit_of('t', unit).factor:.4g} s.",
+        f"{step * TIME_UNITS[unit]:.4g} s.",
         {"time_unit": unit},
     )
 

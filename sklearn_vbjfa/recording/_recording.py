@@ -323,11 +323,14 @@ class Recording:
         rows = np.isin(self.groups, labels)
         names = "t", "v", "states", "weight", "command"
         optional = {key: getattr(self, key) for key in names}
+        kept: dict[str, Any] = {
+            key: None if x is None else x[rows] for key, x in optional.items()
+        }
         return replace(
             self,
             q=self.q[rows],
             tau=self.tau[rows],
-            **{k: None if x is None else x[rows] for k, x in optional.items()},
+            **kept,
             groups=np.searchsorted(labels, self.groups[rows]),
             group_names=tuple(self.group_names[label] for label in labels),
             signals={key: values[rows] for key, values in self.signals.items()},
@@ -338,7 +341,7 @@ class Recording:
         if isinstance(entry, str) and entry in self.group_names:
             return self.group_names.index(entry)
         is_label = isinstance(entry, (int, np.integer)) and not isinstance(entry, bool)
-        if is_label and 0 <= entry < len(self.group_names):
+        if is_label and 0 <= int(entry) < len(self.group_names):
             return int(entry)
         raise ValueError(
             f"No recording {entry!r} in {self.name!r}; choose from the names "
@@ -526,11 +529,11 @@ def _period(dt: float | None) -> str:
 
 def _check_dt(dt: Any) -> None:
     """Reject a sample period that is not a positive number."""
-    if not (isinstance(dt, Real) and 0 < dt < np.inf):
+    if not (isinstance(dt, Real) and 0 < float(dt) < np.inf):
         raise ValueError(f"dt must be a positive number of seconds, got {dt!r}.")
 
 
-def _finite_array(name: str, values: Any) -> np.ndarray:
+def _finite_array(name: str, values: Any) -> np.ndarray | StoredRows:
     """Return a numeric array, rejecting NaN and infinity."""
     if isinstance(values, StoredRows):
         return values

@@ -107,7 +107,7 @@ class Format:
     marks: tuple[str, ...] = ()  # patterns of files that only such a folder has
     has_topics: bool = False
     # package that reads it, what needs it, and the extra that installs it
-    needs: tuple[str, str, str] = ()
+    needs: tuple[str, ...] = ()
 
     def missing(self, path):
         """Return the error of a package that is not installed."""

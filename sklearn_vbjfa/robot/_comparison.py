@@ -182,7 +182,7 @@ def compare_methods(identifier, train, test, *, names=None, of_both=False):
             pieces = robot.pieces(*train, halves="instruments")
         try:
             found = model.estimated(pieces, robot.plan)
-        except ValueError as error:
+        except ValueError as refused:
             nothing = np.full(len(base.joint_names_), np.nan)
             results.append(
                 MethodResult(
@@ -191,7 +191,7 @@ def compare_methods(identifier, train, test, *, names=None, of_both=False):
                     train_error=nothing,
                     min_eigenvalue=np.nan,
                     n_inconsistent=0,
-                    message=str(error),
+                    message=str(refused),
                 )
             )
             continue

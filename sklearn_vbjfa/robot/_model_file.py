@@ -35,7 +35,15 @@ from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
-VERSION = 1
+VERSION = 2
+# Keys that files of version 1 may lack: they came one by one.
+_LATE = (
+    "column_powers",
+    "torque_spread",
+    "unconstrained",
+    "between_recordings",
+    "corners",
+)
 _URDF_IS = ("that of the robot", "written from a model")
 _KNOWN = ("yes", "in combination", "from the description", "no")
 
@@ -410,7 +418,7 @@ def _read_robot(file, classes):
         },
         spreads=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
-        powers=_read_powers(file["column_powers"], names, features, effects),
+        powers=_read_powers(file, names, features, effects),
         spread=_read_torque_spread(file, features, effects),
         text="\n".join(file["urdf"].texts()),
         from_urdf=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
@@ -535,7 +543,8 @@ def _plan(file, effects):
     except (ValueError, ZeroDivisionError) as error:
         raise fit["cutoff"].wrong(f"is of no use: {error}") from error
     nv = len(file["joints"].items())
-    period, time, corners = fit["fastest_period"], fit["time"], fit["corners"]
+    period, time = fit["fastest_period"], fit["time"]
+    corners = _of_late(file, "corners", fit)
     return Plan(
         dt=dt,
         state_estimator=None
@@ -547,7 +556,7 @@ def _plan(file, effects):
         effects=effects,
         fastest_period=None if period.absent else period.numbers(nv),
         time=None if time.absent else tuple(map(float, time.numbers(2))),
-        corners=None if corners.absent else corners.numbers(nv),
+        corners=None if corners is None else corners.numbers(nv),
     )
 
 
@@ -589,8 +598,9 @@ def _read_range(place, names):
     )
 
 
-def _read_powers(place, names, features, effects):
-    if place.absent:
+def _read_powers(file, names, features, effects):
+    place = _of_late(file, "column_powers")
+    if place is None:
         return None
     nv, k = len(names), len(features.friction_)
     friction = [row.numbers(k) for row in place["friction"].items(nv)]
@@ -607,9 +617,12 @@ def _read_powers(place, names, features, effects):
     )
 
 
-def _of_late(file, key):
-    """Return the value of a key that files of before do not have; None without."""
-    return None if key not in file.keys() or file[key].absent else file[key]
+def _of_late(file, key, place=None):
+    """Return the value of a key that files of version 1 may lack; None without."""
+    place = file if place is None else place
+    if file["version"].value == 1 and key in _LATE and key not in place.keys():
+        return None
+    return None if place[key].absent else place[key]
 
 
 def _read_between(file, names):

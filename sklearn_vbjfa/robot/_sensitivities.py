@@ -145,7 +145,8 @@ def propagate(found, states, dt):
     """Sensitivities of positions (L, W, nv, p + 2 nv) along W motions of L rows."""
     # By parameters, start positions and velocities. found: along one motion after the
     # other (n = W L); states (W, L, 3 nv); dt [s].
-    W, L, nv = *states.shape[:2], states.shape[2] // 3
+    W, L = states.shape[:2]
+    nv = states.shape[2] // 3
     p = found.Phi.shape[2]
     shape = (W, L, nv, -1)
     v, a = states[:, :, nv : 2 * nv], states[:, :, 2 * nv :]

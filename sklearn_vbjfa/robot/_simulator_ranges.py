@@ -28,8 +28,8 @@ _WORDS = {
     "kd": ("kv", "damping", "set_dofs_kv"),
     "delay": ("delay", "min_delay and max_delay, in steps of the physics", None),
 }
-_BY_EFFECT, _BY_COEFFICIENT = ("rotor_inertia", "viscous", "coulomb"), ("kp", "kd")
-_BY_COEFFICIENT += ("delay",)
+_BY_EFFECT = ("rotor_inertia", "viscous", "coulomb")
+_BY_COEFFICIENT = ("kp", "kd", "delay")
 # Why a value is left out of a file.
 _LEFT_OUT = {
     "no": "no torque of the recordings depends on it, or hardly",

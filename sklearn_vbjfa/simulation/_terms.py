@@ -22,7 +22,7 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.model import is_prismatic
 
 # Kinds of terms in the table, by the names that effects enter them with.
-_NAMES = ("stribeck", "quadratic", "absolute", "tanh", "load_tanh")
+_NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute", "tanh", "load_tanh")
 _NAMES += ("harmonics", "linkage", "ripple", "presliding", "backlash")
 _NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
 KINDS = {name: kind for kind, name in enumerate(_NAMES)}

@@ -246,7 +246,9 @@ def test_without_pinocchio_one_line_says_how_to_get_it():
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
-    message = (
-        'Robot models need Pinocchio, which is not installed: pip install "pin>=3"'
-    )
+    # PyPI has no Pinocchio for Windows.
+    how = 'pip install "pin>=3.3.1"'
+    if sys.platform == "win32":
+        how = "conda install -c conda-forge pinocchio"
+    message = f"Robot models need Pinocchio, which is not installed: {how}"
     assert done.stdout.splitlines() == [message, message]

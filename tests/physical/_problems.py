@@ -1,6 +1,7 @@
 """Random robots, metrics and an independent convex solver: the tests' oracle."""
 
 import numpy as np
+import pytest
 
 
 def point_masses(rng, n_points=8, *, spread=0.3, mass=1.0):
@@ -82,8 +83,8 @@ def cvxopt_projection(theta, matrix, constraint, starts, nonnegative, floor=0.0)
 
     `floor` is the least eigenvalue of each body's matrix (units of 1 kg and 1 m).
     """
-    from cvxopt import matrix as dense
-    from cvxopt import solvers
+    dense = pytest.importorskip("cvxopt").matrix
+    solvers = pytest.importorskip("cvxopt.solvers")
 
     n = theta.size
     starts = np.asarray(starts)

@@ -81,6 +81,7 @@ def test_arrays_in_memory_stay_there():
 
 @pytest.fixture(scope="module")
 def recording():
+    pytest.importorskip("pinocchio")
     found = make_robot_recording(duration=3.0, dt=0.01, n_recordings=3, random_state=0)
     # Files have positions alone.
     return replace(found, states=None)

@@ -300,19 +300,6 @@ def test_an_effect_under_the_name_of_another(simulated, tmp_path):
     )
 
 
-def test_a_file_of_before_predicts_without_deviations(saved, identified, simulated):
-    content = json.loads(saved.read_text(encoding="utf-8"))
-    del content["torque_spread"]
-    old = saved.with_name("old.json")
-    old.write_text(json.dumps(content), encoding="utf-8")
-    read = load_identified(old)
-    np.testing.assert_array_equal(
-        read.predict(simulated.q[:500]), identified.predict(simulated.q[:500])
-    )
-    with pytest.raises(ValueError, match="saved by a version that did not keep it"):
-        read.predict(simulated.q[:500], return_std=True)
-
-
 def test_what_a_discovery_found(simulated, tmp_path):
     tau = simulated.tau.copy()
     tau[:, 1] += 30.0 * simulated.q[:, 1]
@@ -390,7 +377,7 @@ def delete(*keys):
 BAD = {
     "another format": (assign("format", value="x"), "'format'"),
     "no format": (delete("format"), "'format'"),
-    "newer": (assign("version", value=2), "'version' is 2, and.*newer"),
+    "newer": (assign("version", value=3), "'version' is 3, and.*newer"),
     "version is no number": (assign("version", value="1"), "'version' must be"),
     "no URDF": (delete("urdf"), "'urdf' is missing"),
     "no parameter value": (
@@ -532,10 +519,6 @@ def test_every_key_is_needed_or_told_beside(simulated, tmp_path):
         if last in told or last.endswith("unit") or "shape_units" in keys:
             continue
         if "shape" in keys[:-1] or (keys[0] == "signals" and len(keys) == 2):
-            continue
-        late = ("torque_spread",), ("unconstrained",), ("between_recordings",)
-        if keys in late:
-            # Files of before have none.
             continue
         bad = changed(path, tmp_path, delete(*keys))
         with pytest.raises(ValueError, match="format" if last == "format" else last):

@@ -32,7 +32,11 @@ _KNOWN = {
     "from the description": "as described",
     "no": "no",
 }
-_PARAMETER_HEADS = ("parameter", "identified (90 %)", "robot description (90 %)")
+_PARAMETER_HEADS: tuple[str, ...] = (
+    "parameter",
+    "identified (90 %)",
+    "robot description (90 %)",
+)
 _PARAMETER_HEADS += ("unit", "measured?", "learned")
 _ACTIONS = {
     "add": "added",

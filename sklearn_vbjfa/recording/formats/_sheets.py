@@ -56,7 +56,7 @@ def read_sheet(path: Source, wanted) -> Table:
         name: _column(path, name, [row[k] for row in cells], where)
         for k, name in enumerate(header)
     }
-    notes = ()
+    notes: tuple[str, ...] = ()
     if len(names) > 1:
         notes = (f"sheet {used!r} of {len(names)} was read.",)
     return Table(

@@ -12,6 +12,7 @@ from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
     OfferedSignals,
+    PDDrive,
     check_dt,
     check_time_stamps,
     check_useful,
@@ -547,6 +548,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def _fit(self, recording, reference):
         """Fit to a checked recording."""
         given = recording.tau, self.dt, self.joint_names_
+        self._feedback = recording.feedback
         reference = check_reference(self.controller, reference, *given)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
@@ -577,6 +579,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     # Robot whose load the next fit begins with, in place of a first pass.
     _before = None
+    # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
+    _feedback = None
 
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""
@@ -1390,7 +1394,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         self.robot_.save(path)
 
-    def to_mjcf(self, path, sample=None, random_state=0):
+    def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         """Write the identified robot as MJCF, the description of MuJoCo.
 
         Bodies and joints come from the robot model, as its effects correct it: a
@@ -1399,9 +1403,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         spring ``stiffness`` and ``springref``; a tilted base is in the direction of
         gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
         other are fixed tendons with the same attributes. Each joint has a motor of its
-        name, whose control is what the torque channel reads; constant torques are its
-        bias. Torques of springs and dampers have no end, though `predict` holds those
-        of `effects_` outside the range of the fit.
+        name, whose control is what the torque channel reads, or, with a `PDDrive`, the
+        commanded position, at the gains, the limit and the delay of the drive; constant
+        torques are its bias. Torques of springs and dampers have no end, though
+        `predict` holds those of `effects_` outside the range of the fit.
 
         Parameters
         ----------
@@ -1412,6 +1417,12 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             Row of `sample` to write in place of `theta_`; the file says which.
         random_state : int, RandomState or None, default=0
             Seed of the sample, as for `sample`.
+        drive : PDDrive, default=None
+            Drive of the motors, whose controls are then positions; by default the
+            identifier's, with the mean of gains that were recorded. Its delay is the
+            one that was found, or sampled, and needs MuJoCo 3.5. Motors of a robot with
+            another drive, or none, are told torques, as are those of
+            ``robot_.to_mjcf(path)``.
 
         Returns
         -------
@@ -1434,8 +1445,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
         is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
         grows in proportion to the speed below. Joint limits are those of the
-        description, shifted by an encoder's zero; limits of torque and speed are not
-        written.
+        description, shifted by an encoder's zero; limits of speed are not written, and
+        of torque only the ``saturation`` of the drive.
 
         Examples
         --------
@@ -1453,4 +1464,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ...     robot.to_mjcf(Path(folder, "identified.xml"))
         ()
         """
-        return self.robot_.to_mjcf(path, sample, random_state)
+        drive = self.drive if drive is None else drive
+        if not isinstance(drive, PDDrive):
+            drive = None
+        elif self._feedback is not None and (drive.kp is None or drive.kd is None):
+            kp, kd = self._feedback
+            drive = clone(drive).set_params(kp=kp, kd=kd, gear=1.0)
+        return self.robot_.to_mjcf(path, sample, random_state, drive=drive)

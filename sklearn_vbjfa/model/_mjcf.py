@@ -28,7 +28,7 @@ _LONGEST_STEP = 5e-4
 # is a part in ten thousand of the inertia.
 _FRICTION = "0.9999 0.9999 0.001 0.5 2"
 # Ranges beyond this are those of joints without limits [rad or m].
-_UNLIMITED = 1e6
+UNLIMITED = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -263,7 +263,7 @@ class _Tree:
         )
         low = self._model.lowerPositionLimit[j] + dynamics.ref[j]
         high = self._model.upperPositionLimit[j] + dynamics.ref[j]
-        if low < high and max(-low, high) < _UNLIMITED:
+        if low < high and max(-low, high) < UNLIMITED:
             joint.set("range", numbers([low, high]))
         for key in ("armature", "damping", "frictionloss", "ref", "stiffness"):
             value = getattr(dynamics, key)[j]

@@ -619,11 +619,11 @@ def velocities(recording):
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
         return slope
-    own, theirs = (
+    # Accelerations of all rows: behind the low-pass they are further apart.
+    own, theirs, faster = (
         np.concatenate([lowpass(np.asarray(x[part])) for part in long])
-        for x in (slope, recording.v)
+        for x in (slope, recording.v, between(q, parts, clock, order=2))
     )
-    faster = np.gradient(own, dt, axis=0)
     power = (faster**2).sum(axis=0)
     lag = ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
     late = [

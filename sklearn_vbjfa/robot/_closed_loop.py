@@ -14,6 +14,7 @@ import numpy as np
 from sklearn_vbjfa._core._lowpass import decimate
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import Drive, PDDrive
+from sklearn_vbjfa.recording._drives import velocity_lags
 from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
@@ -171,6 +172,7 @@ def follow(robot, drive, recording, window=None):
     model, dt, nv = robot.torque_model(), recording.dt, recording.nv
     period = _DRIVE_PERIOD if drive.period is None else drive.period
     updates = max(round(dt / period), 1)
+    lags = np.maximum(velocity_lags(recording), 0.0)
     length = recording.n_samples if window is None else max(round(window / dt), 2)
     states = np.empty((recording.n_samples, 3 * nv))
     for part in recording.segments:
@@ -189,7 +191,7 @@ def follow(robot, drive, recording, window=None):
             own = {name: x for name, x in own.items() if x.ndim == 1}
             states[rows], _ = simulate_controlled(
                 model,
-                control,
+                _seen_late(control, lags, dt, updates),
                 start[:nv],
                 start[nv : 2 * nv],
                 clock[rows],
@@ -197,6 +199,25 @@ def follow(robot, drive, recording, window=None):
                 updates,
             )
     return states
+
+
+def _seen_late(control, lags, dt, updates):
+    """Let a controller see velocities that are late by lags (nv,) [s]."""
+    if not lags.any():
+        return control
+    back, past, joints = lags * updates / dt, [], np.arange(lags.size)
+
+    def late(row, q, v):
+        past.append(np.array(v))
+        ago = np.clip(len(past) - 1 - back, 0.0, None)
+        first = ago.astype(int)
+        second = np.minimum(first + 1, len(past) - 1)
+        known = np.array(past[int(first.min()) :])
+        first, second, share = first - first.min(), second - first.min(), ago % 1.0
+        seen = known[first, joints]
+        return control(row, q, seen + share * (known[second, joints] - seen))
+
+    return late
 
 
 # -- a controller and its reference ----------------------------------------------------

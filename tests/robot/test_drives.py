@@ -403,6 +403,22 @@ def test_a_robot_follows_its_commands_as_it_did(settings):
     assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
 
 
+def test_a_drive_that_filters_its_velocity_does_so_in_simulation():
+    t, lag = DT * np.arange(2400), np.array([0.008, 0.004, 0.006])
+    q, v, a = states(t)
+    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
+    recording = told()
+    robot = identify(recording, PDDrive(KP, KD, delay=0.0, period=2.5e-4))
+    aim = {"q_desired": q + (torques(q, v, a) + KD * late) / KP}
+    filtered = replace(recording, states=None, v=late, signals=aim)
+    left, without = (
+        np.sqrt(((robot.follow(one)[:, :3] - q) ** 2).mean(axis=0))
+        for one in (filtered, replace(filtered, v=None))
+    )
+    assert (left < 2e-3 * q.std(axis=0)).all()
+    assert (left < 0.3 * without).all()
+
+
 def test_recorded_gains_and_a_limit_hold_in_simulation():
     recording = told()
     beside = {"kp": 0.0 * recording.q + KP, "kd": 0.0 * recording.q + KD}
@@ -444,7 +460,8 @@ def follows(robot, recording, path, **given):
     """Write the robot; return what MuJoCo and the package make of its commands."""
     drive = given.get("drive", robot.drive)
     left = robot.to_mjcf(path, **given)
-    ahead = drive.driven(recording).command / drive.feedback(recording)[0]
+    made = drive.driven(recording)
+    ahead = made.command / made.feedback[0]
     found = followed(path, recording.states[0, :6], ahead, DT)
     return found, robot.follow(recording, drive)[:, :3], left
 

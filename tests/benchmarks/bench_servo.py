@@ -38,6 +38,7 @@ import time
 import warnings
 from dataclasses import replace
 
+import joblib
 import numpy as np
 from _report import fixed, parser, publish, rst_table
 from _servo_models import DUTY, PUBLISHED, fitted, swing, voltage
@@ -241,15 +242,16 @@ def told_to(recording, states):
     ]
 
 
-def rows_of(recording, ways):
-    """Cells of all ways, and what was found."""
-    results, named = {}, []
-    for gain in GAINS:
-        fitted_to, judged = split(recording, gain)
+def rows_of(recording, gain, ways):
+    """Figures of all ways where a gain is left out, and what was found."""
+    fitted_to, judged = split(recording, gain)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
         plain, _ = by_commands(fitted_to)
         states, own = (
             plain.robot_.query(one.inputs, one.groups)[0] for one in (judged, fitted_to)
         )
+        results, named = {}, ""
         for label in ways:
             started = time.process_time()
             if label in PACKAGE:
@@ -257,20 +259,16 @@ def rows_of(recording, ways):
                 seconds = time.process_time() - started
                 found = judge_package(robot, judged, states)
                 if names:
-                    named.append(f"gain {gain} left out: {names}")
+                    named = f"gain {gain} left out: {names}"
             else:
                 name, kind = label.split(", ")
                 p = PUBLISHED[name]
                 if kind == "fitted":
-                    p = fitted(
-                        name,
-                        told_to(fitted_to, own),
-                        recording.dt,
-                        evaluations=EVALUATIONS[name],
-                    )
+                    known = told_to(fitted_to, own), fitted_to.dt
+                    p = fitted(name, *known, evaluations=EVALUATIONS[name])
                 seconds = time.process_time() - started
                 found = judge_model(p, judged, states)
-            results.setdefault(label, []).append((*found, seconds))
+            results[label] = (*found, seconds)
             print(gain, label, *np.round(found, 1), f"{seconds:.1f} s", flush=True)
     return results, named
 
@@ -280,6 +278,7 @@ def main(argv=None):
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--data-home", default=None)
     arguments.add_argument("--ways", nargs="+", default=None)
+    arguments.add_argument("--jobs", type=int, default=1)
     arguments = arguments.parse_args(argv)
     ways = [*PACKAGE, *(f"{name}, published" for name in PUBLISHED)]
     if importlib.util.find_spec("cma"):
@@ -287,10 +286,13 @@ def main(argv=None):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         recording = prepared(fetch_bam_xl330(data_home=arguments.data_home))
-        results, named = rows_of(recording, arguments.ways or ways)
-    rows = []
-    for label, found in results.items():
-        volts, whole, windows, seconds = np.array(found).T
+    ways = arguments.ways or ways
+    done = joblib.Parallel(n_jobs=arguments.jobs)(
+        joblib.delayed(rows_of)(recording, gain, ways) for gain in GAINS
+    )
+    named, rows = [names for _, names in done if names], []
+    for label in ways:
+        volts, whole, windows, seconds = np.array([one[label] for one, _ in done]).T
         cells = [*volts, volts.mean(), *whole, whole.mean(), *windows, windows.mean()]
         usual = "–" if label.endswith("published") else fixed([seconds.mean()], 1)[0]
         rows.append([label, *fixed(cells, 1), usual])

@@ -281,7 +281,8 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
     with _finished(path):
-        table = read_table(path, topic, lambda: names or _movable(urdf))
+        commanded = "q_desired" in asked.told
+        table = read_table(path, topic, lambda: names or _movable(urdf), commanded)
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)

@@ -223,7 +223,7 @@ class BaseTilt(ModelEffect):
         "degrees"
     )
     no_urdf = "the base of the file is level"
-    in_files = ("mjcf",)
+    in_files = ("mjcf", "usd")
     mjcf_note = "The base is not level: gravity is turned in its frame."
     subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
@@ -326,6 +326,7 @@ class JointZero(ModelEffect):
     told = "{joint}: the encoder's zero is off by {zero} {unit}"
     no_urdf = "zeros of the file are those of the description"
     mjcf = (("ref", "zero"),)
+    in_files = ("usd",)
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
@@ -402,7 +403,7 @@ class JointAxis(ModelEffect):
         "{joint}: the axis is turned by {about_x} degrees about the {first} and "
         "{about_y} degrees about the {second} of its frame"
     )
-    in_files = ("urdf", "mjcf")
+    in_files = ("urdf", "mjcf", "usd")
     subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (

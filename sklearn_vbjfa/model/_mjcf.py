@@ -28,7 +28,7 @@ _LONGEST_STEP = 5e-4
 # is a part in ten thousand of the inertia.
 _FRICTION = "0.9999 0.9999 0.001 0.5 2"
 # Ranges beyond this are those of joints without limits [rad or m].
-_UNLIMITED = 1e6
+UNLIMITED = 1e6
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -88,14 +88,45 @@ class JointDynamics:
         return cls(**zeros, gain=np.ones(nv))
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Servo:
+    """Drives that are told positions, in place of motors that are told torques."""
+
+    # (nv,): gains, and largest torques, infinite for none; a joint without a gain of
+    # the position is told torques
+    kp: np.ndarray
+    kd: np.ndarray
+    most: np.ndarray
+    delay: float = 0.0  # from a command to its effect [s], not negative
+
+    def attributes(self, j, step):
+        """Attributes of joint j's actuator; step [s] is that of the file."""
+        own = {"gainprm": number(self.kp[j] or 1.0)}
+        if self.delay > 0:
+            # Commands between two steps go straight.
+            kept = int(np.ceil(self.delay / step)) + 2
+            own |= {"delay": number(self.delay), "nsample": str(kept)}
+            own["interp"] = "linear"
+        return own
+
+
 def write_mjcf(
-    path, model, bodies, dynamics, *, dt=None, name="robot", note="", followers=()
+    path,
+    model,
+    bodies,
+    dynamics,
+    *,
+    dt=None,
+    name="robot",
+    note="",
+    followers=(),
+    servo=None,
 ):
     """Write a robot as MJCF."""
     # A body without positive mass and a helical joint are refused. model: its zeros are
     # those of the joints, without what `dynamics.ref` says of the encoders; bodies (nv,
     # 10); dt: sample period [s], which the time step divides; note: comment at the top;
-    # followers: those that carry others first.
+    # followers: those that carry others first; servo: `Servo` of motors that have one.
     tree = _Tree(model, bodies, dynamics, followers)
     step = _time_step(dt)
     root = ElementTree.Element("mujoco", model=name)
@@ -120,7 +151,7 @@ def write_mjcf(
         tree.add_equalities(ElementTree.SubElement(root, "equality"))
     if dynamics.tendons:
         tree.add_tendons(ElementTree.SubElement(root, "tendon"))
-    tree.add_motors(ElementTree.SubElement(root, "actuator"))
+    tree.add_motors(ElementTree.SubElement(root, "actuator"), servo, step)
     write_tree(ElementTree.ElementTree(root), path)
 
 
@@ -232,7 +263,7 @@ class _Tree:
         )
         low = self._model.lowerPositionLimit[j] + dynamics.ref[j]
         high = self._model.upperPositionLimit[j] + dynamics.ref[j]
-        if low < high and max(-low, high) < _UNLIMITED:
+        if low < high and max(-low, high) < UNLIMITED:
             joint.set("range", numbers([low, high]))
         for key in ("armature", "damping", "frictionloss", "ref", "stiffness"):
             value = getattr(dynamics, key)[j]
@@ -257,18 +288,27 @@ class _Tree:
             for name, coef in zip(names, (1, one.sign)):
                 ElementTree.SubElement(fixed, "joint", joint=name, coef=str(coef))
 
-    def add_motors(self, parent):
+    def add_motors(self, parent, servo, step):
         """Add a motor for each joint, in Pinocchio's order, named like the joint."""
         dynamics = self._dynamics
         for j, name in enumerate(self._names):
-            motor = ElementTree.SubElement(
-                parent,
-                "general",
-                name=name,
-                joint=name,
-                gainprm=number(1.0 / dynamics.gain[j]),
+            motor = ElementTree.SubElement(parent, "general", name=name, joint=name)
+            constant, stiffness, damping = (
+                -dynamics.constant[j],
+                -dynamics.slope[j],
+                0.0,
             )
-            if dynamics.constant[j] != 0 or dynamics.slope[j] != 0:
-                bias = -dynamics.constant[j], -dynamics.slope[j], 0.0
+            if servo is None:
+                motor.set("gainprm", number(1.0 / dynamics.gain[j]))
+            else:
+                for key, value in servo.attributes(j, step).items():
+                    motor.set(key, value)
+                stiffness, damping = stiffness - servo.kp[j], -servo.kd[j]
+                if np.isfinite(servo.most[j]):
+                    # The limit is that of the loop, without the constant.
+                    ends = constant + servo.most[j] * np.array([-1.0, 1.0])
+                    motor.set("forcerange", numbers(ends))
+            bias = constant, stiffness, damping
+            if any(bias):
                 motor.set("biastype", "affine")
                 motor.set("biasprm", numbers(bias))

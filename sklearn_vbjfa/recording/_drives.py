@@ -597,31 +597,38 @@ def velocities(recording):
     """Velocities (n, nv): those of states, or slopes of the positions, as they came."""
     # Drives make theirs of the same encoder, some milliseconds late by a filter, and
     # log a sample now and then with noise of the whole band folded into it. Of it the
-    # lag is taken, by least squares on accelerations, where the motion is.
+    # lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
+    parts, q = recording.segments, np.asarray(recording.q)
+    clock = check_dt(recording.dt) * np.arange(recording.n_samples)
+    late = [
+        between(q[:, j : j + 1], parts, clock, one, order=1)
+        for j, one in enumerate(velocity_lags(recording).tolist())
+    ]
+    return np.hstack(late)
+
+
+def velocity_lags(recording):
+    """How late (nv,) recorded velocities are [s], zeros where there are none."""
+    # By least squares on accelerations, where the motion is.
+    if recording.states is not None or recording.v is None:
+        return np.zeros(recording.nv)
     dt, parts = check_dt(recording.dt), recording.segments
     clock = dt * np.arange(recording.n_samples)
     q = np.asarray(recording.q)
     slope = between(q, parts, clock, order=1)
-    if recording.v is None:
-        return slope
     lowpass = _lowpass.design(dt, min(_SLOW, 0.2 / dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
-        return slope
-    own, theirs = (
+        return np.zeros(recording.nv)
+    # Accelerations of all rows: behind the low-pass they are further apart.
+    own, theirs, faster = (
         np.concatenate([lowpass(np.asarray(x[part])) for part in long])
-        for x in (slope, recording.v)
+        for x in (slope, recording.v, between(q, parts, clock, order=2))
     )
-    faster = np.gradient(own, dt, axis=0)
     power = (faster**2).sum(axis=0)
-    lag = ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
-    late = [
-        between(q[:, j : j + 1], parts, clock, one, order=1)
-        for j, one in enumerate(lag.tolist())
-    ]
-    return np.hstack(late)
+    return ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)
 
 
 # Drives by the name that a text begins with.

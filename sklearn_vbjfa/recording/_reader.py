@@ -348,12 +348,12 @@ def _is_whole(path, given):
     return True
 
 
-def _table_of(path, topic, joints):
+def _table_of(path, topic, joints, commanded=False):
     """Read the table of a file, or those of one recording in several files."""
     if not isinstance(path, tuple):
         with _finished(path):
-            return read_table(path, topic, joints)
-    tables = [_table_of(one, topic, joints) for one in path]
+            return read_table(path, topic, joints, commanded)
+    tables = [_table_of(one, topic, joints, commanded) for one in path]
     shown = path[0].parent / "+".join([x.name for x in path[:2]])
     if len(path) > 2:
         shown = path[0].parent / f"{path[0].name} and {len(path) - 1} more"
@@ -363,7 +363,8 @@ def _table_of(path, topic, joints):
 def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
-    table = _table_of(path, topic, lambda: names or _movable(urdf))
+    commanded = "q_desired" in asked.told
+    table = _table_of(path, topic, lambda: names or _movable(urdf), commanded)
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)

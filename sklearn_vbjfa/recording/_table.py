@@ -88,6 +88,7 @@ class Wanted:
 
     topic: str | None = None  # of a bag; None for the only one of joint states
     joints: Callable = lambda: ()  # returns the robot's, empty for all
+    commanded: bool = False  # whether positions that joints are told are needed
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ import numpy as np
 from sklearn_vbjfa._core._lowpass import decimate
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import Drive, PDDrive
+from sklearn_vbjfa.recording._drives import velocity_lags
 from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
@@ -176,17 +177,19 @@ def follow(robot, drive, recording, window=None):
     measured, _ = robot.query(recording.inputs, recording.groups)
     model, dt, nv = robot.torque_model(), recording.dt, recording.nv
     updates = drive.updates(dt, _DRIVE_PERIOD)
+    lags = np.maximum(velocity_lags(recording), 0.0)
     length = recording.n_samples if window is None else max(round(window / dt), 2)
     states = np.empty((recording.n_samples, 3 * nv))
     for part in recording.segments:
         for first in range(part.start, part.stop, length):
             rows = slice(first, min(first + length, part.stop))
             start = measured[first]
+            law = _law(command[rows], kp[rows], kd[rows], most)
             own = {name: x[rows] for name, x in recording.signals.items()}
             own = {name: x for name, x in own.items() if x.ndim == 1}
             states[rows], _ = simulate_controlled(
                 model,
-                _law(command[rows], kp[rows], kd[rows], most),
+                _seen_late(law, lags, dt, updates),
                 start[:nv],
                 start[nv : 2 * nv],
                 clock[rows],
@@ -194,6 +197,25 @@ def follow(robot, drive, recording, window=None):
                 updates,
             )
     return states
+
+
+def _seen_late(control, lags, dt, updates):
+    """Let a controller see velocities that are late by lags (nv,) [s]."""
+    if not lags.any():
+        return control
+    back, past, joints = lags * updates / dt, [], np.arange(lags.size)
+
+    def late(row, q, v):
+        past.append(np.array(v))
+        ago = np.clip(len(past) - 1 - back, 0.0, None)
+        first = ago.astype(int)
+        second = np.minimum(first + 1, len(past) - 1)
+        known = np.array(past[int(first.min()) :])
+        first, second, share = first - first.min(), second - first.min(), ago % 1.0
+        seen = known[first, joints]
+        return control(row, q, seen + share * (known[second, joints] - seen))
+
+    return late
 
 
 # -- a controller and its reference ----------------------------------------------------

@@ -5,19 +5,22 @@ identified robot is none of these is left out of a file, and is listed in it and
 is returned, with the size of its torque: nothing is dropped or clipped in silence.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model._corrected import CorrectedModel
-from sklearn_vbjfa.model._mjcf import JointDynamics, Tendon, write_mjcf
+from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
+from sklearn_vbjfa.model._usd import write_usd
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
 # Why effects have no place that say nothing of it.
 _OWN = "an effect of the user's own"
 _NO_PART = "it is no part of the description"
+_NO_PLACE_IN_USD = "joints of PhysX have armature, dry and viscous friction only"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,19 +58,19 @@ class LeftOut:
         return f"{self.name} on {self.joint_name} ({size}): {self.reason}"
 
 
-def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
+def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
     # min_eigenvalues (nv,): smallest of each body's pseudo-inertia; powers:
     # `ColumnPowers`, without which all sizes are nan; notes: what else a reader of the
-    # file has to know.
+    # file has to know; servo: `Servo` of motors that are told positions.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, powers)
-    dynamics = _mjcf_dynamics(account)
+    dynamics = _mjcf_dynamics(account, servo)
     level = CorrectedModel(robot.model)
     for j in np.flatnonzero(dynamics.ref):
         # The file says by `ref` what the corrected model has in its placements.
         level.move_zero(int(j), -float(dynamics.ref[j]))
-    told = [*_notes_of_mjcf(robot, dynamics), *filter(None, notes)]
+    told = [*_notes_of_mjcf(robot, dynamics, servo), *filter(None, notes)]
     write_mjcf(
         path,
         level.model,
@@ -78,8 +81,55 @@ def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=()):
         followers=following_joints(
             robot.effects, robot.coefficients, robot.joint_names
         ),
+        servo=servo,
     )
     return tuple(account.left)
+
+
+def to_usd(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
+    """Write a `TorqueModel` as USD; see `to_mjcf`."""
+    check_possible(robot.model, min_eigenvalues, "a USD file")
+    followers = following_joints(robot.effects, robot.coefficients, robot.joint_names)
+    if followers:
+        raise ValueError(
+            f"{', '.join(one.name for one in followers)} of the description follow(s) "
+            "another joint, which is not written as USD: use to_mjcf or to_urdf."
+        )
+    account = _Account(robot, powers)
+    nv = robot.n_joints
+    dynamics = replace(
+        JointDynamics.none(nv),
+        damping=account.passive("viscous"),
+        frictionloss=account.passive("coulomb"),
+        armature=account.passive("rotor_inertia"),
+    )
+    account.leave_column("offset", account.total("offset"), _NO_PLACE_IN_USD)
+    for effect, coef in account.uses:
+        if effect.joint_parameter or "usd" in effect.in_files:
+            continue
+        if effect.in_model:
+            coef = effect.values - effect.idle
+        why = effect.no_place or (effect.in_model and effect.no_urdf)
+        account.leave_effect(effect, coef, why or _NO_PLACE_IN_USD)
+    told = [
+        "An identified robot: positions are what the encoders read, the base is held.",
+        *filter(None, notes),
+    ]
+    write_usd(
+        path,
+        robot.model,
+        robot.bodies,
+        dynamics,
+        note=_note(told, account.left),
+        servo=servo,
+    )
+    return tuple(account.left)
+
+
+def servo_of(drive, names, delay):
+    """Return the `Servo` of a `PDDrive` whose commands act a delay [s] late."""
+    kp, kd = drive.law(names)
+    return Servo(kp=kp, kd=kd, most=drive.most(names), delay=max(delay, 0.0))
 
 
 def to_urdf(
@@ -116,12 +166,14 @@ def _note(told, left):
     return "\n".join(told)
 
 
-def _notes_of_mjcf(robot, dynamics):
+def _notes_of_mjcf(robot, dynamics, servo):
     """Say how the file is to be read, a list of str."""
     told = [
         "Controls of the motors, in the order of the recording, are what the torque "
         "channels read [N m or N]; positions are what the encoders read [rad or m].",
     ]
+    if servo is not None:
+        told = _notes_of_servo(robot, dynamics, servo)
     told += [
         f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
         "zero of the description (ref)."
@@ -140,6 +192,33 @@ def _notes_of_mjcf(robot, dynamics):
             "motors (biasprm): they act in forward dynamics, and inverse dynamics "
             "leaves them to qfrc_actuator."
         )
+    return told
+
+
+def _notes_of_servo(robot, dynamics, servo):
+    """Say how motors that are told positions are to be used, a list of str."""
+    told = [
+        "Controls of the motors, in the order of the recording, are commanded "
+        "positions; these and positions are what the encoders read [rad or m]. With "
+        "the gains kp and kd of a joint, a commanded velocity v and a torque ahead t "
+        "count as (kd v + t) / kp of its position.",
+    ]
+    names = np.array(robot.joint_names)
+    bare = ", ".join(names[servo.kp == 0])
+    if bare:
+        told.append(f"Controls of {bare}, without kp, are torques [N m or N].")
+    if servo.delay > 0:
+        told.append(
+            f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and newer; "
+            "older ones read the file without delay, nsample and interp). The history "
+            "has room for the time step of the file and longer ones, and begins with "
+            "controls of zero: mj_initCtrlHistory takes others."
+        )
+    limited = np.isfinite(servo.most) & (dynamics.slope != 0)
+    told += [
+        f"The spring of {name} counts towards the limit of its motor (forcerange)."
+        for name in names[limited]
+    ]
     return told
 
 
@@ -306,7 +385,7 @@ class _Joints:
         return left
 
 
-def _mjcf_dynamics(account):
+def _mjcf_dynamics(account, servo=None):
     """Put what MJCF can hold into a `JointDynamics`; list the rest."""
     robot, nv = account.robot, account.robot.n_joints
     damping, frictionloss, armature = (
@@ -325,6 +404,11 @@ def _mjcf_dynamics(account):
             continue
         if effect.in_model:
             coef = effect.values - effect.idle
+        if isinstance(effect, CommandDelay) and servo is not None:
+            if effect.delay < 0:
+                why = "a file has no commands that act before they come"
+                account.leave_effect(effect, coef, why)
+            continue
         left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
         if left:
             told = effect.no_mjcf.format(damping=damping[effect.joint], **left)

@@ -12,6 +12,7 @@ from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
     OfferedSignals,
+    PDDrive,
     check_dt,
     check_time_stamps,
     check_useful,
@@ -552,6 +553,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def _fit(self, recording, reference):
         """Fit to a checked recording."""
         given = recording.tau, self.dt, self.joint_names_
+        self._feedback = recording.feedback
         reference = check_reference(self.controller, reference, *given)
         periods = measure_periods(self, recording, self.effects_)
         plan, recording, states = self._prepare(recording, periods)
@@ -588,6 +590,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     # Robot whose load the next fit begins with, in place of a first pass.
     _before = None
+    # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
+    _feedback = None
 
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""
@@ -1224,7 +1228,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             `parameter_units_`; bodies are physically consistent, and friction and
             armature are not negative. What no torque tells stays as it is. Values of
             effects in the model (a tilt, a gain, a delay) are drawn by themselves; the
-            files of `to_mjcf` and `to_urdf` have them as identified.
+            files of `to_mjcf` and `to_urdf` have them as identified, but for the delay.
 
         Raises
         ------
@@ -1420,7 +1424,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         self.robot_.save(path)
 
-    def to_mjcf(self, path, sample=None, random_state=0):
+    def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         """Write the identified robot as MJCF, the description of MuJoCo.
 
         Bodies and joints come from the robot model, as its effects correct it: a
@@ -1429,9 +1433,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         spring ``stiffness`` and ``springref``; a tilted base is in the direction of
         gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
         other are fixed tendons with the same attributes. Each joint has a motor of its
-        name, whose control is what the torque channel reads; constant torques are its
-        bias. Torques of springs and dampers have no end, though `predict` holds those
-        of `effects_` outside the range of the fit.
+        name, whose control is what the torque channel reads, or, with a `PDDrive`, the
+        commanded position, at the gains, the limit and the delay of the drive; constant
+        torques are its bias. Torques of springs and dampers have no end, though
+        `predict` holds those of `effects_` outside the range of the fit.
 
         Parameters
         ----------
@@ -1442,6 +1447,12 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             Row of `sample` to write in place of `theta_`; the file says which.
         random_state : int, RandomState or None, default=0
             Seed of the sample, as for `sample`.
+        drive : PDDrive, default=None
+            Drive of the motors, whose controls are then positions; by default the
+            identifier's, with the mean of gains that were recorded. Its delay is the
+            one that was found, or sampled, and needs MuJoCo 3.5. Motors of a robot with
+            another drive, or none, are told torques, as are those of
+            ``robot_.to_mjcf(path)``.
 
         Returns
         -------
@@ -1464,8 +1475,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
         is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
         grows in proportion to the speed below. Joint limits are those of the
-        description, shifted by an encoder's zero; limits of torque and speed are not
-        written.
+        description, shifted by an encoder's zero; limits of speed are not written, and
+        of torque only the ``saturation`` of the drive.
 
         Examples
         --------
@@ -1483,4 +1494,71 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ...     robot.to_mjcf(Path(folder, "identified.xml"))
         ()
         """
-        return self.robot_.to_mjcf(path, sample, random_state)
+        drive = self._drive_of_files(drive)
+        return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
+
+    def to_usd(self, path, sample=None, random_state=0, *, drive=None):
+        """Write the identified robot as USD, for Isaac Sim.
+
+        An articulation of UsdPhysics without shapes, whose base is held: bodies with
+        their masses, centres of mass and principal moments, revolute and prismatic
+        joints with their limits. Rotor inertia, viscous and Coulomb friction are the
+        attributes ``armature``, ``viscousFrictionCoefficient``,
+        ``staticFrictionEffort`` and ``dynamicFrictionEffort`` of
+        ``PhysxJointAxisAPI``, which Isaac Sim 5.0 and newer read. Gains and the limit
+        of a `PDDrive` are ``stiffness``, ``damping`` and ``maxForce`` of the joint's
+        drive. Angles are in degrees, as USD has them.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write, ``.usda`` for text, ``.usd`` or ``.usdc``.
+        sample : int, default=None
+            Row of `sample` to write in place of `theta_`; the file says which.
+        random_state : int, RandomState or None, default=0
+            Seed of the sample, as for `sample`.
+        drive : PDDrive, default=None
+            Drive of the motors, by default the identifier's; as in `to_mjcf`.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have, in its comment as well; the delay of a drive
+            among it, which Isaac Lab has in the actuator's configuration.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent, a joint is helical, or
+            joints follow others.
+        ImportError
+            Without the package ``usd-core`` (``pip install sklearn-vbjfa[usd]``).
+
+        See Also
+        --------
+        to_mjcf : The same for MuJoCo, with springs and couplings.
+
+        Examples
+        --------
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> recording = load_demo_recording()
+        >>> friction = ("viscous", "coulomb", "rotor_inertia")
+        >>> robot = RobotIdentifier(
+        ...     recording.urdf, dt=recording.dt, friction=friction
+        ... ).fit(recording.q, recording.tau, groups=recording.groups)
+        >>> robot.to_usd("identified.usda")  # doctest: +SKIP
+        ()
+        """
+        drive = self._drive_of_files(drive)
+        return self.robot_.to_usd(path, sample, random_state, drive=drive)
+
+    def _drive_of_files(self, drive):
+        """Return the `PDDrive` with gains that is written into files, or None."""
+        drive = self.drive if drive is None else drive
+        if not isinstance(drive, PDDrive):
+            return None
+        if self._feedback is not None and (drive.kp is None or drive.kd is None):
+            kp, kd = self._feedback
+            drive = clone(drive).set_params(kp=kp, kd=kd, gear=1.0)
+        return drive

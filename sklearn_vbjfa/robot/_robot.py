@@ -7,6 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.effects._motion import Rest
 from sklearn_vbjfa.effects._ranges import outside, own_motions
 from sklearn_vbjfa.model._loading import (
@@ -44,7 +45,7 @@ from sklearn_vbjfa.robot._equations import (
     segments,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
-from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
+from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf, to_usd
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
@@ -773,7 +774,7 @@ class IdentifiedRobot(SimulatesTorques):
             turned_joints(self),
         )
 
-    def to_mjcf(self, path, sample=None, random_state=0):
+    def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         """Write the identified robot as MJCF, the description of MuJoCo.
 
         The file is that of `RobotIdentifier.to_mjcf`.
@@ -786,6 +787,9 @@ class IdentifiedRobot(SimulatesTorques):
             Row of `sample` in place of the identified parameters.
         random_state : int, RandomState or None, default=0
             Seed of the sample, which the file states.
+        drive : PDDrive, default=None
+            Drive of all motors, with its gains, whose delay is that of the robot where
+            it was found. None writes motors whose controls are torques.
 
         Returns
         -------
@@ -795,7 +799,7 @@ class IdentifiedRobot(SimulatesTorques):
         Raises
         ------
         ValueError
-            If the parameters are not physically consistent.
+            If the parameters are not physically consistent, or gains are missing.
         """
         robot, which = self._sampled(sample, random_state)
         return to_mjcf(
@@ -804,7 +808,60 @@ class IdentifiedRobot(SimulatesTorques):
             robot.min_eigenvalues_,
             self.powers,
             [which, note_of_units(self.gains_), note_of_masses(self)],
+            robot._servo(drive),
         )
+
+    def to_usd(self, path, sample=None, random_state=0, *, drive=None):
+        """Write the identified robot as USD, for Isaac Sim.
+
+        The file is that of `RobotIdentifier.to_usd`.
+
+        Parameters
+        ----------
+        path : str or os.PathLike
+            File to write, ``.usda`` for text, ``.usd`` or ``.usdc``.
+        sample : int, default=None
+            Row of `sample` in place of the identified parameters.
+        random_state : int, RandomState or None, default=0
+            Seed of the sample, which the file states.
+        drive : PDDrive, default=None
+            Drive of all motors, with its gains.
+
+        Returns
+        -------
+        tuple of LeftOut
+            What the file does not have; see `RobotIdentifier.to_usd`.
+
+        Raises
+        ------
+        ValueError
+            If the parameters are not physically consistent, or gains are missing.
+        ImportError
+            Without the package ``usd-core``.
+        """
+        robot, which = self._sampled(sample, random_state)
+        return to_usd(
+            path,
+            robot.torque_model(),
+            robot.min_eigenvalues_,
+            self.powers,
+            [which, note_of_units(self.gains_), note_of_masses(self)],
+            robot._servo(drive),
+        )
+
+    def _servo(self, drive):
+        """Return the `Servo` of a drive as identified, None for motors without one."""
+        if drive is None:
+            return None
+        if not isinstance(drive, PDDrive):
+            raise ValueError(
+                "A file needs a drive that takes positions, PDDrive(...); got "
+                f"{drive!r}. Controls of others are torques: leave drive=None."
+            )
+        pairs = zip(self.effects_, self.split(self.theta_))
+        found = [x[0] for one, x in pairs if isinstance(one, CommandDelay)]
+        delay = sum(found) if found else drive.waits or 0.0
+        return servo_of(drive, self.joint_names_, delay)
 
     @property
     def joint_names_(self):

@@ -37,3 +37,32 @@ def moving_states(rng, n, nv, reach=1.0, slowest=0.1):
     v = rng.uniform(slowest, 3.0, size=(n, nv)) * rng.choice([-1, 1], size=(n, nv))
     a = rng.uniform(-30.0, 30.0, size=(n, nv))
     return np.hstack([q, v, a])
+
+
+def followed(path, start, wanted, dt):
+    """Simulate positions (n, nv) at rows of `dt` seconds, from commanded ones (n, nv).
+
+    Commands go straight between the rows, and the first one was told for long; start
+    (2 nv,) are positions and velocities. Columns are in the order of the motors.
+    """
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    data = mujoco.MjData(model)
+    joints = model.actuator_trnid[:, 0]
+    dofs, places = model.jnt_dofadr[joints], model.jnt_qposadr[joints]
+    data.qpos[places], data.qvel[dofs] = np.split(start, 2)
+    for j, kept in enumerate(model.actuator_history[:, 0]):
+        if kept:
+            times = -model.opt.timestep * np.arange(kept, 0.0, -1.0)
+            before = np.full(kept, wanted[0, j])
+            mujoco.mj_initCtrlHistory(model, data, j, times, before)
+    steps = round(dt / model.opt.timestep)
+    found = np.empty(wanted.shape)
+    for k, now in enumerate(wanted):
+        found[k] = data.qpos[places]
+        further = wanted[min(k + 1, len(wanted) - 1)] - now
+        for step in range(steps):
+            data.ctrl[:] = now + step / steps * further
+            mujoco.mj_step(model, data)
+    return found

@@ -401,3 +401,78 @@ def test_a_bag_of_unknown_compression_names_the_tool(tmp_path):
     text, _ = refused(file.parent)
     assert f"ros2 bag convert -i {file.parent} -o plain.yaml" in text
     assert "output_bags: [{uri: plain, all_topics: true}]" in text
+
+
+# -- commanded positions ---------------------------------------------------------------
+
+DRIVE = "pd kp=10 kd=1"
+AIM = Q + 0.1 * np.cos(5 * T)[:, None]
+
+
+def told(**changes):
+    """Return commands, between the states, without efforts."""
+    kept = {"t": T + 0.4 * DT, "joints": JOINTS[::-1], "q": AIM[:, ::-1]}
+    empty = [np.zeros(0) for _ in T]
+    return states(**kept | {"tau": empty, "topic": "/joint_commands"} | changes)
+
+
+def test_commands_of_a_topic_of_their_own_are_those_of_the_joints(write):
+    """Each holds until the next one; the first state, before any, is left out."""
+    recording, said = read(write(arm(), told()), drive=DRIVE, joint_names=JOINTS)
+    assert "/joint_commands" in said
+    n = recording.n_samples
+    assert n >= N - 1
+    np.testing.assert_allclose(recording.q, Q[N - n :], atol=1e-3)
+    before = recording.signals["q_desired"]
+    np.testing.assert_allclose(before, AIM[N - n - 1 : -1], atol=1e-12)
+
+
+def test_without_a_drive_commands_are_no_states(tmp_path):
+    file = write_ros1(tmp_path / "arm.bag", [arm(), told()])
+    recording, _ = read(file, joint_names=JOINTS)
+    np.testing.assert_allclose(recording.tau, TAU, atol=1e-9)
+
+
+def test_a_bag_without_commands_says_what_to_record(tmp_path):
+    file = write_ros1(tmp_path / "arm.bag", [arm()])
+    text, _ = refused(file, drive=DRIVE)
+    assert "0 of commanded ones" in text
+    assert "control_msgs/JointTrajectoryControllerState" in text
+
+
+CONTROLLER = """std_msgs/Header header
+string[] joint_names
+trajectory_msgs/JointTrajectoryPoint {0}
+trajectory_msgs/JointTrajectoryPoint {1}
+"""
+
+
+@pytest.mark.parametrize("words", [("desired", "actual"), ("reference", "feedback")])
+def test_states_of_a_controller_have_positions_and_commands(tmp_path, words):
+    """In bags of ROS 1 and MCAP definitions of messages come along."""
+    from rosbags.rosbag2 import StoragePlugin, Writer
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "control_msgs/msg/JointTrajectoryControllerState"
+    store.register(get_types_from_msg(CONTROLLER.format(*words), kind))
+    types = store.types
+    point = types["trajectory_msgs/msg/JointTrajectoryPoint"]
+    time = types["builtin_interfaces/msg/Time"]
+    none, zero = np.zeros(0), types["builtin_interfaces/msg/Duration"](0, 0)
+    with Writer(
+        tmp_path / "bag", version=9, storage_plugin=StoragePlugin.MCAP
+    ) as writer:
+        connection = writer.add_connection("/arm/state", kind, typestore=store)
+        for t, aim, q in zip(T, AIM, Q):
+            stamp = round(1e9 * t) + 10**9
+            header = types["std_msgs/msg/Header"](
+                time(stamp // 10**9, stamp % 10**9), ""
+            )
+            both = [point(x, none, none, none, zero) for x in (aim, q)]
+            message = types[kind](header, list(JOINTS), *both)
+            writer.write(connection, stamp, store.serialize_cdr(message, kind))
+    recording, said = read(tmp_path / "bag", drive=DRIVE, joint_names=JOINTS)
+    assert "/arm/state" in said
+    np.testing.assert_allclose(recording.q, Q, atol=1e-9)
+    np.testing.assert_allclose(recording.signals["q_desired"], AIM, atol=1e-9)

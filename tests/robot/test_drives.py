@@ -1,5 +1,6 @@
 """Robots that are told positions: torques of the law, its delay, and bad input."""
 
+import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import numpy as np
@@ -12,9 +13,15 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.robot import PDDrive, RecordingStates  # noqa: E402
+from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    CurrentDrive,
+    PDDrive,
+    RecordingStates,
+)
 from sklearn_vbjfa.robot._equations import segments  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
+from tests.model._mujoco import followed  # noqa: E402
 
 DT = 0.005
 ARM = arm("ZYX")
@@ -103,6 +110,21 @@ def test_a_velocity_that_was_not_recorded_is_the_slope_of_the_positions():
     bare = replace(recording, states=None)
     exact, found = (PDDrive(KP, KD).driven(one).tau for one in (recording, bare))
     assert_allclose(found[5:-5], exact[5:-5], atol=1e-3 * exact.std())
+
+
+@pytest.mark.parametrize("dt", [0.001, 0.005, 0.02])
+def test_a_velocity_is_as_late_as_the_recorded_one(dt):
+    """Drives filter theirs: by how much is found, joint by joint, at any rate."""
+    lag = np.array([0.001, 0.004, 0.007])
+    t = dt * np.arange(round(8.0 / dt))
+    q, v, _ = states(t)
+    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
+    noise = 0.02 * np.random.default_rng(0).normal(size=v.shape)
+    recording = take_arrays(q, 0.0 * q, dt=dt, joint_names=NAMES)
+    found = velocities(replace(recording, v=late + noise))
+    away = np.sqrt(((found - late)[50:-50] ** 2).mean(axis=0))
+    plain = np.sqrt(((v - late)[50:-50] ** 2).mean(axis=0))
+    assert (away < 0.1 * plain).all()
 
 
 @pytest.mark.parametrize("delay", [-0.004, 0.0, 0.0072, 0.03])
@@ -382,6 +404,22 @@ def test_a_robot_follows_its_commands_as_it_did(settings):
     assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
 
 
+def test_a_drive_that_filters_its_velocity_does_so_in_simulation():
+    t, lag = DT * np.arange(2400), np.array([0.008, 0.004, 0.006])
+    q, v, a = states(t)
+    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
+    recording = told()
+    robot = identify(recording, PDDrive(KP, KD, delay=0.0, period=2.5e-4))
+    aim = {"q_desired": q + (torques(q, v, a) + KD * late) / KP}
+    filtered = replace(recording, states=None, v=late, signals=aim)
+    left, without = (
+        np.sqrt(((robot.follow(one)[:, :3] - q) ** 2).mean(axis=0))
+        for one in (filtered, replace(filtered, v=None))
+    )
+    assert (left < 2e-3 * q.std(axis=0)).all()
+    assert (left < 0.3 * without).all()
+
+
 def test_recorded_gains_and_a_limit_hold_in_simulation():
     recording = told()
     beside = {"kp": 0.0 * recording.q + KP, "kd": 0.0 * recording.q + KD}
@@ -409,3 +447,118 @@ def test_what_follows_nothing_is_refused():
         robot.follow(recording)
     with pytest.raises(ValueError, match="window must be a positive time"):
         robot.follow(recording, PDDrive(KP, KD), window=0.0)
+
+
+# -- the closed loop in MuJoCo ---------------------------------------------------------
+
+
+def real(recording, drive=None, **settings):
+    """Fit bodies that can be, which files must have."""
+    return identify(recording, drive, projector="default", **settings)
+
+
+def follows(robot, recording, path, **given):
+    """Write the robot; return what MuJoCo and the package make of its commands."""
+    drive = given.get("drive", robot.drive)
+    left = robot.to_mjcf(path, **given)
+    made = drive.driven(recording)
+    ahead = made.command / made.feedback[0]
+    found = followed(path, recording.states[0, :6], ahead, DT)
+    return found, robot.follow(recording, drive)[:, :3], left
+
+
+def assert_same_motion(found, expected):
+    """Compare positions (n, nv), by a share of how far each joint moves."""
+    left = np.sqrt(((found - expected) ** 2).mean(axis=0))
+    assert (left < 3e-3 * expected.std(axis=0)).all()
+
+
+@pytest.mark.parametrize("limit", [None, 0.8])
+def test_mujoco_follows_commands_as_the_package_does(tmp_path, limit):
+    """Gains, delay, an offset, and a limit that acts on the law and not on it."""
+    pytest.importorskip("mujoco")
+    recording = told(0.0113)
+    drive = PDDrive(KP, KD, period=2.5e-4)
+    robot = real(recording, drive, friction=(*FRICTION, "offset"))
+    if limit is not None:
+        most = limit * np.abs(drive.driven(recording).tau).max(axis=0)
+        drive = PDDrive(KP, KD, period=2.5e-4, saturation=most)
+    mujoco, own, left = follows(robot, recording, tmp_path / "arm.xml", drive=drive)
+    assert left == ()
+    assert_same_motion(mujoco, own)
+    if limit is not None:
+        free = robot.follow(recording)[:, :3]
+        away = np.sqrt(((free - own) ** 2).mean(axis=0))
+        assert (away > 0.02 * own.std(axis=0)).any()
+
+
+def test_commanded_velocities_and_torques_are_positions_of_the_file(tmp_path):
+    pytest.importorskip("mujoco")
+    t = DT * np.arange(2000)
+    q, v, a = states(t)
+    rate, ahead = 0.7 * v, 0.2 * torques(q, v, a)
+    recording = told(duration=10.0, v_desired=rate, tau_ff=ahead)
+    recording.signals["q_desired"] = command(t, 0.0, rate, ahead)
+    robot = real(recording, PDDrive(KP, KD, delay=0.0, period=2.5e-4))
+    mujoco, own, _ = follows(robot, recording, tmp_path / "arm.xml")
+    assert_same_motion(mujoco, own)
+
+
+def actuators(path):
+    """Return the actuators of a file."""
+    return ElementTree.parse(path).findall("actuator/general")
+
+
+def test_recorded_gains_are_in_the_file(tmp_path):
+    recording = told()
+    told_here = {"kp": 0.0 * recording.q + KP, "kd": 0.0 * recording.q + KD}
+    recorded = replace(recording, signals={**recording.signals, **told_here})
+    found = []
+    for k, (one, drive) in enumerate(
+        [(recording, PDDrive(KP, KD)), (recorded, PDDrive())]
+    ):
+        real(one, drive).to_mjcf(tmp_path / f"{k}.xml")
+        found.append([x.attrib for x in actuators(tmp_path / f"{k}.xml")])
+    assert found[0] == found[1]
+    assert [float(x["gainprm"]) for x in found[0]] == KP.tolist()
+
+
+def test_a_sampled_robot_has_its_sampled_delay(tmp_path):
+    robot = real(told(0.01))
+    k = robot.parameter_names_.index("drive:delay")
+    drawn = robot.sample(3, random_state=0)[:, k]
+    for row, delay in enumerate(drawn):
+        robot.to_mjcf(tmp_path / "arm.xml", sample=row)
+        (one, *_) = actuators(tmp_path / "arm.xml")
+        assert float(one.get("delay")) == pytest.approx(delay, rel=1e-9)
+    assert np.ptp(drawn) > 0
+
+
+def test_commands_that_act_before_they_come_are_left_out(tmp_path):
+    (left,) = real(told(-0.004)).to_mjcf(tmp_path / "arm.xml")
+    assert left.name == "command_delay"
+    assert "before they come" in left.reason
+    assert all(x.get("delay") is None for x in actuators(tmp_path / "arm.xml"))
+
+
+def test_motors_without_a_gain_of_the_position_are_told_torques(tmp_path):
+    robot = real(told())
+    robot.to_mjcf(tmp_path / "arm.xml", drive=PDDrive([40.0, 0.0, 20.0], KD))
+    (first, second, _) = actuators(tmp_path / "arm.xml")
+    assert float(second.get("gainprm")) == 1.0
+    assert second.get("biasprm").split()[1:] == ["0.0", f"-{KD[1]}"]
+    assert "without kp, are torques" in (tmp_path / "arm.xml").read_text()
+    assert float(first.get("gainprm")) == 40.0
+
+
+def test_a_robot_from_a_file_is_given_its_drive(tmp_path):
+    robot = real(told(0.01))
+    robot.save(tmp_path / "arm.json")
+    robot.to_mjcf(tmp_path / "one.xml")
+    saved = load_identified(tmp_path / "arm.json")
+    saved.to_mjcf(tmp_path / "other.xml", drive=PDDrive(KP, KD))
+    assert (tmp_path / "one.xml").read_text() == (tmp_path / "other.xml").read_text()
+    (left,) = saved.to_mjcf(tmp_path / "motors.xml")
+    assert left.name == "command_delay"
+    with pytest.raises(ValueError, match="a drive that takes positions"):
+        saved.to_mjcf(tmp_path / "motors.xml", drive=CurrentDrive())

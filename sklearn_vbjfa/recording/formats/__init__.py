@@ -97,11 +97,13 @@ _MAGIC = (
 _CHUNK = 1 << 20
 
 
-def read_table(path, topic=None, joints=lambda: ()) -> Table:
+def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
-    # topic: topic of a bag; joints: function that returns the robot's joints.
-    path, wanted = expanded(path), Wanted(topic=topic, joints=joints)
+    # topic: topic of a bag; joints: function that returns the robot's joints;
+    # commanded: whether positions that joints are told are needed.
+    wanted = Wanted(topic=topic, joints=joints, commanded=commanded)
+    path = expanded(path)
     with contextlib.ExitStack() as stack:
         read = _read_folder if path.is_dir() else _read_file
         table = read(stack, path, wanted)

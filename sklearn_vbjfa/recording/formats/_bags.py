@@ -25,6 +25,10 @@ from sklearn_vbjfa.recording._table import (
 )
 
 _TYPE = "sensor_msgs/msg/JointState"
+# Of controllers of ROS: what joints were told and where they were, in one message.
+_CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
+# Topics of joint states that are commands, by words in their names.
+_TELLING = re.compile("command|desired|target|goal|reference|cmd", re.IGNORECASE)
 # What mends a bag that was cut, and what unpacks one, by its ending.
 _MEND = {
     ".bag": "rosbag reindex {}",
@@ -103,7 +107,8 @@ def _read(paths: Sequence[Source], shown: Path, wanted) -> Table:
         with AnyReader(
             files, default_typestore=get_typestore(Stores.ROS2_HUMBLE)
         ) as bag:
-            return _joint_states(bag, shown, wanted.topic, joints)
+            read = _commanded if wanted.commanded else _joint_states
+            return read(bag, shown, wanted.topic, joints)
     except (_Refused, MemoryError):
         raise
     except Exception as error:
@@ -164,6 +169,137 @@ def _joint_states(bag, shown, topic, wanted):
             "of its joints; record a topic whose effort is filled in."
         )
     return _table(kinds, bare, shown, name, wanted)
+
+
+# -- what joints were told -------------------------------------------------------------
+
+
+def _commanded(bag, shown, topic, wanted):
+    """Make a table of positions and of those that were commanded."""
+    known = [x for x in bag.connections if x.msgcount and x.msgtype == _CONTROLLER]
+    asked = {topic, f"/{topic}"} if topic is not None else {x.topic for x in known}
+    found = [x for x in known if x.topic in asked]
+    if len({x.topic for x in found}) > 1:
+        topics = sorted({x.topic for x in found})
+        raise _Refused(
+            f"{shown}: holds {len(topics)} topics of controllers: {listed(topics)}; "
+            "give --topic with one of them (in Python: topic=...).",
+            {"topic": topics[0]},
+        )
+    if not found:
+        found = _states_and_commands(bag, shown, topic, wanted)
+    rows = [
+        (message.header.stamp, received, _told(connection, message))
+        for connection, received, message in _decoded(bag, shown, found)
+    ]
+    rows = [row for row in rows if row[2]]
+    told = {name for _, _, row in rows for key, name in row if key == "q_desired"}
+    read = {name for _, _, row in rows for key, name in row if key == "q"}
+    joints = sorted(told & read & set(wanted) or told & read)
+    if not joints:
+        raise _Refused(
+            f"{shown}: no joint of {listed(sorted({x.topic for x in found}))} has both "
+            "a position and a commanded one; record both by the same names."
+        )
+    stamps = np.array([x.sec * 10**9 + x.nanosec for x, _, _ in rows])
+    notes = [
+        "read from " + listed(sorted({x.topic for x in found})) + ": positions [rad or "
+        f"m] as q and commanded ones as q_desired of {', '.join(joints)}."
+    ]
+    still = [
+        topic
+        for topic in {x.topic for x in found}
+        if np.ptp(_of_topic(stamps, rows, topic)) == 0
+    ]
+    if still:
+        stamps = np.array([received for _, received, _ in rows])
+        notes.append(
+            f"stamps in the headers of {listed(sorted(still))} stand still; times are "
+            "those of the recorder."
+        )
+    order = np.argsort(stamps, kind="stable")
+    columns = {"t": (stamps[order] - stamps.min()) / 1e9}
+    for key in ("q", "v", "q_desired", "v_desired"):
+        values = np.array(
+            [[rows[k][2].get((key, name), np.nan) for name in joints] for k in order]
+        )
+        if np.isfinite(values).any(axis=0).all():
+            columns |= {f"{key}_{name}": x for name, x in zip(joints, values.T)}
+    return Table(
+        path=shown,
+        columns=columns,
+        where=lambda row: f"message {order[row] + 1}",
+        joints=tuple(joints),
+        notes=tuple(notes),
+    )
+
+
+def _states_and_commands(bag, shown, topic, wanted):
+    """Return connections of joint states and of what they were told."""
+    states = [x for x in bag.connections if x.msgcount and x.msgtype == _TYPE]
+    telling = sorted({x.topic for x in states if _TELLING.search(x.topic)})
+    others = sorted({x.topic for x in states} - set(telling))
+    if topic is not None:
+        others = [x for x in others if x in (topic, f"/{topic}")]
+    if len(telling) == 1 and len(others) == 1:
+        return [x for x in states if x.topic in (*telling, *others)]
+    kind = _CONTROLLER.replace("/msg", "")
+    raise _Refused(
+        f"{shown}: holds {len(others)} topic(s) of joint states and {len(telling)} of "
+        f"commanded ones; expected one of {kind}, or one of each, that of commands "
+        f"called so, {_contents(bag)}."
+    )
+
+
+def _decoded(bag, shown, connections):
+    """Yield connection, time of receipt [ns] and message of each."""
+    unknown = {x.msgtype for x in connections} - set(bag.typestore.fielddefs)
+    if unknown:
+        raise _Refused(
+            f"{shown}: has messages of {listed(sorted(unknown))} and not their "
+            "definition: record with --storage mcap, or convert the bag to MCAP where "
+            "ROS knows it."
+        )
+    for connection, received, raw in bag.messages(connections=connections):
+        yield connection, received, bag.deserialize(raw, connection.msgtype)
+
+
+def _told(connection, message):
+    """Return what a message says, (channel, joint) -> number, and its topic."""
+    if connection.msgtype == _CONTROLLER:
+        # ROS 2 has other names for them since 2023.
+        told = getattr(message, "reference", None) or message.desired
+        read = getattr(message, "feedback", None) or message.actual
+        parts = [
+            ("q_desired", message.joint_names, told.positions),
+            ("v_desired", message.joint_names, told.velocities),
+            ("q", message.joint_names, read.positions),
+            ("v", message.joint_names, read.velocities),
+        ]
+    else:
+        after = "_desired" if _TELLING.search(connection.topic) else ""
+        parts = [
+            (f"q{after}", message.name, message.position),
+            (f"v{after}", message.name, message.velocity),
+        ]
+    found = {
+        (key, name): float(value)
+        for key, names, values in parts
+        if len(values) == len(names)
+        for name, value in zip(names, values)
+        if np.isfinite(value)
+    }
+    if found:
+        found["topic", ""] = connection.topic
+    return found
+
+
+def _of_topic(stamps, rows, topic):
+    """Return the stamps of a topic's messages."""
+    return stamps[[row["topic", ""] == topic for _, _, row in rows]]
+
+
+# -- which topic -----------------------------------------------------------------------
 
 
 def _connections(bag, shown, topic, wanted):

@@ -169,7 +169,7 @@ class Effect(TransformerMixin, BaseEstimator):
     named_units: tuple = ()
     visible = "the joint moves"
     record = ""
-    negative = ()
+    negative: tuple = ()
     seen_over = ""
     with_motion = False
     # What its columns are made from, and where predictions follow them.

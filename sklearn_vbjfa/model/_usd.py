@@ -36,9 +36,7 @@ def write_usd(path, model, bodies, dynamics, *, note="", servo=None):
     try:
         from pxr import Usd
     except ImportError as error:
-        raise ImportError(
-            "Writing USD needs OpenUSD: pip install sklearn-vbjfa[usd]"
-        ) from error
+        raise ImportError("Writing USD needs OpenUSD: pip install usd-core") from error
     # OpenUSD keeps files that it has written under their names.
     temporary = path.with_name(f"part{uuid.uuid4().hex}{path.suffix}")
     try:

@@ -129,9 +129,10 @@ def _part(table: Table, joints):
     kind = kinds[0] if len(kinds) == 1 else ""
     if kind and words & _channels._COMMAND:
         # Of references only those of the motion are of use.
-        kind = {"q": "q_desired", "v": "v_desired"}.get(kind)
-        if kind is None:
+        commanded = {"q": "q_desired", "v": "v_desired"}
+        if kind not in commanded:
             return None
+        kind = commanded[kind]
     if table.nameless:
         return _by_file(table, kind, joints)
     plain = _layout.by_names(table, joints)

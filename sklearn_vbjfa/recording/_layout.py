@@ -354,8 +354,8 @@ def by_mapping(table: Table, mapping: dict, joints=(), rest=None) -> Layout:
         # What nobody has named is no signal.
         rest = frozenset(table.columns) - set(taken)
         roles = {name: own for name, own in roles.items() if own.column in taken}
-        times = [roles.pop(name) for name in ("t", "T") if name in roles]
-        return Layout(roles=roles, times=tuple(times), beside=rest, certain=True)
+        told = tuple(roles.pop(name) for name in ("t", "T") if name in roles)
+        return Layout(roles=roles, times=told, beside=rest, certain=True)
     times = tuple(x for x in plain.times if x.column not in taken)
     if "t" in kinds:
         # What else might be time is a column like others.

@@ -107,15 +107,15 @@ class Format:
     read_folder: Callable | None = None
     marks: tuple[str, ...] = ()  # patterns of files that only such a folder has
     has_topics: bool = False
-    # package that reads it, what needs it, and the extra that installs it
+    # package that reads it, and what needs it
     needs: tuple[str, ...] = ()
 
     def missing(self, path):
         """Return the error of a package that is not installed."""
-        package, what, extra = self.needs
+        package, what = self.needs
         return ImportError(
             f"{path}: {what} need {package}, which is not installed: "
-            f'pip install "sklearn-vbjfa[{extra}]"'
+            f"pip install {package}"
         )
 
 

@@ -1532,7 +1532,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             If the parameters are not physically consistent, a joint is helical, or
             joints follow others.
         ImportError
-            Without the package ``usd-core`` (``pip install sklearn-vbjfa[usd]``).
+            Without the package ``usd-core`` (``pip install usd-core``).
 
         See Also
         --------

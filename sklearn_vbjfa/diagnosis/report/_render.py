@@ -26,7 +26,7 @@ _SENTENCES = 2
 # How the entries of a list begin.
 _MARKS = ("- ",)
 # What is read of a section, its tables and its figures.
-_READ = ("heading", "sentences", "table", "note", "drawn")
+_READ: tuple = ("heading", "sentences", "table", "note", "drawn")
 _READ += ("heads", "rows", "title", "charts", "keys", "x_label", "y_label")
 # Spaces at which no line is broken.
 _UNIT = re.compile(

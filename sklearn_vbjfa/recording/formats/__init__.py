@@ -52,8 +52,8 @@ def _zstandard(source):
             from backports import zstd
         except ImportError as error:
             raise ImportError(
-                f"{source}: Zstandard comes with Python 3.14 or the extra bags: "
-                'pip install "sklearn-vbjfa[bags]"; or unpack it first: zstd -d '
+                f"{source}: Zstandard comes with Python 3.14 or a package: "
+                "pip install backports.zstd; or unpack it first: zstd -d "
                 f"{shlex.quote(str(source))}"
             ) from error
     return zstd

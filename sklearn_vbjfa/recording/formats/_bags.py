@@ -516,5 +516,5 @@ BAG = Format(
     read_folder=read_bag_folder,
     marks=("metadata.yaml", "*.db3*", "*.mcap*", "*.bag*"),
     has_topics=True,
-    needs=("rosbags", "bags", "bags"),
+    needs=("rosbags", "bags"),
 )

@@ -134,5 +134,5 @@ PARQUET = Format(
     begins=((b"PAR1", ".parquet"),),
     read_folder=read_lerobot,
     marks=(_INFO.as_posix(),),
-    needs=("pyarrow", "parquet files", "parquet"),
+    needs=("pyarrow", "parquet files"),
 )

@@ -134,5 +134,5 @@ SHEET = Format(
     endings=(".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"),
     read=read_sheet,
     begins=((b"\xd0\xcf\x11\xe0", ".xls"),),
-    needs=("python-calamine", "spreadsheets", "excel"),
+    needs=("python-calamine", "spreadsheets"),
 )

@@ -231,7 +231,8 @@ def table_of_arrays(path: Source, arrays) -> Table:
         # Matrices of other names become columns, for a mapping to say what they are.
         lengths = matrices or lengths
     (usual, _), *_ = Counter(lengths.values()).most_common(1)
-    n_rows, notes = lengths.get("q", usual), ()
+    n_rows = lengths.get("q", usual)
+    notes: tuple = ()
     if matrices and not any(_is_channel(x) for x in lengths):
         others = [x for x in arrays if arrays[x].shape == (n_rows,)]
         if len(lengths) == 1 and not others:

@@ -48,7 +48,8 @@ class Estimate:
     metric: np.ndarray
     # (p, p) or None: covariance in a weighted equation, where it was measured
     input_noise: np.ndarray | None
-    moments: JointMoments  # of the fit; blocks of time of several recordings alone
+    # of the fit; of a single recording the stretches in place of blocks of time
+    moments: JointMoments
     regressor: object
     # (p, p): posterior, with one factor for residuals correlated in time; infinite on
     # the diagonal where nothing tells a parameter, None if the regressor has none
@@ -150,7 +151,7 @@ def estimate(
         joint_weights=weight,
         metric=total.S_xx.copy() if noise is None else denoised(total, noise),
         input_noise=noise,
-        moments=moments if moments.recordings else replace(moments, blocks=None),
+        moments=moments.in_stretches(),
         regressor=regressor,
         block_factors=factors,
         wider=wider,

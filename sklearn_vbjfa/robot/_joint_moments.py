@@ -17,6 +17,9 @@ from sklearn_vbjfa.robot._ranges import SignalRanges, sum_ranges
 # periods of the cut-off.
 _BLOCKS = 40
 _FEWEST_ROWS = 10
+# Stretches of a single recording that may differ, as recordings do: the fewest that tell
+# a scatter from a trend, so that each is as long as can be.
+_STRETCHES = 4
 # Parts of blocks that are kept before parts of the same block are merged.
 _MOST_PARTS = 4 * _BLOCKS
 
@@ -218,6 +221,19 @@ class JointMoments:
             recordings=_merge_blocks(self.recordings, other.recordings),
             ranges=sum_ranges([self.ranges, other.ranges]),
         )
+
+    def in_stretches(self):
+        """Keep the blocks of a single recording as those of stretches of it."""
+        if self.recordings or self.blocks is None:
+            return self
+        blocks = _join(self.blocks)
+        count = len(blocks.keys)
+        stretch = _STRETCHES * np.arange(count) // max(count, 1)
+        # as recordings are kept, each by itself
+        keys = np.column_stack([stretch, np.ones_like(stretch)])
+        own = (_join((replace(blocks, keys=keys),)),)
+        few = count < 2 * _STRETCHES
+        return replace(self, blocks=None, recordings=None if few else own)
 
     def zeroed(self, entries):
         """Return the moments with regressor entries (nv, p), bool, set to zero."""

@@ -47,7 +47,9 @@ class BetweenRecordings:
     The deviation of a value is not known but for its posterior on a grid.
     """
 
-    count: int  # recordings, or groups of them where there are many
+    # recordings, or groups of them where there are many; one where these are stretches
+    # of a single recording
+    count: int
     places: np.ndarray  # (k,): parameters that were found in two of them or more
     # (k,): deviation of the next recording's value from the one that was fitted, for a
     # scale of one
@@ -81,7 +83,8 @@ class BetweenRecordings:
         spread = np.sqrt(keys[:, 1].max() + effects.shares)
         size, weights = effects.unit * spread, effects.solved()
         known = {"size": size, "weights": weights, "scales": _SCALES}
-        return cls(count=grams.shape[0], places=places, **known)
+        count = 1 if stats.blocks is None else grams.shape[0]
+        return cls(count=count, places=places, **known)
 
     @property
     def deviations(self):
@@ -105,7 +108,10 @@ def _noise_within(found, keys, grams, scores, places):
     taken = sum(s @ inner @ s for s, inner in zip(own, inverse))
     rank = scaled_eigen(found.metric, IDENTIFIABLE).rank + (own != 0).sum()
     noise = noise_variance(stats, weight, found.theta, rank, taken)
-    if stats.blocks is None or not noise > 0:
+    if stats.blocks is None:
+        # Of stretches the scatter in time is that of the fit.
+        return noise * max(found.pooled, 1.0)
+    if not noise > 0:
         return noise
     place, inner, each = weighted_parts(stats, stats.blocks, weight, found.theta)
     if set(place[:, 0]) != set(keys[:, 0]):

@@ -103,7 +103,9 @@ def test_a_value_is_as_scipy_has_it(centre, deviations, weights, lowest):
 def test_one_recording_has_the_deviations_of_the_fit(urdf):
     X, y, _, _ = recordings(urdf, 3, 1, off=share_of(0.0), noise=1.0)
     robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y)
-    found = robot.ranges(level=0.8)
+    # without what its stretches differ by
+    alone = dataclasses.replace(robot.robot_, between=None)
+    found = alone.ranges(level=0.8)
     assert found.recordings == 1
     for k, name in enumerate(robot.parameter_names_[10:], start=10):
         one, centre = found[name], robot.theta_unconstrained_[k]
@@ -114,6 +116,21 @@ def test_one_recording_has_the_deviations_of_the_fit(urdf):
         np.testing.assert_allclose([one.mean, one.std], [law.mean(), law.std()], 1e-6)
         assert one.within == std
         assert one.between == 0.0
+
+
+def test_a_single_recording_is_judged_by_its_stretches(urdf):
+    """Four recordings that differ, told as one, against four that do not."""
+
+    def ranges(share, labelled):
+        X, y, labels, _ = recordings(urdf, 4, 4, off=share_of(share), noise=0.1)
+        groups = labels if labelled else None
+        return RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=groups).ranges()
+
+    one, several, same = ranges(0.3, False), ranges(0.3, True), ranges(0.0, False)
+    assert (one.recordings, several.recordings, same.recordings) == (1, 4, 1)
+    for name in NAMES:
+        assert one[name].between == pytest.approx(several[name].between, rel=0.3)
+        assert same[name].between < 0.3 * one[name].between
 
 
 # -- from recording to recording -------------------------------------------------------
@@ -370,8 +387,8 @@ def test_a_file_of_before_has_none(several, tmp_path):
         with pytest.raises(ValueError, match="saved by a version that did not keep"):
             ask()
 
-
-def test_ranges_are_written_by_joint(several, tmp_path):
+    del content["unconstrained"], content["between_recordings"]
+    content["version"] = 1
     found = several.ranges(level=0.9)
     found.save(tmp_path / "ranges.json")
     content = json.loads((tmp_path / "ranges.json").read_text())

@@ -17,8 +17,7 @@ from sklearn_vbjfa.robot._ranges import SignalRanges, sum_ranges
 # periods of the cut-off.
 _BLOCKS = 40
 _FEWEST_ROWS = 10
-# Stretches of a single recording that may differ, as recordings do: few, so that each is
-# long.
+# Stretches of a single recording that may differ as recordings do, each of them long.
 _STRETCHES = 4
 # Parts of blocks that are kept before parts of the same block are merged.
 _MOST_PARTS = 4 * _BLOCKS

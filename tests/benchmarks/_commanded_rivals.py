@@ -6,7 +6,7 @@ alone, as users of PACE do, and least squares of the same, as mujoco.sysid. All 
 the bodies of the description, but for one least squares that frees them.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from _commanded_robots import DT, ClosedLoop, Numbers
@@ -29,10 +29,14 @@ SLOW_STEP = 2.5e-3  # of its simulations [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """Numbers, and deviations of some by name, each (nv,), or a number for "delay"."""
+    """Numbers, and deviations of some by name, each (nv,), or a number for "delay".
+
+    Intervals of 90 %, pairs of the same, take their place where a method has them.
+    """
 
     numbers: Numbers
     deviations: dict
+    intervals: dict = field(default_factory=dict)
 
 
 def _filtered(x, band):

@@ -256,7 +256,7 @@ def found_by(robot, described):
     terms = ("rotor_inertia", "viscous", "coulomb", "offset")
     columns = [[at[f"{joint}:{term}"] for term in terms] for joint in joints]
     first = [at[f"{joint}:m"] for joint in joints]
-    theta, deviations = robot.theta_, robot.theta_std_
+    theta = robot.theta_
     delay = at.get("drive:delay")
     numbers = numbers_of(
         described,
@@ -264,10 +264,12 @@ def found_by(robot, described):
         0.0 if delay is None else theta[delay],
         np.array([theta[k : k + 10] for k in first]),
     )
-    by_name = dict(zip(VALUES, deviations[np.array(columns)].T))
+    ranges = list(robot.ranges(level=0.9))
+    ends = np.array([(one.lower, one.upper) for one in ranges])
+    intervals = dict(zip(VALUES, ends[np.array(columns)].transpose(1, 2, 0)))
     if delay is not None:
-        by_name["delay"] = deviations[delay]
-    return Found(numbers=numbers, deviations=by_name)
+        intervals["delay"] = ends[delay]
+    return Found(numbers=numbers, deviations={}, intervals=intervals)
 
 
 def oracle(case):
@@ -329,6 +331,15 @@ def position_errors(numbers, described, gains, log):
     return np.sqrt(((found - log.true_q) ** 2).mean(axis=0))
 
 
+def intervals(found):
+    """Intervals of 90 % by name, of normal distributions where a method has no own."""
+    own = {
+        name: getattr(found.numbers, name) + Z90 * np.outer([-1, 1], deviation)
+        for name, deviation in found.deviations.items()
+    }
+    return {**own, **found.intervals}
+
+
 def judge(case, found):
     """Figures of what was found."""
     truth, numbers = case["numbers"], found.numbers
@@ -337,16 +348,12 @@ def judge(case, found):
     for name in VALUES:
         true = getattr(truth, name)
         out[name] = ((getattr(numbers, name) - true) / true).tolist()
-        width = found.deviations.get(name)
-        if width is not None:
-            away = np.abs(getattr(numbers, name) - true)
-            out[f"{name}_held"] = (away <= Z90 * width).tolist()
-            out[f"{name}_width"] = np.asarray(width).tolist()
     out["delay"] = 1e3 * (numbers.delay - truth.delay)
-    if "delay" in found.deviations:
-        width = float(found.deviations["delay"])
-        out["delay_held"] = [bool(abs(out["delay"]) <= Z90 * 1e3 * width)]
-        out["delay_width"] = [width]
+    for name, (lower, upper) in intervals(found).items():
+        true = getattr(truth, name)
+        held = (lower <= true) & (true <= upper)
+        out[f"{name}_held"] = np.atleast_1d(held).tolist()
+        out[f"{name}_width"] = np.atleast_1d((upper - lower) / (2 * Z90)).tolist()
     motion = log.true_q, log.true_v, log.true_a
     said, true = (torques(x, case["described"], motion) for x in (numbers, truth))
     error = torque_error(said, true, log.true_v)

@@ -175,9 +175,12 @@ class PDDrive(Drive):
     and then of its velocity has the noise of the whole band folded into it. The noise
     of positions is noise of the torque, K_p and K_d times, and of the regressor: what
     both have in common is measured with the rest, from the even and the odd samples,
-    and taken off their products. That is right to first order whether the drive made
-    its torque of that noise or only the log has it. The log's commands are taken as
-    exact.
+    and taken off their products. That is exact to first order where only the log has
+    the noise; where the drive made its torque of it, what is left falls with the
+    low-pass. The log's commands are taken as exact.
+
+    A joint that turns round does so earlier than its smoothed velocity; by how much
+    follows from its friction, its inertia and the gains, and is taken off.
 
     References
     ----------

@@ -495,7 +495,7 @@ def measured_logs(data_home):
     logs = []
     for name in recording.group_names:
         run = recording.select(name)
-        logs.append(Log(q=run.q, v=run.v, wanted=run.signals["q_ref"]))
+        logs.append(Log(q=run.q, v=run.v, wanted=run.signals["q_desired"]))
     joints = {x.get("name"): x for x in ET.parse(recording.urdf).iter("joint")}
     own = [joints[name] for name in recording.joint_names]
     words = ("armature", "damping", "frictionloss")

@@ -87,8 +87,8 @@ def _read_folder(path):
         )
     from sklearn_vbjfa.diagnosis.report._report import SCHEMA_VERSION
 
-    # Older ones hold all that is read here.
-    version = found.get("schema_version")
+    # Older ones hold all that is read here, the first without a number.
+    version = found.get("schema_version", 0)
     if not isinstance(version, int) or version > SCHEMA_VERSION:
         raise ValueError(
             f"{str(file)!r}: 'schema_version' is {version!r}, and this release reads "

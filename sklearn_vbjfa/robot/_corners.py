@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
+from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model import import_pinocchio
 
 # Rows at which the inertia of a joint is looked at.
@@ -29,7 +30,7 @@ def with_corners(robot, source):
     if feedback is None or estimator is None or "coulomb" not in features.friction_:
         return None
     terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
-    dry = np.maximum(terms["coulomb"], 0.0)
+    dry = np.maximum(terms["coulomb"] - _commanded(robot, source), 0.0)
     damping = feedback[1] + np.maximum(terms.get("viscous", 0.0), 0.0)
     rotors = np.maximum(terms.get("rotor_inertia", np.zeros(dry.size)), 0.0)
     inertia = _inertias(robot, rotors, source.states)
@@ -54,6 +55,25 @@ def jump(dry, inertia, damping, stiffness, cutoff):
     answer = 1.0 / (inertia * omega**2 - stiffness - 1j * damping * omega)
     late = 2 * dry / np.pi * np.trapezoid(lost * answer.real, omega)
     return max(late, 0.0) / _smoothing.rounding(cutoff)
+
+
+def _commanded(robot, source):
+    """Jump (nv,) that commands make by themselves where joints turn, half of it."""
+    # Friction that is commanded ahead takes the jump away: of what the smoother leaves
+    # out of commands, the part that goes with what it leaves out of the signs.
+    recording, nv = source.recording, source.recording.nv
+    command, clock = recording.command, recording.clock()
+    for effect in robot.effects_:
+        if isinstance(effect, CommandDelay):
+            command = command + effect.change(command, recording.segments, clock)
+    estimator, groups = robot.plan.state_estimator, recording.groups
+    speed = np.concatenate([own[slice(None)] for own in source.states.own])
+    signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])
+    command, signs = (
+        x - estimator.transform(x, groups=groups)[:, :nv] for x in (command, signs)
+    )
+    power = (signs**2).sum(axis=0)
+    return (command * signs).sum(axis=0) / np.where(power > 0, power, 1.0)
 
 
 def _inertias(robot, rotors, states):

@@ -134,7 +134,7 @@ RECORDINGS = {
     ),
     "a lost piece": (
         lambda x: without(x, np.r_[700:800, 805:905]),
-        {"": (3, r"1 piece\(s\) of fewer than 10 samples between gaps are left out")},
+        {"": (3, r"1 piece\(s\) of fewer than 16 samples between gaps are left out")},
     ),
     "missing rows that are interpolated": (
         lambda x: without(x, [700, 900]),

@@ -50,7 +50,9 @@ def test_what_is_wrong_is_said(made, tmp_path, capsys):
 def test_currents_are_no_fault(made, tmp_path, capsys):
     path = KINDS["UR RTDE record"](made, tmp_path)
     out, err = inspect(capsys, path, "--urdf", made.urdf)
-    assert "- torques are recorded in A: close-loop needs --gain unknown" in out
+    line = " ".join(out.split())
+    assert "- torques are recorded in A: close-loop needs the factors to N m" in line
+    assert "or --gain unknown" in line
     assert "gear" not in out
     assert "taken as RTDE of a Universal Robots controller" in err
 

@@ -237,5 +237,5 @@ def test_refuses_in_words_what_followers_cannot_do(path, recorded, motion):
     with pytest.raises(ValueError, match=words):
         robot.fit(q, tau)
     robot = RobotIdentifier(str(path), dt=DT, friction=("viscous",))
-    with pytest.raises(ValueError, match=r"partial_fit cannot .* follow: use fit, or"):
+    with pytest.raises(ValueError, match=r"does not support .* follow: use fit, or"):
         robot.partial_fit(np.hstack(motion), tau)

@@ -527,7 +527,7 @@ def test_what_does_not_show_stays_and_has_no_deviation(used, seen):
     [
         (
             JointZero(1, 0.6),
-            r"zero of joint_zero on joint_2 \(0\.259\) went to",
+            r"zero of joint_zero on joint_2 \(0\.259\) reached",
         ),
         (TorqueGain(1, 4.0), r"gain of torque_gain on joint_2 \(2\.4"),
     ],

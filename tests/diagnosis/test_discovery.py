@@ -231,7 +231,7 @@ def test_effects_carry_what_is_needed(one):
     coef = one.identifier_.theta_[at:]
     assert effect.parameters == pytest.approx(effect.effect.parameters(coef))
     assert one.error_before_.shape == one.error_after_.shape == (2,)
-    assert "spring" in str(one.report_)
+    assert "spring" in one.report_.to_markdown()
 
 
 def test_effects_carry_the_ranges_that_they_were_fitted_on(one):
@@ -268,7 +268,9 @@ def test_untouched_data_outside_of_the_fit_are_told():
     assert one.fitted == (low, high)
     assert max(low - one.reached, one.reached - high) > 0.2 * (high - low)
     assert 0.05 < one.share < 1.0
-    assert "Outside the range of the fit: joint 1: position" in str(loop.report_)
+    assert (
+        "Outside the range of the fit, on held-out data" in loop.report_.to_markdown()
+    )
 
 
 def test_intervals_of_the_errors_hold_them(one):
@@ -341,7 +343,7 @@ def test_the_model_that_is_handed_over_knows_all_data(one):
     known = np.isfinite(less)
     assert known.any()
     assert np.all(more[known] < 1.2 * less[known])
-    assert "fitted to all data" in str(one.report_)
+    assert "fitted to all data" in one.report_.to_markdown()
 
 
 def test_prediction_is_that_of_the_completed_model(one):

@@ -87,7 +87,7 @@ def test_coarse_torques_are_told_and_name_nothing(step):
         assert loop.effects_ == ()
         assert loop.report_.status == "unsearched"
         assert loop.report_.outcome.unsearched == (0, 1)
-        assert "steps of" in str(loop.report_)
+        assert "steps of" in loop.report_.to_markdown()
         assert np.isfinite(loop.error_after_).all()
 
 

@@ -122,7 +122,10 @@ def test_what_varies_is_named(of):
     low, high = found.intervals["k"]
     assert low < 0.8 < high
     label = {"offset": "Offset", "viscous": "Viscous friction"}[of]
-    assert f"{label.lower()} that varies with gripper" in str(loop.report_).lower()
+    assert (
+        f"{label.lower()} that varies with gripper"
+        in loop.report_.to_markdown().lower()
+    )
 
 
 # -- rivals
@@ -174,7 +177,7 @@ def test_the_report_names_the_signals(both, warm):
     outcome = both.report_.to_dict()
     assert outcome["settings"]["signals"] == ["temperature", "kp"]
     assert "temperature, kp" in both.report_.to_markdown()
-    for text in (str(warm.report_), warm.report_.to_markdown()):
+    for text in (warm.report_.to_html(), warm.report_.to_markdown()):
         said = " ".join(text.split())
         assert "Coulomb friction that varies with temperature" in said
         assert "N m per unit of temperature" in said
@@ -185,7 +188,7 @@ def test_without_signals_nothing_is_said_of_them():
     loop = close(heated(np.full(SHARE.size, 25.0)), None)
     assert "signal" not in {one.name for one in loop.hidden_}
     assert loop.report_.to_dict()["settings"]["signals"] == []
-    assert "varies with" not in str(loop.report_)
+    assert "varies with" not in loop.report_.to_markdown()
 
 
 def test_what_remains_varies_with_a_signal_without_a_name():
@@ -227,7 +230,7 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
     assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
     assert {c.kind for c in found.values()} == {"unusable_signal"}
     assert {c.severity for c in found.values()} == {"warning"}
-    said = " ".join(str(loop.report_).split())
+    said = " ".join(loop.report_.to_markdown().split())
     for reason in (
         "'gaps' is not used as a signal: it has gaps",
         "'fixed' is not used as a signal: it is constant (12 in all rows)",

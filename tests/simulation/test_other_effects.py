@@ -139,7 +139,7 @@ def test_torque_that_is_not_linear_in_acceleration():
 
 def test_memory_is_left_out_with_a_warning():
     robot = wheel(effects=[(OwnMemory(), [0.5]), (OwnSpring(), [2.0, 0.0])])
-    with pytest.warns(UserWarning, match="without presliding on wheel .its torque"):
+    with pytest.warns(UserWarning, match="leaves out presliding on wheel .its torque"):
         states = simulate(robot, np.zeros((20, 1)), [0.1])
     bare = simulate(wheel(effects=[(Spring(), [2.0, 0.0])]), np.zeros((20, 1)), [0.1])
     np.testing.assert_allclose(states, bare, rtol=0, atol=1e-12)

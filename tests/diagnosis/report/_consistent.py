@@ -84,6 +84,7 @@ def _assert_words(report):
         assert "othing is missing" not in headline, headline
     if report.status in ("complete", "partial"):
         assert outcome.effects, headline
-        assert "missing" in headline, headline
+        fell = "missing" in headline
+        assert fell != ("though the held-out error did not fall" in headline), headline
     if report.status in ("nothing", "exhausted"):
         assert not outcome.effects, headline

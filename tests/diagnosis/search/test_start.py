@@ -54,7 +54,9 @@ def test_plain_terms_are_added_and_not_discovered(loops):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
         assert not {r.name for r in loop.rounds_} & set(PLAIN)
-        assert ("Added on every joint" in str(loop.report_)) == bool(loop.added_)
+        assert ("Added on every joint" in loop.report_.to_markdown()) == bool(
+            loop.added_
+        )
     assert loops[PLAIN].declared_ is loops[PLAIN].plain_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()

@@ -33,7 +33,8 @@ def test_few_modules_more_than_the_linear_models_have():
     assert len(ours) < MOST * len(theirs)
     more = {name.split(".")[0] for name in ours} - sys.stdlib_module_names
     more -= {name.split(".")[0] for name in theirs}
-    assert more == {"sklearn_vbjfa", "clarabel", "tabulate"}
+    # tabulate takes wcwidth where something else has installed it
+    assert more - {"wcwidth"} == {"sklearn_vbjfa", "clarabel", "tabulate"}
     # Trees and filters are loaded by the fits that need them.
     parts = {".".join(name.split(".")[:2]) for name in ours - theirs}
     assert not [name for name in parts if name.startswith(("sklearn.", "scipy."))]

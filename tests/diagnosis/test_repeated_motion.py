@@ -65,7 +65,9 @@ def test_a_curve_of_the_phase_has_no_name(seed, recordings):
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
     assert motion.count == pytest.approx(TIMES, rel=0.01)
     assert "Motion that repeats: one of" in loop.report_.to_markdown()
-    assert "a motion that does not repeat (design makes one)" in loop.report_.to_markdown()
+    assert (
+        "a motion that does not repeat (design makes one)" in loop.report_.to_markdown()
+    )
 
 
 def test_an_effect_that_the_phases_show_is_named():

@@ -125,7 +125,7 @@ def test_parquet(tmp_path):
         read_recording(path)
 
 
-def test_parquet_without_pyarrow_names_the_extra(tmp_path, monkeypatch):
+def test_parquet_without_pyarrow_names_the_package(tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     path = tmp_path / "arm.parquet"
     path.write_bytes(b"PAR1")

@@ -82,7 +82,7 @@ class FrictionCurves:
     joint: int  # from zero
     # over speed, with what all else of the completed model leaves of the measured
     # torque as what is "without the effect": the effect is the friction of each model
-    before: EffectCurves
+    before: EffectCurves | None
     after: EffectCurves
 
 

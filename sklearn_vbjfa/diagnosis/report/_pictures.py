@@ -215,10 +215,10 @@ def friction_figure(curves, *, title, y_label):
     before, after = curves.before, curves.after
     frame = _Frame(x=_ends(after.x), y=_range(np.r_[after.without, after.law]))
     x_label = f"speed [{after.unit}]"
-    lines = (
-        ("mean-after", "completed model", after.center, after.law_mean),
-        ("law", "declared model", before.center, before.law_mean),
-    )
+    lines = [("mean-after", "completed model", after.center, after.law_mean)]
+    if before is not None:
+        # The declared model may have too little friction for a curve.
+        lines.append(("law", "declared model", before.center, before.law_mean))
     shapes = [
         Shape(kind="zero", path=frame.level(0.0)),
         Shape(kind="zero", path=_verticals(frame, [0.0])),

@@ -60,7 +60,7 @@ for effect in loop.effects_:
         print(f"  {symbol} = {value:.4f} ({low:.4f} to {high:.4f}), true {true:.4f}")
 
 told = loop.report_.to_markdown()
-print(told[told.index("## Effects that were") : told.index("## Effects in the torque")])
+print(told[told.index("## Effects that were") : told.index("## What to do next")])
 
 # %%
 # The same without these effects

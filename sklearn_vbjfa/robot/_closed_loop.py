@@ -15,6 +15,7 @@ from sklearn_vbjfa._core._lowpass import decimate
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import Drive, PDDrive
 from sklearn_vbjfa.recording._drives import velocity_lags
+from sklearn_vbjfa.robot._equations import late_command
 from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
@@ -167,10 +168,7 @@ def follow(robot, drive, recording, window=None):
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
     made = drive.driven(recording)
     clock = recording.clock()
-    command = made.command
-    for effect in robot.effects_:
-        if isinstance(effect, CommandDelay):
-            command = command + effect.change(command, recording.segments, clock)
+    command = late_command(made, robot.effects_)
     names, shape = recording.joint_names, command.shape
     kp, kd = (np.broadcast_to(x, shape) for x in drive.law(names, recording))
     most = drive.most(names)

@@ -12,8 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model import import_pinocchio
+from sklearn_vbjfa.robot._equations import late_command
 
 # Rows at which the inertia of a joint is looked at.
 _ROWS = 64
@@ -62,10 +62,7 @@ def _commanded(robot, source):
     # Friction that is commanded ahead takes the jump away: of what the smoother leaves
     # out of commands, the part that goes with what it leaves out of the signs.
     recording, nv = source.recording, source.recording.nv
-    command, clock = recording.command, recording.clock()
-    for effect in robot.effects_:
-        if isinstance(effect, CommandDelay):
-            command = command + effect.change(command, recording.segments, clock)
+    command = late_command(recording, robot.effects_)
     estimator, groups = robot.plan.state_estimator, recording.groups
     speed = np.concatenate([own[slice(None)] for own in source.states.own])
     signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])

@@ -470,6 +470,15 @@ def as_driven(recording, plan):
     return recording
 
 
+def late_command(recording, effects):
+    """Torques (n, nv) that follow from commands alone, as late as effects have them."""
+    command, known = recording.command, (recording.segments, recording.clock())
+    for effect in effects:
+        if isinstance(effect, CommandDelay):
+            command = command + effect.change(command, *known)
+    return command
+
+
 # -- segments --------------------------------------------------------------------------
 
 

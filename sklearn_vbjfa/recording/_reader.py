@@ -286,36 +286,39 @@ def _read_files(paths, given, bad, stored):
             if bad is not None:
                 bad[one] = error
             elif not files:
-                raise _offering_join(paths, given, error) from error
+                _offer_join(paths, given, error)
+                raise
             elif isinstance(error, RecordingRefused):
                 # The files before it were read without the options that it offers.
                 raise RecordingRefused(error.reason) from error
             else:
                 raise
     if bad and not files:
-        raise _offering_join(paths, given, next(iter(bad.values())))
+        error = next(iter(bad.values()))
+        _offer_join(paths, given, error)
+        raise error
     return files
 
 
-def _offering_join(paths, given, error):
-    """Return an error about the first of several files, or the offer to join them."""
-    # None of them is a recording; side by side they may be one.
+def _offer_join(paths, given, error):
+    """Raise the offer to join several files, if they are no recordings but one."""
+    # error: about the first of them.
     options = getattr(error, "options", {})
     if len(paths) < 2 or options or any(isinstance(x, tuple) for x in paths):
-        return error
+        return
     try:
         _read_file(tuple(map(Path, paths)), *given)
     except RecordingRefused as other:
         if not other.options:
-            return error
+            return
         options = other.options
     except (ValueError, OSError):
-        return error
-    return RecordingRefused(
+        return
+    raise RecordingRefused(
         f"{_named(paths)}: none is a recording on its own; side by side they would be "
         "one",
         {"join": True, **options},
-    )
+    ) from error
 
 
 def _without_folders(paths, join, given):

@@ -87,6 +87,17 @@ class Estimate:
         """Parameters (p,), bool, that the data tell little of beside a description."""
         return little_learned(self.std, self.prior_std)
 
+    def of_moments(self, moments):
+        """Return the same parameters as those of other equations."""
+        total = moments.total(self.joint_weights)
+        noise = moments.total_noise(self.joint_weights)
+        return replace(
+            self,
+            metric=total.S_xx.copy() if noise is None else denoised(total, noise),
+            input_noise=noise,
+            moments=moments.in_stretches(),
+        )
+
     def noise(self):
         """Residual deviations (nv,) due to input noise, and the rest [N m or N]."""
         return self.moments.split_residual(self.theta)

@@ -47,6 +47,7 @@ from sklearn_vbjfa.robot._gains import (
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._output_error import refine
 from sklearn_vbjfa.robot._plan import needs_load, takes_moments
+from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
@@ -88,6 +89,8 @@ class Fit:
     found: Estimate
     made: tuple = ()  # segments of the recording that was fitted
     criteria: object = None  # of a refinement by simulation
+    # with the derivatives by values in the model as columns, where there are such
+    tangents: Estimate | None = None
 
     @classmethod
     def of(cls, robot, found, shown, made=()):
@@ -135,6 +138,12 @@ class Fit:
         known = robot.features_.friction_, robot.effects_, self.found.moments.ranges
         ranges = effect_ranges(*known, load)
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
+
+    def between(self):
+        """Return how far values are off between recordings; None if it is not told."""
+        robot = self.robot
+        known = places_between(robot), robot.theta_
+        return BetweenRecordings.of_estimate(self.tangents or self.found, *known)
 
     def with_torque_noise(self, noise):
         """Return the fit with another torque noise (nv,), in the band of the fit."""
@@ -332,7 +341,8 @@ def _settle(recipe, fit, source, relative):
     powers = robot.powers.with_tangents(powers, robot.effects_)
     changes = {"identifiable_": shown, "gains_": gains, "powers": powers}
     fit = fit.telling(replace(found, **known), **changes)
-    return replace(fit, made=source.segments(fit.robot))
+    tangents = found.of_moments(values.moments)
+    return replace(fit, made=source.segments(fit.robot), tangents=tangents)
 
 
 def _of_bodies(robot):
@@ -449,6 +459,7 @@ class ModelValues:
     std: np.ndarray  # of the values; nan where the recording does not show them
     # estimate of everything, with corrections in the places of the values
     estimate: PlainEstimate | None = None
+    moments: object = None  # of the equations, with derivatives by the values
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights, bodies=None):
@@ -470,6 +481,7 @@ class ModelValues:
             step=np.where(shown, found.theta[places], 0.0),
             std=np.where(shown, found.std[places], np.nan),
             estimate=found,
+            moments=moments,
         )
 
     def stay(self):

@@ -47,7 +47,6 @@ from sklearn_vbjfa.robot._plan import (
     observe,
     resolve_standstill,
 )
-from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._ranges import ends
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -898,8 +897,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def _set(self, fit):
         """Set the attributes to what a fit found."""
         found = fit.found
-        between = BetweenRecordings.of_estimate(found, places_between(fit.robot))
-        self._robot = replace(fit.robot, between=between)
+        self._robot = replace(fit.robot, between=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
         for name in _OF_ROBOT:
             setattr(self, name, getattr(fit.robot, name))

@@ -58,9 +58,10 @@ class BetweenRecordings:
     scales: np.ndarray  # (m,), in equal steps of their logarithm
 
     @classmethod
-    def of_estimate(cls, found, places):
+    def of_estimate(cls, found, places, values):
         """Estimate it from the moments of recordings; None where there are not two."""
-        # found: `Estimate`; places (k,): parameters that may differ.
+        # found: `Estimate`, in which a value in the model is the correction to it;
+        # places (k,): parameters that may differ; values (p,): their sizes.
         stats, weight = found.moments, found.joint_weights
         if not stats.recordings or found.covariance is None:
             return None
@@ -77,7 +78,7 @@ class BetweenRecordings:
             return None
         prior = 0.0 if found.bodies is None else found.bodies.prior
         effects = _RecordingEffects(
-            grams / noise, scores / noise, found.theta, prior, places
+            grams / noise, scores / noise, values, prior, places
         )
         # The values that were fitted are off, too: by a mean of those of recordings.
         spread = np.sqrt(keys[:, 1].max() + effects.shares)
@@ -135,7 +136,7 @@ class _RecordingEffects:
     # s_k is half-Cauchy around a share of the value. For the others as last estimated
     # the evidence of each s_k is that of a group of columns, one for each recording.
 
-    def __init__(self, grams, scores, theta, prior, places):
+    def __init__(self, grams, scores, values, prior, places):
         self._inner = grams[:, places[:, None], places]
         self._cross = grams[:, places]
         self._scores, self._own = scores, scores[:, places]
@@ -146,7 +147,7 @@ class _RecordingEffects:
             squares = np.where(power > 0, self._own**2 / power, 0.0).sum(axis=0)
         beyond = np.maximum(squares - (power > 0).sum(axis=0), 1.0)
         scatter = beyond / power.sum(axis=0)
-        self.unit = np.sqrt(theta[places] ** 2 + scatter / _SHARE**2)
+        self.unit = np.sqrt(values[places] ** 2 + scatter / _SHARE**2)
         self._power = power
         # (k,): sums of the squared shares of recordings in the values that were fitted
         inverse = scaled_eigen(self._total, _ROUNDING).inverse()[places]
@@ -388,8 +389,13 @@ def body_places(robot):
 
 def places_between(robot):
     """Parameters that may differ between recordings of the same robot, (k,)."""
-    # Values of drives. Bodies do not, and effects of time say themselves how they do.
-    rest = ~_of_effects(robot, lambda effect: effect.in_model or effect.slow)
+
+    # Values of drives. Bodies do not, nor what may stand for them, and effects of time
+    # say themselves how they do.
+    def stays(effect):
+        return effect.slow or (effect.in_model and effect.of_bodies)
+
+    rest = ~_of_effects(robot, stays)
     rest[body_places(robot)] = False
     return np.flatnonzero(rest)
 

@@ -38,7 +38,8 @@ feedback is some 2 % of the armature and 4 % of the damping.
 - seconds: of one processor, for one robot.
 
 A cell "proves nothing" where least squares without a delay is within 1 % of the truth.
-Seeds 0 to 19 are for work, from 5000 on to confirm, once.
+Seeds 0 to 19 are for work, from 5000 on to confirm, each once; those from another first
+seed on are another table.
 
 ``--measured``: the ten runs of the Go2 itself, one motion. Fitted on runs 0 to 6,
 judged on runs 7 to 9, by torque and by positions in windows of 1 s that begin with a
@@ -654,6 +655,9 @@ def main(argv=None):
         print(result["seed"], result["way"], f"{result['seconds']:.1f} s", flush=True)
     done = ledger.of(tasks)
     name = "commands" if first < 5000 else "commands_confirmation"
+    if first > 5000:
+        # Seeds that were run later.
+        name += f"_{first}"
     publish(
         name,
         report(done, first, last),

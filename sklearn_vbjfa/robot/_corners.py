@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.robot._equations import late_command
 
 # Rows at which the inertia of a joint is looked at.
@@ -75,15 +74,14 @@ def _commanded(robot, source):
 
 def _inertias(robot, rotors, states):
     """Inertia (nv,) of each joint while all others are free, in the mean of poses."""
-    pin = import_pinocchio()
-    model = robot.features_.model_.copy()
-    for i, values in enumerate(robot.inertial()):
-        model.inertias[i + 1] = pin.Inertia.FromDynamicParameters(values)
-    data, found = model.createData(), []
+    # Columns of the inertia matrix are torques that accelerations ask for: bodies that
+    # were fitted need not be physical.
+    nv = rotors.size
+    a, found = np.vstack([np.zeros(nv), np.eye(nv)]), []
     for own in states.own:
         for i in np.unique(np.linspace(0, own.shape[0] - 1, _ROWS).astype(int)):
-            q = own[slice(i, i + 1)].reshape(-1)[: model.nv]
-            upper = np.triu(pin.crba(model, data, q))
-            mass = upper + np.triu(upper, 1).T + np.diag(rotors)
+            q = np.tile(own[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
+            still, *columns = robot.features_.torques(q, 0.0 * a, a, robot.inertial())
+            mass = np.array(columns) - still + np.diag(rotors)
             found.append(1.0 / np.diagonal(np.linalg.pinv(mass)))
     return np.mean(found, axis=0)

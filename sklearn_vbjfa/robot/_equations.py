@@ -63,7 +63,7 @@ class Equations:
     weight: np.ndarray  # (n, nv): zero leaves an equation out
     # (n,) or None: row of the recording at the centre of each filtered row
     index: np.ndarray | None = None
-    # (n, nv, p) or None: second, independent measurement of `Phi`
+    # (n, nv, p) or None: regressors of another measurement of the motion
     instruments: np.ndarray | None = None
     # (n, nv, p) or None: regressors from the even samples minus the odd ones
     difference: np.ndarray | None = None
@@ -90,7 +90,23 @@ class Equations:
 
     def zeroed(self, entries):
         """Return the same equations with entries (nv, p), bool, set to zero."""
-        return replace(self, Phi=np.where(entries, 0.0, self.Phi))
+        instruments = self.instruments
+        if instruments is not None:
+            # Rounding, in the scale of its column, would be an instrument as well.
+            instruments = np.where(entries, 0.0, instruments)
+        Phi = np.where(entries, 0.0, self.Phi)
+        return replace(self, Phi=Phi, instruments=instruments)
+
+
+def instrumented(pieces, others):
+    """Give equations the regressors of others, of the same rows, as instruments."""
+    # An equation counts only where the joint moves in both.
+    return [
+        replace(
+            one, weight=np.minimum(one.weight, other.weight), instruments=other.Phi
+        )
+        for one, other in zip(pieces, others)
+    ]
 
 
 def joined(pieces):

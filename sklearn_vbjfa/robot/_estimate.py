@@ -327,13 +327,14 @@ def _fit_rows(regressor, rows, joint_weights, total, forward):
     b = b / y_scale
     weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
     forwarded = forward(regressor, rows, weight) if forward is not None else {}
+    fit_params = {}
+    if rows[0].instruments is not None:
+        fit_params["instruments"] = stacked("instruments")
     if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
         # Scale the rows: not every regressor takes sample_weight.
         own = np.sqrt(weight / weight.mean())
         A, b = A * own[:, None], b * own
-    fit_params = {}
-    if rows[0].instruments is not None:
-        fit_params["instruments"] = stacked("instruments")
+        fit_params = {name: Z * own[:, None] for name, Z in fit_params.items()}
     parameters = regressor.get_params(deep=True)
     names = {name.split("__")[-1] for name in parameters}
     intercepts = [n for n in parameters if n.split("__")[-1] == "fit_intercept"]

@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from sklearn.exceptions import ConvergenceWarning
+from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core._progress import stage
 from sklearn_vbjfa.model import DoubtWarning
@@ -22,6 +23,7 @@ from sklearn_vbjfa.robot._equations import (
     accumulate,
     equations,
     held_columns,
+    instrumented,
     is_plain,
     plain_coefficients,
     segments,
@@ -74,6 +76,31 @@ class Source:
         plan = replace(robot.plan, **changes)
         known = {"theta": robot.load}
         return segments(self.recording, self.states, plan, robot.features_, **known)
+
+    def instrumented(self, robot):
+        """Equations of a robot, with instruments free of their noise, a list."""
+        # The commanded motion, where a drive makes its torque of it (what commands add
+        # to the torque, in units of the positions), else odd samples beside even ones.
+        recording, estimator = self.recording, robot.plan.state_estimator
+        if estimator is None:
+            raise ValueError(
+                "a regressor that takes instruments needs positions, of which the even "
+                "samples are measured beside the odd ones; got states. Pass positions, "
+                "or another regressor."
+            )
+        feedback, groups = recording.feedback, recording.groups
+        if feedback is None or not (feedback[0] > 0).all():
+            both = estimator.split_transform(recording.q, groups)
+        else:
+            own = np.concatenate([one[:] for one in self.states.own])
+            q = recording.command / feedback[0]
+            both = own, estimator.transform(q, groups=groups)
+        pieces = []
+        for states in both:
+            states = RecordingStates.of_rows(recording.segments, states)
+            made = replace(self, states=states).segments(robot)
+            pieces.append(equations(made, robot.plan.lowpass, self.numbering))
+        return instrumented(*pieces)
 
     def moments(self, made, plan):
         """Second moments of segments, with those of the blocks of the fit."""
@@ -200,7 +227,10 @@ class Recipe:
         made = source.segments(robot)
         if takes_moments(self.regressor, self.block_noise):
             return self.of_moments(robot, source.moments(made, robot.plan), made=made)
-        pieces = equations(made, robot.plan.lowpass, source.numbering)
+        if has_fit_parameter(self.regressor, "instruments"):
+            pieces = source.instrumented(robot)
+        else:
+            pieces = equations(made, robot.plan.lowpass, source.numbering)
         return self.of_equations(robot, pieces, made)
 
     def _shown(self, found):

@@ -161,7 +161,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which are needed.
     regressor : estimator, default=None
         Linear regressor, see `JointTorqueRegressor`; None is
-        ``VBJFARegressor(latent="correlated", input_noise=0.0)``.
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``. One whose `fit` takes
+        `instruments`, as `InstrumentalVariables`, has the commanded motion of the
+        `drive` for them, and without one the odd samples beside the even ones.
     projector : "default", PhysicalProjector or None, default="default"
         Projection of the parameters; None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"

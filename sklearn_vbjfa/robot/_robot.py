@@ -37,6 +37,7 @@ from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     as_driven,
     equations,
+    instrumented,
     is_plain,
     joined,
     motion_of,
@@ -1118,15 +1119,7 @@ class IdentifiedRobot(SimulatesTorques):
 
         if halves == "instruments":
             even, odd = plan.state_estimator.split_transform(X, groups)
-            # An equation counts only where the joint moves in both halves.
-            return [
-                replace(
-                    one,
-                    weight=np.minimum(one.weight, other.weight),
-                    instruments=other.Phi,
-                )
-                for one, other in zip(pieces(of_rows(even)), pieces(of_rows(odd)))
-            ]
+            return instrumented(pieces(of_rows(even)), pieces(of_rows(odd)))
         both = None
         if halves == "noise" and plan.state_estimator is not None:
             both = plan.state_estimator.split_transform(X, groups=groups)

@@ -7,10 +7,15 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
+from sklearn.linear_model import LinearRegression
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa import (  # noqa: E402
+    InstrumentalVariables,
+    RobotIdentifier,
+    load_identified,
+)
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
@@ -357,6 +362,47 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     # of the inputs alone, and of none
     assert rotor(apart) > rotor(recording) + 0.04
     assert rotor(recording, input_noise=None) < -0.5
+
+
+@pytest.mark.parametrize("where", ["log", "loop"])
+def test_commands_are_instruments_of_the_motion(where):
+    drive, recording = pendulum(where)
+    settings = {"dt": DT, "cutoff": 40.0, "state_cutoff": 70.0, "projector": None}
+
+    def off(regressor):
+        """How far inertia, damping and dry friction are off, as shares."""
+        robot = RobotIdentifier(bob(), drive=drive, regressor=regressor, **settings)
+        robot.fit_recording(recording)
+        asked = np.array([[0.0, 0.0, 1.0], [0.0, 0.0, 0.0]])
+        pushed, still = robot.features_.matrices(asked)[:, 0] @ robot.theta_
+        terms = dict(zip(robot.parameter_names_, robot.theta_))
+        found = [pushed - still, terms["j:viscous"], terms["j:coulomb"]]
+        return np.array(found) / [0.09, 0.3, 0.4] - 1
+
+    plain, instrumented = off(LinearRegression()), off(InstrumentalVariables())
+    assert (np.abs(plain) > 0.09).all()
+    assert (np.abs(instrumented) < 0.03).all()
+
+
+def test_samples_beside_each_other_are_instruments_where_nothing_is_commanded():
+    drive, recording = pendulum("log")
+    recording = drive.driven(recording)
+    q, y = recording.q, recording.tau
+    robot = RobotIdentifier(
+        bob(), dt=DT, cutoff=40.0, regressor=InstrumentalVariables(), projector=None
+    ).fit(q, y)
+    pieces = robot.robot_.pieces(q, y, None, halves="instruments")
+    root, Phi, Z, tau = (
+        np.concatenate([getattr(one, name)[:, 0] for one in pieces])
+        for name in ("weight", "Phi", "instruments", "tau")
+    )
+    root = np.sqrt(root)
+    Phi, Z, tau = root[:, None] * Phi, root[:, None] * Z, root * tau
+    seen = np.linalg.lstsq(Z, Phi)[0]
+    expected = np.linalg.lstsq(Z @ seen, tau)[0]
+    assert_allclose(Phi @ robot.theta_, Phi @ expected, atol=1e-6 * tau.std())
+    with pytest.raises(ValueError, match="takes instruments needs positions"):
+        robot.fit(np.hstack([q, q, q]), y)
 
 
 def test_noise_in_common_is_a_quarter_of_the_products_of_differences():

@@ -102,9 +102,7 @@ def instrumented(pieces, others):
     """Give equations the regressors of others, of the same rows, as instruments."""
     # An equation counts only where the joint moves in both.
     return [
-        replace(
-            one, weight=np.minimum(one.weight, other.weight), instruments=other.Phi
-        )
+        replace(one, weight=np.minimum(one.weight, other.weight), instruments=other.Phi)
         for one, other in zip(pieces, others)
     ]
 

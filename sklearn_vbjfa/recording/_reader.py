@@ -294,9 +294,9 @@ def _read_files(paths, given, bad, stored):
             else:
                 raise
     if bad and not files:
-        error = next(iter(bad.values()))
-        _offer_join(paths, given, error)
-        raise error
+        first = next(iter(bad.values()))
+        _offer_join(paths, given, first)
+        raise first
     return files
 
 

@@ -298,7 +298,8 @@ def _basis(step, first, last, order):
 class Spline:
     """Smoothed samples of one signal, as spline coefficients."""
 
-    coef: np.ndarray  # (n_intervals + 5,): coefficients, about `offset`
+    # (n_intervals + 5,): coefficients, about `offset`; `StoredRows` as well
+    coef: np.ndarray
     offset: float
     per_knot: int  # rows of the recording between knots
     shift: int  # row at which the first knot stands
@@ -314,8 +315,9 @@ class Spline:
         first = min(max(low // per, 0), n_intervals - 1)
         last = min(max(high // per, 0), n_intervals - 1)
         windows = np.empty((last - first + 1, _WIDTH))
+        coef = np.asarray(self.coef[first : last + _WIDTH])
         for j in range(_WIDTH):
-            windows[:, j] = self.coef[first + j : last + 1 + j]
+            windows[:, j] = coef[j : j + len(windows)]
         values = (windows @ self._table(0, per - 1, order).T).ravel()
         begin, end = first * per, (last + 1) * per
         inside = slice(max(begin - low, 0), max(min(end, high + 1) - low, 0))

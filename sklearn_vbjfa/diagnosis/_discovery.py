@@ -414,10 +414,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             commands = commands_among(offered.numbers(whole.n_samples), whole.q)
             if commands.size:
                 repetition = find_repetition(commands, whole.t, whole.segments)
-        moving = split.amount.moving
-        searched = np.concatenate([moving[own] for own in split.searched_parts])
-        near = split.narrowed(*self._seen(part, searched))
-        del searched
+        near = split.narrowed(*self._seen(part, split.searched_motion))
         known = {"begins": begins, "repetition": repetition}
         seen = in_memory(part if near is split else near.searched(whole))
         with stage("search"):
@@ -435,7 +432,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             del part, seen
             judgement = judge(models, found, split, near, whole)
         with stage("final model"):
-            final = self._hand_over(found, whole, moving, silent, known)
+            final = self._hand_over(found, whole, split.amount.moving, silent, known)
         asked = self.get_params(deep=False)
         with stage("explaining"):
             return make_outcome(

@@ -73,7 +73,7 @@ _MODULES = {
         "prediction_errors",
         "resample_uniform",
     ),
-    "_stored": ("StoredRows", "pieces", "put_together"),
+    "_stored": ("Shelf", "StoredRows", "pieces", "put_together"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded",),
 }

@@ -39,6 +39,7 @@ from sklearn_vbjfa.recording._layout import (
 from sklearn_vbjfa.recording._presets import currents_as_efforts
 from sklearn_vbjfa.recording._recording import Recording, _check_dt, on_disk
 from sklearn_vbjfa.recording._sampling import distinct, in_order, on_grid, on_one_grid
+from sklearn_vbjfa.recording._stored import Shelf
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
@@ -273,12 +274,12 @@ def _read_files(paths, given, bad, stored):
     """Read files one by one; those that cannot be read go to `bad` with the reason."""
     # given: arguments of `_read_file`; bad: dict of errors by path, None to raise them;
     # stored: whether what was read is kept on disk.
-    files = []
+    files, shelf = [], Shelf()
     for one in counted(paths, "reading", "files"):
         try:
             file = _read_file(one, *given)
             if stored:
-                file = replace(file, recording=on_disk(file.recording))
+                file = replace(file, recording=on_disk(file.recording, shelf))
             files.append(file)
         except (FileNotFoundError, ImportError):
             raise

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sklearn_vbjfa.recording._stored import StoredRows, pieces, put_together, to_disk
+from sklearn_vbjfa.recording._stored import Shelf, StoredRows, pieces, put_together
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -421,19 +421,19 @@ def labels_of(lengths, *, stored):
     return put_together([StoredRows.constant(k, (n,)) for k, n in enumerate(lengths)])
 
 
-def on_disk(recording):
-    """Return a recording whose channels are read from disk when they are looked at."""
+def on_disk(recording, shelf):
+    """Return a recording whose rows are on a shelf, read when they are looked at."""
     # Time stamps are left behind, and of the signals those with one column stay.
     lengths = [part.stop - part.start for part in recording.segments]
     return replace(
         recording,
-        q=to_disk(recording.q),
-        tau=to_disk(recording.tau),
-        v=None if recording.v is None else to_disk(recording.v),
+        q=shelf.put(recording.q),
+        tau=shelf.put(recording.tau),
+        v=None if recording.v is None else shelf.put(recording.v),
         t=None,
         groups=labels_of(lengths, stored=True),
         signals={
-            name: x if x.ndim == 1 else to_disk(x)
+            name: x if x.ndim == 1 else shelf.put(x)
             for name, x in recording.signals.items()
         },
     )
@@ -443,7 +443,8 @@ def store(recordings):
     """Put recordings on disk, one by one; return one of `StoredRows` of them all."""
     # What files have: positions, torques, and of the signals those with one column that
     # all of them have.
-    parts = [on_disk(one) for one in recordings]
+    shelf = Shelf()
+    parts = [on_disk(one, shelf) for one in recordings]
     lengths = [p.stop - p.start for one in parts for p in one.segments]
     first = parts[0].signals.items()
     shared = [

@@ -19,7 +19,7 @@ import numpy as np
 
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import check_dt, labels_of
-from sklearn_vbjfa.recording._stored import StoredRows, put_together, to_disk
+from sklearn_vbjfa.recording._stored import Shelf, StoredRows, put_together
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -724,7 +724,7 @@ def on_one_grid(recordings, names, dt):
     """Concatenate files whose periods are nearly dt [s], and say which have another."""
     # names: of the recordings in them, one after the other. Returns the array fields of
     # a `Recording`, and the positions of the files that were interpolated.
-    pieces, names, moved, noise = [], iter(names), [], []
+    pieces, names, moved, noise, shelf = [], iter(names), [], [], Shelf()
     for k, one in enumerate(recordings):
         channels = _channels_of(one)
         tally = _Tally()
@@ -739,7 +739,7 @@ def on_one_grid(recordings, names, dt):
                 t, values = interpolate(own, values, dt)
                 if one.stored:
                     values = {
-                        key: to_disk(x) if x.ndim > 1 else x
+                        key: shelf.put(x) if x.ndim > 1 else x
                         for key, x in values.items()
                     }
             pieces.append(_Piece(next(names), t, values))

@@ -1,5 +1,6 @@
 """Rows that are read when they are looked at: of recordings too long for memory."""
 
+import os
 import tempfile
 import threading
 from bisect import bisect_right
@@ -104,21 +105,32 @@ class StoredRows(np.lib.mixins.NDArrayOperatorsMixin):
         return out
 
 
-def to_disk(rows):
-    """Write rows (n, ...) to a file without a name; return them as `StoredRows`."""
-    # The file ends with the last who reads it.
-    rows, lock = np.ascontiguousarray(rows, dtype=float), threading.Lock()
-    file, width, size = tempfile.TemporaryFile(), rows.shape[1:], rows[:1].nbytes
-    file.write(rows.data)
+class Shelf:
+    """A file without a name that holds the rows of any number of arrays."""
 
-    def read(start, stop):
-        out = np.empty((stop - start, *width))
-        with lock:
-            file.seek(start * size)
-            file.readinto(out.data)
-        return out
+    # It ends with the last who reads it: a process may not open a file an array.
 
-    return StoredRows(read, rows.shape)
+    def __init__(self):
+        self._file, self._lock = None, threading.Lock()
+
+    def put(self, rows):
+        """Write rows (n, ...) behind all others; return them as `StoredRows`."""
+        rows = np.ascontiguousarray(rows)
+        dtype, width, size = rows.dtype, rows.shape[1:], rows[:1].nbytes
+        with self._lock:
+            if self._file is None:
+                self._file = tempfile.TemporaryFile()
+            begin = self._file.seek(0, os.SEEK_END)
+            self._file.write(rows.data)
+
+        def read(start, stop):
+            out = np.empty((stop - start, *width), dtype)
+            with self._lock:
+                self._file.seek(begin + start * size)
+                self._file.readinto(out.data)
+            return out
+
+        return StoredRows(read, rows.shape, dtype)
 
 
 def put_together(parts):

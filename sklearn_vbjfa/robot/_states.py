@@ -1,6 +1,7 @@
 """From joint positions to states: smoothed positions, velocities, accelerations."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -361,6 +362,14 @@ class SplineStates:
         """Join the states of some joints and of others."""
         splines = [spline for states in several for spline in states._splines]
         return cls(splines, several[0].shape[0])
+
+    def on(self, shelf):
+        """Return the same states, whose coefficients are on a shelf."""
+        coef = shelf.put(np.concatenate([spline.coef for spline in self._splines]))
+        edges = np.cumsum([0, *(spline.coef.size for spline in self._splines)])
+        kept = [coef[a:b] for a, b in pairwise(edges.tolist())]
+        splines = [replace(one, coef=own) for one, own in zip(self._splines, kept)]
+        return SplineStates(splines, self.shape[0])
 
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""

@@ -9,6 +9,7 @@ from numpy.testing import assert_array_equal
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from sklearn_vbjfa.recording import (
+    Shelf,
     StoredRows,
     in_memory,
     on_disk,
@@ -16,7 +17,6 @@ from sklearn_vbjfa.recording import (
     store,
     take_rows,
 )
-from sklearn_vbjfa.recording._stored import to_disk
 
 N = 20_000
 ROWS = np.random.default_rng(0).normal(size=(N, 3))
@@ -40,8 +40,9 @@ KEYS = {
 
 def stored():
     """Rows on disk, in three files and a piece that is in memory."""
-    parts = [to_disk(ROWS[:100]), to_disk(ROWS[100:9000])]
-    return put_together([*parts, ROWS[9000:9001], to_disk(ROWS[9001:])])
+    one, other = Shelf(), Shelf()
+    last, parts = one.put(ROWS[9001:]), [other.put(ROWS[:100]), one.put(ROWS[100:9000])]
+    return put_together([*parts, ROWS[9000:9001], last])
 
 
 @pytest.mark.parametrize("key", KEYS.values(), ids=KEYS.keys())
@@ -94,7 +95,7 @@ def assert_same(found, expected):
 
 
 def test_a_recording_on_disk_is_that_in_memory(recording):
-    kept = on_disk(recording)
+    kept = on_disk(recording, Shelf())
     assert kept.stored
     assert not recording.stored
     assert_same(kept, recording)
@@ -122,7 +123,7 @@ def test_slices_of_a_stored_recording_are_read_later(recording):
     slices = [slice(3, 50), slice(60, 290), slice(310, 420)]
     rows = np.concatenate([np.arange(s.start, s.stop) for s in slices])
     labels = np.repeat(np.arange(3), [s.stop - s.start for s in slices])
-    found = take_rows(on_disk(recording), slices, range(3))
+    found = take_rows(on_disk(recording, Shelf()), slices, range(3))
     assert found.stored
     expected = take_rows(recording, rows, labels)
     assert_same(found, expected)

@@ -7,10 +7,13 @@ from itertools import accumulate
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._thinned import even_weight
+from sklearn_vbjfa.diagnosis.search._thinned import counted_rows, even_weight
 from sklearn_vbjfa.recording import (
+    Shelf,
+    StoredRows,
     contiguous_groups,
     pieces,
+    put_together,
     take_rows,
 )
 from sklearn_vbjfa.robot._equations import derivative
@@ -71,6 +74,11 @@ class Split:
             parts.append(slice(start, start + own.stop - own.start))
             origins.append(self.origins[k])
         return replace(self, searched_parts=tuple(parts), origins=tuple(origins))
+
+    @property
+    def searched_motion(self):
+        """Which joints move in the rows that are searched, (n_searched, nv)."""
+        return put_together([self.amount.moving[own] for own in self.searched_parts])
 
     def untouched(self, recording):
         """Return the held-out rows of a recording, as a recording."""
@@ -158,7 +166,7 @@ def _labels(slices, labels):
 class Amount:
     """How much of each joint's motion rows hold."""
 
-    moving: np.ndarray  # (n, nv): which joints move
+    moving: np.ndarray  # (n, nv), or `StoredRows`: which joints move
     half: int  # rows that the low-pass takes at either end
     need: float  # moving rows behind it that a verdict needs
 
@@ -177,7 +185,7 @@ class Amount:
         count = np.zeros(self.moving.shape[1])
         for s in stretches:
             inner = slice(s.start + self.half, max(s.stop - self.half, s.start))
-            count += self.moving[inner].sum(axis=0)
+            count += counted_rows(self.moving[inner])
         return count
 
 
@@ -220,13 +228,14 @@ def _amount(identifier, recording, parts):
         identifier.drive,
     )
     band = min(cutoff, 0.5 / dt)
-    moving = np.empty((recording.n_samples, recording.nv), dtype=bool)
+    shelf, moving = Shelf(), []
     for part, own in zip(parts, states.own):
-        for rows in pieces(part.stop - part.start):
-            at = slice(part.start + rows.start, part.start + rows.stop)
-            moving[at] = np.abs(derivative(own, rows, 1)) > np.maximum(limit, 0.0)
+        moves = np.empty((part.stop - part.start, recording.nv), dtype=bool)
+        for rows in pieces(len(moves)):
+            moves[rows] = np.abs(derivative(own, rows, 1)) > np.maximum(limit, 0.0)
+        moving.append(shelf.put(moves) if recording.stored else moves)
     return Amount(
-        moving=moving,
+        moving=put_together(moving),
         half=_lowpass.design(dt, cutoff).half,
         need=FEWEST_VALUES / (2.0 * band * dt),
     )
@@ -247,19 +256,20 @@ def _divide(amount, parts, share):
 def _best_count(amount, parts, share):
     """Return the stretches by which all joints are judged best, and if well enough."""
     moving, length = amount.moving, amount.length
-    total = moving.sum(axis=0)
-    weight = even_weight(moving)
-    if not weight.any():
-        weight = np.ones(moving.shape[0])
+    total, weight = counted_rows(moving), even_weight(moving)
+    if not total.any():
+        weight = StoredRows.constant(1.0, weight.shape)
     more = amount.length_of_more
-    most = [_most_stretches(weight[part], share, length, more) for part in parts]
+    most = [
+        _most_stretches(np.asarray(weight[part]), share, length, more) for part in parts
+    ]
     wanted = _STRETCHES if len(parts) == 1 else 1
     can = _LARGEST * total > amount.need
     best, chosen = (False, -1.0), None
     for count in (*range(wanted, _MOST_STRETCHES + 1), *range(wanted - 1, 0, -1)):
         counts = [min(count, limit) for limit in most]
         stretches = _place(weight, parts, counts, share, length, more)
-        kept = sum(moving[stretch].sum(axis=0) for stretch in stretches)
+        kept = sum(counted_rows(moving[stretch]) for stretch in stretches)
         # A joint that never moves has nothing due.
         due = (kept / np.maximum(total, 1) / share)[total > 0]
         least = min(float(np.min(due, initial=_DUE)), _DUE)
@@ -319,9 +329,9 @@ def _place(weight, parts, counts, share, length, more):
         if k in whole:
             found = [(0, n)]
         elif count == 1 and len(parts) > 1:
-            found = _ends(weight[part], share, length, more)
+            found = _ends(np.asarray(weight[part]), share, length, more)
         elif count:
-            cells = _cells(weight[part], count, share)
+            cells = _cells(np.asarray(weight[part]), count, share)
             found = [(min(border, stop - length), stop) for _, border, stop in cells]
         elif len(parts) == 1:
             # Too short for a verdict; the fit says what is missing.

@@ -28,7 +28,7 @@ from sklearn_vbjfa.diagnosis import _discovery
 from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import fit_array, fit_recordings
 from sklearn_vbjfa.inspection import _inspect
-from sklearn_vbjfa.recording import StoredRows, take_rows
+from sklearn_vbjfa.recording import StoredRows, _stored, take_rows
 
 FITTED = (
     "cutoff_",
@@ -245,6 +245,7 @@ def test_the_loop_holds_a_piece_of_the_files_at_a_time(
     monkeypatch.setattr(StoredRows, "__array__", watched)
     monkeypatch.setattr(_discovery, "in_memory", in_pieces)
     monkeypatch.setattr(_inspect, "_AT_ONCE", 1)
+    monkeypatch.setattr(_stored, "_AT_ONCE", 1000)
     fit_recordings(loop(recording), source)
     # The longest file holds two recordings.
     assert 0 < max(most) <= 2 * max(p.stop - p.start for p in recording.segments)

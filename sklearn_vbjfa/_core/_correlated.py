@@ -17,7 +17,7 @@ from scipy import linalg
 from scipy.linalg import lapack
 from scipy.special import digamma
 
-from sklearn_vbjfa._core._linear_systems import ROUNDING, scaled_eigen
+from sklearn_vbjfa._core._linear_systems import ROUNDING, scaled_eigen, svd
 from sklearn_vbjfa._core._moments import SquareRoot
 from sklearn_vbjfa._core._solver import (
     ENOUGH,
@@ -331,7 +331,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     else:
         # The same in the singular coordinates of R, where nothing cancels.
         root = square_root()
-        U, sv, Vt = linalg.svd(root.R * prior, full_matrices=False)
+        U, sv, Vt = svd(root.R * prior, full_matrices=False)
         # Singular values at rounding level are set to zero: with hardly any noise they
         # would act as information.
         keep = sv > sv[:1] * max(root.R.shape) * np.finfo(float).eps

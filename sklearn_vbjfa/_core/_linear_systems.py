@@ -79,6 +79,16 @@ def unit_columns(X, weight, *, center):
     return UnitColumns(values=values, mean=mean * magnitude, scale=scale)
 
 
+def svd(matrix, *, full_matrices=True):
+    """Return U, s, Vt of the singular value decomposition."""
+    try:
+        return np.linalg.svd(matrix, full_matrices=full_matrices)
+    except linalg.LinAlgError:
+        # Divide and conquer does not converge for some matrices with columns or rows of
+        # zeros; QR iterations, which take longer, do.
+        return linalg.svd(matrix, full_matrices=full_matrices, lapack_driver="gesvd")
+
+
 def rank_tolerance(matrix):
     """Relative rounding of the singular values of a matrix of this shape."""
     return 10 * max(matrix.shape) * np.finfo(np.float64).eps
@@ -88,7 +98,7 @@ def orthonormal_basis(matrix):
     """Orthonormal basis of the column space, columns scaled to one length first."""
     length = np.linalg.norm(matrix, axis=0)
     scaled = matrix / or_one(length)
-    U, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    U, s, _ = svd(scaled, full_matrices=False)
     if s.size == 0:
         return U
     return U[:, s > rank_tolerance(matrix) * s[0]]
@@ -110,7 +120,7 @@ def scaled_lstsq(matrix, target):
     """Least squares, of minimum norm among the columns scaled to one length."""
     length = np.linalg.norm(matrix, axis=0)
     length = or_one(length)
-    U, s, Vt = np.linalg.svd(matrix / length, full_matrices=True)
+    U, s, Vt = svd(matrix / length)
     rank = int(np.sum(s > rank_tolerance(matrix) * s.max(initial=0.0)))
     basis = Vt[:rank].T / s[:rank]
     coef = basis @ (U[:, :rank].T @ target) / length
@@ -147,7 +157,7 @@ def _classical_tls(columns, target, floor):
     # matrix [[S, c], [0, rho]], c = U'y and rho the norm of y outside the span of X.
     # With sigma_k(X) = sigma_{k+1}([X y]) there is no finite solution, or many: then,
     # following Van Huffel & Vandewalle (1991), the last direction of V is dropped.
-    U, s, Vt = np.linalg.svd(columns, full_matrices=False)
+    U, s, Vt = svd(columns, full_matrices=False)
     rank = int(np.sum(s > floor))
     along = U.T @ target
     rest = np.linalg.norm(target - U[:, :rank] @ along[:rank])
@@ -156,7 +166,7 @@ def _classical_tls(columns, target, floor):
         arrow[np.arange(rank), np.arange(rank)] = s[:rank]
         arrow[:rank, rank] = along[:rank]
         arrow[rank, rank] = rest
-        _, sigma, Wt = np.linalg.svd(arrow)
+        _, sigma, Wt = svd(arrow)
         if 1 - (sigma[-1] / s[rank - 1]) ** 2 > NONGENERIC:
             # The normal of the fitted hyperplane, with y's element scaled to -1.
             normal = Wt[-1]

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg import solve_triangular, svd
+from scipy.linalg import solve_triangular
 
+from sklearn_vbjfa._core._linear_systems import svd
 from sklearn_vbjfa.physical._pseudo_inertia import (
     N_INERTIAL,
     constraint_matrix,
@@ -169,10 +170,6 @@ def raised(matrices, floor):
 def _null_space(root):
     """Orthonormal basis (n_features, n_hidden) of what a metric does not see."""
     # Up to the rounding of the metric, which is the square of its root.
-    try:
-        _, values, rows = np.linalg.svd(root)
-    except np.linalg.LinAlgError:
-        # Divide and conquer does not converge for some roots with rows of zeros.
-        _, values, rows = svd(root, lapack_driver="gesvd")
+    _, values, rows = svd(root)
     limit = np.sqrt(values.size * np.finfo(float).eps) * values.max(initial=0.0)
     return rows[values <= limit].T

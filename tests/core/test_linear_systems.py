@@ -1,10 +1,10 @@
-"""Columns of unit length: any unit, any offset, constants."""
+"""Columns of unit length, and singular values: any unit, any offset, constants."""
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa._core._linear_systems import unit_columns
+from sklearn_vbjfa._core._linear_systems import scaled_lstsq, svd, unit_columns
 
 
 @pytest.fixture
@@ -61,3 +61,33 @@ def test_input_is_kept(make_columns):
     before = X.copy()
     unit_columns(X, weight, center=True)
     assert_array_equal(X, before)
+
+
+@pytest.fixture
+def no_divide_and_conquer(monkeypatch):
+    """Let the usual decomposition fail, as it does for some matrices with zeros."""
+
+    def fails(*arguments, **given):
+        raise np.linalg.LinAlgError("SVD did not converge")
+
+    monkeypatch.setattr(np.linalg, "svd", fails)
+
+
+@pytest.mark.parametrize("full_matrices", [True, False])
+def test_divide_and_conquer_that_does_not_converge(
+    no_divide_and_conquer, full_matrices
+):
+    matrix = np.random.default_rng(0).normal(size=(7, 4))
+    matrix[:, 2] = 0.0
+    U, s, Vt = svd(matrix, full_matrices=full_matrices)
+    assert U.shape == (7, 7 if full_matrices else 4)
+    assert_allclose(s**2, np.linalg.eigvalsh(matrix.T @ matrix)[::-1], atol=1e-12)
+    assert_allclose(U[:, :4] * s @ Vt, matrix, atol=1e-12)
+
+
+def test_least_squares_where_it_does_not_converge(no_divide_and_conquer):
+    rng = np.random.default_rng(1)
+    matrix = np.column_stack([rng.normal(size=(20, 3)), np.zeros(20)])
+    found = scaled_lstsq(matrix, matrix @ [1.0, -2.0, 3.0, 4.0])
+    assert_allclose(found.coef, [1.0, -2.0, 3.0, 0.0], atol=1e-12)
+    assert found.rank == 3

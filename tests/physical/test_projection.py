@@ -13,7 +13,6 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn_vbjfa.physical import (
     PhysicalProjector,
     ProjectionError,
-    _programme,
     _projection,
     _solver,
     is_consistent,
@@ -690,17 +689,3 @@ def test_failed_row_raises_from_transform():
     X = inconsistent_robot(np.random.default_rng(13), 2)[None]
     with pytest.raises(ProjectionError, match="failed"):
         PhysicalProjector(max_solver_iter=1).fit_transform(X)
-
-
-def test_a_root_whose_divide_and_conquer_does_not_converge(monkeypatch):
-    root = np.triu(np.random.default_rng(0).standard_normal((6, 6)))
-    root[0] = 0.0
-    expected = _programme._null_space(root)
-
-    def fails(*arguments, **given):
-        raise np.linalg.LinAlgError("SVD did not converge")
-
-    monkeypatch.setattr(np.linalg, "svd", fails)
-    found = _programme._null_space(root)
-    assert found.shape == expected.shape == (6, 1)
-    np.testing.assert_allclose(root @ found, 0.0, atol=1e-12)

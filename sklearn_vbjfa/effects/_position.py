@@ -83,6 +83,7 @@ class Spring(Effect):
     coefficients = ("k", "c")
     units = (STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("q0", POSITION))
+    negative = (("k", "pushes away from q0"),)
     contains = ("offset",)
     holds = (("offset", "c"),)
     depends = ("position",)

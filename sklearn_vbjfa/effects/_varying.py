@@ -95,6 +95,7 @@ class Drift(_Varied):
     )
     coefficients = ("D",)
     units = (TORQUE,)
+    negative = (("D", "less at the start than later"),)
     shape_units = (("time_constant", TIME),)
     needs = ("time",)
     continuous = ("time_constant",)
@@ -200,6 +201,7 @@ class Signal(_Varied):
         r" f = \mathrm{sign}(v),\ 1\ \text{or}\ v"
     )
     coefficients = ("k",)
+    negative = (("k", "falls as the signal rises"),)
     needs = ("signals",)
     apart = ("signal", "of")
     seen_over = "signal"
@@ -352,6 +354,7 @@ class Payload(Effect):
     )
     coefficients = ("dm", "dmcx", "dmcy", "dmcz", "d")
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
+    negative = (("dm", "put down"),)
     shape_units = (("instant", TIME),)
     needs = ("time",)
     continuous = ("instant",)

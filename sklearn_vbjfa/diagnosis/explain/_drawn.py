@@ -290,45 +290,51 @@ def is_friction(effect):
     )
 
 
-def spectra(pair, dt, cutoff, wide):
-    """Spectra of the residuals of two models, a tuple of SpectrumCurves."""
-    # pair: residuals of both in a band up to `wide`, wider than that of the fit, which
-    # ends at `cutoff` [Hz]; dt: sample period [s]. Above both only the filter is seen.
-    index, weight = pair[0].index, pair[0].weight
-    steps = np.diff(index)
-    step = dt * float(np.median(steps))
-    apart = steps > _GAP * np.median(steps)
-    stretches = np.split(np.arange(index.size), np.flatnonzero(apart) + 1)
-    size = int(min(max(map(len, stretches)), _PERIODS / (cutoff * step)))
-    if size < _FEWEST:
-        return ()
-    hertz = np.fft.rfftfreq(size, step)
-    shown = (hertz > 0) & (hertz <= wide)
-    window = np.hanning(size)
-    starts = [
-        own[0] + first
-        for own in stretches
-        for first in range(0, own.size - size + 1, max(size // 2, 1))
-    ]
-    rows = np.array(starts)[:, None] + np.arange(size)
-    found = []
-    for j in np.flatnonzero((weight > 0).any(axis=0)):
-        counts = (weight[:, j] > 0)[rows] * window
-        roots = []
-        for part in pair:
-            bins = np.fft.rfft(part.residual[rows, j] * counts)[:, shown]
-            power = 2.0 * step * (np.abs(bins) ** 2).sum(axis=0) / (counts**2).sum()
-            roots.append(np.sqrt(power))
-        found.append(
-            SpectrumCurves(
-                joint=int(j),
-                cutoff=float(cutoff),
-                hertz=hertz[shown],
-                before=roots[0],
-                after=roots[1],
-            )
+class Spectra:
+    """Spectra of residuals in a band that is wider than that of the fit."""
+
+    # part: the first of the residuals, in a band up to `wide` [Hz]; dt: sample period
+    # [s]; cutoff: where the band of the fit ends [Hz]. Above both only the filter is
+    # seen.
+
+    def __init__(self, part, dt, cutoff, wide):
+        steps, self._counted = np.diff(part.index), part.weight > 0
+        self._step = dt * float(np.median(steps))
+        apart = steps > _GAP * np.median(steps)
+        rows = np.arange(part.index.size)
+        stretches = np.split(rows, np.flatnonzero(apart) + 1)
+        most = _PERIODS / (cutoff * self._step)
+        size = int(min(max(map(len, stretches)), most))
+        hertz = np.fft.rfftfreq(max(size, 1), self._step)
+        self._shown = (hertz > 0) & (hertz <= wide)
+        self._hertz, self._cutoff = hertz[self._shown], float(cutoff)
+        self._window = np.hanning(size)
+        starts = [
+            own[0] + first
+            for own in stretches
+            for first in range(0, own.size - size + 1, max(size // 2, 1))
+        ]
+        self._rows = np.array(starts)[:, None] + np.arange(size)
+        joints = np.flatnonzero(self._counted.any(axis=0))
+        self._joints = joints.tolist() if size >= _FEWEST else []
+
+    def of(self, part):
+        """Return the root of the residual's power density of each joint, a list."""
+        residual, found = part.residual, []
+        for j in self._joints:
+            counts = self._counted[:, j][self._rows] * self._window
+            bins = np.fft.rfft(residual[self._rows, j] * counts)[:, self._shown]
+            power = (np.abs(bins) ** 2).sum(axis=0) / (counts**2).sum()
+            found.append(np.sqrt(2.0 * self._step * power))
+        return found
+
+    def curves(self, before, after):
+        """Return the `SpectrumCurves` of two models from what `of` says, a tuple."""
+        shared = {"cutoff": self._cutoff, "hertz": self._hertz}
+        return tuple(
+            SpectrumCurves(joint=j, before=one, after=other, **shared)
+            for j, one, other in zip(self._joints, before, after)
         )
-    return tuple(found)
 
 
 def time_line(judgement, clock, begins):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.explain._drawn import spectra
+from sklearn_vbjfa.diagnosis.explain._drawn import Spectra
 from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._identified import Band, measure_band
 from sklearn_vbjfa.diagnosis.explain._intervals import (
@@ -313,22 +313,19 @@ def judge(models, found, split, near, whole):
     instants = [getattr(e, name) for e in found.effects for name in e.jumping]
     count = len(split.stretches)
     kept = split.decided(whole.t, instants).guarded(guard)
-    rows, rest = kept.test, kept.untouched(whole)
+    rows, rest = kept.stretches, kept.untouched(whole)
 
     three = models.declared, models.plain, completed
-
-    def errors(**band):
-        each = {one: _residuals(one, rest, **band) for one in dict.fromkeys(three)}
-        return tuple(each[one] for one in three)
-
-    before, plain, after = (_numbered(part, rows) for part in errors())
+    each = {one: _numbered(_residuals(one, rest), rows) for one in dict.fromkeys(three)}
+    before, plain, after = (each[one] for one in three)
     step = model.view.step
     added = added_effects(completed, len(found.effects))
     fit = FinalFit(models.plain, completed, model.view.corrected(()), added)
-    of_plain, of_completed = (_numbered(one, near.search) for one in fit.residuals())
+    seen = near.searched_parts
+    of_plain, of_completed = (_numbered(one, seen) for one in fit.residuals())
     of_declared = of_plain
     if models.declared is not models.plain:
-        own = _numbered(_residuals(models.declared, near.searched(whole)), near.search)
+        own = _numbered(_residuals(models.declared, near.searched(whole)), seen)
         of_declared = replace(own, weight=of_plain.weight)
     searched = of_declared, of_completed
     fitted = of_plain
@@ -345,10 +342,16 @@ def judge(models, found, split, near, whole):
     wide = None
     told = ()
     if np.isfinite(wide_cutoff):
-        parts = errors(cutoff=wide_cutoff)
-        wide = tuple(part.rms() for part in parts)
-        compared = tuple(_numbered(part, rows) for part in parts[::2])
-        told = spectra(compared, dt, completed.cutoff_, wide_cutoff)
+        rms, roots, of_all = {}, {}, None
+        # One at a time, as those of long recordings are large.
+        for one in dict.fromkeys(three):
+            part = _numbered(_residuals(one, rest, cutoff=wide_cutoff), rows)
+            if of_all is None:
+                of_all = Spectra(part, dt, completed.cutoff_, wide_cutoff)
+            rms[one], roots[one] = part.rms(), of_all.of(part)
+            del part
+        told = of_all.curves(roots[models.declared], roots[completed])
+        wide = tuple(rms[one] for one in three)
     # Rows in which a joint moves throughout have its largest weight.
     full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
     seconds = (before.weight / full).sum(axis=0) * step
@@ -360,7 +363,7 @@ def judge(models, found, split, near, whole):
         price = price_of(
             completed,
             (_numbered(free, rows), after),
-            (_numbered(of_free, near.search), of_completed),
+            (_numbered(of_free, seen), of_completed),
             spread,
             step,
         )
@@ -402,10 +405,13 @@ def _residuals(model, part, **band):
     return model.robot_.residuals_of(part, **band)
 
 
-def _numbered(part, rows):
-    """Count the rows of residuals in the whole recording."""
+def _numbered(part, slices):
+    """Count the rows of residuals of some slices in the whole recording."""
+    edges = np.cumsum([0, *(s.stop - s.start for s in slices)])
+    own = np.searchsorted(edges, part.index, side="right") - 1
+    starts = np.array([s.start for s in slices])
     return TorqueResiduals(
-        index=rows[part.index],
+        index=part.index - edges[own] + starts[own],
         torque=part.torque,
         predicted=part.predicted,
         weight=part.weight,

@@ -85,29 +85,10 @@ class Split:
         return take_rows(recording, self.stretches, range(len(self.stretches)))
 
     @property
-    def search(self):
-        """Rows of the search, ndarray of int."""
-        return _rows(self.searched_parts)
-
-    @property
-    def pieces(self):
-        """Label of each row of the search, its slice, ndarray of int."""
-        return _labels(self.searched_parts, range(len(self.searched_parts)))
-
-    @property
     def origin(self):
         """Number of the recording that each row of the search is from, ndarray."""
-        return _labels(self.searched_parts, self.origins)
-
-    @property
-    def test(self):
-        """Untouched rows, ndarray of int."""
-        return _rows(self.stretches)
-
-    @property
-    def test_pieces(self):
-        """Label of each untouched row, its stretch, ndarray of int."""
-        return _labels(self.stretches, range(len(self.stretches)))
+        lengths = [s.stop - s.start for s in self.searched_parts]
+        return np.repeat(np.asarray(self.origins, dtype=int), lengths)
 
     def decided(self, clock, instants):
         """Return the split without stretches in which something jumps."""
@@ -152,14 +133,6 @@ class Split:
                 slice(stretch.start + before * guard, stretch.stop - after * guard)
             )
         return replace(self, stretches=tuple(stretches))
-
-
-def _rows(slices):
-    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
-
-
-def _labels(slices, labels):
-    return np.repeat(np.asarray(labels, dtype=int), [s.stop - s.start for s in slices])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,5 +1,7 @@
 """Which rows are kept for the end."""
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
@@ -45,16 +47,22 @@ def moving(q):
     return np.abs(np.gradient(q, DT, axis=0)) > 0.05
 
 
+def rows_of(slices):
+    """Rows of some slices, one after the other."""
+    return np.concatenate([np.arange(s.start, s.stop) for s in slices])
+
+
 def whole(split, n):
     """Every row is in one part, stretches are contiguous and in order."""
-    rows = np.r_[split.search, split.test]
-    assert_array_equal(np.sort(rows), np.arange(n))
-    assert np.all(np.diff(split.search) > 0)
-    assert np.all(np.diff(split.test) > 0)
-    # Nothing is filtered across a cut.
-    cut = np.diff(split.search) > 1
-    assert np.all(np.diff(split.pieces)[cut] != 0)
-    assert np.all(np.diff(split.pieces)[~cut & (np.diff(split.origin) == 0)] == 0)
+    search, test = rows_of(split.searched_parts), rows_of(split.stretches)
+    assert_array_equal(np.sort(np.r_[search, test]), np.arange(n))
+    assert np.all(np.diff(search) > 0)
+    assert np.all(np.diff(test) > 0)
+    # Nothing is filtered across a cut, and all else is.
+    parts = split.searched_parts
+    for one, other in pairwise(zip(parts, split.origins)):
+        assert one[0].stop < other[0].start or one[1] != other[1]
+    assert split.origin.size == search.size
 
 
 def test_several_stretches_of_a_single_recording():
@@ -62,7 +70,7 @@ def test_several_stretches_of_a_single_recording():
     split = divided(robot(cutoff=4.0), q, None, 0.25)
     whole(split, len(q))
     assert len(split.stretches) == 3
-    assert split.test.size == pytest.approx(0.25 * len(q), rel=0.05)
+    assert rows_of(split.stretches).size == pytest.approx(0.25 * len(q), rel=0.05)
     assert split.stretches[-1].stop == len(q)
     middle = [0.5 * (s.start + s.stop) / len(q) for s in split.stretches]
     assert_allclose(middle, (np.arange(3) + 0.875) / 3, atol=0.03)
@@ -97,7 +105,7 @@ def test_a_robot_that_comes_to_rest_is_judged_in_motion():
     q = motion(60.0, still=[(0, 40.0, 60.0), (1, 40.0, 60.0)])
     split = divided(robot(), q, None, 0.25)
     whole(split, len(q))
-    share = moving(q)[split.test].sum() / moving(q).sum()
+    share = moving(q)[rows_of(split.stretches)].sum() / moving(q).sum()
     assert share == pytest.approx(0.25, abs=0.04)
     # The last quarter of the rows holds none of it.
     assert moving(q)[-len(q) // 4 :].sum() == 0
@@ -108,7 +116,7 @@ def test_joints_that_move_one_at_a_time_are_all_judged():
     for groups in (None, np.repeat([0, 1], len(q) // 2)):
         split = divided(robot(), q, groups, 0.25)
         whole(split, len(q))
-        share = moving(q)[split.test].sum(axis=0) / moving(q).sum(axis=0)
+        share = moving(q)[rows_of(split.stretches)].sum(axis=0) / moving(q).sum(axis=0)
         assert np.all(share > 0.12), share
         assert np.all(share < 0.4), share
 
@@ -117,8 +125,8 @@ def test_two_seconds_of_motion_in_sixty():
     q = motion(60.0, still=[(j, a, b) for j in (0, 1) for a, b in ((0, 30), (32, 60))])
     split = divided(robot(cutoff=5.0), q, None, 0.25)
     whole(split, len(q))
-    assert moving(q)[split.test].any()
-    assert moving(q)[split.search].any()
+    assert moving(q)[rows_of(split.stretches)].any()
+    assert moving(q)[rows_of(split.searched_parts)].any()
 
 
 def test_short_recordings_are_kept_as_a_whole():
@@ -134,11 +142,11 @@ def test_the_guard_leaves_half_of_every_stretch():
     q = motion(60.0)
     split = divided(robot(cutoff=4.0), q, None, 0.25)
     near = split.guarded(10)
-    assert near.test.size == split.test.size - 10 * 5
+    assert rows_of(near.stretches).size == rows_of(split.stretches).size - 10 * 5
     assert near.stretches[-1].stop == len(q)
-    assert_array_equal(near.search, split.search)
+    assert_array_equal(rows_of(near.searched_parts), rows_of(split.searched_parts))
     far = split.guarded(10**6)
-    assert far.test.size < near.test.size
+    assert rows_of(far.stretches).size < rows_of(near.stretches).size
     for before, after in zip(split.stretches, far.stretches):
         assert after.stop - after.start >= 0.5 * (before.stop - before.start)
 
@@ -155,12 +163,12 @@ def test_the_guard_leaves_what_a_verdict_needs():
 def test_a_short_recording_gives_more_for_a_verdict():
     q = motion(16.0)
     split = divided(robot(cutoff=2.2), q, None, 0.15)
-    share = split.test.size / len(q)
+    share = rows_of(split.stretches).size / len(q)
     assert 0.16 < share < 0.41
     assert np.all(split.amount.of(split.stretches) >= split.amount.need)
     # Not in vain, where even that is too little.
     short = divided(robot(cutoff=2.2), q[:400], None, 0.15)
-    assert short.test.size == pytest.approx(0.15 * 400, rel=0.6)
+    assert rows_of(short.stretches).size == pytest.approx(0.15 * 400, rel=0.6)
 
 
 def test_units_and_time_do_not_matter():
@@ -168,11 +176,13 @@ def test_units_and_time_do_not_matter():
     q = motion(60.0, still=[(0, 10.0, 15.0)])
     fast = divided(robot(), q, None, 0.25)
     slow = divided(robot(dt=10 * DT), q, None, 0.25)
-    assert_array_equal(fast.search, slow.search)
+    assert_array_equal(rows_of(fast.searched_parts), rows_of(slow.searched_parts))
     states = np.hstack([q, np.gradient(q, DT, axis=0), np.zeros_like(q)])
     given = divided(robot(cutoff=2.5), states, None, 0.25)
     whole(given, len(q))
-    assert given.test.size == pytest.approx(fast.test.size, rel=0.05)
+    assert rows_of(given.stretches).size == pytest.approx(
+        rows_of(fast.stretches).size, rel=0.05
+    )
 
 
 @pytest.mark.parametrize("share", [0, 1, 1.5, -0.1, np.nan, None, "a quarter", [0.2]])

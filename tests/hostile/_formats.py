@@ -54,6 +54,22 @@ def _json():
     return json.dumps(arrays).encode()
 
 
+def _json_rows():
+    """Return an object of each row."""
+    table = columns()
+    return [
+        dict(zip(table, map(float, row))) for row in np.column_stack([*table.values()])
+    ]
+
+
+def _json_list():
+    return json.dumps(_json_rows()).encode()
+
+
+def _json_lines():
+    return "\n".join(map(json.dumps, _json_rows())).encode()
+
+
 def _packed(content):
     return gzip.compress(content, 1, mtime=0)
 
@@ -136,6 +152,7 @@ def cases():
         "arm.mat": _mat,
         "arm.xlsx": _xlsx,
         "arm.json": _json,
+        "rows.json": _json_list,
         "arm.csv.gz": lambda: _packed(clean_text().encode()),
     }
     for name, make in makers.items():
@@ -143,6 +160,12 @@ def cases():
         for k in range(6):
             add(f"{name} cut {k}", _written(name, make, _cut), "refused")
             add(f"{name} flipped bytes {k}", _written(name, make, _flipped))
+    name = "arm.jsonl"
+    add(f"{name} as it should be", _written(name, _json_lines), "same")
+    for k in range(6):
+        # A logger that was killed leaves half a line, the rows before it are whole.
+        add(f"{name} cut {k}", _written(name, _json_lines, _cut))
+        add(f"{name} flipped bytes {k}", _written(name, _json_lines, _flipped))
     noise = lambda rng, content: rng.bytes(5000)  # noqa: E731
     endings = (
         "mat",

@@ -87,6 +87,13 @@ def _signs(kind):
     return change
 
 
+def _sizes(kind):
+    def change(table, rng):
+        return {k: abs(x) if k.startswith(kind) else x for k, x in table.items()}
+
+    return change
+
+
 def _steps(kind, share):
     def change(table, rng):
         for name, x in table.items():
@@ -116,6 +123,7 @@ def _motion_cases():
     add("positions constant", _all("q", 0.5), "refused", "o joint moves")
     add("torques constant", _all("tau", 0.5), "refused", "constant")
     add("torques of 2 values", _signs("tau"), "refused", "two values only")
+    add("torques without signs", _sizes("tau"), "refused", "drive 'current signed=no'")
     for share in (0.05, 0.3, 0.5):
         add(f"torques in steps of {share:g} spreads", _steps("tau", share), "read")
     add(

@@ -174,7 +174,7 @@ def _own(arguments, folder):
     if drive is not None and recording.nv > 1:
         identifier.set_params(gains=drive.gains)
     parts = [part(recording) for part in (split.searched, split.untouched)]
-    seconds, count = split.test.size * recording.dt, len(split.stretches)
+    seconds, count = parts[1].n_samples * recording.dt, len(split.stretches)
     return _Task(
         recording=recording,
         parts=tuple((part.q, part.tau, part.groups) for part in parts),

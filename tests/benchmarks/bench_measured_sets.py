@@ -112,10 +112,8 @@ def split_of(loop, q, tau, groups):
     instants = [getattr(e, name) for e in effects for name in e.jumping]
     guard = round(loop.report_.outcome.settings["guard_seconds"] / dt)
     split = split.decided(whole.t, instants).guarded(guard)
-    return (
-        (q[split.search], tau[split.search], split.pieces),
-        (q[split.test], tau[split.test], split.test_pieces),
-    )
+    parts = (split.searched(whole), split.untouched(whole))
+    return tuple((part.q, part.tau, part.groups) for part in parts)
 
 
 def _rank(pieces):

@@ -252,7 +252,7 @@ def test_effects_carry_the_ranges_that_they_were_fitted_on(one):
 
 def test_untouched_data_outside_of_the_fit_are_told():
     position, states = ARM.position.copy(), ARM.q
-    rows = split_of(ARM.robot(), position)[2].test
+    rows = held_out(split_of(ARM.robot(), position)[1])
     weight = np.ones(position.shape)
     # Beyond the middle third of its range joint 1 counts in the held-out part alone.
     far = np.abs(states[:, 0] - np.median(states[:, 0])) > 0.15 * np.ptp(states[:, 0])
@@ -280,31 +280,35 @@ def test_intervals_of_the_errors_hold_them(one):
     assert added[-1].log_odds > 0
 
 
-def split_of(robot, position, share=0.25, groups=None):
-    """Rows of the search, of the held-out stretches, and their labels."""
+def split_of(robot, position, torque=None, share=0.25):
+    """Return a recording and how it is split into searched and held-out rows."""
     names = [f"joint_{k}" for k in range(position.shape[1])]
-    whole = take_arrays(position, position, groups, dt=robot.dt, joint_names=names)
-    split = split_in_time(robot, whole, share)
-    return split.search, split.pieces, split
+    torque = position if torque is None else torque
+    whole = take_arrays(position, torque, None, dt=robot.dt, joint_names=names)
+    return whole, split_in_time(robot, whole, share)
+
+
+def held_out(split):
+    """Rows of all held-out stretches."""
+    return np.r_[split.stretches]
 
 
 def test_the_error_is_that_of_the_untouched_part(one):
     torque = ARM.torque(joint_1=spring(4.0, 1.0))
-    rows, pieces, split = split_of(ARM.robot(), ARM.position)
-    again = ARM.robot().fit(ARM.position[rows], torque[rows], groups=pieces)
+    whole, split = split_of(ARM.robot(), ARM.position, torque)
+    search = split.searched(whole)
+    again = ARM.robot().fit(search.q, search.tau, groups=search.groups)
     assert_allclose(again.theta_, one.declared_.theta_, rtol=1e-9)
     guard = one.report_.outcome.settings["guard_seconds"]
     rest = split.guarded(round(guard / ARM.robot().dt))
-    assert 0 < rest.test.size <= split.test.size
-    index = rest.test
+    assert 0 < held_out(rest).size <= held_out(split).size
+    rest = rest.untouched(whole)
     weight = []
     for model, error in (
         (one.declared_, one.error_before_),
         (one.judged_, one.error_after_),
     ):
-        found = model.residuals(
-            ARM.position[index], torque[index], groups=rest.test_pieces
-        )
+        found = model.residuals(rest.q, rest.tau, groups=rest.groups)
         assert_allclose(found.rms(), error * one.torque_spread_, rtol=1e-9)
         weight.append(found.weight)
     # The joints hardly ever rest.
@@ -365,8 +369,7 @@ def test_prediction_is_that_of_the_completed_model(one):
 
 def test_the_search_does_not_touch_the_untouched_part(one):
     torque = ARM.torque(joint_1=spring(4.0, 1.0))
-    _, _, split = split_of(ARM.robot(), ARM.position)
-    rows = split.test
+    rows = held_out(split_of(ARM.robot(), ARM.position)[1])
     other = torque.copy()
     other[rows] += 3 * np.random.default_rng(0).normal(size=(rows.size, 2))
     loop = ARM.discover(other, PLAIN)
@@ -386,10 +389,8 @@ def test_size_of_the_untouched_part():
     rows = [
         loop.report_.to_dict()["settings"]["search_rows"] for loop in (small, large)
     ]
-    expected = [
-        split_of(ARM.robot(), ARM.position, share)[0].size for share in (0.1, 0.5)
-    ]
-    assert rows == expected
+    splits = (split_of(ARM.robot(), ARM.position, share=x) for x in (0.1, 0.5))
+    assert rows == [split.searched(whole).n_samples for whole, split in splits]
     assert rows[0] == pytest.approx(0.9 * ARM.t.size, rel=0.05)
     assert rows[1] == pytest.approx(0.5 * ARM.t.size, rel=0.1)
 

@@ -181,18 +181,29 @@ def drive(text):
 
 def followed(follows, robot, recording):
     """Return a recording with the torques that the drive of a fitted robot made."""
-    from sklearn.base import clone
-
-    from sklearn_vbjfa.effects import CommandDelay
     from sklearn_vbjfa.robot import signed
 
-    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
-    if late:
-        follows = clone(follows).set_params(delay=late[0])
+    late = command_delay(robot)
+    follows = follows if late is None else replaced(follows, delay=late)
     driven = follows.driven(replace(recording, command=None))
     if follows.unsigned:
         driven = signed(getattr(robot, "robot_", robot), driven)
     return driven
+
+
+def command_delay(robot):
+    """Return how late the commands of a fitted robot act [s], None if not found."""
+    from sklearn_vbjfa.effects import CommandDelay
+
+    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
+    return late[0] if late else None
+
+
+def replaced(follows, **given):
+    """Return a drive with other numbers."""
+    from sklearn.base import clone
+
+    return clone(follows).set_params(**given)
 
 
 def said_delay(robot):

@@ -30,6 +30,8 @@ _OF_IDENTIFICATION: tuple[str, ...] = (
 )
 _OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
 _OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
+# What a robot is called whose bodies are those of the description.
+_DESCRIBED = "as described"
 # Most pictures, and most windows that failed and are named.
 _MOST_PICTURES, _MOST_NAMED = 12, 5
 _WIDTH = 80  # characters of a line
@@ -47,10 +49,7 @@ def run(arguments, folder):
     take = _identified if arguments.model is None else _saved
     task = take(arguments, source, folder)
     with blaming(source):
-        windows = _windows(task, arguments.window, timed=arguments.model is None)
-    found = Simulated(
-        recording=task.recording, rows=task.rows, windows=windows, told=task.told
-    )
+        found = _simulated(task, arguments.window, timed=arguments.model is None)
     text = errors_text(found, arguments.window)
     files, left = {_TABLE: errors_table(found).encode("utf-8")}, ""
     if importlib.util.find_spec("matplotlib") is not None:
@@ -125,17 +124,77 @@ class _Task:
     robots: dict  # by their labels
     signals: object  # what was recorded beside these rows
     told: str  # what was identified, a line
+    drive: object = None  # that the robots are told positions by; None for torques
 
 
-def _windows(task, seconds, *, timed):
-    """Simulate the same windows of the rows by each robot."""
+def _simulated(task, seconds, *, timed):
+    """Simulate the same windows of the rows by each robot, as `Simulated`."""
     from sklearn_vbjfa.diagnosis.displays import windows_of
 
     recording, rows = task.recording, task.rows
     # Saved models have a clock of their own.
     times = recording.clock()[rows] if timed else None
+    known = {"recording": recording, "rows": rows, "told": task.told}
+    if task.drive is not None:
+        return Simulated(**known, **_followed(task, times, seconds))
     part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
-    return windows_of(task.robots, *part, window=seconds, signals=task.signals)
+    windows = windows_of(task.robots, *part, window=seconds, signals=task.signals)
+    return Simulated(**known, windows=windows)
+
+
+def _followed(task, times, seconds):
+    """Simulate windows, and all rows, from commands alone; fields of `Simulated`."""
+    from sklearn_vbjfa.diagnosis.displays import windows_of
+    from sklearn_vbjfa.robot import follow_windows
+
+    part = _rows_of(task.recording, task.rows)
+    cuts = [
+        (
+            _rows_of(part, np.arange(rows.start, rows.stop)),
+            None if times is None else times[rows],
+            {"window": None, "signals": _at(task.signals, rows)},
+        )
+        for rows in part.segments
+    ]
+    cuts.append((part, times, {"window": seconds, "signals": task.signals}))
+    found = [
+        windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
+        for *one, settings in cuts
+    ]
+    one, left = next(iter(task.robots.values())).robot_, ""
+    # Of several robots the first is the one to compare with; torques that have a unit
+    # of their own are not those of a description.
+    if len(task.robots) == 1 and one.gains_ is None:
+        try:
+            described = [
+                follow_windows(
+                    one.described(),
+                    task.drive,
+                    *own,
+                    beside=next(iter(windows.values())),
+                    **settings,
+                )
+                for (*own, settings), windows in zip(cuts, found)
+            ]
+            failed = [x for own in described for x in own.failures]
+            left = failed[0].message if failed else ""
+        except ValueError as error:
+            left = str(error)
+        if left:
+            left = f"{_DESCRIBED}: left out. {left}"
+        else:
+            found = [
+                {_DESCRIBED: own, **windows} for own, windows in zip(described, found)
+            ]
+    *whole, windows = found
+    whole = tuple(
+        {
+            label: replace(own, starts=own.starts + rows.start)
+            for label, own in each.items()
+        }
+        for each, rows in zip(whole, part.segments)
+    )
+    return {"windows": windows, "whole": whole, "left": left}
 
 
 def _saved(arguments, source, folder):
@@ -165,18 +224,39 @@ def _saved(arguments, source, folder):
         recording=recording, urdf=urdf, source=source, gains=gains, drive=drive
     )
     taken.check_channels()
-    if drive is not None:
-        recording = _input.followed(drive, robot, recording)
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
+    told = f"model: {arguments.model}, effects: {effects or 'none'}"
+    if drive is not None:
+        recording, drive = _commanded(drive, robot, recording)
+    if drive is not None:
+        late = _input.command_delay(robot)
+        late = (
+            f"{1e3 * late:.3g} ms" if late is not None else "a time that is not known"
+        )
+        if drive.waits is not None:
+            late = f"{1e3 * drive.waits:.3g} ms, as given,"
+        told += f"\ncommands act {late} after they are logged"
     return _Task(
         recording=recording,
         rows=np.arange(recording.n_samples),
         robots={"simulated": robot},
         signals=taken.signals(arguments.signals),
-        told=f"model: {arguments.model}, effects: {effects or 'none'}",
+        told=told,
+        drive=drive,
     )
+
+
+def _commanded(drive, robot, recording):
+    """Return a recording for a simulation, and the drive that is told its commands."""
+    # The drive is None where the recording's torques take its place.
+    if not drive.of_positions:
+        return _input.followed(drive, robot, recording), None
+    if _input.command_delay(robot) is not None:
+        # The delay is that of the fit.
+        drive = _input.replaced(drive, delay="auto")
+    return replace(recording, command=None), drive
 
 
 def _saved_gains(arguments, robot):
@@ -218,10 +298,10 @@ def _identified(arguments, source, folder):
     settings["torque_noise"] = recording.torque_noise
     with blaming(source):
         robots = _robots(part, str(taken.urdf), library, known, settings)
-    late, follows = "", settings.get("drive")
-    if follows is not None:
+    late, drive = "", settings.get("drive")
+    if drive is not None:
         last = list(robots.values())[-1]
-        recording = _input.followed(follows, last, recording)
+        recording, drive = _commanded(drive, last, recording)
         said = _input.said_delay(last)
         late = f"no torque was measured: {said}\n" if said else ""
     told = late + (
@@ -241,6 +321,7 @@ def _identified(arguments, source, folder):
         robots=robots,
         signals=_at(signals, rest),
         told=told,
+        drive=drive,
     )
 
 
@@ -300,16 +381,12 @@ class Simulated:
     rows: np.ndarray  # of the recording that the windows are cut from
     windows: dict  # the same windows of each robot, by its label
     told: str  # what was identified, some lines
+    # the same of each recording as a whole, where commands alone drove the robots
+    whole: tuple = ()
+    left: str = ""  # what is not simulated, and why; empty for nothing
 
 
 # -- what is said ----------------------------------------------------------------------
-
-
-def _scales(windows):
-    """Factors (nv,) to degrees and mm, and these units."""
-    slides = windows.prismatic
-    units = tuple("mm" if sliding else "degrees" for sliding in slides)
-    return np.where(slides, 1e3, 180 / np.pi), units
 
 
 def errors_text(simulated, seconds):
@@ -317,11 +394,10 @@ def errors_text(simulated, seconds):
     windows = simulated.windows
     one = next(iter(windows.values()))
     whole = ~np.any([own.failed for own in windows.values()], axis=0)
-    scale, units = _scales(one)
-    rivals = {"stays": one.staying(), "goes on": one.going_on()}
+    scale, units = one.scales
     positions, velocities = {"": one.joint_names, "unit": units}, {}
     velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
-    for label, own in (windows | rivals).items():
+    for label, own in (windows | one.rivals).items():
         errors = own.errors[whole] * scale
         positions[label] = _over_windows(errors, _rms)
         if label in windows:
@@ -338,16 +414,19 @@ def errors_text(simulated, seconds):
         f"position error over windows of {seconds:g} s, root mean square",
         _tabulated(positions),
         "",
+        *_over_all(simulated),
         "velocity error",
         _tabulated(velocities),
         "",
-        f"{which} {whole.size} windows, each from the measured state at its start and "
-        "driven by the",
-        f"{_torques(simulated)} torques. median: of the windows' position errors; "
-        "stays, goes on: a",
-        "robot that stays where it was, and one that keeps its velocity.",
+        *_said_windows(simulated, f"{which} {whole.size} windows"),
     ]
+    if simulated.left:
+        lines += textwrap.wrap(simulated.left, _WIDTH)
+    for text in [text for one in simulated.whole for text in _ended(one)]:
+        lines += textwrap.wrap(f"whole recordings: {text}", _WIDTH)
     for label, own in windows.items():
+        if label == _DESCRIBED:
+            continue
         who = f"{label}: " if len(windows) > 1 else ""
         lines += ["", *_verdict(who, own)]
         if own.failures:
@@ -357,9 +436,41 @@ def errors_text(simulated, seconds):
     return "\n".join(lines)
 
 
-def _torques(simulated):
-    """Say which torques drive a simulation."""
-    return "commanded" if "q_desired" in simulated.recording.signals else "measured"
+def _said_windows(simulated, count):
+    """Say what windows are, and the columns of the table, lines of a terminal."""
+    told = f"{count}, each from the measured state at its start and "
+    if simulated.whole:
+        told += (
+            "told the recorded commands alone. median: of the windows' position "
+            "errors; as told: a robot that is where it is told to be."
+        )
+    else:
+        told += (
+            "driven by the measured torques. median: of the windows' position errors; "
+            "stays, goes on: a robot that stays where it was, and one that keeps its "
+            "velocity."
+        )
+    return textwrap.wrap(told, _WIDTH)
+
+
+def _over_all(simulated):
+    """Tabulate errors over whole recordings, where these are simulated; lines."""
+    if not simulated.whole:
+        return []
+    found = [{**own, **one.rivals} for own in simulated.whole for one in own.values()]
+    counts = [one.t.size for own in simulated.whole for one in own.values()]
+    scale, units = next(iter(simulated.windows.values())).scales
+    columns = {"": next(iter(found[0].values())).joint_names, "unit": units}
+    for label in found[0]:
+        # One that failed has no error, and neither have all together.
+        squares = [own[label].errors[0] ** 2 for own in found]
+        errors = scale * np.sqrt(np.average(squares, axis=0, weights=counts))
+        columns[label] = _over_windows(errors[None], _rms)
+    return [
+        "over whole recordings, from their first states on",
+        _tabulated(columns),
+        "",
+    ]
 
 
 def doubts_of(simulated):
@@ -370,6 +481,7 @@ def doubts_of(simulated):
     last = list(windows.values())[-1]
     failed = [own for own in windows.values() if own.failures]
     doubts = [f"{_failed_count(own)} failed" for own in failed]
+    doubts += [text for one in simulated.whole for text in _ended(one)]
     if last.run_away.any():
         doubts.append(f"{_away_count(last)} joints ran away")
     return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
@@ -407,7 +519,7 @@ def _verdict(who, windows):
     told = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
     told += "errors, Student's t at 5 %"
     if windows.failed.any():
-        told += "; a window that failed counts as the worst error of these two"
+        told += "; a window that failed counts as the worst error of these"
     return textwrap.wrap(f"{told})", _WIDTH)
 
 
@@ -415,6 +527,16 @@ def _failed(simulated, windows):
     """Name windows that were not simulated to their end, and why."""
     why = {one.window: one.message for one in windows.failures}
     return _listed(simulated, windows, f"{_failed_count(windows)} failed:", why)
+
+
+def _ended(windows):
+    """Say which whole recordings were not simulated to their end, a list of str."""
+    # windows: of one recording as a whole, by label.
+    return [
+        f"{label}: {one.message}"
+        for label, own in windows.items()
+        for one in own.failures
+    ]
 
 
 def _failed_count(windows):
@@ -427,9 +549,8 @@ def _away_count(windows):
 
 def _run_away(simulated, windows):
     """Name windows in which joints ran away."""
-    head = (
-        f"{_away_count(windows)} joints ran away, farther off than stays and goes on "
-    )
+    than = " and ".join(windows.rivals)
+    head = f"{_away_count(windows)} joints ran away, farther off than {than} "
     names, away = np.array(windows.joint_names), windows.run_away
     found = {k: ", ".join(names[away[k]]) for k in np.flatnonzero(away.any(axis=1))}
     return _listed(simulated, windows, f"{head}in any:", found)
@@ -470,24 +591,30 @@ def _name(recording, label):
 
 def errors_table(simulated):
     """Return a table with one row per window and joint, as CSV."""
-    windows = simulated.windows
-    one = next(iter(windows.values()))
-    scale, units = _scales(one)
-    stays, goes_on = one.staying().errors * scale, one.going_on().errors * scale
+    one = next(iter(simulated.windows.values()))
+    scale, units = one.scales
+    rivals = list(one.rivals)
     file = io.StringIO(newline="")
     table = csv.writer(file, lineterminator="\n")
     heads = ["model", "recording", "from_s", "to_s", "joint", "unit"]
-    heads += ["position_error", "velocity_error_per_s", "stays", "goes_on", "failed"]
-    table.writerow(heads)
-    for label, own in windows.items():
-        errors, speeds = own.errors * scale, own.velocity_errors * scale
+    heads += ["position_error", "velocity_error_per_s"]
+    table.writerow([*heads, *(name.replace(" ", "_") for name in rivals), "failed"])
+    # Whole recordings come behind their windows.
+    rows = [
+        (label, one)
+        for each in (simulated.windows, *simulated.whole)
+        for label, one in each.items()
+    ]
+    for label, own in rows:
+        numbers = [own.errors, own.velocity_errors]
+        numbers += [rival.errors for rival in own.rivals.values()]
+        numbers = scale * np.array(numbers)
         why = {one.window: one.message for one in own.failures}
         for k in range(own.n_windows):
             name, begin, end = _place(simulated, own, k)
             for j, joint in enumerate(own.joint_names):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
-                numbers = errors[k, j], speeds[k, j], stays[k, j], goes_on[k, j]
-                row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers]
+                row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers[:, k, j]]
                 table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
     return file.getvalue()
 

@@ -368,6 +368,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             known = recording.groups, recording.weight, None
             whole = self._recording(model, recording.inputs, recording.tau, *known)
             known = {"command": recording.command, "feedback": recording.feedback}
+            drive = self.identifier.drive
+            if drive is not None and drive.of_positions:
+                known |= {"v": recording.v, "signals": recording.signals}
             whole = replace(whole, **known)
         given = signals, OfferedSignals(), names, progress
         return self._fit(model, whole, library, *given)
@@ -388,16 +391,18 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 own.set_params(drive=done)
             whole = _fitted(own, part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
+        told = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
         with telling(self.verbose, progress):
-            outcome = self._close(model, whole, offered, library, unusable, names)
+            outcome = self._close(model, whole, told, offered, library, unusable, names)
         return self._set(outcome)
 
     # -- stages ---------------------------------------------------------------------
 
-    def _close(self, model, whole, offered, library, unusable, names):
+    def _close(self, model, whole, told, offered, library, unusable, names):
         """Close the loop on a checked recording; returns its `Outcome`."""
-        # offered: signals as they were given; unusable: what is wrong with some.
+        # told: with the channels of the drive; offered: signals as they were given;
+        # unusable: what is wrong with some.
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
             channels += unusable
@@ -430,7 +435,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
             # Copies of most rows are not needed any more.
             del part, seen
-            judgement = judge(models, found, split, near, whole)
+            judgement = judge(models, found, split, near, whole, told)
         with stage("final model"):
             final = self._hand_over(found, whole, split.amount.moving, silent, known)
         asked = self.get_params(deep=False)

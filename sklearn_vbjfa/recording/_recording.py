@@ -487,9 +487,9 @@ def take_rows(recording, rows, groups):
     # one for each of the slices.
     if not isinstance(rows, np.ndarray):
         return _take_slices(recording, rows, groups)
-    optional = recording.t, recording.weight, recording.command
-    t, weight, command = (None if x is None else x[rows] for x in optional)
-    return take_arrays(
+    optional = recording.t, recording.weight, recording.command, recording.v
+    t, weight, command, v = (None if x is None else x[rows] for x in optional)
+    taken = take_arrays(
         recording.inputs[rows],
         recording.tau[rows],
         groups,
@@ -501,6 +501,7 @@ def take_rows(recording, rows, groups):
         command=command,
         feedback=recording.feedback,
     )
+    return taken if v is None else replace(taken, v=v)
 
 
 def _take_slices(recording, slices, groups):

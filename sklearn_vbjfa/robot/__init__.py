@@ -77,5 +77,6 @@ _MODULES = {
         "note_of_masses",
     ),
     "_states": ("RecordingStates", "StateEstimator"),
+    "_windows": ("follow_windows",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

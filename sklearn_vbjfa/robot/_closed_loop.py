@@ -14,8 +14,7 @@ import numpy as np
 from sklearn_vbjfa._core._lowpass import decimate
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.recording import Drive, PDDrive
-from sklearn_vbjfa.recording._drives import velocity_lags
-from sklearn_vbjfa.robot._equations import late_command
+from sklearn_vbjfa.robot._from_commands import law_of
 from sklearn_vbjfa.robot._output_error import TOLERANCE, Refined, SimulationCriteria
 from sklearn_vbjfa.robot._sensitivities import held_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
@@ -54,7 +53,7 @@ class Loop:
             v_ref = 0.0 * q_ref
             if controller.feedforward:
                 v_ref = np.gradient(q_ref, recording.dt, axis=0)
-            control = _law(kp * q_ref + kd * v_ref, kp, kd, most)
+            control = law_of(kp * q_ref + kd * v_ref, kp, kd, most)
             n = part.stop - part.start
             t = recording.dt * np.arange(n)
             if plan.timed:
@@ -75,23 +74,6 @@ class Loop:
             positions=_size(simulated[:, :nv] - recording.q),
             torques=_size(np.concatenate(errors)),
         )
-
-
-def _law(command, kp, kd, most):
-    """Let a drive follow commands (n, nv) that go straight between rows.
-
-    Commands are torques, what is asked for at position and velocity zero; gains (nv,)
-    or (n, nv) hold until the next row.
-    """
-    kp, kd = (np.broadcast_to(x, command.shape) for x in (kp, kd))
-
-    def control(row, q, v):
-        i = min(int(row), len(command) - 1)
-        j = min(i + 1, len(command) - 1)
-        asked = command[i] + (row - i) * (command[j] - command[i])
-        return np.clip(asked - kp[i] * q - kd[i] * v, -most, most)
-
-    return control
 
 
 def _size(errors):
@@ -154,66 +136,6 @@ def refine_controlled(
     return Refined(
         theta=loop.theta, unconstrained=unconstrained, std=std, criteria=criteria
     )
-
-
-# -- from commands alone ---------------------------------------------------------------
-
-# Drives set their torque at least so often, in simulation [s].
-_DRIVE_PERIOD = 1e-3
-
-
-def follow(robot, drive, recording, window=None):
-    """Simulate a robot from its commands, from the states of a recording on."""
-    # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
-    # recorded state again, None for whole recordings. Returns states (n, 3 nv).
-    made = drive.driven(recording)
-    clock = recording.clock()
-    command = late_command(made, robot.effects_)
-    names, shape = recording.joint_names, command.shape
-    kp, kd = (np.broadcast_to(x, shape) for x in drive.law(names, recording))
-    most = drive.most(names)
-    measured, _ = robot.query(recording.inputs, recording.groups)
-    model, dt, nv = robot.torque_model(), recording.dt, recording.nv
-    updates = drive.updates(dt, _DRIVE_PERIOD)
-    lags = np.maximum(velocity_lags(recording), 0.0)
-    length = recording.n_samples if window is None else max(round(window / dt), 2)
-    states = np.empty((recording.n_samples, 3 * nv))
-    for part in recording.segments:
-        for first in range(part.start, part.stop, length):
-            rows = slice(first, min(first + length, part.stop))
-            start = measured[first]
-            law = _law(command[rows], kp[rows], kd[rows], most)
-            own = {name: x[rows] for name, x in recording.signals.items()}
-            own = {name: x for name, x in own.items() if x.ndim == 1}
-            states[rows], _ = simulate_controlled(
-                model,
-                _seen_late(law, lags, dt, updates),
-                start[:nv],
-                start[nv : 2 * nv],
-                clock[rows],
-                own,
-                updates,
-            )
-    return states
-
-
-def _seen_late(control, lags, dt, updates):
-    """Let a controller see velocities that are late by lags (nv,) [s]."""
-    if not lags.any():
-        return control
-    back, past, joints = lags * updates / dt, [], np.arange(lags.size)
-
-    def late(row, q, v):
-        past.append(np.array(v))
-        ago = np.clip(len(past) - 1 - back, 0.0, None)
-        first = ago.astype(int)
-        second = np.minimum(first + 1, len(past) - 1)
-        known = np.array(past[int(first.min()) :])
-        first, second, share = first - first.min(), second - first.min(), ago % 1.0
-        seen = known[first, joints]
-        return control(row, q, seen + share * (known[second, joints] - seen))
-
-    return late
 
 
 # -- a controller and its reference ----------------------------------------------------

@@ -14,6 +14,7 @@ from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,
     joint_names,
+    nominal_parameters,
     urdf_to_fill,
 )
 from sklearn_vbjfa.model._trees import is_prismatic
@@ -32,7 +33,6 @@ from sklearn_vbjfa.recording._recording import (
     take_arrays,
     take_rows,
 )
-from sklearn_vbjfa.robot._closed_loop import follow
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     as_driven,
@@ -47,7 +47,8 @@ from sklearn_vbjfa.robot._equations import (
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf, to_usd
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
+from sklearn_vbjfa.robot._from_commands import follow
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._posterior import (
@@ -1080,6 +1081,21 @@ class IdentifiedRobot(SimulatesTorques):
         """Return the robot corrected by effects, beside or in place of its own."""
         own = {effect.key(): effect for effect in (*self.effects_, *effects)}
         return replace(self, features_=self.features_.corrected(own.values()))
+
+    def described(self):
+        """Return the robot of its description: those bodies, and no friction."""
+        features, bodies = self.features_.corrected(()), self.bodies(self.theta_)
+        bodies = np.zeros_like(bodies)
+        bodies[:, :10] = nominal_parameters(features.nominal_)
+        followers = nominal_followers(features)
+        return replace(
+            self,
+            features_=features,
+            plan=replace(self.plan, effects=self.effects_[: len(followers)]),
+            theta_=np.r_[bodies.ravel(), followers.ravel()],
+            load=None,
+            effect_ranges_=(),
+        )
 
     def linear_part(self, theta):
         """Parameters (p,) without the values that the model holds."""

@@ -13,6 +13,7 @@ from scipy import special
 
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
+from sklearn_vbjfa.robot._from_commands import Follower
 from sklearn_vbjfa.simulation import SimulationError
 
 # Level of the one-sided test by which an error is clearly smaller than another.
@@ -65,6 +66,9 @@ class SimulatedWindows:
         Simulated states [q | v | a]; nan in windows that failed.
     failures : tuple of FailedWindow
         What became of these.
+    told : ndarray of shape (n_windows, m, nv) or None, default=None
+        Commanded positions [rad or m], where these alone drove the robot under its
+        drive; None where torques did.
     """
 
     joint_names: tuple
@@ -76,6 +80,7 @@ class SimulatedWindows:
     start_positions: np.ndarray
     simulated: np.ndarray
     failures: tuple = ()
+    told: np.ndarray | None = None
 
     def __repr__(self):
         """Tell the windows, those that failed, and whether a model was needed."""
@@ -115,30 +120,27 @@ class SimulatedWindows:
     def run_away(self):
         """Joints that ran away in windows, (n_windows, nv), bool.
 
-        Those with a larger error than a robot that stays or goes on has on this joint
-        in any window.
+        Those with a larger error than any of `rivals` has on this joint in any window.
         """
-        worst = [
-            rival.errors.max(axis=0) for rival in (self.staying(), self.going_on())
-        ]
+        worst = [rival.errors.max(axis=0) for rival in self.rivals.values()]
         return self.errors > np.max(worst, axis=0)
 
     @property
     def clearly_better(self):
-        """Joints on which it is clearly better than both robots without a model, (nv,).
+        """Joints on which it is clearly better than all robots without a model, (nv,).
 
-        Better than one that stays where it was, and than one that keeps its velocity:
-        the mean of the windows' errors is smaller, by Student's t of their differences
-        window by window at a level of 5 %, neighbours being correlated. A window that
-        failed counts as the worst error that either has in any window.
+        Better than each of `rivals`: the mean of the windows' errors is smaller, by
+        Student's t of their differences window by window at a level of 5 %, neighbours
+        being correlated. A window that failed counts as the worst error that any of
+        these has in any window.
         """
-        rivals = [one.errors for one in (self.staying(), self.going_on())]
+        rivals = [one.errors for one in self.rivals.values()]
         worst = np.max(rivals, axis=(0, 1))
         own = np.where(self.failed[:, None], worst, self.errors)
         return np.all([clearly_smaller(own, other) for other in rivals], axis=0)
 
     def verdict(self):
-        """Say whether it is clearly better than both robots without a model.
+        """Say whether it is clearly better than all robots without a model.
 
         Returns
         -------
@@ -146,12 +148,40 @@ class SimulatedWindows:
             Without a full stop; names the joints on which it is not.
         """
         better = self.clearly_better
-        both = "a robot that stays and one that keeps its velocity"
+        without = "a robot that stays and one that keeps its velocity"
+        if self.told is not None:
+            without = "a robot that is where it is told to be"
         if better.all():
-            return f"clearly better than {both} on every joint"
+            return f"clearly better than {without} on every joint"
         names = [n for n, good in zip(self.joint_names, better) if not good]
         where = "any joint" if not better.any() else ", ".join(names)
-        return f"not clearly better than {both} on {where}"
+        return f"not clearly better than {without} on {where}"
+
+    @property
+    def rivals(self):
+        """The same windows of robots without a model, by what they do.
+
+        Driven by torques, of one that ``"stays"`` and one that ``"goes on"``; told
+        positions, of one that does ``"as told"``, at once.
+        """
+        if self.told is None:
+            return {"stays": self.staying(), "goes on": self.going_on()}
+        v = np.gradient(self.told, self.t[0, 1] - self.t[0, 0], axis=1)
+        states = np.concatenate([self.told, v, np.zeros_like(v)], axis=2)
+        return {"as told": replace(self, simulated=states, failures=())}
+
+    @property
+    def scales(self):
+        """Factors (nv,) of errors, and the units that they are then in.
+
+        Millimetres where joints slide; else degrees, and of robots that are told
+        positions, which keep near these, mrad.
+        """
+        factor, unit = (180 / np.pi, "degrees")
+        if self.told is not None:
+            factor, unit = 1e3, "mrad"
+        units = tuple("mm" if slides else unit for slides in self.prismatic)
+        return np.where(self.prismatic, 1e3, factor), units
 
     def staying(self):
         """Return the same windows of a robot that stays where it was."""
@@ -179,6 +209,7 @@ class SimulatedWindows:
             failures=tuple(
                 replace(one, window=numbers[one.window]) for one in failures
             ),
+            told=None if self.told is None else self.told[chosen],
         )
 
     def _moving(self, v0):
@@ -273,7 +304,7 @@ def simulate_windows(
 joint_5, joint_6
     """
     predictor = robot.robot_
-    names, nv = predictor.joint_names_, len(predictor.joint_names_)
+    names = predictor.joint_names_
     X, signals = predictor.checked(X, signals)
     y = _torques(y, names, len(X))
     if predictor.plan.dt is None:
@@ -285,21 +316,59 @@ joint_5, joint_6
         made = _measured(predictor, X, groups, t, signals, window)
     else:
         made = _taken_over(beside, X, names)
-    rows = made.starts[:, None] + np.arange(made.t.shape[1])
-    simulated = np.full((*rows.shape, 3 * nv), np.nan)
+
+    def driven(k, rows):
+        return robot.simulate(
+            y[rows],
+            made.start_positions[k],
+            made.velocities[k, 0],
+            made.t[k],
+            signals={name: x[rows] for name, x in (signals or {}).items()} or None,
+        )
+
+    return _run(made, driven)
+
+
+def follow_windows(
+    robot, drive, recording, t=None, *, window=1.0, signals=None, beside=None
+):
+    """Simulate windows of a recording, each from its commands alone."""
+    # drive: `PDDrive`, whose channels are in the recording; window: None simulates a
+    # single recording as a whole. The rest is that of `simulate_windows`.
+    predictor = robot.robot_
+    X, signals = predictor.checked(recording.inputs, signals)
+    own = {**recording.signals, **(signals or {})}
+    follower = Follower(predictor, drive, replace(recording, signals=own))
+    if beside is None:
+        made = _measured(predictor, X, recording.groups, t, signals, window)
+        told = recording.signals[drive.told].reshape(recording.q.shape)
+        made = replace(made, told=told[_rows_of(made)])
+    else:
+        made = _taken_over(beside, X, predictor.joint_names_)
+
+    def driven(k, rows):
+        start = np.r_[made.start_positions[k], made.velocities[k, 0]]
+        return follower.run(slice(rows[0], rows[-1] + 1), start, made.t[k])
+
+    return _run(made, driven)
+
+
+def _rows_of(made):
+    """Rows of windows in their recording, (n_windows, m)."""
+    return made.starts[:, None] + np.arange(made.t.shape[1])
+
+
+def _run(made, driven):
+    """Simulate windows one by one, noting those that fail."""
+    # driven: of the number of a window and its rows, the states (m, 3 nv).
+    rows = _rows_of(made)
+    simulated = np.full((*rows.shape, 3 * len(made.joint_names)), np.nan)
     failures, refusals = [], []
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for k, own in enumerate(rows):
-            given = {name: values[own] for name, values in (signals or {}).items()}
             try:
-                simulated[k] = robot.simulate(
-                    y[own],
-                    made.start_positions[k],
-                    made.velocities[k, 0],
-                    made.t[k],
-                    signals=given or None,
-                )
+                simulated[k] = driven(k, own)
             except SimulationError as error:
                 failures.append(
                     FailedWindow(window=k, time=error.time, message=str(error))
@@ -312,7 +381,7 @@ joint_5, joint_6
                 )
     if len(refusals) == len(rows):
         raise refusals[0]
-    tell_once(caught, "windows", stacklevel=3)
+    tell_once(caught, "windows", stacklevel=4)
     return replace(made, simulated=simulated, failures=tuple(failures))
 
 
@@ -324,7 +393,8 @@ def _measured(predictor, X, groups, t, signals, window):
     if clock is None:
         clock = predictor.clock(None, len(X))
     states, _ = predictor.query(X, groups)
-    rows = _rows(asked, predictor.plan.standstill, _length(window, dt), dt)
+    length = None if window is None else _length(window, dt)
+    rows = _rows(asked, predictor.plan.standstill, length, dt)
     return SimulatedWindows(
         joint_names=predictor.joint_names_,
         prismatic=np.array(is_prismatic(predictor.features_.model_)),
@@ -339,8 +409,7 @@ def _measured(predictor, X, groups, t, signals, window):
 
 def _taken_over(beside, X, names):
     """Check that windows are those of the same rows and robot."""
-    rows = beside.starts[:, None] + np.arange(beside.t.shape[1])
-    nv = len(names)
+    rows, nv = _rows_of(beside), len(names)
     same = beside.joint_names == names and rows.max() < len(X)
     if not (same and np.array_equal(beside.positions, X[rows][..., :nv])):
         raise ValueError(
@@ -402,6 +471,8 @@ def _rows(asked, standstill, length, dt):
     found = []
     for part in asked.recording.segments:
         first = part.start + int(np.argmax(inner[part].any(axis=1)))
+        if length is None:
+            return np.arange(first, part.stop)[None]
         found += range(first, part.stop - length, length)
     if not found:
         longest = max(part.stop - part.start for part in asked.recording.segments)

@@ -26,7 +26,7 @@ _MARGIN = 0.6
 # Positions that hardly move have at least this range [degrees or mm].
 _SMALLEST = 0.1
 _COLOURS = ("tab:orange", "tab:blue", "tab:green", "tab:purple")
-_MEASURED, _BORDER, _FAILED = "0.25", "0.85", "tab:red"
+_MEASURED, _BORDER, _FAILED, _TOLD = "0.25", "0.85", "tab:red", "0.5"
 
 
 class ResidualDisplay(Display):
@@ -338,7 +338,8 @@ class SimulationDisplay(Display):
     the errors beside a joint's name are root mean squares over all windows that were
     simulated to their end. Windows that were not are shaded, and counted below. A star
     marks errors that are not clearly smaller than those of a robot that stays and of
-    one that keeps its velocity (`SimulatedWindows.clearly_better`).
+    one that keeps its velocity, or of one that is where it is told to be
+    (`SimulatedWindows.clearly_better`). Commanded positions are dotted.
 
     Parameters
     ----------
@@ -491,6 +492,9 @@ class SimulationDisplay(Display):
         scale, unit = (1e3, "mm") if one.prismatic[j] else (180 / np.pi, "degrees")
         for k in chosen:
             ax.axvline(one.t[k, 0], color=_BORDER, lw=0.8, zorder=0)
+        if one.told is not None:
+            told = _joined(one.t, scale * one.told[..., j], chosen)
+            ax.plot(*told, color=_TOLD, lw=1.0, ls=":", label="commanded")
         measured = _joined(one.t, scale * one.positions[..., j], chosen)
         style = {"color": _MEASURED, "lw": 2.4, "alpha": 0.45} | measured_style
         self.measured_lines_ += ax.plot(*measured, **style)
@@ -502,11 +506,12 @@ class SimulationDisplay(Display):
             for k in chosen[own.failed[chosen]]:
                 span = own.t[k, 0], own.t[k, -1]
                 ax.axvspan(*span, color=_FAILED, alpha=0.12, lw=0, zorder=0)
-            errors = scale * own.errors[~own.failed, j]
+            factors, units = own.scales
+            errors = factors[j] * own.errors[~own.failed, j]
             size = "none"
             if errors.size:
                 star = "" if own.clearly_better[j] else "*"
-                size = f"{np.sqrt(np.mean(errors**2)):.3g} {unit}{star}"
+                size = f"{np.sqrt(np.mean(errors**2)):.3g} {units[j]}{star}"
             told.append(f"{label} {size}" if len(self.windows) > 1 else size)
         low, high = np.nanmin(measured[1]), np.nanmax(measured[1])
         room = _MARGIN * max(high - low, _SMALLEST)
@@ -522,7 +527,10 @@ class SimulationDisplay(Display):
         found = []
         starred = [~own.clearly_better.all() for own in self._simulated()]
         if any(starred):
-            found.append("* not clearly better than to stay and to keep the velocity")
+            without = "to stay and to keep the velocity"
+            if next(iter(self.windows.values())).told is not None:
+                without = "to be where it is told to be"
+            found.append(f"* not clearly better than {without}")
         for label, own in self.windows.items():
             if own.failed.any():
                 told = f"{own.failed.sum()} of {own.n_windows} windows failed, "
@@ -552,13 +560,14 @@ class SimulationDisplay(Display):
             ax.plot([], [], label="simulation failed", **style)
 
 
-def windows_of(robots, *recording, **settings):
+def windows_of(robots, *recording, by=simulate_windows, **settings):
     """Simulate the same windows by several robots, of each label its windows."""
-    # recording, settings: what `simulate_windows` gets beside the robot.
+    # recording, settings: what `simulate_windows`, or `follow_windows`, gets beside the
+    # robot.
     found = {}
     for label in counted(robots, "simulating", "robots"):
         robot, first = robots[label], next(iter(found.values()), None)
-        found[label] = simulate_windows(robot, *recording, beside=first, **settings)
+        found[label] = by(robot, *recording, beside=first, **settings)
     return found
 
 

@@ -12,6 +12,7 @@ _MODULES = {
         "ceilings",
         "since_reversal",
     ),
+    "_commands_alone": ("CommandsAlone", "commands_alone"),
     "_contradictions": (
         "Contradiction",
         "Contradictions",

@@ -61,12 +61,13 @@ class EffectCurves:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueCurves:
-    """Measured and predicted torque of a joint over the whole recording."""
+    """Measured and predicted torque, or position, of a joint over time."""
 
     joint: int  # from zero
     seconds: np.ndarray  # (k,): or the number of the row where time is not known
     # (k,): behind the low-pass; predicted by the declared and by the completed model,
-    # both fitted to the search part [N m or N]. They are nan where rows are missing
+    # both fitted to the search part [N m or N; rad or m]. They are nan where rows are
+    # missing
     measured: np.ndarray
     before: np.ndarray
     after: np.ndarray
@@ -367,15 +368,24 @@ def time_line(judgement, clock, begins):
     }
     # Nothing is known between recordings, and between search and held-out part.
     gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
+    torques = over_time(seconds, gaps, measured, before, after, counts, step)
+    return TimeLine(torques=torques, **line)
+
+
+def over_time(seconds, gaps, measured, before, after, counts, step):
+    """Thin what was measured and predicted, (n, nv); `TorqueCurves` of each joint."""
+    # gaps: rows before which nothing is known; step: time between rows [s].
     measured, before, after = (
         np.insert(values, gaps, np.nan, axis=0) for values in (measured, before, after)
     )
     counts = np.insert(counts, gaps, False, axis=0)
     seconds = np.insert(seconds, gaps, seconds[gaps] - 0.5 * step)
+    # A model of which nothing is known leaves no gap.
+    left = np.where(counts & np.isfinite(after), measured - after, 0.0)
     torques = []
     for j in range(measured.shape[1]):
         # Half of them are those of the residual; rows that do not count are no gaps.
-        own = measured[:, j], np.where(counts, measured - after, 0.0)[:, j]
+        own = measured[:, j], left[:, j]
         half = curve_size(measured.shape[1]) // 2
         rows = np.union1d(*(extremes(values, half) for values in own))
         torques.append(
@@ -388,7 +398,7 @@ def time_line(judgement, clock, begins):
                 counts=counts[rows, j],
             )
         )
-    return TimeLine(torques=tuple(torques), **line)
+    return tuple(torques)
 
 
 def extremes(values, most):

@@ -11,7 +11,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.explain._drawn import Spectra
+from sklearn_vbjfa.diagnosis.explain._commands_alone import (
+    CommandsAlone,
+    commands_alone,
+)
+from sklearn_vbjfa.diagnosis.explain._drawn import Spectra, TimeLine
 from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._identified import Band, measure_band
 from sklearn_vbjfa.diagnosis.explain._intervals import (
@@ -293,6 +297,9 @@ class Judgement:
     # where the held-out part leaves what the completed model was fitted on
     outside: tuple = ()
     looked_at: int = 0  # see `RecordedMotion`
+    # positions from commands alone, and the `TimeLine` of them; None without such
+    alone: CommandsAlone | None = None
+    positions: TimeLine | None = None
 
     @property
     def errors(self):
@@ -301,10 +308,11 @@ class Judgement:
         return np.array([part.relative_error(self.spread) for part in parts])
 
 
-def judge(models, found, split, near, whole):
+def judge(models, found, split, near, whole, commanded):
     """Judge the `Models` of a loop on the part of a recording that is untouched."""
     # They were fitted to the rows of the search, `found` is what it found there; near:
-    # the split with those of these rows that it looked at.
+    # the split with those of these rows that it looked at; commanded: the recording
+    # with the channels of its drive.
     completed = models.judged
     model, dt = found.model, completed.dt
     memory = max(memory_seconds(model), default=0.0)
@@ -367,6 +375,7 @@ def judge(models, found, split, near, whole):
             spread,
             step,
         )
+    alone, positions = commands_alone(models, rows, commanded)
     return Judgement(
         before=before,
         plain=plain,
@@ -390,6 +399,8 @@ def judge(models, found, split, near, whole):
         outside=completed.robot_.outside_of(rest),
         spectra=told,
         looked_at=_looked_at(model.view, split),
+        alone=alone,
+        positions=positions,
     )
 
 

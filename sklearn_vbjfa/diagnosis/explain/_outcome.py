@@ -11,6 +11,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.explain._ceiling import ceilings
+from sklearn_vbjfa.diagnosis.explain._commands_alone import CommandsAlone
 from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Contradictions,
     Parts,
@@ -203,7 +204,8 @@ class Outcome:
     # residuals and signals for pictures; "seconds" is the time in the held-out part,
     # its recordings joined [s]; "maps" has a `Map` of some joints, "effects" an
     # `EffectCurves` or None of each effect, "friction" and "spectra" the curves of the
-    # joints, "line" the `TimeLine`
+    # joints, "line" the `TimeLine`, "positions" that of the positions from commands
+    # alone, or None
     curves: dict = field(default_factory=dict)
     # where the held-out part leaves what the judged model was fitted on
     outside: tuple = ()
@@ -219,6 +221,9 @@ class Outcome:
     alike: tuple = ()
     parameters: tuple[ParameterValue, ...] = ()  # of the model that is handed over
     recorded: RecordedMotion | None = None
+    # positions on the held-out part from commands alone; None without a drive that is
+    # told positions
+    commands_alone: CommandsAlone | None = None
     provenance: Provenance | None = None
 
 
@@ -299,6 +304,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         alike=final.identifier.alike_,
         parameters=parameter_values(final.identifier),
         recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
+        commands_alone=judgement.alone,
     )
 
 
@@ -531,5 +537,6 @@ def _curves(models, final, judgement, maps, effects, whole):
         ),
         "friction": friction_curves(models.declared, final),
         "spectra": judgement.spectra,
+        "positions": judgement.positions,
         "line": time_line(judgement, whole.t, [p.start for p in whole.segments]),
     }

@@ -43,6 +43,13 @@ _ACTIONS = {
     "replace": "replaced",
     "drop": "dropped: improbable beside the others",
 }
+# Units of errors of positions, with factors to them.
+_FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
+_MODELS = {
+    "before": "declared model",
+    "plain": "model with the four plain terms",
+    "after": "completed model",
+}
 # Share of the largest value of a body that rounding leaves of a zero.
 _ROUNDING = 1e-9
 
@@ -173,6 +180,86 @@ def documentation_of(name):
         if label.strip().lower() == "documentation":
             return f"{address.strip().rstrip('/')}/effects/{name}.html"
     return ""
+
+
+def commands_alone(outcome, verdict):
+    """Tabulate and draw the positions that models reach from commands alone."""
+    heading, one = "Closed loop: commands alone", outcome.commands_alone
+    if one is None:
+        return Section(heading=heading)
+    names = outcome.joint_names
+    errors = {"declared model": one.before, "with the four plain terms": one.plain}
+    errors |= {"completed model": one.after, "as told": one.told}
+    if not outcome.added:
+        del errors["with the four plain terms"]
+    fine = [_FINE[unit] for unit in one.units]
+    rows = [
+        (words.joint_label(names, j), fine[j][1])
+        + tuple(words.number(fine[j][0] * size[j]) for size in errors.values())
+        for j in range(len(names))
+    ]
+    told, before, after = (
+        _mean_size(x, one) for x in (one.told, one.before, one.after)
+    )
+    failed = [
+        f"The {_MODELS[key]} was not simulated to its end: {text}"
+        for key, text in one.failed.items()
+        if key != "plain" or outcome.added
+    ]
+    sentence = (
+        f"From the commands of {words.number(one.seconds)} s of held-out motion alone, "
+        f"positions of the declared model are off by {before}, those of the completed "
+        f"one by {after} (mean of the joints); a robot that is where it is told to be "
+        f"is off by {told}."
+    )
+    return Section(
+        heading=heading,
+        sentences=(sentence, *failed),
+        terminal=(sentence, *failed),
+        table=Table(heads=("joint", "unit", *errors), rows=tuple(rows), numbers=True),
+        note="Root mean squares of simulated minus recorded positions. Each held-out "
+        "stretch is simulated from its recorded first state on; the models were fitted "
+        "to the other rows.",
+        template="commands_alone",
+        drawn=position_figures(outcome),
+    )
+
+
+def _mean_size(errors, alone):
+    """Write the mean errors of joints that turn and of those that slide."""
+    texts = []
+    for unit in dict.fromkeys(alone.units):
+        own = np.array([x for x, other in zip(errors, alone.units) if other == unit])
+        factor, name = _FINE[unit]
+        size = "an unknown distance"
+        if np.isfinite(own).all():
+            size = f"{words.number(factor * own.mean())} {name}"
+        texts.append(size)
+    return words.join(texts)
+
+
+def position_figures(outcome):
+    """Draw the positions of each joint over held-out time; None without any."""
+    line = outcome.curves.get("positions")
+    if line is None:
+        return None
+    found = []
+    for one in line.torques:
+        unit = outcome.commands_alone.units[one.joint]
+        factor, fine = _FINE[unit]
+        found.append(
+            torque_figure(
+                one,
+                line,
+                np.nan,
+                title=words.joint_label(outcome.joint_names, one.joint),
+                y_labels=(f"position [{unit}]", f"error [{fine}]"),
+                x_label="held-out time, its stretches joined [s]",
+                border="next stretch",
+                finer=factor,
+            )
+        )
+    return {"figures": tuple(found), "pairs": True}
 
 
 def torques(outcome, verdict):

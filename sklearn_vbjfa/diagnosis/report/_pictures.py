@@ -155,18 +155,21 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
     )
 
 
-def torque_figure(torques, line, floor, *, title, y_labels):
+def torque_figure(
+    torques, line, floor, *, title, y_labels, x_label="", border="", finer=1.0
+):
     """Draw measured and predicted torque over time, and both residuals below."""
-    # floor: noise floor [N m or N], nan if unknown.
+    # floor: noise floor [N m or N], nan if unknown; x_label: empty for the time of the
+    # recording; border: what begins at those of the line; finer: factor of residuals.
     seconds, counts = torques.seconds, torques.counts
     # The declared model on top, or the completed one would hide where they agree.
     values = (torques.measured, torques.after, torques.before)
     kinds = ("measured", "line-after", "line-before")
     left = [
-        np.where(counts, torques.measured - own, np.nan)
+        np.where(counts, finer * (torques.measured - own), np.nan)
         for own in (torques.before, torques.after)
     ]
-    x_label = "time [s]" if line.in_seconds else "row"
+    x_label = x_label or ("time [s]" if line.in_seconds else "row")
     rows = np.union1d(
         extremes(torques.measured, _CURVE // 2),
         extremes(np.nan_to_num(left[1]), _CURVE // 2),
@@ -195,11 +198,13 @@ def torque_figure(torques, line, floor, *, title, y_labels):
     data = _data(title, x_label, y_labels[0], seconds, tuple(zip(names, kinds, values)))
     data["spans"] = [list(map(_short, span)) for span in line.untouched]
     data["borders"] = [_short(x) for x in line.borders]
-    keys = [*zip(kinds, names), ("untouched", "held-out part")]
+    keys = list(zip(kinds, names))
+    if line.untouched:
+        keys.append(("untouched", "held-out part"))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
     if line.borders:
-        keys.append(("border", "next recording"))
+        keys.append(("border", border or "next recording"))
     return Figure(
         title=title,
         charts=tuple(charts),

@@ -18,7 +18,7 @@ from sklearn_vbjfa.diagnosis.report import (
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 # Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 10
+SCHEMA_VERSION = 11
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -31,6 +31,7 @@ SECTIONS = (
     _findings.to_do,
     _render.paragraph("Drive", _limits.drive_sentences, on_terminal=True),
     _limits.channel_gains,
+    _evidence.commands_alone,
     _evidence.effect_pictures,
     _evidence.torques,
     _evidence.friction,

@@ -325,11 +325,12 @@ _COMMANDS = {
             },
         },
         "help": "simulate the identified robot beside the measured motion",
-        "description": "Drive the identified robot by the measured torques (of a "
-        "robot that is told positions those of its --drive, at the delay found), over "
+        "description": "Drive the identified robot by the measured torques, over "
         "windows that begin at measured states, and print how far it gets from the "
-        "measured motion. The first 70 % of every recording are identified and windows "
-        "of the rest are simulated; with --model, windows of the whole recording. "
+        "measured motion. A robot whose --drive is told positions is told the recorded "
+        "ones and nothing else, over windows and whole recordings. The first 70 % of "
+        "every recording are identified and windows of the rest are simulated; with "
+        "--model, windows of the whole recording. "
         "Without RECORDING, the one that comes with the package. Writes simulation.csv "
         "and, with matplotlib, a picture of each recording.",
     },

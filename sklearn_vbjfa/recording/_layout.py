@@ -85,6 +85,8 @@ def _derived(angle, length, endings):
     }
 
 
+# How shares of a motor's range are written.
+SHARE = ("%", "percent")
 _UNITS = _table()
 # What one may write for a time, where a unit is asked for, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -535,7 +537,7 @@ def _fitted(table, log: KnownLog, joints, told, chosen):
         what=log.what,
         certain=True,
         question=log.question if told[0] in log.commands else "",
-        answer=f"q={log.q} [deg]",
+        answer=f"q={log.q} [{SHARE[0] if table.shares else 'deg'}]",
     )
 
 
@@ -619,6 +621,8 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
     """Return the unit of a channel, None if nothing tells; refuse one not known."""
     if not role.unit:
         return None
+    if MEASURED.get(kind, kind) == "q" and role.unit in SHARE:
+        return _share(table, role)
     unit = unit_of(kind, role.unit)
     if unit is None:
         expected = {
@@ -636,6 +640,18 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
             "name."
         )
     return unit
+
+
+def _share(table: Table, role: Role) -> Unit:
+    """Return the unit of a position that is a share of a motor's calibrated range."""
+    if role.column not in table.shares:
+        raise ValueError(
+            f"{table.path}: column {role.column!r} is a share of a calibrated range, "
+            "which is not known: put the robot's calibration file (range_min and "
+            "range_max of each motor) into the data set as meta/calibration.json, or "
+            "turn the columns into radians."
+        )
+    return Unit("rad", table.shares[role.column])
 
 
 _STAMP = re.compile(

@@ -229,10 +229,10 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             times=("timestamp",),
             segment="episode_index",
             question="the files of LeRobot do not say in which unit its motors are: "
-            "degrees if the robot was recorded with use_degrees=true, otherwise -100 "
-            "to 100 of the range of each joint's calibration. Turn shares of a range "
-            "into radians first, by range_min and range_max of the calibration file; "
-            "degrees need their unit",
+            "degrees if the robot was recorded with use_degrees=true ([deg]), "
+            "otherwise -100 to 100 of the range of each joint's calibration ([%]), for "
+            "which the robot's calibration file (range_min and range_max of each "
+            "motor) has to lie in the data set as meta/calibration.json",
             beside=(
                 r"(frame_|task_)?index",
                 r"next\..*",

@@ -512,7 +512,7 @@ def _take_slices(recording, slices, groups):
 
     lengths = [own.stop - own.start for own in slices]
     groups = [StoredRows.constant(*own) for own in zip(groups, zip(lengths))]
-    return take_arrays(
+    taken = take_arrays(
         take(recording.inputs),
         take(recording.tau),
         put_together(groups),
@@ -523,6 +523,7 @@ def _take_slices(recording, slices, groups):
         signals={name: take(values) for name, values in recording.signals.items()},
         command=take(recording.command),
     )
+    return taken if recording.v is None else replace(taken, v=take(recording.v))
 
 
 def _period(dt: float | None) -> str:

@@ -64,6 +64,8 @@ class Table:
     # whether columns have no names and are called by their places, from "1" on
     nameless: bool = False
     notes: tuple[str, ...] = ()  # what a user should know of the file
+    # [rad] of one per cent of a motor's calibrated range, by column
+    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_rows(self) -> int:

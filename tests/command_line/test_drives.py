@@ -3,6 +3,7 @@
 import csv
 import json
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,13 +11,23 @@ from scipy.interpolate import CubicSpline
 
 pytest.importorskip("pinocchio")
 
+from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
-from sklearn_vbjfa.datasets import fetch_unitree_go2, make_robot_recording
+from sklearn_vbjfa.datasets import (
+    fetch_unitree_go2,
+    make_robot_recording,
+    read_recording,
+)
 from sklearn_vbjfa.recording import PDDrive
 from tests.command_line.test_close_loop import URDF
 
 KP, KD, DELAY = np.array([60.0, 30.0]), np.array([2.0, 1.0]), 0.008
 LAW = "pd kp=shoulder:60,elbow:30 kd=2,1"
+GAINS = [
+    (name, joint, gain)
+    for name, both in (("p", KP), ("d", KD))
+    for joint, gain in zip(("shoulder", "elbow"), both)
+]
 FEW = ("--effects", "spring", "--no-ceiling", "--quiet")
 
 
@@ -91,6 +102,34 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
     assert "Commands act" in (tmp_path / "arm-report/report.html").read_text()
 
 
+def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
+    """Gains of the log; without dry friction, the declared model is farther off."""
+    gains = {f"k{x}_{j}": np.full(len(told["t"]), one) for x, j, one in GAINS}
+    options = ("--friction", "viscous", *FEW)
+    code, out, err = run("close-loop", *options, drive="pd", **gains)
+    assert code in (0, 3), err
+    report = json.loads((tmp_path / "arm-report/report.json").read_text())
+    found = report["commands_alone"]
+    assert found["units"] == ["rad", "rad"]
+    assert found["failed"] == {}
+    assert found["plain"] == found["after"]
+    before, after, aim = (np.array(found[x]) for x in ("before", "after", "told"))
+    assert (after < 3e-3).all()
+    assert (before > 5 * after).all()
+    assert (aim > 20 * after).all()
+    sizes = [f"{1e3 * x.mean():.3g} mrad" for x in (before, after, aim)]
+    told_here = re.search(
+        r"alone, positions of the declared model are off by (.*?), those of the "
+        r"completed one by (.*?) \(mean.* told to be is off by (.*?)\.",
+        out,
+    ).groups()
+    assert list(told_here) == sizes
+    page = (tmp_path / "arm-report/report.html").read_text()
+    assert "Closed loop: commands alone" in page
+    # one picture a joint, beside those of torques, friction and spectra
+    assert page.count("held-out time, its stretches joined [s]</div>") == 4
+
+
 def test_methods_are_compared_at_the_delay(run):
     code, out, err = run("identify", "--quiet", "--ranges", "ranges.json")
     assert code == 0, err
@@ -102,17 +141,80 @@ def test_methods_are_compared_at_the_delay(run):
     assert max(map(float, errors)) < 5.0
 
 
-def test_a_saved_robot_of_commands_is_simulated(run):
+def errors_in(text, joint):
+    """Return the first row of a joint: errors as described, identified, as told."""
+    found = re.search(rf"{joint} mrad ((?:[\d.]+ ){{5}})", text)[1]
+    described, _, identified, _, told = map(float, found.split())
+    return described, identified, told
+
+
+def test_positions_are_simulated_from_commands_alone(run, told):
+    """Identified on 70 %, simulated on the rest."""
     code, out, err = run("simulate", "--out", "first", "--quiet")
-    assert code in (0, 3), err
+    assert code == 0, err
     assert delay_in(out)[0] == pytest.approx(1e3 * DELAY, abs=0.5)
-    assert "driven by the commanded torques" in out
+    assert "told the recorded commands alone" in out
+    for joint in ("shoulder", "elbow"):
+        described, identified, aim = errors_in(out, joint)
+        assert identified < 3.0
+        assert described > 10 * identified
+        # the last 30 %, but for what smoothing needs
+        off = told[f"q_desired_{joint}"] - told[f"q_{joint}"]
+        rest = off[round(0.7 * off.size) :]
+        assert aim == pytest.approx(1e3 * np.sqrt(np.mean(rest**2)), rel=0.15)
+    whole = out.partition("over whole recordings, from their first states on")[2]
+    assert float(re.search(r"elbow mrad [\d.]+ ([\d.]+)", whole)[1]) < 3.0
+    assert "clearly better than a robot that is where it is told to be" in out
+
+
+def test_a_saved_robot_of_commands_is_simulated(run, urdf):
     run("close-loop", *FEW)
     model = ("--model", "arm-report/identified.json")
     code, out, err = run("simulate", "--out", "second", "--quiet", robot=model)
-    assert code in (0, 3), err
+    assert code == 0, err
     assert "model: arm-report/identified.json" in out
-    assert "driven by the commanded torques" in out
+    late = re.search(r"commands act ([\d.]+) ms after they are logged", out)
+    assert float(late[1]) == pytest.approx(1e3 * DELAY, abs=0.5)
+    robot = load_identified("arm-report/identified.json")
+    joints = robot.joint_names_
+    recording = read_recording("arm.csv", urdf=urdf, drive=LAW)
+    states = robot.follow(replace(recording, command=None), PDDrive(KP, KD))
+    left = 1e3 * np.sqrt(((states[:, :2] - recording.q) ** 2).mean(axis=0))
+    whole = out.partition("over whole recordings, from their first states on")[2]
+    with open("second/simulation.csv", newline="") as file:
+        rows = list(csv.DictReader(file))
+    for joint, error in zip(joints, left):
+        said = re.search(rf"{joint} mrad [\d.]+ ([\d.]+)", whole)[1]
+        # They begin where the smoother sees both sides.
+        assert float(said) == pytest.approx(error, rel=0.05)
+        own = [row for row in rows if row["joint"] == joint]
+        last = [row for row in own if row["model"] == "simulated"][-1]
+        assert float(last["position_error"]) == pytest.approx(float(said), rel=0.01)
+        assert float(last["to_s"]) - float(last["from_s"]) > 14.0
+        assert {row["model"] for row in own} == {"as described", "simulated"}
+    # A delay that is given does not come on top of the one that was found.
+    options = ("--out", "third", "--quiet")
+    _, again, _ = run("simulate", *options, robot=model, drive=f"{LAW} delay=0.008")
+    assert again.partition("written")[0] == out.partition("written")[0]
+
+
+def test_a_description_that_cannot_be_simulated_is_left_out(run, urdf, tmp_path):
+    """A link without mass, which the torques give one."""
+    path = tmp_path / "empty.urdf"
+    path.write_text(urdf.read_text().replace('mass value="2"', 'mass value="0"'))
+    options = ("--bodies", "free", "--quiet")
+    code, out, err = run("simulate", *options, robot=("--urdf", str(path)))
+    assert code == 0, err
+    assert "as described: left out. The body of elbow has the mass 0 kg" in out
+    assert re.search(r"shoulder mrad [\d.]+ [\d.]+ [\d.]+ elbow", out)
+
+
+@pytest.mark.parametrize("drive", [None, "pd", "pd kp=60,30"])
+def test_a_simulation_without_gains_is_refused(run, drive):
+    code, out, err = run("simulate", "--quiet", drive=drive)
+    assert (code, out) == (2, "")
+    missing = {None: "no torques, but commands", "pd": "kp is missing: give kp="}
+    assert missing.get(drive, "kd is missing: give kd=") in err
 
 
 def test_a_recording_is_inspected(run):

@@ -368,11 +368,57 @@ def test_degrees_of_servos_are_asked_for(servos):
     folder = servos(180 / np.pi)
     with pytest.raises(RecordingRefused, match="degrees if the robot was") as refused:
         read(folder, drive=TEXT)
-    assert "range_min and range_max of the calibration file" in str(refused.value)
+    assert "range_min and range_max of each motor" in str(refused.value)
     recording, _ = read(folder, drive=TEXT, **refused.value.options)
     assert_told(recording)
     assert recording.group_names == ("0", "1")
     assert set(recording.signals) == {"q_desired"}
+
+
+def calibrated(folder, text=None):
+    """Put a calibration into a data set, as LeRobot writes it."""
+    ends = {"shoulder_pan": (747, 3450), "gripper": (2032, 3288)}
+    found = {
+        name: {"id": k, "drive_mode": 0, "homing_offset": -7}
+        | {"range_min": low, "range_max": high}
+        for k, (name, (low, high)) in enumerate(ends.items())
+    }
+    text = json.dumps(found) if text is None else text
+    (folder / "meta" / "calibration.json").write_text(text)
+    # [rad] of one per cent: half of the range is 100 %, of a gripper all of it
+    return np.array([2703 / 200, 1256 / 100]) * 2 * np.pi / 4096
+
+
+def test_shares_of_a_calibrated_range_are_converted(servos):
+    folder = servos(100.0)
+    per_cent = calibrated(folder)
+    with pytest.raises(RecordingRefused, match=r"meta/calibration\.json") as refused:
+        read(folder, drive=TEXT)
+    answer = "q=observation.state.{joint} [%]"
+    assert refused.value.options == {"columns": answer}
+    recording, _ = read(folder, drive=TEXT, columns=answer)
+    _, q, aim = motion()
+    assert_allclose(recording.q, 100 * q * per_cent, rtol=1e-5, atol=1e-6)
+    told = recording.signals["q_desired"]
+    assert_allclose(told, 100 * aim * per_cent, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (None, "'observation.state.shoulder_pan' is a share of a calibrated range"),
+        ("{", "calibration.json: is no whole JSON file"),
+        ('{"gripper": {"range_min": 5, "range_max": 5}}', "'gripper' has the ends"),
+        ('{"gripper": 7}', r"has the ends \[None, None\]; expected range_min and"),
+        ('{"gripper": {"range_min": 5, "range_max": 9}}', "which is not known: put"),
+    ],
+)
+def test_a_calibration_that_tells_nothing_is_refused(servos, text, said):
+    folder = servos(100.0)
+    if text is not None:
+        calibrated(folder, text)
+    with pytest.raises(ValueError, match=said):
+        read(folder, drive=TEXT, columns="q=observation.state.{joint} [%]")
 
 
 def test_servos_without_a_drive_say_which_would_read_them(servos):

@@ -17,12 +17,13 @@ from sklearn_vbjfa import (  # noqa: E402
     load_identified,
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
-from sklearn_vbjfa.recording import take_arrays  # noqa: E402
+from sklearn_vbjfa.recording import take_arrays, take_rows  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     CurrentDrive,
     PDDrive,
     RecordingStates,
+    follow_windows,
 )
 from sklearn_vbjfa.robot._equations import segments  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
@@ -483,6 +484,80 @@ def test_recorded_gains_and_a_limit_hold_in_simulation():
         ),
     )
     assert np.abs(weak - one)[:, :3].max() > 0.02
+
+
+@pytest.fixture(scope="module")
+def followed_arm():
+    """Return an arm that is told positions late, identified, and its windows."""
+    recording, drive = told(0.011, duration=6.0), PDDrive(KP, KD, period=2.5e-4)
+    robot = identify(recording, drive)
+    return robot, recording, follow_windows(robot, drive, recording, window=0.5)
+
+
+def test_windows_of_commands_are_those_of_follow(followed_arm):
+    robot, recording, windows = followed_arm
+    rows = windows.starts[:, None] + np.arange(101)
+    aim = recording.signals["q_desired"]
+    assert_array_equal(windows.told, aim[rows])
+    assert windows.scales[1] == ("mrad", "mrad", "mrad")
+    assert_allclose(windows.scales[0], 1000.0)
+    states = robot.follow(recording, window=0.5)
+    # The last row of a window is the first of the next.
+    starts = windows.starts
+    assert starts[0] == 0
+    assert_array_equal(windows.simulated[1, :-1], states[starts[1] : starts[2]])
+    part = windows.select(np.arange(windows.n_windows) % 2 == 0)
+    assert_array_equal(part.told, windows.told[::2])
+
+
+def test_the_identified_arm_is_nearer_than_the_described_one_and_than_told(
+    followed_arm,
+):
+    robot, recording, windows = followed_arm
+    ((name, rival),) = windows.rivals.items()
+    assert name == "as told"
+    told_here = np.sqrt(((windows.told - windows.positions) ** 2).mean(axis=1))
+    assert_allclose(rival.errors, told_here)
+    # But for the torques that are held, and commands that go straight between rows.
+    assert (windows.errors.mean(axis=0) < 0.02 * told_here.mean(axis=0)).all()
+    described = follow_windows(
+        robot.robot_.described(), robot.drive, recording, beside=windows
+    )
+    assert_array_equal(described.starts, windows.starts)
+    assert (described.errors.mean(axis=0) > 5 * windows.errors.mean(axis=0)).all()
+    said = "a robot that is where it is told to be"
+    assert windows.verdict() == f"clearly better than {said} on every joint"
+    worse = replace(windows, simulated=windows.simulated + 1.0)
+    assert worse.verdict() == f"not clearly better than {said} on any joint"
+    assert worse.run_away.any()
+
+
+def test_a_recording_is_simulated_as_a_whole(followed_arm):
+    robot, recording, _ = followed_arm
+    whole = follow_windows(robot, robot.drive, recording, window=None)
+    assert_array_equal(whole.simulated[0], robot.follow(recording))
+
+
+def test_the_robot_of_the_description_has_its_bodies_and_no_friction(followed_arm):
+    robot, recording, _ = followed_arm
+    described = robot.robot_.described()
+    q, v, a = np.split(recording.states[:20], 3, axis=1)
+    assert described.effects_ == ()
+    assert_allclose(
+        described.predict(recording.states[:20]),
+        inverse_dynamics(ARM, np.hstack([q, v, a])),
+        atol=1e-9,
+    )
+
+
+def test_recorded_velocities_are_kept_with_chosen_rows():
+    """Drives are as late with them in a part of a recording as in all of it."""
+    recording = told()
+    recording = replace(recording, v=1.0 * recording.q)
+    rows = np.arange(100, 200)
+    for some in (rows, (slice(100, 150), slice(150, 200))):
+        groups = np.zeros(100, dtype=int) if some is rows else (0, 1)
+        assert_array_equal(take_rows(recording, some, groups).v, recording.v[rows])
 
 
 def test_what_follows_nothing_is_refused():

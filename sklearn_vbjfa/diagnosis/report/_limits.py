@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._render import Section, Table
+from sklearn_vbjfa.diagnosis.report._render import Section, Table, table_of
 from sklearn_vbjfa.effects import CommandDelay, Offset, Payload
 from sklearn_vbjfa.robot._gains import HALF_WIDTH, PAYLOAD
 
@@ -212,22 +212,27 @@ def _departure(one, common):
     )
 
 
-def alike_sentences(outcome, verdict):
-    """Say what alike joints share, and which of them are not alike."""
-    groups, others = {}, []
+def alike(outcome, verdict):
+    """Tabulate what alike joints share, and say which of them are not alike."""
+    rows, others = [], []
     for one in outcome.alike:
         label = words.effect_label(outcome, one.parameter.partition(":")[0])
         if one.joints:
             half = HALF_WIDTH * one.std
             interval = one.value - half, one.value + half
-            text = f"{label} {words.with_error(one.value, interval, one.unit)}"
+            scatter = ""
             if np.isfinite(one.scatter):
-                text += f", scatter between {len(one.joints)} joints "
-                text += words.whole_percent(one.scatter)
-            groups.setdefault(one.group, []).append(text)
+                scatter = words.whole_percent(one.scatter)
+            value = words.with_error(one.value, interval)
+            count = str(len(one.joints))
+            rows.append((one.group, label, value, one.unit, scatter, count))
         others += [_not_alike(other, label, one.group) for other in one.apart]
-    shared = [f"{name}: {'; '.join(texts)}." for name, texts in groups.items()]
-    return tuple(shared + others)
+    heads = ("joints", "parameter", "mean (90 %)", "unit", "scatter between them")
+    return Section(
+        heading="Alike joints",
+        sentences=tuple(others),
+        table=table_of((*heads, "how many"), rows),
+    )
 
 
 def _not_alike(one, label, group):

@@ -42,7 +42,7 @@ SECTIONS = (
     _findings.outside,
     _render.paragraph("Price of physical consistency", _limits.projection_sentences),
     _render.paragraph("Masses", _limits.mass_sentences),
-    _render.paragraph("Alike joints", _limits.alike_sentences),
+    _limits.alike,
     _evidence.parameters,
     _evidence.provenance,
     _evidence.steps,

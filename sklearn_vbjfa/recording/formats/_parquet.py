@@ -10,15 +10,25 @@ from sklearn_vbjfa.recording._table import Format, Source, Table, check_size
 
 # Columns of several numbers per row, as LeRobot calls those of a robot's state.
 _INFO = Path("meta") / "info.json"
+# What the robot's calibration is called where it was put beside it.
+_CALIBRATION = Path("meta") / "calibration.json"
+# Positions of a motor, and counts of its encoder in a turn: motors of LeRobot's arms
+# have 12 bits.
+_POSITIONS, _COUNTS = ("observation.state.", "action."), 4096
+# Grippers go from 0 to 100 of their range, and all else from -100 to 100; lerobot/
+# motors/motors_bus.py and robots/so_follower of github.com/huggingface/lerobot.
+_GRIPPER = "gripper"
+_ENDS = ("range_min", "range_max")
 
 
 def read_parquet(path: Source, wanted) -> Table:
     """Read a parquet file with pyarrow; lists become columns with numbers."""
-    columns = _columns(path)
+    columns, shares = _columns(path), {}
     info = _lerobot_info(path.file)
     if info is not None:
         columns = _with_names(columns, info)
-    return Table(path=path.shown, columns=_flat(columns))
+        shares = _shares(path.file, columns)
+    return Table(path=path.shown, columns=_flat(columns), shares=shares)
 
 
 def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
@@ -37,7 +47,7 @@ def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
     parts = [_flat(_with_names(_columns(Source(x, x)), info)) for x in files]
     shared = [x for x in parts[0] if all(x in part for part in parts)]
     columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return Table(path=path, columns=columns)
+    return Table(path=path, columns=columns, shares=_shares(files[0], columns))
 
 
 def _columns(path):
@@ -66,19 +76,38 @@ def _columns(path):
     return dict(zip(read.column_names, arrays))
 
 
-def _lerobot_info(file):
+def _lerobot_info(file, name=_INFO):
     """Return what the folder meta above a parquet file says of its columns, or None."""
     for folder in list(file.resolve().parents)[:4]:
-        if (folder / _INFO).is_file():
+        if (folder / name).is_file():
             try:
-                info = json.loads((folder / _INFO).read_text(encoding="utf-8"))
+                info = json.loads((folder / name).read_text(encoding="utf-8"))
             except (ValueError, OSError, RecursionError) as error:
                 raise ValueError(
-                    f"{folder / _INFO}: is no whole JSON file ({error}); download the "
+                    f"{folder / name}: is no whole JSON file ({error}); download the "
                     "data set anew."
                 ) from error
             return info if isinstance(info, dict) else {}
     return None
+
+
+def _shares(file, columns):
+    """Return [rad] of one per cent of a motor's range, by column; empty if unknown."""
+    found = {}
+    for motor, one in (_lerobot_info(file, _CALIBRATION) or {}).items():
+        ends = [one.get(x) if isinstance(one, dict) else None for x in _ENDS]
+        if not all(type(x) is int for x in ends) or not ends[0] < ends[1]:
+            raise ValueError(
+                f"{_CALIBRATION}: motor {motor!r} has the ends {ends}; expected "
+                f"{' and '.join(_ENDS)}, counts of the encoder that rise, as LeRobot "
+                "calibrates them."
+            )
+        per_cent = 2 * np.pi / _COUNTS * (ends[1] - ends[0]) / 100
+        if motor != _GRIPPER:
+            per_cent /= 2
+        names = (f"{position}{motor}" for position in _POSITIONS)
+        found |= {name: per_cent for name in names if name in columns}
+    return found
 
 
 def _with_names(columns, info):

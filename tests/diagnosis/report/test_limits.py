@@ -446,9 +446,17 @@ def test_alike_joints_share_values_and_those_that_do_not_are_named():
             shared("viscous", (both,), joints=()),
         )
     )
+    (table,) = (
+        one.table
+        for one in sections(outcome, judge(outcome))
+        if one.heading == "Alike joints"
+    )
+    assert table.heads[-2:] == ("scatter between them", "how many")
+    assert table.rows == (
+        ("hip", "rotor inertia", "0.0105 +- 0.0003", "kg m^2", "4 %", "3"),
+        ("hip", "my own", "0.0105 +- 0.0003", "kg m^2", "", "3"),
+    )
     assert sentences("Alike joints", outcome) == (
-        "hip: rotor inertia 0.0105 +- 0.0003 kg m^2, scatter between 3 joints 4 %; my "
-        "own 0.0105 +- 0.0003 kg m^2.",
         "The rotor inertia of j2 (1.98 +- 0.05 times) is not that of the other hip "
         "joints.",
         "The viscous friction of one of the hip joints is not that of the others: of "

@@ -12,6 +12,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import (
+    CommandsAlone,
     FrictionCurves,
     ParameterValue,
     Provenance,
@@ -140,6 +141,77 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         ),
     }
     return replace(outcome, **(values | changes))
+
+
+def alone(nv=3, **changes):
+    """Make an outcome of a robot that was told positions, its last joint slides."""
+    outcome = made(nv=nv, n_effects=0)
+    before = np.linspace(0.02, 0.04, nv)
+    found = CommandsAlone(
+        before=before,
+        plain=0.5 * before,
+        after=0.1 * before,
+        told=10 * before,
+        units=(*(nv - 1) * ("rad",), "m"),
+        seconds=12.34,
+        n_stretches=3,
+    )
+    found = replace(found, **changes)
+    line = replace(outcome.curves["line"], untouched=())
+    curves = outcome.curves | {"positions": line}
+    return replace(outcome, commands_alone=found, curves=curves)
+
+
+def test_positions_from_commands_alone_have_a_table_and_pictures():
+    outcome = alone()
+    report = Report(outcome)
+    said = (
+        "From the commands of 12.3 s of held-out motion alone, positions of the "
+        "declared model are off by 25 mrad and 40 mm, those of the completed one by "
+        "2.5 mrad and 4 mm (mean of the joints); a robot that is where it is told to "
+        "be is off by 250 mrad and 400 mm."
+    )
+    assert said in " ".join(str(report).split())
+    text = report.to_markdown()
+    assert "| joint | unit | declared model | completed model | as told |" in text
+    assert "| joint 1 | mrad | 20 | 2 | 200 |" in text
+    assert "| joint 3 | mm | 40 | 4 | 400 |" in text
+    html = report.to_html()
+    own = [x for x in figures(html) if "held-out time, its stretches joined" in x]
+    assert len(own) == outcome.error_after.size
+    assert "position [rad]" in own[0]
+    assert "error [mrad]" in own[0]
+    assert "position [m]" in own[2]
+    assert "error [mm]" in own[2]
+    assert "next stretch" in html
+    added = replace(outcome, added=("offset",))
+    text = Report(added).to_markdown()
+    assert "| joint 1 | mrad | 20 | 10 | 2 | 200 |" in text
+    data = report.to_dict()["commands_alone"]
+    assert data["before"] == pytest.approx([0.02, 0.03, 0.04])
+    assert data["n_stretches"] == 3
+    assert made().commands_alone is None
+    assert "commands alone" not in Report(made()).to_html()
+
+
+def test_a_model_that_is_not_simulated_to_its_end_is_told():
+    """Its error is unknown, and of its curve nothing is drawn."""
+    nothing = np.full(3, np.nan)
+    why = {"before": "It diverges.", "plain": "It diverges too."}
+    outcome = alone(before=nothing, plain=nothing, failed=why)
+    line = outcome.curves["positions"]
+    torques = [replace(x, before=np.full(x.seconds.size, np.nan)) for x in line.torques]
+    curves = {"positions": replace(line, torques=tuple(torques))}
+    report = Report(replace(outcome, curves=outcome.curves | curves))
+    text = " ".join(str(report).split())
+    assert "The declared model was not simulated to its end: It diverges." in text
+    assert "It diverges too" not in text
+    assert "declared model are off by an unknown distance" in text
+    assert "joint 1 | mrad | ? | 2 | 200" in report.to_markdown()
+    assert report.to_dict()["commands_alone"]["before"] == [None] * 3
+    (own, *_) = figures(report.to_html())
+    assert 'class="line-after"' in own
+    assert 'class="line-before"' not in own
 
 
 def figures(html):

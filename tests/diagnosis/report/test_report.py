@@ -421,7 +421,7 @@ def test_dict_round_trip(outcome):
     data = Report(outcome).to_dict()
     text = json.dumps(data, allow_nan=False)
     assert json.loads(text) == data
-    assert data["schema_version"] == 10
+    assert data["schema_version"] == 11
     assert "curves" not in data
     assert len(data["effects"]) == len(outcome.effects)
     assert len(data["error_before"]) == len(outcome.joint_names)

@@ -850,7 +850,7 @@ def _say_what_was_taken(
         role.unit
         for kind, roles in found.items()
         for role in roles
-        if role.unit and unit_of(kind, role.unit).factor != 1
+        if role.unit and _layout.channel_unit(table, kind, role).factor != 1
     }
     stamped = ""
     if time is not None:

@@ -1,11 +1,16 @@
 """A robot under its drive, simulated from commands alone."""
 
+import warnings
+
 import numpy as np
 
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._drives import velocity_lags
 from sklearn_vbjfa.robot._equations import late_command
 from sklearn_vbjfa.simulation import simulate_controlled
 
+# Why an effect of a torque channel is not simulated under a drive.
+_AT_ONCE = "torques of the drive act at once"
 # Drives set their torque at least so often, in simulation [s].
 _DRIVE_PERIOD = 1e-3
 
@@ -26,6 +31,21 @@ class Follower:
         self._updates = drive.updates(recording.dt, _DRIVE_PERIOD)
         self._lags = np.maximum(velocity_lags(recording), 0.0)
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
+        # effects that a simulation goes without, in words
+        self.left_out = tuple(
+            f"{one.name} on {names[one.joint]} ({one.not_simulated or _AT_ONCE})"
+            for one in robot.effects_
+            if one.not_simulated or one.in_channel
+        )
+
+    def tell_left_out(self, stacklevel):
+        """Warn of effects that a simulation goes without."""
+        if self.left_out:
+            warnings.warn(
+                f"The simulation leaves out {'; '.join(self.left_out)}.",
+                DoubtWarning,
+                stacklevel=stacklevel + 1,
+            )
 
     def run(self, rows, start, t):
         """Simulate rows, a slice, from a state (3 nv,) on; t (n,) is their time."""
@@ -49,6 +69,7 @@ def follow(robot, drive, recording, window=None):
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = Follower(robot, drive, recording), recording.clock()
+    follower.tell_left_out(stacklevel=3)
     measured, _ = robot.query(recording.inputs, recording.groups)
     length = recording.n_samples
     if window is not None:

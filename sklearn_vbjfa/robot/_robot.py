@@ -260,6 +260,13 @@ class SimulatesTorques:
         SimulationError
             A ValueError; if the motion diverges.
 
+        Warns
+        -----
+        UserWarning
+            Of effects that have no forward dynamics (`effects.Elastic`,
+            `effects.Jerk`), and of delays and filters of torque channels, which are
+            none of a torque that a drive sets.
+
         Notes
         -----
         The law acts on simulated positions and velocities, at least a thousand times a

@@ -339,6 +339,7 @@ def follow_windows(
     X, signals = predictor.checked(recording.inputs, signals)
     own = {**recording.signals, **(signals or {})}
     follower = Follower(predictor, drive, replace(recording, signals=own))
+    follower.tell_left_out(stacklevel=2)
     if beside is None:
         made = _measured(predictor, X, recording.groups, t, signals, window)
         told = recording.signals[drive.told].reshape(recording.q.shape)

@@ -16,7 +16,7 @@ from sklearn_vbjfa import (  # noqa: E402
     RobotIdentifier,
     load_identified,
 )
-from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
+from sklearn_vbjfa.effects import CommandDelay, Delay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays, take_rows  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
@@ -489,7 +489,7 @@ def test_recorded_gains_and_a_limit_hold_in_simulation():
 @pytest.fixture(scope="module")
 def followed_arm():
     """Return an arm that is told positions late, identified, and its windows."""
-    recording, drive = told(0.011, duration=6.0), PDDrive(KP, KD, period=2.5e-4)
+    recording, drive = told(0.011, duration=6.0), PDDrive(KP, KD, period=1e-3)
     robot = identify(recording, drive)
     return robot, recording, follow_windows(robot, drive, recording, window=0.5)
 
@@ -536,6 +536,24 @@ def test_a_recording_is_simulated_as_a_whole(followed_arm):
     robot, recording, _ = followed_arm
     whole = follow_windows(robot, robot.drive, recording, window=None)
     assert_array_equal(whole.simulated[0], robot.follow(recording))
+
+
+def test_effects_that_a_drive_does_not_have_are_told(followed_arm):
+    robot, recording, _ = followed_arm
+    one = Delay(joint=1)
+    own = robot.robot_
+    with_delay = replace(
+        own,
+        plan=replace(own.plan, effects=(*own.effects_, one)),
+        theta_=np.r_[own.theta_, 0.0],
+        effect_ranges_=(*own.effect_ranges_, own.effect_ranges_[-1]),
+    )
+    said = f"leaves out {one.name} on {NAMES[1]} .torques of the drive act at once"
+    with pytest.warns(UserWarning, match=said):
+        states = with_delay.follow(recording, robot.drive, window=3.0)
+    assert_allclose(states, robot.follow(recording, window=3.0), atol=1e-9)
+    with pytest.warns(UserWarning, match=said):
+        follow_windows(with_delay, robot.drive, recording, window=3.0)
 
 
 def test_the_robot_of_the_description_has_its_bodies_and_no_friction(followed_arm):

@@ -36,6 +36,7 @@ class CommandsAlone:
     seconds: float  # that each model was simulated [s]
     n_stretches: int  # each from its measured first state on
     failed: dict = field(default_factory=dict)  # why, by the name of the error
+    left_out: tuple = ()  # effects of the completed model that are not simulated
 
 
 def commands_alone(models, stretches, recording):
@@ -56,12 +57,14 @@ def commands_alone(models, stretches, recording):
     parts = [slice(x.start, min(x.start + most, x.stop)) for x in stretches]
     measured, _ = models.judged.robot_.query(recording.inputs, recording.groups)
     known = {"before": models.declared, "plain": models.plain, "after": models.judged}
-    found, failed = {}, {}
+    found, failed, left_out = {}, {}, ()
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         for model in counted(list(dict.fromkeys(known.values())), "closed loop"):
             try:
                 follower = Follower(model.robot_, drive, recording)
+                if model is models.judged:
+                    left_out = follower.left_out
                 states = [
                     follower.run(rows, measured[rows.start], recording.t[rows])
                     for rows in parts
@@ -87,6 +90,7 @@ def commands_alone(models, stretches, recording):
         seconds=len(q) * dt,
         n_stretches=len(parts),
         failed={name: failed[one] for name, one in known.items() if one in failed},
+        left_out=left_out,
     )
     return result, _line(parts, q, reached, dt)
 

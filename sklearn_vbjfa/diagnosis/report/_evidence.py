@@ -206,6 +206,8 @@ def commands_alone(outcome, verdict):
         for key, text in one.failed.items()
         if key != "plain" or outcome.added
     ]
+    if one.left_out:
+        failed.append(f"Simulated without {words.join(one.left_out, 6)}.")
     sentence = (
         f"From the commands of {words.number(one.seconds)} s of held-out motion alone, "
         f"positions of the declared model are off by {before}, those of the completed "

@@ -206,6 +206,10 @@ def test_a_model_that_is_not_simulated_to_its_end_is_told():
     text = " ".join(str(report).split())
     assert "The declared model was not simulated to its end: It diverges." in text
     assert "It diverges too" not in text
+    assert "Simulated without" not in text
+    some = replace(outcome.commands_alone, left_out=("jerk on a (why)", "b"))
+    text = " ".join(str(Report(replace(outcome, commands_alone=some))).split())
+    assert "Simulated without jerk on a (why) and b." in text
     assert "declared model are off by an unknown distance" in text
     assert "joint 1 | mrad | ? | 2 | 200" in report.to_markdown()
     assert report.to_dict()["commands_alone"]["before"] == [None] * 3

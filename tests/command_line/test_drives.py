@@ -117,7 +117,9 @@ def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     assert (after < 3e-3).all()
     assert (before > 5 * after).all()
     assert (aim > 20 * after).all()
-    sizes = [f"{1e3 * x.mean():.3g} mrad" for x in (before, after, aim)]
+    sizes = [
+        f"{1e3 * x.mean():#.3g}".rstrip(".") + " mrad" for x in (before, after, aim)
+    ]
     told_here = re.search(
         r"alone, positions of the declared model are off by (.*?), those of the "
         r"completed one by (.*?) \(mean.* told to be is off by (.*?)\.",
@@ -165,6 +167,18 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     whole = out.partition("over whole recordings, from their first states on")[2]
     assert float(re.search(r"elbow mrad [\d.]+ ([\d.]+)", whole)[1]) < 3.0
     assert "clearly better than a robot that is where it is told to be" in out
+
+
+def test_declared_and_completed_robots_are_told_the_same(run):
+    options = ("--friction", "viscous", "--effects", "spring", "--quiet")
+    code, out, err = run("simulate", *options)
+    assert code in (0, 3), err
+    whole = out.partition("over whole recordings, from their first states on")[2]
+    assert "unit declared four plain terms completed as told" in whole
+    found = re.search(r"elbow mrad ([\d.]+) ([\d.]+) ([\d.]+) ([\d.]+)", whole)
+    declared, _, completed, aim = map(float, found.groups())
+    assert completed < 0.2 * declared < 0.2 * aim
+    assert "as described" not in out
 
 
 def test_a_saved_robot_of_commands_is_simulated(run, urdf):

@@ -195,7 +195,7 @@ def commands_alone(outcome, verdict):
     fine = [_FINE[unit] for unit in one.units]
     rows = [
         (words.joint_label(names, j), fine[j][1])
-        + tuple(words.number(fine[j][0] * size[j]) for size in errors.values())
+        + tuple(_sized(fine[j][0] * size[j]) for size in errors.values())
         for j in range(len(names))
     ]
     told, before, after = (
@@ -227,6 +227,11 @@ def commands_alone(outcome, verdict):
     )
 
 
+def _sized(value):
+    """Write three digits of an error, so that those of a column compare."""
+    return f"{value:#.3g}".rstrip(".") if np.isfinite(value) else words.number(value)
+
+
 def _mean_size(errors, alone):
     """Write the mean errors of joints that turn and of those that slide."""
     texts = []
@@ -235,7 +240,7 @@ def _mean_size(errors, alone):
         factor, name = _FINE[unit]
         size = "an unknown distance"
         if np.isfinite(own).all():
-            size = f"{words.number(factor * own.mean())} {name}"
+            size = f"{_sized(factor * own.mean())} {name}"
         texts.append(size)
     return words.join(texts)
 
@@ -259,6 +264,7 @@ def position_figures(outcome):
                 x_label="held-out time, its stretches joined [s]",
                 border="next stretch",
                 finer=factor,
+                from_zero=False,
             )
         )
     return {"figures": tuple(found), "pairs": True}

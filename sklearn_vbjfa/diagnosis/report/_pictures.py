@@ -156,11 +156,21 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
 
 
 def torque_figure(
-    torques, line, floor, *, title, y_labels, x_label="", border="", finer=1.0
+    torques,
+    line,
+    floor,
+    *,
+    title,
+    y_labels,
+    x_label="",
+    border="",
+    finer=1.0,
+    from_zero=True,
 ):
     """Draw measured and predicted torque over time, and both residuals below."""
     # floor: noise floor [N m or N], nan if unknown; x_label: empty for the time of the
-    # recording; border: what begins at those of the line; finer: factor of residuals.
+    # recording; border: what begins at those of the line; finer: factor of residuals;
+    # from_zero: whether the axis of what was measured has zero in it.
     seconds, counts = torques.seconds, torques.counts
     # The declared model on top, or the completed one would hide where they agree.
     values = (torques.measured, torques.after, torques.before)
@@ -180,14 +190,16 @@ def torque_figure(
         (values, kinds, y_labels[0]),
         (left, kinds[:0:-1], y_labels[1]),
     ):
-        frame = _Frame(x=x, y=_range(np.concatenate(own)))
+        zero = from_zero or own is left
+        frame = _Frame(x=x, y=_range(np.concatenate(own), zero))
         beyond.append(_beyond(frame, own))
         shapes = [Shape(kind="untouched", path=_spans(frame, line.untouched))]
         if own is left and floor > 0:
             edges = frame.down([floor, -floor])
             path = f"M0 {edges[0]:.1f}H{WIDTH}V{edges[1]:.1f}H0Z"
             shapes.append(Shape(kind="floor", path=path))
-        shapes.append(Shape(kind="zero", path=frame.level(0.0)))
+        if zero:
+            shapes.append(Shape(kind="zero", path=frame.level(0.0)))
         shapes += [
             Shape(kind=kind, path=_line(frame, seconds[rows], one[rows]))
             for kind, one in zip(names, own)
@@ -395,13 +407,16 @@ def _ends(values):
     return (low, high) if high > low else (low - 0.5, high + 0.5)
 
 
-def _range(values):
-    """Find the ends of a vertical axis: all but outliers, and zero."""
+def _range(values, zero=True):
+    """Find the ends of a vertical axis: all but outliers, and zero unless it is not."""
     values = values[np.isfinite(values)]
     low, high = np.quantile(values, _MOST) if values.size else (0.0, 0.0)
     reach = _REACH * (high - low)
-    low = min(max(float(low - reach), float(np.min(values, initial=0.0))), 0.0)
-    high = max(min(float(high + reach), float(np.max(values, initial=0.0))), 0.0)
+    ends = {"initial": 0.0} if zero or not values.size else {}
+    low = max(float(low - reach), float(np.min(values, **ends)))
+    high = min(float(high + reach), float(np.max(values, **ends)))
+    if zero:
+        low, high = min(low, 0.0), max(high, 0.0)
     if not high > low:
         return -1.0, 1.0
     room = 0.06 * (high - low)

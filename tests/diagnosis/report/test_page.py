@@ -167,15 +167,15 @@ def test_positions_from_commands_alone_have_a_table_and_pictures():
     report = Report(outcome)
     said = (
         "From the commands of 12.3 s of held-out motion alone, positions of the "
-        "declared model are off by 25 mrad and 40 mm, those of the completed one by "
-        "2.5 mrad and 4 mm (mean of the joints); a robot that is where it is told to "
-        "be is off by 250 mrad and 400 mm."
+        "declared model are off by 25.0 mrad and 40.0 mm, those of the completed one "
+        "by 2.50 mrad and 4.00 mm (mean of the joints); a robot that is where it is "
+        "told to be is off by 250 mrad and 400 mm."
     )
     assert said in " ".join(str(report).split())
     text = report.to_markdown()
     assert "| joint | unit | declared model | completed model | as told |" in text
-    assert "| joint 1 | mrad | 20 | 2 | 200 |" in text
-    assert "| joint 3 | mm | 40 | 4 | 400 |" in text
+    assert "| joint 1 | mrad | 20.0 | 2.00 | 200 |" in text
+    assert "| joint 3 | mm | 40.0 | 4.00 | 400 |" in text
     html = report.to_html()
     own = [x for x in figures(html) if "held-out time, its stretches joined" in x]
     assert len(own) == outcome.error_after.size
@@ -184,9 +184,19 @@ def test_positions_from_commands_alone_have_a_table_and_pictures():
     assert "position [m]" in own[2]
     assert "error [mm]" in own[2]
     assert "next stretch" in html
+    # Of an axis of positions zero is no part unless they are near.
+    line = outcome.curves["positions"]
+    high = [
+        replace(x, measured=x.measured + 9, before=x.before + 9, after=x.after + 9)
+        for x in line.torques
+    ]
+    curves = {"positions": replace(line, torques=tuple(high))}
+    far = replace(outcome, curves=outcome.curves | curves)
+    top = figures(Report(far).to_html())[0].partition("error [mrad]")[0]
+    assert [x for x in re.findall(r"%\">(\d+)</span>", top) if x in ("0", "9")] == ["9"]
     added = replace(outcome, added=("offset",))
     text = Report(added).to_markdown()
-    assert "| joint 1 | mrad | 20 | 10 | 2 | 200 |" in text
+    assert "| joint 1 | mrad | 20.0 | 10.0 | 2.00 | 200 |" in text
     data = report.to_dict()["commands_alone"]
     assert data["before"] == pytest.approx([0.02, 0.03, 0.04])
     assert data["n_stretches"] == 3
@@ -211,7 +221,7 @@ def test_a_model_that_is_not_simulated_to_its_end_is_told():
     text = " ".join(str(Report(replace(outcome, commands_alone=some))).split())
     assert "Simulated without jerk on a (why) and b." in text
     assert "declared model are off by an unknown distance" in text
-    assert "joint 1 | mrad | ? | 2 | 200" in report.to_markdown()
+    assert "joint 1 | mrad | ? | 2.00 | 200" in report.to_markdown()
     assert report.to_dict()["commands_alone"]["before"] == [None] * 3
     (own, *_) = figures(report.to_html())
     assert 'class="line-after"' in own

@@ -467,13 +467,13 @@ def _length(window, dt):
 
 
 def _rows(asked, standstill, length, dt):
-    """Rows of the windows, (n_windows, length + 1)."""
+    """Rows of the windows, (n_windows, length + 1); None as length is one of all."""
     inner = asked.counts(standstill)["position"]
+    if length is None:
+        return np.arange(int(np.argmax(inner.any(axis=1))), len(inner))[None]
     found = []
     for part in asked.recording.segments:
         first = part.start + int(np.argmax(inner[part].any(axis=1)))
-        if length is None:
-            return np.arange(first, part.stop)[None]
         found += range(first, part.stop - length, length)
     if not found:
         longest = max(part.stop - part.start for part in asked.recording.segments)

@@ -1,0 +1,105 @@
+"""Positions of the held-out part from commands alone, of the models of a search."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa.diagnosis.explain import Models, _commands_alone, commands_alone
+from sklearn_vbjfa.simulation import SimulationError
+from tests.robot.test_drives import DT, KD, KP, PDDrive, identify, told
+
+STRETCHES = (slice(300, 400), slice(700, 760))
+DRIVE = PDDrive(KP, KD, period=1e-3)
+
+
+@pytest.fixture(scope="module")
+def recording():
+    """Gains of the log; a clock, as a search has it."""
+    made = told(0.011, duration=6.0)
+    return replace(made, t=made.clock())
+
+
+@pytest.fixture(scope="module")
+def models(recording):
+    simple = identify(recording, DRIVE, friction=("viscous",))
+    whole = identify(recording, DRIVE)
+    return Models(declared=simple, plain=whole, judged=whole)
+
+
+def size(errors):
+    return np.sqrt((errors**2).mean(axis=0))
+
+
+@pytest.fixture(scope="module")
+def found(models, recording):
+    return commands_alone(models, STRETCHES, recording)
+
+
+def test_errors_are_those_of_follow_on_the_held_out_rows_alone(
+    found, models, recording
+):
+    one, _ = found
+    rows = np.concatenate([np.arange(x.start, x.stop) for x in STRETCHES])
+    aim = recording.signals["q_desired"]
+    assert_allclose(one.told, size((aim - recording.q)[rows]))
+    for robot, errors in ((models.declared, one.before), (models.judged, one.after)):
+        # begins at every 100th row
+        states = robot.follow(recording, window=100 * DT)
+        assert_allclose(errors, size((states[:, :3] - recording.q)[rows]), rtol=1e-6)
+    assert_allclose(one.plain, one.after)
+    assert (one.after < 0.02 * one.told).all()
+    assert one.before.mean() > 3 * one.after.mean()
+    assert (one.n_stretches, one.units) == (2, ("rad", "rad", "rad"))
+    assert one.seconds == pytest.approx(160 * DT)
+    assert (one.failed, one.left_out) == ({}, ())
+
+
+def test_curves_have_the_stretches_one_after_the_other(found, recording):
+    _, line = found
+    assert line.borders == pytest.approx([100 * DT])
+    for j, curves in enumerate(line.torques):
+        # nothing is known between the stretches
+        (gap,) = np.flatnonzero(np.isnan(curves.measured))
+        assert gap == 100
+        assert_allclose(curves.measured[:gap], recording.q[STRETCHES[0], j])
+        assert_allclose(curves.measured[gap + 1 :], recording.q[STRETCHES[1], j])
+        assert curves.seconds[-1] == pytest.approx(159 * DT)
+
+
+def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monkeypatch):
+    monkeypatch.setattr(_commands_alone, "_MOST", 40 * DT)
+    one, _ = commands_alone(models, STRETCHES, recording)
+    assert one.seconds == pytest.approx(40 * DT)
+    rows = np.r_[300:320, 700:720]
+    aim = recording.signals["q_desired"]
+    assert_allclose(one.told, size((aim - recording.q)[rows]))
+
+
+def test_a_model_that_diverges_has_no_error_and_a_reason(
+    models, recording, monkeypatch
+):
+    run, simple = _commands_alone.Follower.run, models.declared.robot_.theta_
+
+    def diverges(self, rows, start, t):
+        if self._model.friction.shape[1] < 2:
+            raise SimulationError("It diverges.", 0.5)
+        return run(self, rows, start, t)
+
+    assert simple.size < models.judged.theta_.size
+    monkeypatch.setattr(_commands_alone.Follower, "run", diverges)
+    one, line = commands_alone(models, STRETCHES, recording)
+    assert one.failed == {"before": "It diverges."}
+    assert np.isnan(one.before).all()
+    assert np.isfinite(one.after).all()
+    assert np.isnan(line.torques[0].before).all()
+    # thinned as before
+    assert line.torques[0].seconds.size == 161
+
+
+def test_without_commands_of_positions_there_is_nothing(models, recording):
+    bare = replace(models, declared=identify(recording, DRIVE).set_params(drive=None))
+    assert commands_alone(bare, STRETCHES, recording) == (None, None)

@@ -532,6 +532,19 @@ def test_the_identified_arm_is_nearer_than_the_described_one_and_than_told(
     assert worse.run_away.any()
 
 
+def test_the_robot_that_made_a_recording_has_no_error(followed_arm):
+    robot, recording, _ = followed_arm
+    states = robot.follow(recording)
+    made = replace(recording, q=states[:, :3], states=states)
+    found = follow_windows(robot, robot.drive, made)
+    assert found.errors.max() < 1e-5
+    whole = follow_windows(robot, robot.drive, made, window=None)
+    assert whole.errors.max() < 1e-12
+    described = robot.robot_.described()
+    other = follow_windows(described, robot.drive, made, beside=found)
+    assert other.errors.min() > 1e-3
+
+
 def test_a_recording_is_simulated_as_a_whole(followed_arm):
     robot, recording, _ = followed_arm
     whole = follow_windows(robot, robot.drive, recording, window=None)

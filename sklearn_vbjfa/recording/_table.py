@@ -158,7 +158,7 @@ def text_of(path: Source) -> str:
         text = path.file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
-            f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
+            f"{path}: is not UTF-8 ({error.reason} at byte {error.start}); save it "
             "in UTF-8."
         ) from error
     if not text.strip():
@@ -288,7 +288,7 @@ def _array(path, name, values):
         return np.array(values, dtype=str if isinstance(first, str) else float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(
-            f"{path}: {quoted(name)} holds {quoted(first)} and others that are no "
+            f"{path}: {quoted(name)} holds {quoted(first)} and others that are not "
             "numbers, or lists of other lengths; write one number, or equally long "
             "lists of them, for each sample."
         ) from error

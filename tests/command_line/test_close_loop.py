@@ -776,14 +776,16 @@ def test_damaged_npz(damage, urdf, recording, tmp_path, capsys):
     source = write_npz(tmp_path / "arm.npz", recording)
     source.write_bytes(damage(source.read_bytes()))
     line = refusal(capsys, source, "--urdf", urdf)
-    assert f"{source}: is no whole npz file; save it anew with numpy.savez." in line
+    assert (
+        f"{source}: is not a complete npz file; save it anew with numpy.savez." in line
+    )
 
 
 def test_one_array_is_no_npz(urdf, recording, tmp_path, capsys):
     with (tmp_path / "arm.npz").open("wb") as file:
         np.save(file, recording.q)
     line = refusal(capsys, tmp_path / "arm.npz", "--urdf", urdf)
-    assert "is no whole npz file" in line
+    assert "is not a complete npz file" in line
 
 
 # -- refusals: the robot ---------------------------------------------------------------

@@ -74,7 +74,7 @@ def test_the_mapping_that_is_offered_is_the_right_one(order, expected, made, tmp
     assert f"time and {len(order)} times the 6 joint(s)" in error.reason
     recording, _ = read(path, made, **error.options)
     assert_same(recording, made)
-    # What nobody has named is no condition of the robot.
+    # What nobody has named is not a condition of the robot.
     assert not recording.signals
 
 

@@ -74,7 +74,7 @@ def _called(outcome, effect):
 
 
 def perhaps(outcome, verdict):
-    """Say what is more probable than not and has no name."""
+    """Say what is more probable than not and is not named."""
     rows, told = [], []
     for e in outcome.perhaps:
         joint, label, rivals = _called(outcome, e)

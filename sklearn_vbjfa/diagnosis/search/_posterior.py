@@ -21,7 +21,7 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 
 
 def search(view, library, settings, alpha, max_effects=None):
-    """Find the most probable effects of a recording, and say what has a name."""
+    """Find the most probable effects of a recording, and say which are named."""
     # alpha: share of recordings with nothing missing that get any name; the rest as
     # `Path`.
     path = Path(view, library, settings, max_effects)
@@ -89,7 +89,7 @@ def _settled(path, fit):
 
 
 def _doubt(member, evidence, settings, needed, path):
-    """Say why an effect has no name; "" for one that has."""
+    """Say why an effect is not named; "" for one that is."""
     if evidence.log_odds < needed:
         return UNDECIDED
     if not evidence.errors > max(settings.chance, ndtri(expit(needed))):

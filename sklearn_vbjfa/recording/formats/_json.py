@@ -100,11 +100,11 @@ def _parsed(path, text):
 
 
 def _broken(path, error, line=0):
-    """Return the refusal of what is no JSON, with the line from which on."""
+    """Return the refusal of what is not JSON, with the line from which on."""
     where = f" in line {line + getattr(error, 'lineno', 1)}"
     return ValueError(
-        f"{path}: is no whole JSON file ({getattr(error, 'msg', error)}{where}); write "
-        "it anew."
+        f"{path}: is not a complete JSON file ({getattr(error, 'msg', error)}{where}); "
+        "write it anew."
     )
 
 

@@ -28,8 +28,8 @@ def read_mat(path: Source, wanted) -> Table:
     from scipy.io import loadmat, matlab
 
     broken = (
-        f"{path}: is no whole MATLAB file of version 5 to 7.2; write it anew with "
-        "save(FILE, 't', 'q', 'tau', '-v7')."
+        f"{path}: is not a complete MATLAB file of version 5 to 7.2; write it anew "
+        "with save(FILE, 't', 'q', 'tau', '-v7')."
     )
     with path.file.open("rb") as file:
         begin = file.read(128)

@@ -276,7 +276,7 @@ def test_a_joint_that_hardly_moves_gets_no_verdict():
     assert report.joints[2].text == "no verdict: moves for 0.31 s only"
     assert report.status == "nothing"
     assert "Joint 3 moves too little for a verdict." in report.headline
-    # What is judged by a handful of rows is no part of the mean.
+    # What is judged by a handful of rows is not part of the mean.
     assert "data 5.0 %" in report.verdict
     none = Report(make_outcome(nv=3, enough=np.zeros(3, bool)))
     assert none.status == "no data"

@@ -32,7 +32,7 @@ def read_json(path: Source, wanted) -> Table:
         records = _records_in(found)
         if not records:
             table = table_of_arrays(path, without_common_part(flattened(found)))
-            return replace(table, notes=notes)
+            return replace(table, notes=(*table.notes, *notes))
         found = found[records]
         notes = (*notes, f"the records are those of {records!r}.")
     if isinstance(found, list) and found and all(map(_is_row, found)):

@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.search._path import Path
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
-SMALL = "saves too little to be worth a name"
+SMALL = "saves too little to be named"
 SLOW_FILTER = "a filter within the motion's own frequencies"
 
 

@@ -25,7 +25,7 @@ READERS = {
     "``pandas.read_csv``": "import pandas\nfound = pandas.read_csv(path).to_numpy()",
     "``numpy.loadtxt``": "found = np.loadtxt(path, delimiter=',', skiprows=1)",
 }
-_RUN = """
+_RUN = r"""
 import json, re, sys, time
 import numpy as np
 path, code = sys.argv[1:]

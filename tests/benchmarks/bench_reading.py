@@ -16,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from _report import ROOT, parser, publish, rst_table
 
+# What the processes run of the package.
+ENTERS = ("sklearn_vbjfa.recording._reader",)
 ROWS = 200_000
 # Distributions that come with pandas alone.
 WITH_IT = ("pandas", "python-dateutil", "six", "tzdata", "pytz")

@@ -24,7 +24,7 @@ def measured_data_home() -> Path:
     """
     named = os.environ.get("SKLEARN_VBJFA_DATA")
     if named:
-        assert Path(named).is_dir(), f"SKLEARN_VBJFA_DATA is no folder: {named}"
+        assert Path(named).is_dir(), f"SKLEARN_VBJFA_DATA is not a folder: {named}"
         return Path(named)
     beside = Path(__file__).resolve().parents[2] / "shared" / "data"
     if not beside.is_dir():

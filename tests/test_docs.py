@@ -1,5 +1,6 @@
 """The guide, the README and the code say the same, and their examples run."""
 
+import ast
 import importlib.metadata
 import importlib.util
 import inspect
@@ -268,6 +269,19 @@ def test_setup_is_two_commands():
     assert commands.group(1).splitlines() == SETUP
 
 
+def test_the_readme_is_short_and_says_what_it_is_first():
+    lines = read(ROOT / "README.md").splitlines()
+    assert len(lines) < 150
+    first = "\n".join(lines[:15])
+    for words in (
+        "Python 3.10 or later",
+        "BSD 3-Clause",
+        "demo-report.html",
+        "Version",
+    ):
+        assert words in first
+
+
 def test_ci_runs_the_test_command_of_the_readme():
     # Each is a stage, whose seconds are printed.
     text = read(ROOT / ".ci" / "run")
@@ -420,9 +434,21 @@ def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
 
 # What is said here in another way, or is no package anywhere.
 NOT_SAID = re.compile(
-    r"untouched (part|data)|other people's|has (a|no) name|belongs? into|"
-    r"sklearn-vbjfa\["
+    r"\buntouched (part|data|row)|that (is|was) untouched|other people's|"
+    r"were set apart|no effect of the library explains|varies with no |"
+    r"Errors are taken up to|A controller meets|physically possible cost|"
+    r"[Nn]o motion can show|does the same, whatever|stands? for both|belongs? into|"
+    r"It decides, from|estimators that know it|sklearn-vbjfa\[|"
+    # "There is no" is English, "it is no file" is not.
+    r"(?<![Tt]here )\b(is|are) no (whole|UTF-8|JSON|text|table|number|bag|folder|part|"
+    r"date|known|channel|function|linear|property|condition|mass|multiple)s?\b",
 )
+NO_NAME = re.compile(r"has (a|no) name")  # of columns it is said
+
+
+def not_said(text):
+    """Return the words of a text that are said in another way here, None without."""
+    return NOT_SAID.search(" ".join(text.split()))
 
 
 @pytest.mark.parametrize(
@@ -430,15 +456,55 @@ NOT_SAID = re.compile(
     [
         *PAGES,
         ROOT / "CONTRIBUTING.md",
+        ROOT / "CHANGELOG.md",
         *sorted((DOCS / "effects").glob("*.rst")),
+        *sorted((DOCS / "tables").glob("*.rst")),
         *sorted((ROOT / "examples").rglob("*.py")),
+        *sorted((ROOT / "sklearn_vbjfa").rglob("*.j2")),
     ],
     ids=lambda page: page.name,
 )
 def test_pages_use_one_word_for_one_thing(page):
     # What is printed is quoted as it is.
     text = re.sub(r"^```text\n.*?^```", "", read(page), flags=re.DOTALL | re.M)
-    assert not NOT_SAID.search(" ".join(text.split()))
+    assert not not_said(text)
+    assert not NO_NAME.search(" ".join(text.split()))
+
+
+def literals(source):
+    """Texts of a module with the lines that they are on, values in them as braces."""
+    tree = ast.parse(source)
+    inner = set()
+    for node in ast.walk(tree):
+        if isinstance(node, ast.JoinedStr):
+            inner.update(map(id, node.values))
+            parts = (
+                x.value if isinstance(x, ast.Constant) else "{}" for x in node.values
+            )
+            yield node.lineno, "".join(parts)
+    for node in ast.walk(tree):
+        own = isinstance(node, ast.Constant) and id(node) not in inner
+        if own and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+def test_texts_of_a_module_are_read():
+    found = dict(
+        literals('a = f"x is no "\\\n  f"{b} file"\nc = ("is no"\n " whole x")')
+    )
+    assert found == {1: "x is no {} file", 3: "is no whole x"}
+    assert not_said(found[3])[0] == "is no whole"
+    assert not_said("There is no table") is None
+
+
+def test_messages_use_one_word_for_one_thing():
+    found = [
+        f"{path.relative_to(ROOT)}:{line}: {not_said(text)[0]}"
+        for path in sorted((ROOT / "sklearn_vbjfa").rglob("*.py"))
+        for line, text in literals(read(path))
+        if not_said(text)
+    ]
+    assert not found
 
 
 @pytest.mark.slow

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import tarfile
+import textwrap
 import zipfile
 from pathlib import Path
 
@@ -90,6 +91,35 @@ def test_a_release_names_one_version_everywhere():
     for name in ("sklearn_vbjfa/__init__.py", "CHANGELOG.md", "CITATION.cff"):
         assert name in done.stderr
     assert "recipe.yaml" in done.stderr
+
+
+def test_links_of_a_release_are_absolute(tmp_path):
+    tomllib = pytest.importorskip("tomllib")
+    for name in ("README.md", "pyproject.toml"):
+        shutil.copy(ROOT / name, tmp_path)
+    script, address = (
+        str(ROOT / ".ci" / "release_links.py"),
+        "https://forge.example/a/b",
+    )
+    run(script, address, "v0.2.0", cwd=tmp_path)
+    readme = (tmp_path / "README.md").read_text("utf-8")
+    links = re.findall(r"\]\(([^)]+)\)", readme)
+    assert all(link.startswith("https://") for link in links)
+    assert f"{address}/raw/v0.2.0/docs/images/residual.png" in links
+    assert f"{address}/blob/v0.2.0/docs/evidence.rst" in links
+    assert "https://doi.org/10.1016/j.neunet.2010.08.011" in links
+    project = tomllib.loads((tmp_path / "pyproject.toml").read_text("utf-8"))["project"]
+    assert project["urls"]["Source"] == address
+    assert project["name"] == "sklearn-vbjfa"
+
+
+def test_what_is_tried_on_windows_runs_without_a_robot(tmp_path):
+    flow = (ROOT / ".github" / "workflows" / "release.yml").read_text("utf-8")
+    (code,) = re.findall(r"<<'CODE'\n(.*?) *CODE", flow, flags=re.DOTALL)
+    absent = "import sys\nsys.modules['pinocchio'] = None\n"
+    effects = "from sklearn_vbjfa._cli import main\nassert main(['effects']) == 0\n"
+    code = absent + textwrap.dedent(code) + effects
+    run("-c", code, cwd=tmp_path, PYTHONPATH=str(ROOT))
 
 
 def run(*arguments, cwd, **environment):

@@ -201,22 +201,26 @@ def _next_motion(outcome, out):
 
 
 def left_out_lines(left_out):
-    """Say what descriptions go without, those that go without the same in one line."""
+    """Say in a line what descriptions go without, the largest of the first; or none."""
     # left_out: dict of str to tuple of LeftOut, by the names of the files.
     names = {}
     for name, left in left_out.items():
         if left:
-            names.setdefault(_left_out_text(left), []).append(name)
-    return [
-        f"{' and '.join(files)} {'have' if len(files) > 1 else 'has'} no place for "
-        f"{text}; {'they say' if len(files) > 1 else 'it says'} why at the top, and "
-        "identified.json has all."
-        for text, files in names.items()
-    ]
+            names.setdefault(_left_out_texts(left), []).append(name)
+    told = []
+    for (count, largest), files in names.items():
+        place = f"{'have' if len(files) > 1 else 'has'} no place for {count}{largest}"
+        place = f"for {count}" if told else place
+        told.append(f"{' and '.join(files)} {place}")
+    if not told:
+        return []
+    who = "they say" if sum(map(len, names.values())) > 1 else "it says"
+    line = f"{', '.join(told)}; {who} why at the top, and identified.json has all."
+    return [line]
 
 
-def _left_out_text(left):
-    """Count effects and name the largest; torques and forces are not compared."""
+def _left_out_texts(left):
+    """Count effects, and name the largest; torques and forces are not compared."""
     # What is not known is the smallest.
     up = sorted(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
     largest = {one.unit: one for one in up}.values()
@@ -225,8 +229,9 @@ def _left_out_text(left):
         + ("" if np.isnan(one.size) else f" ({one.size:.2g} {one.unit} rms)")
         for one in largest
     )
-    count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
-    return f"{count}: {told}"
+    if len(left) == 1:
+        return "an effect", f": {told}"
+    return f"{len(left)} effects", f", the largest: {told}"
 
 
 def write_parameters(robot, values, path):

@@ -257,7 +257,7 @@ def ranges_file(arguments):
             out / _RANGES,
         )
     elif not out.parent.is_dir():
-        wrong = f"{out.parent} is no folder, where --ranges writes {out.name}"
+        wrong = f"{out.parent} is not a folder, where --ranges writes {out.name}"
         out = Path(out.name)
     elif out.exists() and not getattr(arguments, "force", False):
         wrong = f"{out} exists; give another --ranges"

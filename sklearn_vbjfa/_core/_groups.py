@@ -22,11 +22,11 @@ class Excess:
     ratio: float = 1.0
     # degrees of freedom of that variance; infinite where they are many
     freedom: float = np.inf
-    # ratio of effects that are no function of time, beside which those that are stand
+    # ratio of effects that are not functions of time, beside which those that are stand
     usual: float = 1.0
 
     def as_usual(self):
-        """Return the same as for effects that are no function of time."""
+        """Return the same as for effects that are not functions of time."""
         return Excess(ratio=self.usual, usual=self.usual)
 
     def tempered(self, evidence, width):

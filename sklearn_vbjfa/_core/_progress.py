@@ -43,6 +43,8 @@ class Progress:
         Since the stage began [s].
     remaining : float or None
         Until it ends if it goes on as before [s]; None if that is not known.
+    at_most : bool
+        Whether `total` is a bound, which a stage may end before.
 
     Examples
     --------
@@ -64,6 +66,7 @@ class Progress:
     unit: str = ""
     seconds: float = 0.0
     remaining: float | None = None
+    at_most: bool = False
 
     def __str__(self):
         return f"{self.told}, {self.times}"
@@ -73,7 +76,8 @@ class Progress:
         """The stage and how much of it is done, a text."""
         if self.total is None:
             return self.stage
-        return f"{self.stage}, {self.done:,} of {self.total:,} {self.unit}".rstrip()
+        total = f"{'at most ' * self.at_most}{self.total:,} {self.unit}"
+        return f"{self.stage}, {self.done:,} of {total}".rstrip()
 
     @property
     def times(self):
@@ -81,7 +85,8 @@ class Progress:
         text = _duration(self.seconds)
         if self.remaining is None:
             return text
-        return f"{text}, about {_duration(self.remaining)} left"
+        about = "at most" if self.at_most else "about"
+        return f"{text}, {about} {_duration(self.remaining)} left"
 
 
 def _duration(seconds):
@@ -94,15 +99,19 @@ def _duration(seconds):
 
 
 @contextlib.contextmanager
-def stage(text, total=None, unit=""):
+def stage(text, total=None, unit="", *, at_most=False):
     """Name what is done within a ``with``, of `total` units; yields ``step(count)``."""
+    # at_most: whether it may end before.
     run = _RUN.get()
     if run is None:
         yield _unheard
         return
     # A single one is not counted.
     total = None if total == 1 else total
-    own = run.begin(_Stage(text=text, total=total, unit=unit, begun=run.clock()))
+    begun = run.clock()
+    own = run.begin(
+        _Stage(text=text, total=total, unit=unit, begun=begun, at_most=at_most)
+    )
     try:
         yield functools.partial(run.step, own)
     finally:
@@ -165,6 +174,7 @@ class _Stage:
     total: int | None
     unit: str
     begun: float  # on the clock of the run
+    at_most: bool = False
     done: int = 0
     note: str = ""
 
@@ -240,6 +250,7 @@ class _Run:
                 unit=one.unit,
                 seconds=seconds,
                 remaining=remaining,
+                at_most=one.at_most,
             )
 
 

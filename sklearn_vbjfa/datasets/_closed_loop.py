@@ -620,7 +620,7 @@ def simulate_tracking(
             f"{forward.shape}."
         )
     if not np.isfinite(forward).all():
-        return _stopped(nv, "feedforward that is no number", 0.0)
+        return _stopped(nv, "feedforward that is not a number", 0.0)
     noise = encoder_noise * rng.normal(size=forward.shape)
     gains = low_gains(plant) if gains is None else gains
     loop = ClosedLoop(plant, gains, dt, states[:1], forward[:1], substeps)

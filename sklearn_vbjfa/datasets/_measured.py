@@ -1071,7 +1071,7 @@ def fetch_unitree_go2(files: DataFiles) -> list[Log]:
 
     The legs are the same four times, mirrored left and right. Armature, damping
     and friction in ``go2.xml`` were identified from such runs by somebody else and
-    are no truth. Whether the base was level is not known (`BaseTilt`).
+    are not the truth. Whether the base was level is not known (`BaseTilt`).
 
     Files: ``go2.xml`` is robot_model/go2/go2.xml of the repository; its meshes are
     not needed. ``run_0.npz`` to ``run_9.npz`` have the columns of

@@ -28,7 +28,7 @@ _RIDGE, _LEAST = 1e-9, 1e-9
 # and the power of its means of eigenvalues.
 BALANCE, _POWER = 2.0, 6.0
 # Why no motion shows an effect.
-SAME_COLUMNS = "what is fitted anyway does the same, whatever the motion"
+SAME_COLUMNS = "absorbed by other parameters"
 # Half width of a 90 % interval, in standard errors.
 _NINETY = float(ndtri(0.95))
 

@@ -106,7 +106,7 @@ def design_motion(
     Raises
     ------
     TypeError
-        If `limits` are no `MotionLimits`, or `report` is no report.
+        If `limits` are not `MotionLimits`, or `report` is not a report.
     ValueError
         If limits leave no room or are missing, the start lies outside them, or the
         duration is too short for the slowest joint.

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import minimize
 
-from sklearn_vbjfa._core._progress import counted, say
+from sklearn_vbjfa._core._progress import say, stage
 from sklearn_vbjfa.design._criterion import information_of, worth
 
 # Motions are kept this far inside the limits while they are improved: between samples
@@ -218,18 +218,28 @@ def optimise(problem, starts, fine, inside):
     # At the times `fine`, many more than those of the design, it keeps the share
     # `inside` of the limits, which it may exceed by a trace: see `shrunk`. Returns its
     # coordinates and the motion that it was improved from.
+    most = len(starts) + _ROUNDS - 1 + _MORE_ROUNDS
+    with stage("improving", most, "rounds", at_most=True) as step:
+        return _optimised(problem, starts, fine, inside, step)
+
+
+def _optimised(problem, starts, fine, inside, step):
+    """Improve as `optimise` does, and count the rounds."""
     tried = []
-    for z in counted(starts, "starts"):
+    for z in starts:
+        say(f"start {len(tried) + 1}")
         lagrangian = Lagrangian(problem)
         x, value = _improved(lagrangian, np.array(z, dtype=float).ravel())
         tried.append((value, len(tried), x, lagrangian))
+        step()
     _, best, x, lagrangian = min(tried, key=lambda one: one[:2])
     lagrangian.tighten(x)
     before = np.inf
-    for number in range(1, _ROUNDS):
-        say(f"round {number + 1}")
+    for _ in range(_ROUNDS - 1):
+        say("within the limits")
         x, value = _improved(lagrangian, x)
         worst = lagrangian.tighten(x)
+        step()
         settled = abs(before - value) < 0.05
         before = value
         if worst < _TOLERATED and settled:
@@ -241,6 +251,7 @@ def optimise(problem, starts, fine, inside):
             break
         x, _ = _improved(lagrangian, x)
         lagrangian.tighten(x)
+        step()
     return x.reshape(lagrangian.shape), starts[best]
 
 

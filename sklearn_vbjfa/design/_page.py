@@ -133,7 +133,10 @@ def _verdict(motion, background):
         least = _newtons(motion, first.least, first.joint)
         more = len(found) - 1
         told = f"; and {words.plural(more, 'further question')}" * (more > 0)
-        return f"It decides, from {least} on: {first.causes} on {where}{told}."
+        return (
+            f"This motion tells these causes apart if they exceed {least}: "
+            f"{first.causes} on {where}{told}."
+        )
     if motion.shows:
         effects = len({one.name for one in motion.shows})
         return (
@@ -176,7 +179,7 @@ def decisions(motion, background):
         found.append(
             Decision(
                 joint=joint,
-                causes=f"{words.join(labels, len(labels))} from one another",
+                causes=words.join(labels, len(labels)),
                 least=hardest.least,
                 hardest=_one_pair(hardest).causes,
             )
@@ -205,7 +208,8 @@ def unseen(motion, names):
     """Say which effects of some names a motion does not show, a list of str."""
     return [
         f"{effect_label(one.name)} on "
-        f"{words.joint_label(motion.joint_names, one.joint)}: {one.reason}"
+        f"{words.joint_label(motion.joint_names, one.joint)} is not identifiable by "
+        f"any motion ({one.reason})"
         for one in motion.invisible
         if one.name in names
     ]
@@ -327,9 +331,9 @@ def _decided(motion, background):
                 else _newtons(motion, one.least, one.joint),
             )
         )
-    heads = ("joint", "causes", "told apart from")
+    heads = ("joint", "causes", "told apart if they exceed")
     return Section(
-        heading="What it decides",
+        heading="Which causes it tells apart",
         table=Table(heads=heads, rows=tuple(rows)) if rows else None,
     )
 
@@ -366,7 +370,7 @@ def _shown(motion, background):
 
 def _invisible(motion, background):
     return Section(
-        heading="What stays invisible",
+        heading="What it cannot show",
         sentences=tuple(
             words.capital(x)
             for x in (
@@ -377,15 +381,16 @@ def _invisible(motion, background):
     )
 
 
-def invisible_sentences(motion, background):
-    """Say what no motion shows, effects with the same reason together."""
+def invisible_sentences(motion, background, most=None):
+    """Say what no motion shows, effects with the same reason together; one or none."""
+    # most: reasons that are given.
     told = [(one.reason, one.name, one.joint) for one in motion.invisible]
     for one in (background.found or {}).get("hidden") or ():
         if one["reason"] == "span":
             told.append((SAME_COLUMNS, one["name"], one["joint"]))
         elif one["reason"] == "together":
             other = effect_label(one["remedy"])
-            why = f"only together with {other}, whatever the motion"
+            why = f"only together with {other}"
             told.append((why, one["name"], one["joint"]))
     by_reason = {}
     for reason, name, joint in dict.fromkeys(told):
@@ -396,8 +401,9 @@ def invisible_sentences(motion, background):
             f"{effect_label(name)} ({words.joint_list(motion.joint_names, joints)})"
             for name, joints in effects.items()
         ]
-        found.append(f"{words.join(parts, len(parts))}: {reason}.")
-    return found
+        found.append(f"{words.join(parts, len(parts))} ({reason})")
+    told = "; ".join(found[:most])
+    return [f"Not identifiable by any motion: {told}."] if found else []
 
 
 def _intervals(motion, background):
@@ -600,7 +606,7 @@ def _decides_text(motion, background):
             f"{_newtons(motion, one.least, one.joint)}: {one.causes}"
             for one in found
         ]
-        head = "It tells apart, from these torques on"
+        head = "It tells apart causes that exceed these torques"
     elif motion.shows:
         by_joint = {}
         for one in motion.shows:
@@ -612,7 +618,7 @@ def _decides_text(motion, background):
             f"{_newtons(motion, float(np.median(own)), j)}"
             for j, own in by_joint.items()
         ]
-        head = "It shows, from these torques on"
+        head = "It shows effects that exceed these torques"
     else:
         return ["It determines the model; name effects that it shall show by --effects"]
     more = len(told) - _LISTED
@@ -624,7 +630,7 @@ def _decides_text(motion, background):
 def _never_text(motion, background):
     """List what stays open or invisible."""
     told = [f"{words.capital(one)}." for one in undecided(motion)[:_LISTED]]
-    told += [f"Invisible: {x}" for x in invisible_sentences(motion, background)[:2]]
+    told += invisible_sentences(motion, background, most=2)
     return [line for text in told for line in _wrapped(text)]
 
 

@@ -306,9 +306,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, such as a temperature, by name (or a
             data frame): candidates for what friction and offsets vary with
-            (`effects.Signal`). Columns of a data frame X that are no channel of a joint
-            are candidates as well; of these, the report names those that cannot be
-            used.
+            (`effects.Signal`). Columns of a data frame X that are not a channel of a
+            joint are candidates as well; of these, the report names those that cannot
+            be used.
         progress : callable, default=None
             Called with a `Progress` when a stage begins or goes on; what it raises
             ends the fit.

@@ -243,7 +243,7 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @property
     def corner(self):
-        """Frequency above which it filters a channel [Hz]; None for what is no filter.
+        """Frequency above which it filters a channel [Hz]; None if it is not a filter.
 
         A filter within the frequencies of the motion stands for something else.
         """
@@ -466,7 +466,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return parameters
 
     def check(self):
-        """Refuse a joint that is no number, and shape parameters out of range."""
+        """Refuse a joint that is not a number, and shape parameters out of range."""
         if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
             raise ValueError(
                 f"joint must be an integer, counted from zero; got {self.joint!r}."

@@ -121,7 +121,7 @@ class ModelEffect(Effect):
         return bool((self.values != self.idle).any())
 
     def check(self):
-        """Refuse values that are no finite numbers; see `Effect.check`."""
+        """Refuse values that are not finite numbers; see `Effect.check`."""
         super().check()
         for name in self.tangent:
             value = getattr(self, name)
@@ -517,7 +517,7 @@ class TorqueGain(ModelEffect):
             )
 
     def shape(self):
-        """Return the gain; its limit is no property of the channel."""
+        """Return the gain; its limit is not a property of the channel."""
         return {"gain": self.gain}
 
     def bounds(self):

@@ -151,7 +151,7 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     and in the factor of the nominal torque. Each fault is corrected before the next
     question is asked, so that one fault does not look like another.
 
-    An empty result is no certificate: a channel that the motion does not excite, or
+    An empty result is not a certificate: a channel that the motion does not excite, or
     one that is mostly noise, shows nothing. Undetectable in principle are the zero of
     a joint with a vertical axis or of the last joint (whose link may be mounted in any
     way), and both signs of a joint that gravity does not load.

@@ -82,7 +82,7 @@ def load_model(model, base_orientation=None):
         If the file does not exist.
     ValueError
         If another joint has not exactly one degree of freedom, there is no joint,
-        joints close a loop, a link has a negative mass, or the orientation is no
+        joints close a loop, a link has a negative mass, or the orientation is not a
         quaternion or that of a base that is not free.
 
     Warns
@@ -260,14 +260,14 @@ def _left_out(mimics, model, between=()):
     wrong = [name for name in wrong if name not in between]
     if between:
         found.append(
-            f"between {', '.join(between)} and the next joint of the same body is no "
-            "mass, a ball stands for it where the recording cannot tell"
+            f"there is no mass between {', '.join(between)} and the next joint of the "
+            "same body; it is taken as a ball where the recording cannot tell"
         )
     if wrong:
         found.append(
-            f"what {', '.join(wrong)} move(s) has no mass or an inertia that no solid "
-            "body has, a ball stands for it where the recording cannot tell (correct "
-            "the inertial element of its link)"
+            f"what {', '.join(wrong)} move(s) has no mass, or an inertia that no solid "
+            "body can have; it is taken as a ball where the recording cannot tell "
+            "(correct the inertial element of its link)"
         )
     return found
 

@@ -236,7 +236,7 @@ class MjcfRobot:
         return robot, above @ base.placement.rotation
 
     def check(self):
-        """Refuse more joints than robots have, and what is no tree of joints."""
+        """Refuse more joints than robots have, and what is not a tree of joints."""
         check_number(len(self.joints), self.path)
         self._check_tree()
 

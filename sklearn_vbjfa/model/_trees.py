@@ -226,7 +226,7 @@ def check_number(n_joints, path):
 
 
 def check_known(moving, names, path):
-    """Refuse names that are no joints of a description."""
+    """Refuse names that are not joints of a description."""
     unknown = [name for name in moving if name not in names]
     if unknown:
         raise ValueError(

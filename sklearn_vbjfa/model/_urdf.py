@@ -176,7 +176,7 @@ class UrdfRobot:
                 f"Pinocchio cannot build a robot from {str(self._path)!r}: {error}"
             ) from error
 
-    # -- what is no tree of joints --
+    # -- what is not a tree of joints --
 
     def check(self):
         """Refuse what no robot has, and joints that close a loop, naming the links."""
@@ -289,7 +289,7 @@ def _floats(text, size):
 def _turned(joint):
     """Rotation (3, 3) of the origin of a joint, none where it cannot be read."""
     origin = joint.find("origin")
-    # Of what is no number the parser says what is wrong.
+    # Of what is not a number the parser says what is wrong.
     angles = _floats("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3)
     if angles is None:
         return np.eye(3)

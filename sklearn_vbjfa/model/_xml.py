@@ -89,7 +89,7 @@ def _expanding(path):
 
 
 def _check_structure(content):
-    """Refuse XML that is no robot's, before a parser makes a tree of it."""
+    """Refuse XML that is not a robot's, before a parser makes a tree of it."""
     # Parsers call themselves once a level: a file of some hundred kilobytes can overrun
     # the stack of the process.
     depth, elements = 0, 0

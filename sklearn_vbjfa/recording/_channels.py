@@ -213,7 +213,8 @@ def _held(table, layout, robot, by_joint, notes):
         others = [x for x in _own_joints(layout) if x not in robot.names]
         if others:
             notes.append(
-                f"joint(s) {listed(others)} are none of the robot's and are left out."
+                f"joint(s) {listed(others)} are not joints of the robot and are left "
+                "out."
             )
     if robot.chosen or len(names) == len(robot.names):
         return robot
@@ -263,7 +264,8 @@ def _all_missing(table, layout, asked, names, missing, no_time):
     strangers = _own_joints(layout)
     if missing and strangers and names:
         parts.append(
-            f"its joints {listed(strangers)} are none of the robot's, {listed(names)}"
+            f"its joints {listed(strangers)} are not those of the robot, "
+            f"{listed(names)}"
         )
     for kind, what in _WHAT.items():
         if kind in missing:

@@ -153,7 +153,7 @@ def signals_for(effects, given, offered, n_samples):
 
 
 def check_useful(given, recording):
-    """Refuse signals, given by name, that are no condition of the robot."""
+    """Refuse signals, given by name, that are not a condition of the robot."""
     if isinstance(given, OfferedSignals):
         return
     for name, values in check_given(given, recording.n_samples).items():
@@ -189,7 +189,7 @@ def survey(given, offered, recording, effects):
 
 
 def fault(values, recording, share=_COPY):
-    """Say why a column (n_samples,) is no condition of the robot, if it is none."""
+    """Say why a column (n_samples,) is not a condition of the robot, if it is none."""
     # recording: what it was recorded beside; share: of its variance that makes it
     # another channel.
     if np.ptp(values) <= _ROUNDING * np.abs(values).max():

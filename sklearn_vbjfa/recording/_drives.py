@@ -331,7 +331,7 @@ class PDDrive(Drive):
         Raises
         ------
         ValueError
-            If `period` is no positive time, or longer than the sample period.
+            If `period` is not a positive time, or longer than the sample period.
         """
         if self.period is None:
             return 1 if usual is None else max(round(dt / usual), 1)
@@ -539,7 +539,7 @@ class VoltageDrive(_MotorDrive):
     -----
     Friction of the motor and its back-EMF have one column, the speed: what is found is
     their sum, and no recording of voltages tells them apart. In a simulator with a
-    voltage input the sum belongs into the damping.
+    voltage input the damping is the sum.
 
     References
     ----------

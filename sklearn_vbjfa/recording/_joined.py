@@ -50,8 +50,8 @@ def joined(tables, joints, path) -> Table:
     kinds = {_layout.kind_of(x) for part in parts for x in part.table.columns}
     if left_out and not {"q", "tau"} <= kinds:
         raise ValueError(
-            f"{path}: the name(s) of {listed(left_out)} do not say what the columns, "
-            f"which have no names, are; call files after what they hold: {_NAMES}."
+            f"{path}: the columns of {listed(left_out)} have no names, and the name(s) "
+            f"of the file(s) do not say what they hold; name them after that: {_NAMES}."
         )
     stamped = [x for x in parts if x.time is not None and x.kind != "t"]
     for part in [x for x in parts if x.kind == "t" and stamped]:
@@ -212,7 +212,7 @@ def _upright(parts, n):
             if not count or values.size % count or (n_rows and values.size % n_rows):
                 raise ValueError(
                     f"{part.table.path}: has {values.size} numbers, one a line, which "
-                    f"is no multiple of {n_rows or n}; expected one for each joint "
+                    f"is not a multiple of {n_rows or n}; expected one for each joint "
                     f"in each {'of as many rows' if n_rows else 'row'}."
                 )
             matrix = values.reshape(-1, count)

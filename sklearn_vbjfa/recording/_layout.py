@@ -205,7 +205,8 @@ class Layout:
     what: str = ""  # log as which the file was recognised, or whose names were given
     # whether what has a channel's name is one: a mapping or a preset says so
     certain: bool = False
-    # what a user must know of positions that are no radians, and a mapping that says it
+    # what a user must know of positions that are not radians, and a mapping that
+    # says it
     question: str = ""
     answer: str = ""
 
@@ -635,7 +636,7 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
             "kd": "Nms/rad or Ns/m",
         }[MEASURED.get(kind, kind)]
         raise ValueError(
-            f"{table.path}: column {role.column!r} is in {role.unit!r}, which is no "
+            f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
             f"known unit of {kind}; expected {expected}. Convert it, or correct the "
             "name."
         )
@@ -672,8 +673,8 @@ def seconds_of_dates(table: Table, column: str):
         if match is None:
             raise ValueError(
                 f"{table.path}: {quoted(text)} in {table.where(row)}, column "
-                f"{column!r}, is no date and time like the others; correct or remove "
-                "that row."
+                f"{column!r}, is not a date and time like the others; correct or "
+                "remove that row."
             )
         day, minute, second, fraction, zone = match.groups()
         zones.add(zone or "")

@@ -32,7 +32,7 @@ class KnownLog:
     # parts of the names of joints, in the order in which motors are numbered
     motors: tuple[str, ...] = ()
     segment: str = ""  # column that tells recordings apart
-    # what to ask where positions without a unit are no radians
+    # what to ask where positions without a unit are not radians
     question: str = ""
     # regular expressions of columns that are no conditions of the robot: counters,
     # references, commands, frames, what follows from the rest

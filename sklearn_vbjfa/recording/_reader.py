@@ -302,7 +302,7 @@ def _read_files(paths, given, bad, stored):
 
 
 def _offer_join(paths, given, error):
-    """Raise the offer to join several files, if they are no recordings but one."""
+    """Raise the offer to join several files, if they are parts of one recording."""
     # error: about the first of them.
     options = getattr(error, "options", {})
     if len(paths) < 2 or options or any(isinstance(x, tuple) for x in paths):
@@ -653,11 +653,11 @@ def _in_one_unit(found, asked):
 
 
 def _check_radians(table: Table, layout, q, units):
-    """Ask for the unit of a log that has none, where it is no radians."""
+    """Ask for the unit of a log that has none, where it is not radians."""
     most = float(np.abs(q).max())
     if layout.question and most > _TURNS and not any(units):
         raise RecordingRefused(
-            f"{table.path}: positions go up to {most:.4g}, which are no radians: "
+            f"{table.path}: positions go up to {most:.4g}, which are not radians: "
             f"{layout.question}",
             {"columns": layout.answer},
         )
@@ -819,7 +819,7 @@ def _segments(table: Table, layout):
 
 
 def _signals(table: Table, layout, taken, notes):
-    """Return the other columns, and what is wrong with those that are no numbers."""
+    """Return the other columns, and what is wrong with those that are not numbers."""
     signals, left_out = {}, {}
     known = {role.column: name for name, role in layout.roles.items()}
     clocks = {role.column for role in layout.times if layout.what}

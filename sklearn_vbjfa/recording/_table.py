@@ -160,7 +160,7 @@ def text_of(path: Source) -> str:
         text = path.file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
         raise ValueError(
-            f"{path}: is no UTF-8 text ({error.reason} at byte {error.start}); save it "
+            f"{path}: is not UTF-8 ({error.reason} at byte {error.start}); save it "
             "in UTF-8."
         ) from error
     if not text.strip():
@@ -208,6 +208,7 @@ def table_of_arrays(path: Source, arrays) -> Table:
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
     arrays = {name: values for name, values in arrays.items() if values.size}
+    arrays, notes = _with_names_beside(path, arrays)
     lengths = {
         name: len(values)
         for name, values in arrays.items()
@@ -234,7 +235,6 @@ def table_of_arrays(path: Source, arrays) -> Table:
         lengths = matrices or lengths
     (usual, _), *_ = Counter(lengths.values()).most_common(1)
     n_rows = lengths.get("q", usual)
-    notes: tuple = ()
     if matrices and not any(_is_channel(x) for x in lengths):
         others = [x for x in arrays if arrays[x].shape == (n_rows,)]
         if len(lengths) == 1 and not others:
@@ -248,7 +248,10 @@ def table_of_arrays(path: Source, arrays) -> Table:
             )
     others = [name for name, length in lengths.items() if length != n_rows]
     if others:
-        notes = (f"array(s) {listed(others)} have not {n_rows} rows: left out.",)
+        notes = (
+            *notes,
+            f"array(s) {listed(others)} have not {n_rows} rows: left out.",
+        )
     columns, scalars = {}, {}
     for name, values in arrays.items():
         if values.ndim not in (1, 2) or len(values) != n_rows:
@@ -265,6 +268,31 @@ def table_of_arrays(path: Source, arrays) -> Table:
             )
         columns.update(own)
     return Table(path=path.shown, columns=columns, scalars=scalars, notes=notes)
+
+
+def _with_names_beside(path, arrays):
+    """Make columns of the only matrix if a list beside it has their names; notes."""
+    # As data frames are split, and as loggers write a matrix and what is in it.
+    matrices = [name for name, x in arrays.items() if x.ndim == 2 and len(x) > 1]
+    if len(matrices) != 1 or _is_channel(matrices[0]):
+        return arrays, ()
+    (name,) = matrices
+    for key, x in arrays.items():
+        if x.dtype.kind not in "US" or x.shape != arrays[name].shape[1:]:
+            continue
+        # Bytes are text too; MATLAB fills names up with blanks.
+        texts = np.char.decode(x, "utf-8", "replace") if x.dtype.kind == "S" else x
+        names = [str(text).strip() for text in texts]
+        rest = {k: one for k, one in arrays.items() if k not in (key, name)}
+        ((first, count),) = Counter([*names, *rest]).most_common(1)
+        if count > 1:
+            raise ValueError(
+                f"{path}: column {first!r} is there twice, by the names in {key!r}; "
+                "each needs its own name."
+            )
+        note = f"the columns of {name!r} are called by the names in {key!r}."
+        return {**rest, **dict(zip(names, arrays[name].T))}, (note,)
+    return arrays, ()
 
 
 def nameless(path: Source, matrix, scalars=(), **known) -> Table:
@@ -290,7 +318,7 @@ def _array(path, name, values):
         return np.array(values, dtype=str if isinstance(first, str) else float)
     except (TypeError, ValueError, OverflowError) as error:
         raise ValueError(
-            f"{path}: {quoted(name)} holds {quoted(first)} and others that are no "
+            f"{path}: {quoted(name)} holds {quoted(first)} and others that are not "
             "numbers, or lists of other lengths; write one number, or equally long "
             "lists of them, for each sample."
         ) from error

@@ -197,7 +197,7 @@ class TotalLeastSquares(LinearRegressor):
         variance = noise if noise.ndim == 1 else np.diag(noise)
         if variance.min() < 0:
             raise ValueError(
-                "input_noise must have no negative variance, got "
+                "input_noise must not have a negative variance, got "
                 f"{variance.min():.6g}; give 0 for a feature without noise."
             )
         exact = variance == 0
@@ -311,7 +311,7 @@ def replicate_noise(X, groups):
     -----
     The noise must be that of the rows which the model is fitted to: for means of m
     measurements take ``replicate_noise(X, groups).of_means(m)``. What all measurements
-    of a unit have in common (a bias of its own, a drift from unit to unit) is no
+    of a unit have in common (a bias of its own, a drift from unit to unit) is not a
     difference between them, and is not seen.
 
     References

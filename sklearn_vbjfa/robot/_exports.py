@@ -19,7 +19,7 @@ from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
 # Why effects have no place that say nothing of it.
 _OWN = "an effect of the user's own"
-_NO_PART = "it is no part of the description"
+_NO_PART = "it is not part of the description"
 _NO_PLACE_IN_USD = "joints of PhysX have armature, dry and viscous friction only"
 
 
@@ -406,7 +406,7 @@ def _mjcf_dynamics(account, servo=None):
             coef = effect.values - effect.idle
         if isinstance(effect, CommandDelay) and servo is not None:
             if effect.delay < 0:
-                why = "a file has no commands that act before they come"
+                why = "a file cannot say that commands act before they are given"
                 account.leave_effect(effect, coef, why)
             continue
         left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))

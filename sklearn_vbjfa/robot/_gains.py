@@ -418,7 +418,7 @@ def _power(unit):
 
 
 def check_masses(masses, gains, model):
-    """Return known masses as a dict; reject what is no mass of the robot's bodies."""
+    """Return known masses as a dict; reject what is not a mass of a body."""
     # masses: dict of str to float [kg], or None; gains: the identifier's parameter.
     if masses is None or not len(masses):
         return {}

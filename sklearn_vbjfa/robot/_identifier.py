@@ -491,9 +491,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         signals : mapping of str to array-like of shape (n_samples,), default=None
             Columns recorded beside the motion, such as a temperature, by name (or a
             data frame), for effects that vary with them (`effects.Signal`). Columns of
-            a data frame X that are no channel of a joint are taken as well. A `drive`
-            takes its further channels from here, (n_samples, nv) each: ``v_desired``,
-            ``tau_ff``, ``kp``, ``kd``, ``supply``.
+            a data frame X that are not a channel of a joint are taken as well. A
+            `drive` takes its further channels from here, (n_samples, nv) each:
+            ``v_desired``, ``tau_ff``, ``kp``, ``kd``, ``supply``.
         reference : array-like of shape (n_samples, nv), default=None
             Commanded positions [rad or m], for `controller`.
         progress : callable, default=None
@@ -1251,8 +1251,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
         before the projection, with one factor for the scatter between blocks of time,
         as in `predict` (`theta_std_` has a factor for each, which would lose what the
-        torques tell of sums of them). e is there if several
-        recordings were fitted, for all that is no body: a random effect by recording,
+        torques tell of sums of them). e is there if several recordings were fitted, for
+        all that is not a body: a random effect by recording,
         :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with :math:`u_{rk} \sim N(0,
         s_k^2)`, independent. h is the sum of the squared shares that recordings have
         in the value that was fitted, 1/R for R recordings alike. The scale s is
@@ -1331,7 +1331,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
         Damping and friction of a joint are the sums of what was declared and found.
         Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
-        base, zeros of encoders and gains of torque channels are no property of the
+        base, zeros of encoders and gains of torque channels are not a property of the
         robot that a description could hold: a comment at the top says what is to be
         changed, as plainly as that four degrees are to be subtracted. It also names
         bodies whose masses the recording does not determine, and lists what the file
@@ -1458,8 +1458,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         -------
         tuple of LeftOut
             What the file does not have, in its comment as well: effects of the load, of
-            time, of the channels, what is no linear function of position or speed, and
-            coefficients that are negative; see `to_urdf`.
+            time, of the channels, what is not a linear function of position or speed,
+            and coefficients that are negative; see `to_urdf`.
 
         Raises
         ------

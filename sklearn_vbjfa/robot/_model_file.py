@@ -819,7 +819,7 @@ def _no_number(name):
 
 
 def spelled(value):
-    """Return a float as JSON can hold it: those that are no number as texts."""
+    """Return a float as JSON can hold it: those that are not numbers as texts."""
     value = float(value)
     if math.isnan(value):
         return "nan"

@@ -433,7 +433,7 @@ def seed_of(random_state):
 
 
 def check_number(name, value, least):
-    """Reject what is no whole number, or too small."""
+    """Reject what is not a whole number, or too small."""
     is_number = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_number or value < least:
         raise ValueError(

@@ -224,11 +224,11 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     options = ["--effects", "load_friction", "--no-ceiling"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     told = " ".join(capsys.readouterr().out.split())
-    for what in (
-        r"identified.xml has no place for an effect: load_friction on shoulder \(",
-        r"identified.urdf has no place for 5 effects, the largest: load_friction on",
-    ):
-        assert re.search(what, told)
+    assert re.search(
+        r"identified.urdf has no place for 5 effects, the largest: load_friction on "
+        r"shoulder \([^;]*\), identified.xml for an effect; they say why",
+        told,
+    )
     text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
     assert "load_friction" in text[: text.index("-->")]
 
@@ -258,10 +258,11 @@ def test_a_description_says_how_much_it_goes_without(sizes, expected):
     (line,) = left_out_lines({"robot.urdf": (), "robot.xml": left})
     assert line.startswith(f"robot.xml has no place for {expected}")
     more = {"robot.urdf": [*left, left[0]], "robot.xml": left}
-    assert [x[:10] for x in left_out_lines(more)] == [
-        "robot.urdf",
-        "robot.xml ",
-    ]
+    (line,) = left_out_lines(more)
+    assert line.startswith("robot.urdf has no place for ")
+    count = "an effect" if len(sizes) == 1 else f"{len(sizes)} effects"
+    assert f", robot.xml for {count}; they say why at the top, and" in line
+    assert not left_out_lines({"robot.urdf": ()})
 
 
 def value(name, value, unit, known, *described):
@@ -776,14 +777,16 @@ def test_damaged_npz(damage, urdf, recording, tmp_path, capsys):
     source = write_npz(tmp_path / "arm.npz", recording)
     source.write_bytes(damage(source.read_bytes()))
     line = refusal(capsys, source, "--urdf", urdf)
-    assert f"{source}: is no whole npz file; save it anew with numpy.savez." in line
+    assert (
+        f"{source}: is not a complete npz file; save it anew with numpy.savez." in line
+    )
 
 
 def test_one_array_is_no_npz(urdf, recording, tmp_path, capsys):
     with (tmp_path / "arm.npz").open("wb") as file:
         np.save(file, recording.q)
     line = refusal(capsys, tmp_path / "arm.npz", "--urdf", urdf)
-    assert "is no whole npz file" in line
+    assert "is not a complete npz file" in line
 
 
 # -- refusals: the robot ---------------------------------------------------------------

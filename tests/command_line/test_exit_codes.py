@@ -331,9 +331,10 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
         capsys, "design", *argv, "--effects", "rotor_inertia", "--force"
     )
     assert code == 3
-    assert "Invisible: " in out
+    assert "Not identifiable by any motion: " in out
     assert re.search(
-        "exit code 3: .*on joint 1 .shoulder.: what is fitted anyway", err[-1]
+        "exit code 3: .*on joint 1 .shoulder. is not identifiable by any motion",
+        err[-1],
     )
 
 

@@ -159,7 +159,7 @@ def test_ranges_are_written_where_they_are_asked_for(folder, capsys):
 
 @pytest.mark.parametrize(
     ("where", "message"),
-    [(".", "is a folder, where"), ("no/ranges.json", "no is no folder")],
+    [(".", "is a folder, where"), ("no/ranges.json", "no is not a folder")],
 )
 def test_ranges_that_cannot_be_written(where, message, folder, capsys):
     code, _, err = identify(capsys, "arm.csv", "--urdf", "arm.urdf", "--ranges", where)

@@ -124,6 +124,20 @@ def test_what_is_left(drawn):
     assert str(now) == "states, 100 of 300 rows, 1 min 0 s, about 2 min 0 s left"
 
 
+def test_what_is_left_at_most(drawn):
+    clock, shown = drawn
+    with (
+        shown(io.StringIO()) as display,
+        stage("improving", 12, "rounds", at_most=True) as step,
+    ):
+        clock.now += 30.0
+        step(3)
+        now = display.run.now()
+    assert (
+        str(now) == "improving, 3 of at most 12 rounds, 30 s, at most 1 min 30 s left"
+    )
+
+
 def test_more_than_expected_leaves_nothing_to_say(drawn):
     _, shown = drawn
     with shown(io.StringIO()) as display, stage("states", 10) as step:

@@ -229,9 +229,7 @@ def test_rivals_of_the_report_come_first(motion):
         (1, 0.7),
     ]
     assert told[0].causes == "spring or Stribeck friction"
-    assert told[2].causes == (
-        "spring, torque ripple and Stribeck friction from one another"
-    )
+    assert told[2].causes == "spring, torque ripple and Stribeck friction"
     assert told[2].hardest == "spring or Stribeck friction"
     html = page(motion, background(found=found))
     assert "spring or Stribeck friction on joint 2 (slide); and 3 further" in html
@@ -253,13 +251,15 @@ def test_what_it_shows_is_said_although_nobody_asked(tmp_path):
     assert all(0 < one.least < np.inf for one in made.shows)
     assert ("rotor_inertia", 0) in {(one.name, one.joint) for one in made.invisible}
     text = "\n".join(summary(made, background()))
-    assert "It shows, from these torques on\n- joint 1 (turn): " in text
-    assert "What it decides" not in page(made, background())
+    assert "It shows effects that exceed these torques\n- joint 1 (turn): " in text
+    assert "Which causes it tells apart" not in page(made, background())
 
 
 def test_what_no_motion_shows_has_its_reason(motion):
     (sentence,) = invisible_sentences(motion, background())
-    assert sentence.startswith("rotor inertia (joint 1 (turn))")
+    assert sentence.startswith(
+        "Not identifiable by any motion: rotor inertia (joint 1 (turn))"
+    )
     found = {
         "hidden": [
             {"name": "rotor_inertia", "joint": 0, "reason": "span", "remedy": ""},
@@ -268,9 +268,11 @@ def test_what_no_motion_shows_has_its_reason(motion):
             {"name": "ripple", "joint": 0, "reason": "excitation", "remedy": "faster"},
         ]
     }
-    first, second = invisible_sentences(motion, background(found=found))
+    (both,) = invisible_sentences(motion, background(found=found))
+    together = "; turned joint axis (joint 1 (turn)) (only together with tilted base)."
+    assert both == sentence.removesuffix(".") + together
+    (first,) = invisible_sentences(motion, background(found=found), most=1)
     assert first == sentence
-    assert "only together with tilted base" in second
 
 
 def test_noise_that_was_not_measured_is_said(motion):

@@ -117,7 +117,7 @@ def _npz_cases():
         found.append(_case(f"npz: {name}", change, *rest, **options))
 
     for k in range(15):
-        add(f"truncated {k}", _truncated, "refused", "no whole npz")
+        add(f"truncated {k}", _truncated, "refused", "not a complete npz")
     for k in range(20):
         add(f"flipped bytes {k}", _flipped)
     add("as it should be", _changed(), "same")
@@ -235,7 +235,7 @@ def _parquet_cases():
             content = whole(rng)
             return content[: rng.integers(len(content))]
 
-        add(f"truncated {k}", truncated, "refused", "no whole parquet")
+        add(f"truncated {k}", truncated, "refused", "not a complete parquet")
 
         def flipped(rng):
             content = bytearray(whole(rng))
@@ -260,7 +260,7 @@ def _parquet_cases():
     add("flags", _parquet(flags))
     words = lambda x, rng: x | {"m": pyarrow.array(["a"] * N).dictionary_encode()}  # noqa: E731
     add("words", _parquet(words), "same", "column")
-    add("csv", lambda rng: b"t,q1\n0,1\n", "refused", "no whole parquet")
+    add("csv", lambda rng: b"t,q1\n0,1\n", "refused", "not a complete parquet")
     return found
 
 

@@ -75,7 +75,7 @@ def _packed(content):
 
 
 def _sqlite():
-    """Return a database that is no bag."""
+    """Return a database that is not a bag."""
     database = sqlite3.connect(":memory:")
     database.execute("CREATE TABLE messages (id INTEGER, data BLOB)")
     return database.serialize()
@@ -186,7 +186,7 @@ def cases():
     for ending in ("csv.zip", "csv.7z", "tar", "bag.lz4"):
         name = f"arm.{ending}"
         add(f"{name}", _written(name, bytes, noise), "refused", "unpack it first: ")
-    add("a database", _written("arm.db3", _sqlite), "refused", "is no whole bag")
+    add("a database", _written("arm.db3", _sqlite), "refused", "is not a complete bag")
     add("zeros packed", _bomb("arm.csv.gz", bytes(1 << 20)), "refused", "too large")
     add("zeros in a sheet", _bomb("arm.xlsx", bytes(1 << 20)), "refused", "too large")
     for plugin in ("MCAP", "SQLITE3"):
@@ -194,7 +194,10 @@ def cases():
         for k in range(4):
             how = {"plugin": plugin}
             add(
-                f"bag cut {plugin} {k}", _bagged(_cut, **how), "refused", "no whole bag"
+                f"bag cut {plugin} {k}",
+                _bagged(_cut, **how),
+                "refused",
+                "not a complete bag",
             )
             add(f"bag flipped {plugin} {k}", _bagged(_flipped, **how))
     two = ("/joint_states", "/left/joint_states")
@@ -238,7 +241,7 @@ def cases():
     options("unknown preset", "must be one of ros, ur", "--preset", "kuka")
     both = ("--preset", "ur", "--columns", "q=q{i}")
     options("preset and mapping", "not both", *both)
-    options("a topic of text", "is no bag, so that", "--topic", "/joint_states")
+    options("a topic of text", "is not a bag, so it", "--topic", "/joint_states")
     options("time unit", "must be one of s, ms, us, ns", "--time-unit", "h")
     options("wrong time unit", "", "--time-unit", "ns", expect="refused")
     options("too many gains", r"3 gain\(s\) for 2 joint", "--gain", "1,1,1")

@@ -1,4 +1,4 @@
-"""Text files: damaged, oddly written, and with cells that are no numbers."""
+"""Text files: damaged, oddly written, and with cells that are not numbers."""
 
 import gzip
 

@@ -172,7 +172,7 @@ def test_what_is_left_out_is_said_once(write):
         "the rotor inertia (armature) of a1, a2, a3, a4, b1, c1, e_joint",
         "the 1 actuator(s)",
         "joints without a name are called e_joint",
-        "between a1, a2, a3 and the next joint of the same body is no mass",
+        "there is no mass between a1, a2, a3 and the next joint of the same body",
     ):
         assert words in text
 

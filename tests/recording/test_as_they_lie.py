@@ -74,7 +74,7 @@ def test_the_mapping_that_is_offered_is_the_right_one(order, expected, made, tmp
     assert f"time and {len(order)} times the 6 joint(s)" in error.reason
     recording, _ = read(path, made, **error.options)
     assert_same(recording, made)
-    # What nobody has named is no condition of the robot.
+    # What nobody has named is not a condition of the robot.
     assert not recording.signals
 
 
@@ -144,6 +144,49 @@ def test_every_format_may_lack_the_names(ending, made, tmp_path):
     assert options == {"columns": "t=1,q=2-7,tau=8-13"}
     recording, _ = read(path, made, **options)
     assert_same(recording, made)
+
+
+@pytest.mark.parametrize(
+    "kind", ["npz", "bytes", "npz with t", "mat", "cell", "json", "split", "split by t"]
+)
+def test_names_may_stand_beside_a_matrix(kind, made, tmp_path):
+    names = ["t", *(f"{x}{j + 1}" for x in ("q", "tau") for j in range(DOF))]
+    matrix = numbers(made, ("q", "tau"))
+    known, beside = {"data": matrix}, {"names": np.array(names)}
+    if kind in ("npz with t", "split by t"):
+        known, beside = {"data": matrix[:, 1:], "t": made.t}, {"names": names[1:]}
+    if kind == "bytes":
+        beside = {"names": np.array(names, dtype="S")}
+    if kind in ("npz", "bytes", "npz with t"):
+        path = tmp_path / "log.npz"
+        np.savez(path, **known, **beside)
+    elif kind in ("mat", "cell"):
+        path = tmp_path / "log.mat"
+        cell = np.array(names, dtype=object)
+        # As a matrix of characters names are filled up with blanks.
+        beside = {"cell": {"names": cell}, "mat": beside}[kind]
+        pytest.importorskip("scipy").io.savemat(path, {**known, **beside})
+    else:
+        path = tmp_path / "log.json"
+        found = {k: x.tolist() for k, x in known.items()}
+        found["columns" if kind == "split" else "names"] = list(*beside.values())
+        found |= {"index": list(range(len(matrix)))} if kind == "split" else {}
+        path.write_text(json.dumps(found))
+    recording, notes = read(path, made)
+    assert_same(recording, made)
+    np.testing.assert_allclose(recording.dt, made.dt)
+    (note,) = (x for x in notes if "are called by the names in" in x)
+    assert "'data'" in note
+
+
+def test_names_that_come_twice_are_refused(made, tmp_path):
+    path = tmp_path / "log.npz"
+    names = ["t", *(12 * ["q1"])]
+    np.savez(path, data=numbers(made, ("q", "tau")), names=np.array(names))
+    with pytest.raises(
+        ValueError, match="'q1' is there twice, by the names in 'names'"
+    ):
+        read_recording(path)
 
 
 def test_a_comment_names_columns_only_if_it_has_as_many_cells(made, tmp_path):

@@ -198,7 +198,7 @@ def test_joints_of_another_prefix_are_asked_for(tmp_path, made):
     file = write_ros2(tmp_path / "bag", [states(made.t, joints, made.q, made.tau)])
     text, options = refused(file, urdf=made.urdf)
     assert "its joints fer_joint1, fer_joint2" in text
-    assert "are none of the robot's, joint_1, joint_2" in text
+    assert "are not those of the robot, joint_1, joint_2" in text
     recording, _ = read(file, urdf=made.urdf, **options)
     np.testing.assert_array_equal(recording.q, made.q)
 
@@ -247,7 +247,7 @@ def test_a_bag_that_was_cut(write, part):
     content = file.read_bytes()
     file.write_bytes(content[: int(part * len(content))])
     text, _ = refused(file)
-    assert "is no whole bag" in text
+    assert "is not a complete bag" in text
     mend = {".bag": "rosbag reindex {}", ".mcap": "mcap recover {} -o whole.mcap"}
     mend[".db3"] = "sqlite3 {} .recover | sqlite3 whole.db3"
     assert text.endswith(f"may be saved: {mend[file.suffix].format(file)}")
@@ -302,7 +302,7 @@ def test_a_topic_is_one_of_a_bag(tmp_path):
     path = tmp_path / "arm.csv"
     path.write_text("t,q1,tau1\n0,1,2\n")
     text, _ = refused(path, topic="/joint_states")
-    assert "is no bag, so that it has no topic '/joint_states'" in text
+    assert "is not a bag, so it has no topic '/joint_states'" in text
 
 
 def test_bags_without_rosbags_name_the_package(tmp_path, monkeypatch):

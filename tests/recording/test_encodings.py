@@ -29,7 +29,7 @@ def german(separator):
     [
         (";", "utf-8", ""),
         (";", "utf-8-sig", ""),
-        (";", "cp1252", "is no UTF-8 text, read as Windows text (cp1252)"),
+        (";", "cp1252", "is not UTF-8, read as Windows text (cp1252)"),
         ("\t", "utf-16", ""),
         ("\t", "utf-16-le with a mark", ""),
         ("\t", "utf-16-be with a mark", ""),
@@ -78,12 +78,12 @@ def test_characters_on_the_border_of_two_pieces(encoding, after, tmp_path):
     ("content", "message"),
     [
         # No character of the code page.
-        (b"t,q1\x81\n", "is no UTF-8 text (invalid start byte at byte 4)"),
+        (b"t,q1\x81\n", "is not UTF-8 (invalid start byte at byte 4)"),
         # A character in UTF-8 and one that is not.
         ("t,q1 [°],".encode() + b"\xb0\n", "(invalid start byte at byte 10)"),
         # Damage to a file in UTF-8, not at the beginning.
         (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "at byte 78)"),
-        ("t,q1\n".encode("utf-16")[:-1], "is no UTF-16 text (truncated data at"),
+        ("t,q1\n".encode("utf-16")[:-1], "is not UTF-16 (truncated data at"),
     ],
 )
 def test_what_is_no_text_is_refused(content, message, tmp_path):

@@ -93,7 +93,7 @@ def test_packed_text(tmp_path, ending):
     # Lines are those of the text.
     text = plain.read_text().replace("\n0.01,", "\noff,", 1)
     path.write_bytes(PACK[ending](text.encode()))
-    assert "'off' in line 3, column 't' is no number" in refused(path)
+    assert "'off' in line 3, column 't' is not a number" in refused(path)
 
 
 @pytest.mark.parametrize("ending", PACK)
@@ -330,7 +330,7 @@ def test_npy_of_something_else(tmp_path):
     np.save(path, {"q": np.zeros(3)}, allow_pickle=True)
     assert "holds Python objects and not numbers, which are not loaded" in refused(path)
     path.write_bytes(path.read_bytes()[:20])
-    assert "is no whole npy file" in refused(path)
+    assert "is not a complete npy file" in refused(path)
 
 
 # -- LeRobot ---------------------------------------------------------------------------
@@ -397,7 +397,7 @@ def test_lerobot_data_sets_that_lack_something(lerobot):
     assert said in message
     assert '--drive "pd kp=... kd=..."' in message
     (folder / "meta" / "info.json").write_text("{")
-    with pytest.raises(ValueError, match="is no whole JSON file"):
+    with pytest.raises(ValueError, match="is not a complete JSON file"):
         read_recording(folder)
     for file in (folder / "data").rglob("*.parquet"):
         file.unlink()
@@ -492,11 +492,14 @@ def test_what_is_beside_the_channels_in_json(tmp_path):
         ("{}", "holds nothing"),
         ("5", "holds 5 as record 1; expected objects such as"),
         ('[{"q1": 1}, 2]', "holds 2 as record 2"),
-        ('[{"q1": 1}', "is no whole JSON file (Expecting ',' delimiter in line 1)"),
+        (
+            '[{"q1": 1}',
+            "is not a complete JSON file (Expecting ',' delimiter in line 1)",
+        ),
         ('{"q1": 1}\n{"q1": 1\n', "(Expecting ',' delimiter in line 2)"),
         ('{"q": [[1, 2], [3]], "tau": [1, 2]}', "or lists of other lengths"),
         ('{"q": [1, "off"], "tau": [1, 2]}', "'q' holds 1 and others that are no"),
-        ("[" * 100_000, "is no whole JSON file"),
+        ("[" * 100_000, "is not a complete JSON file"),
     ],
 )
 def test_json_that_is_none_is_refused(text, message, tmp_path):

@@ -189,7 +189,7 @@ def test_a_file_whose_name_says_nothing_is_named(made, tmp_path):
     written(tmp_path / "q.txt", np.column_stack([made.t, made.q]))
     written(tmp_path / "log2.txt", made.tau)
     message = str(refused(tmp_path, made))
-    assert "the name(s) of log2.txt do not say what" in message
+    assert "the columns of log2.txt have no names" in message
     assert "positions, velocities, torques, currents or time" in message
 
 

@@ -44,7 +44,7 @@ def test_logs_of_tools_are_recognised(made, tmp_path, kind):
     np.testing.assert_allclose(gains * recording.tau, made.tau, atol=1e-7)
     assert recording.dt == pytest.approx(made.dt, rel=1e-5)
     assert recording.joint_names == made.joint_names
-    # What the tool writes beside the motion is no condition of the robot.
+    # What the tool writes beside the motion is not a condition of the robot.
     assert not recording.signals
     about = [x for x in said if "taken as" in x or "converted" in x]
     assert len(about) == (kind not in ("plain CSV", "csv.gz"))
@@ -119,7 +119,7 @@ def test_joints_that_were_not_recorded_are_held(made, tmp_path):
     assert recording.joint_names == tuple(f"joint_{k}" for k in (1, 2, 3, 4, 6))
     np.testing.assert_allclose(recording.q, made.q[:, [0, 1, 2, 3, 5]], atol=2e-9)
     text = " ".join(said)
-    assert "joint(s) sensor are none of the robot's and are left out" in text
+    assert "joint(s) sensor are not joints of the robot and are left out" in text
     assert "no columns of joint(s) joint_5: held at zero" in text
     assert recording.robot_model().nv == 5
     with pytest.raises(ValueError, match="column 'q_joint_5' is missing"):
@@ -226,7 +226,7 @@ def test_a_mapping_by_joints_in_any_order(tmp_path):
     recording, said = read(path, columns="q={joint}.pos,tau={joint}.load", **options)
     np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
     np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
-    assert any("joint(s) foot are none of the robot's" in x for x in said)
+    assert any("joint(s) foot are not joints of the robot" in x for x in said)
     single = "q_hip=hip.pos,q2=knee.pos,tau=hip.load"
     with pytest.raises(ValueError, match="could both be meant"):
         read(path, columns=single, **options)
@@ -361,13 +361,13 @@ def test_units_of_a_slide(tmp_path):
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("q1 [furlong]", r"column 'q1 \[furlong\]' is in 'furlong', which is no known"),
+        ("q1 [furlong]", r"column 'q1 \[furlong\]' is in 'furlong', which is not a"),
         ("q1 [mm]", r"column 'q1 \[mm\]' is in mm, but joint_1 turns; expected rad"),
         (
             "tau1 [kN]",
             r"column 'tau1 \[kN\]' is in kN, but joint_1 turns; expected N m",
         ),
-        ("t [weeks]", "no known unit of t; expected s, ms, us or ns"),
+        ("t [weeks]", "not a known unit of t; expected s, ms, us or ns"),
     ],
 )
 def test_units_that_cannot_be(made, tmp_path, name, message):
@@ -436,7 +436,7 @@ def test_iso_time_stamps(tmp_path, mark, zone):
     assert recording.dt == pytest.approx(0.01)
     text[7] = "later"
     path = write(tmp_path / "arm.csv", {**columns, "t": text})
-    with pytest.raises(ValueError, match=r"'later' in line 9, column 't', is no date"):
+    with pytest.raises(ValueError, match="'later' in line 9, column 't', is not a d"):
         read_recording(path)
 
 

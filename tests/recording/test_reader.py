@@ -157,8 +157,8 @@ def refused(path):
 
 
 WHOLE = {
-    ".npz": "is no whole npz file; save it anew with numpy.savez",
-    ".parquet": "is no whole parquet file of plain columns",
+    ".npz": "is not a complete npz file; save it anew with numpy.savez",
+    ".parquet": "is not a complete parquet file of plain columns",
 }
 
 
@@ -210,10 +210,10 @@ def test_other_things_in_an_npz_are_refused(tmp_path):
     assert "array 'mode' holds Python objects and not numbers; save" in refused(path)
     with zipfile.ZipFile(path, "w") as archive:
         archive.writestr("q", "a spreadsheet is a zip archive as well")
-    assert "is no whole npz file" in refused(path)
+    assert "is not a complete npz file" in refused(path)
     with path.open("wb") as file:
         np.save(file, np.zeros(3))
-    assert "is no whole npz file" in refused(path)
+    assert "is not a complete npz file" in refused(path)
     for dt in ("fast", -0.01, np.nan):
         save(path, dt=np.array(dt))
         assert f"dt must be a positive number of seconds, got {dt}" in refused(path)
@@ -364,12 +364,12 @@ def put(name, row, value):
         (put("tau2", 4, "nan"), "line 6, column 'tau2'"),
         (put("tau2", 4, "inf"), "line 6, column 'tau2'"),
         (put("tau2", 4, ""), "line 6, column 'tau2'"),
-        (put("q1", 4, "off"), "'off' in line 6, column 'q1' is no number"),
+        (put("q1", 4, "off"), "'off' in line 6, column 'q1' is not a number"),
         (lambda x: x.update(q_2=x["q2"]), "columns 'q2' and 'q_2' could both be meant"),
         (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
         (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is beyond all"),
-        (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is no number"),
-        (put("t", 7, "#N/A"), "'#N/A' in line 9 is no number"),
+        (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is not a number"),
+        (put("t", 7, "#N/A"), "'#N/A' in line 9 is not a number"),
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
 )
@@ -394,7 +394,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,q1,tau1\n0,0,1,0,2,0\n", "decimal commas need ;"),
         ("t|q1|tau1\n0|1|2\n", r"line 1 is one cell, with '\|' in it; separate"),
         ("t,q1,tau1\n0;1;2\n", "line 2 has 1 cells.*separate.*as the header does"),
-        ("t,q1,tau1\n0,1,\0\n", "is no text but binary"),
+        ("t,q1,tau1\n0,1,\0\n", "is binary, not text"),
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
         ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),
         ("t,q1,q3,tau1\n0,1,2,3\n", "column 'q2' is missing beside q1, q3"),
@@ -415,8 +415,8 @@ def test_files_that_are_none(tmp_path):
         read_recording(tmp_path / "none.csv")
     for name, content, message in (
         ("arm.log", b"", "unknown ending '.log'"),
-        ("arm.npz", b"no archive", "is no whole npz file"),
-        ("arm.csv", b"\xff\xfeq", "is no UTF-16 text"),
+        ("arm.npz", b"no archive", "is not a complete npz file"),
+        ("arm.csv", b"\xff\xfeq", "is not UTF-16"),
     ):
         path = tmp_path / name
         path.write_bytes(content)

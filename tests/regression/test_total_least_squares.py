@@ -310,7 +310,7 @@ def test_bad_input():
         TotalLeastSquares(output_noise=1.0).fit(X, y)
     with pytest.raises(ValueError, match=r"must be 3 variances .* got shape \(2,\)"):
         TotalLeastSquares(input_noise=np.ones(2), output_noise=1.0).fit(X, y)
-    with pytest.raises(ValueError, match="no negative variance, got -1;"):
+    with pytest.raises(ValueError, match="not have a negative variance, got -1;"):
         TotalLeastSquares(input_noise=[1, -1, 1], output_noise=1.0).fit(X, y)
     for noise in [np.ones((3, 3)) + np.eye(3)[[1, 2, 0]], 2 * np.ones((3, 3))]:
         noise[np.diag_indices(3)] = 1.0

@@ -378,7 +378,7 @@ BAD = {
     "another format": (assign("format", value="x"), "'format'"),
     "no format": (delete("format"), "'format'"),
     "newer": (assign("version", value=3), "'version' is 3, and.*newer"),
-    "version is no number": (assign("version", value="1"), "'version' must be"),
+    "version is not a number": (assign("version", value="1"), "'version' must be"),
     "no URDF": (delete("urdf"), "'urdf' is missing"),
     "no parameter value": (
         delete("parameters", 3, "value"),
@@ -388,7 +388,7 @@ BAD = {
         assign("parameters", 3, "value", value="much"),
         r"'parameters\[3\]\.value' must hold a number, not 'much'",
     ),
-    "true is no number": (
+    "true is not a number": (
         assign("parameters", 3, "value", value=True),
         r"'parameters\[3\]\.value' must hold a number, not True",
     ),

@@ -153,7 +153,7 @@ def test_blocks_of_a_motion_that_repeats_are_its_phases():
 def repeating(seed, period, *, alone=False):
     """Two joints for 60 s: states, torques of the robot, a disturbance by the phase.
 
-    `alone` draws frequencies that are no multiples of one.
+    `alone` draws frequencies that are not multiples of one.
     """
     rng, model = np.random.default_rng([seed, 7]), arm("ZY")
     t = np.arange(0.0, 60.0, DT)

@@ -155,7 +155,7 @@ class ResidualDisplay(Display):
 
     @classmethod
     def from_report(cls, report, *, joints=None):
-        """Show what a discovery left on the part of the recording that was untouched.
+        """Show what a discovery left on the held-out part of the recording.
 
         Parameters
         ----------

@@ -150,7 +150,7 @@ class ParameterDisplay(Display):
         if robot is None:
             values = cls._of_regressor(estimator, units)
         else:
-            _refuse_units(units, estimator, "parameters say them")
+            _refuse_units(units, estimator, "parameters have units of their own")
             values = cls._of_robot(robot)
         names = values["names"]
         if nominal is not None:
@@ -517,7 +517,7 @@ class NoiseDisplay(Display):
         robot = fitted_robot(estimator)
         if robot is None:
             return cls._of_regressor(estimator, units)
-        _refuse_units(units, estimator, "joints say them")
+        _refuse_units(units, estimator, "joints have units of their own")
         return cls._of_robot(robot)
 
     @classmethod

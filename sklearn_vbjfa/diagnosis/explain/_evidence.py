@@ -24,7 +24,7 @@ class Comparison:
     gain_std: float  # from the scatter between blocks
     # how likely the blocks would favour the second model so much if it were no better,
     # see `p_value`; 1 for a model that is worse in the sum of the blocks, or that saves
-    # too little to be worth a name
+    # too little to be named
     p_value: float
     n_blocks: int  # in which the models differ
     helped: float  # share of those in which the second is better

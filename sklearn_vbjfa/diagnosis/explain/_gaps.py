@@ -40,7 +40,7 @@ _OCCAM = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
-    """What remains of a joint's residual above the noise and has no name."""
+    """What remains of a joint's residual above the noise and is unexplained."""
 
     joint: int  # from zero
     joint_name: str

@@ -309,7 +309,7 @@ class Judgement:
 
 
 def judge(models, found, split, near, whole, commanded):
-    """Judge the `Models` of a loop on the part of a recording that is untouched."""
+    """Judge the `Models` of a loop on the held-out part of a recording."""
     # They were fitted to the rows of the search, `found` is what it found there; near:
     # the split with those of these rows that it looked at; commanded: the recording
     # with the channels of its drive.

@@ -163,7 +163,7 @@ class Amount:
 
 
 def check_share(test_size):
-    """Return the share that is kept untouched as a float."""
+    """Return the share that is held out as a float."""
     try:
         share = float(test_size)
     except (TypeError, ValueError):
@@ -273,7 +273,7 @@ def _pairs(cell):
 
 
 def _cells(weight, count, share):
-    """First row, first untouched row and end of cells of equal motion."""
+    """First row, first held-out row and end of cells of equal motion."""
     done = np.cumsum(weight)
     if done[-1] <= 0:
         done = np.arange(1.0, weight.size + 1)

@@ -303,8 +303,8 @@ def friction(outcome, verdict):
     return Section(
         heading="Friction of each joint",
         note="Measured: the torque less what the completed model says of bodies and "
-        "all else that is no friction, behind the same low-pass. Lines are means at a "
-        "speed; friction that varies with load or time spreads about them.",
+        "everything else that is not friction, behind the same low-pass. Lines are "
+        "means at a speed; friction that varies with load or time spreads about them.",
         template="figures",
         drawn=_small(outcome, "friction", friction_figure, "friction"),
     )

@@ -74,7 +74,7 @@ def _called(outcome, effect):
 
 
 def perhaps(outcome, verdict):
-    """Say what is more probable than not and has no name."""
+    """Say what is more probable than not and is not named."""
     rows, told = [], []
     for e in outcome.perhaps:
         joint, label, rivals = _called(outcome, e)
@@ -84,7 +84,7 @@ def perhaps(outcome, verdict):
         rows.append((joint, label, cell, probability, e.doubt, cannot))
         why = "" if e.doubt == UNDECIDED else f"; {e.doubt}"
         told.append(f"- {joint}: perhaps {label}, probability {probability}{why}")
-    heads = ("joint", "effect", "parameters (90 %)", "probability", "why no name")
+    heads = ("joint", "effect", "parameters (90 %)", "probability", "why not named")
     return Section(
         heading="Perhaps",
         table=table_of((*heads, "cannot be told from"), rows),

@@ -592,8 +592,25 @@ def channel_gains(outcome, verdict):
         heading=heading,
         sentences=found,
         table=table,
-        terminal=(" ".join(found), table),
+        terminal=(_gains_text(outcome),),
     )
+
+
+def _gains_text(outcome):
+    """Say in a line what a terminal has of the gains, and which masses do not help."""
+    gains, names = outcome.gains, outcome.joint_names
+    if not gains.references:
+        told = [_NOT_SHOWN]
+    else:
+        end = ": " if gains.absolute else ", from which "
+        told = [_unit_of_gains(outcome, gains).partition(end)[0]]
+        if gains.hidden:
+            told.append(f"not shown: {words.joint_list(names, gains.hidden)}")
+        if gains.doubtful:
+            told.append(f"hardly credible: {words.joint_list(names, gains.doubtful)}")
+        told = [f"{'; '.join(told)} (table on the page)."]
+    told += filter(None, [_unused(gains, known) for known in gains.common.masses])
+    return " ".join(filter(None, [*told, _disagreement(gains.common)]))
 
 
 def gain_sentences(outcome):

@@ -79,7 +79,7 @@ class _Reader:
         return out
 
     def _peek(self):
-        """Next token that is no space; empty at the end."""
+        """Next token that is not a space; empty at the end."""
         while self._at < len(self._tokens) and self._tokens[self._at].isspace():
             self._at += 1
         return self._tokens[self._at] if self._at < len(self._tokens) else ""

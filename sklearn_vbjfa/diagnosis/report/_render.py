@@ -124,14 +124,14 @@ def _texts(value):
 
 
 def plain_text(sections):
-    """Write the sections for a terminal, lists and tables between empty lines."""
-    out, follows = "", False
+    """Write the sections for a terminal, those of a kind without a line between."""
+    out, before = "", ""
     for section in sections:
         shown = section.terminal
         if not shown:
             continue
-        plain = all(isinstance(x, str) and x[:2] not in _MARKS for x in shown)
-        out += ("\n" if plain and follows else "\n\n") if out else ""
+        kind = _kind(shown)
+        out += ("\n" if kind == before else "\n\n") if out else ""
         indent = "  " if out else ""
         out += "\n".join(
             _wrapped(x, indent)
@@ -139,8 +139,17 @@ def plain_text(sections):
             else text_table(x.heads, x.rows, numbers=x.numbers)
             for x in shown
         )
-        follows = plain
+        before = kind
     return out
+
+
+def _kind(shown):
+    """Whether a terminal shows a "list", a "table" or "text"."""
+    first = shown[0]
+    first = first if isinstance(first, str) else first.rows[0][0]
+    if first[:2] in _MARKS:
+        return "list"
+    return "text" if isinstance(shown[0], str) else "table"
 
 
 def _wrapped(sentence, indent):

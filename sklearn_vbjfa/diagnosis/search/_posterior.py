@@ -16,12 +16,12 @@ from sklearn_vbjfa.diagnosis.search._path import Path
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
-SMALL = "saves too little to be worth a name"
+SMALL = "saves too little to be named"
 SLOW_FILTER = "a filter within the motion's own frequencies"
 
 
 def search(view, library, settings, alpha, max_effects=None):
-    """Find the most probable effects of a recording, and say what has a name."""
+    """Find the most probable effects of a recording, and say which are named."""
     # alpha: share of recordings with nothing missing that get any name; the rest as
     # `Path`.
     path = Path(view, library, settings, max_effects)
@@ -89,7 +89,7 @@ def _settled(path, fit):
 
 
 def _doubt(member, evidence, settings, needed, path):
-    """Say why an effect has no name; "" for one that has."""
+    """Say why an effect is not named; "" for one that is."""
     if evidence.log_odds < needed:
         return UNDECIDED
     if not evidence.errors > max(settings.chance, ndtri(expit(needed))):

@@ -190,7 +190,7 @@ def _check_topic(path, found, wanted):
     """Refuse a topic of what has none."""
     if wanted.topic is not None and not (found and found.has_topics):
         raise ValueError(
-            f"{path}: is no bag, so that it has no topic {wanted.topic!r}; leave out "
+            f"{path}: is not a bag, so it has no topic {wanted.topic!r}; leave out "
             "the topic, or give a .bag, .db3 or .mcap file."
         )
 
@@ -246,7 +246,7 @@ def _unpacked(stack, source, ending):
             _copy(stream, file, source.shown)
     except broken as error:
         raise ValueError(
-            f"{source}: is no whole {ending[1:]} file ({error}); pack it anew."
+            f"{source}: is not a complete {ending[1:]} file ({error}); pack it anew."
         ) from error
     if not file.suffix:
         with file.open("rb") as opened:

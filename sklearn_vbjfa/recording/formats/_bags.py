@@ -150,7 +150,7 @@ def _broken(shown, paths, error):
     else:
         mend = _MEND.get(ending, "ros2 bag reindex {}").format(shlex.quote(str(at)))
         remedy = f"it may be cut in the middle, what is left may be saved: {mend}"
-    return ValueError(f"{shown}: is no whole bag ({reason}); {remedy}")
+    return ValueError(f"{shown}: is not a complete bag ({reason}); {remedy}")
 
 
 def _joint_states(bag, shown, topic, wanted):

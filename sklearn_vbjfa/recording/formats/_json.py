@@ -32,7 +32,7 @@ def read_json(path: Source, wanted) -> Table:
         records = _records_in(found)
         if not records:
             table = table_of_arrays(path, without_common_part(flattened(found)))
-            return replace(table, notes=notes)
+            return replace(table, notes=(*table.notes, *notes))
         found = found[records]
         notes = (*notes, f"the records are those of {records!r}.")
     if isinstance(found, list) and found and all(map(_is_row, found)):
@@ -100,11 +100,11 @@ def _parsed(path, text):
 
 
 def _broken(path, error, line=0):
-    """Return the refusal of what is no JSON, with the line from which on."""
+    """Return the refusal of what is not JSON, with the line from which on."""
     where = f" in line {line + getattr(error, 'lineno', 1)}"
     return ValueError(
-        f"{path}: is no whole JSON file ({getattr(error, 'msg', error)}{where}); write "
-        "it anew."
+        f"{path}: is not a complete JSON file ({getattr(error, 'msg', error)}{where}); "
+        "write it anew."
     )
 
 

@@ -28,8 +28,8 @@ def read_mat(path: Source, wanted) -> Table:
     from scipy.io import loadmat, matlab
 
     broken = (
-        f"{path}: is no whole MATLAB file of version 5 to 7.2; write it anew with "
-        "save(FILE, 't', 'q', 'tau', '-v7')."
+        f"{path}: is not a complete MATLAB file of version 5 to 7.2; write it anew "
+        "with save(FILE, 't', 'q', 'tau', '-v7')."
     )
     with path.file.open("rb") as file:
         begin = file.read(128)
@@ -70,7 +70,11 @@ def read_mat(path: Source, wanted) -> Table:
             "arrays; in MATLAB write its numbers: t = T.Time; q = T{:, 2:7}; ... "
             "save(FILE, 't', 'q', 'tau', '-v7')."
         )
-    arrays = {k: np.asarray(x) for k, x in without_common_part(arrays).items()}
+    # A cell of texts is a list of them.
+    arrays = {
+        k: np.asarray(x, dtype=str if _is_texts(x) else None)
+        for k, x in without_common_part(arrays).items()
+    }
     table = table_of_arrays(path, _upright(arrays))
     if not objects:
         return table
@@ -79,7 +83,14 @@ def read_mat(path: Source, wanted) -> Table:
 
 
 def _is_numeric(value):
-    return np.asarray(value).dtype.kind in "biufU" and not _is_object(value)
+    kind = np.asarray(value).dtype.kind
+    return (kind in "biufU" or _is_texts(value)) and not _is_object(value)
+
+
+def _is_texts(value):
+    """Whether a value is a cell of texts."""
+    own = isinstance(value, np.ndarray) and value.dtype == object
+    return own and value.size > 0 and all(isinstance(x, str) for x in value.flat)
 
 
 def _is_object(value):

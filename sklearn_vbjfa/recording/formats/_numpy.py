@@ -33,7 +33,7 @@ _BROKEN = (
 
 def read_npz(path: Source, wanted) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
-    broken = f"{path}: is no whole npz file; save it anew with numpy.savez."
+    broken = f"{path}: is not a complete npz file; save it anew with numpy.savez."
     # numpy.load would read other formats under this name.
     if not zipfile.is_zipfile(path.file):
         raise ValueError(broken)
@@ -59,7 +59,7 @@ def read_npz(path: Source, wanted) -> Table:
 
 def read_npy(path: Source, wanted) -> Table:
     """Read one array, which must have named fields."""
-    broken = f"{path}: is no whole npy file; save it anew with numpy.save."
+    broken = f"{path}: is not a complete npy file; save it anew with numpy.save."
     objects = (
         f"{path}: holds Python objects and not numbers, which are not loaded; save "
         "numeric arrays with numpy.savez(FILE, t=t, q=q, tau=tau)."

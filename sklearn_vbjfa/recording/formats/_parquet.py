@@ -65,8 +65,8 @@ def _columns(path):
     except (ArrowException, OSError, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ValueError(
-            f"{path}: is no whole parquet file of plain columns ({reason}); write it "
-            "anew."
+            f"{path}: is not a complete parquet file of plain columns ({reason}); "
+            "write it anew."
         ) from error
     twice = [name for name, count in Counter(read.column_names).items() if count > 1]
     if twice:
@@ -84,8 +84,8 @@ def _lerobot_info(file, name=_INFO):
                 info = json.loads((folder / name).read_text(encoding="utf-8"))
             except (ValueError, OSError, RecursionError) as error:
                 raise ValueError(
-                    f"{folder / name}: is no whole JSON file ({error}); download the "
-                    "data set anew."
+                    f"{folder / name}: is not a complete JSON file ({error}); "
+                    "download the data set anew."
                 ) from error
             return info if isinstance(info, dict) else {}
     return None

@@ -15,7 +15,7 @@ def read_sheet(path: Source, wanted) -> Table:
         from python_calamine import CalamineError, CalamineWorkbook
     except ImportError as error:
         raise SHEET.missing(path) from error
-    broken = f"{path}: is no whole spreadsheet"
+    broken = f"{path}: is not a complete spreadsheet"
     try:
         check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
         with CalamineWorkbook.from_path(path.file) as book:
@@ -122,8 +122,8 @@ def _column(path, name, cells, where):
         for row, x in enumerate(cells):
             if x != "" and not isinstance(x, (bool, int, float)):
                 raise ValueError(
-                    f"{path}: {quoted(str(x))} in {where(row)}, column {name!r} is no "
-                    "number; correct or remove that line."
+                    f"{path}: {quoted(str(x))} in {where(row)}, column {name!r} is not "
+                    "a number; correct or remove that line."
                 )
         return np.array([np.nan if x == "" else float(x) for x in cells])
     return np.array([str(x) for x in cells])

@@ -71,7 +71,7 @@ class _Lines:
             error = _SHEET_ERROR.search(line) if "#" in line else None
             if error:
                 raise ValueError(
-                    f"{self.path}: {error.group()!r} in line {k + 1} is no number; "
+                    f"{self.path}: {error.group()!r} in line {k + 1} is not a number; "
                     "correct or remove that line."
                 )
             content = line.split("#", 1)[0] if "#" in line else line
@@ -91,7 +91,7 @@ def _raw_lines(path):
         while line := file.readline(_LONGEST_LINE):
             if "\0" in line:
                 raise ValueError(
-                    f"{path}: is no text but binary; save it as CSV in UTF-8."
+                    f"{path}: is binary, not text; save it as CSV in UTF-8."
                 )
             if len(line) == _LONGEST_LINE:
                 raise ValueError(
@@ -109,7 +109,7 @@ def read_text(path: Source, wanted) -> Table:
         return _read(text)
     except csv.Error as error:
         raise ValueError(
-            f"{path}: is no table of numbers ({error}); save it as CSV in UTF-8."
+            f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
         ) from error
 
 
@@ -148,9 +148,7 @@ def _read(path):
     if "" in columns:
         notes.append(_left_out_index(path, columns, header))
     if path.encoding == _WINDOWS:
-        notes.append(
-            "is no UTF-8 text, read as Windows text (cp1252), as Excel saves CSV."
-        )
+        notes.append("is not UTF-8, read as Windows text (cp1252), as Excel saves CSV.")
     return Table(
         path=path.shown,
         columns=columns,
@@ -399,7 +397,7 @@ def _cells(lines, names, separator):
             else:
                 raise ValueError(
                     f"{lines.path}: {quoted(cell)} in {lines.where(-1)}, column "
-                    f"{quoted(names[k])} is no number; correct or remove that line."
+                    f"{quoted(names[k])} is not a number; correct or remove that line."
                 )
     return {name: np.array(column) for name, column in zip(names, columns)}
 
@@ -439,7 +437,7 @@ _CHUNK = 1 << 20
 
 
 def _encoding_of(path: Source) -> str:
-    """Return the encoding of a text file; refuse what is no text in any of them."""
+    """Return the encoding of a text file; refuse what is not text in any of them."""
     with path.file.open("rb") as file:
         begin = file.read(4)
     marked = [name for mark, name in _BYTE_ORDER_MARKS if begin.startswith(mark)]
@@ -450,11 +448,11 @@ def _encoding_of(path: Source) -> str:
     if not marked and _is_windows(path):
         return _WINDOWS
     name = encoding.removesuffix("-sig").upper()
-    raise ValueError(f"{path}: is no {name} text ({wrong}); save it as CSV in UTF-8.")
+    raise ValueError(f"{path}: is not {name} ({wrong}); save it as CSV in UTF-8.")
 
 
 def _wrong(path, encoding):
-    """Say which byte is no part of a text in an encoding, "" if all are."""
+    """Say which byte is not part of a text in an encoding, "" if all are."""
     decoder, done = codecs.getincrementaldecoder(encoding)(), 0
     for chunk in _chunks(path):
         held = len(decoder.getstate()[0])

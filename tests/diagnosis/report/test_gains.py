@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
-from tests.diagnosis.report._outcomes import make_outcome
+from tests.diagnosis.report._outcomes import make_effect, make_outcome, make_perhaps
 
 NAMES = tuple(f"joint{j + 1}" for j in range(3))
 
@@ -15,7 +15,7 @@ def known(name="payload", found=12.0, *, used=False, shown=True):
 
 
 def told(reference=(1, 1, 1), common=None, first=0.5, **changes):
-    """Return what a terminal shows, in one line."""
+    """Return what a terminal and Markdown show, in one line, tables as words."""
     reference = np.array(reference)
     gains = ChannelGains(
         joint_names=NAMES,
@@ -26,7 +26,8 @@ def told(reference=(1, 1, 1), common=None, first=0.5, **changes):
     )
     outcome = make_outcome(nv=3, names=NAMES, gains=gains, **changes)
     report = Report(outcome)
-    return " ".join(f"{report}\n{report.to_markdown()}".split())
+    text = f"{report}\n{report.to_markdown()}".replace("±", "+-")
+    return " ".join(text.replace("|", " ").split())
 
 
 def test_relative_gains():
@@ -84,6 +85,33 @@ def test_masses_in_another_unit_are_not_compared():
     outcome = make_outcome(nv=3, names=NAMES, bodies=(body,))
     assert "in the robot description" in Report(outcome).to_markdown()
     assert "in the robot description" not in told(bodies=(body,))
+
+
+@pytest.mark.parametrize("n_effects", [3, 6, 12])
+def test_gains_are_a_line_of_a_terminal(n_effects):
+    names = tuple(f"joint{j + 1}" for j in range(6))
+    gains = ChannelGains(
+        joint_names=names,
+        gain=np.array([0.1, 1.0, 2.0, 1.0, 1.0, 1.0]),
+        std=np.full(6, 0.01),
+        reference=np.array([1, 1, 1, 1, 1, 5]),
+        common=CommonGain(),
+    )
+    effects = tuple(make_effect(k, k % 6, names) for k in range(n_effects))
+    perhaps = tuple(make_perhaps(k, k + 2, names) for k in range(2))
+    outcome = make_outcome(
+        names=names, gains=gains, effects=effects, perhaps=perhaps, channels=()
+    )
+    lines = str(Report(outcome)).splitlines()
+    (line,) = (x for x in lines if "Gains are relative" in x)
+    assert line.startswith("Gains are relative to the channel of joint 2; not shown: ")
+    assert len(lines) <= 20 + n_effects + 2
+    # The effects that are perhaps there follow the others without a line between.
+    first = next(k for k, x in enumerate(lines) if x[:2] == "- ")
+    assert all(x[:2] == "- " for x in lines[first : first + n_effects + 2])
+    page = Report(outcome).to_html()
+    assert "relative to joint 2" in page
+    assert "from which those of" in page
 
 
 def test_gains_in_the_dictionary():

@@ -276,7 +276,7 @@ def test_a_joint_that_hardly_moves_gets_no_verdict():
     assert report.joints[2].text == "no verdict: moves for 0.31 s only"
     assert report.status == "nothing"
     assert "Joint 3 moves too little for a verdict." in report.headline
-    # What is judged by a handful of rows is no part of the mean.
+    # What is judged by a handful of rows is not part of the mean.
     assert "data 5.0 %" in report.verdict
     none = Report(make_outcome(nv=3, enough=np.zeros(3, bool)))
     assert none.status == "no data"
@@ -656,12 +656,12 @@ def test_what_is_perhaps_missing_is_told_with_its_probability(open_question):
     # No heading says so in a terminal.
     assert "- joint 4: perhaps torque ripple, probability 80 %\n" in text
     said = "- joint 5: perhaps coupling to joint 1 (sum), probability 99 %; saves too"
-    assert f"{said} little to be worth a name" in " ".join(text.split())
+    assert f"{said} little to be named" in " ".join(text.split())
     for shown in formats(report):
         assert "probability" in shown
         assert "80 %" in shown
     for shown in formats(report)[1:]:
-        assert "why no name" in shown
+        assert "why not named" in shown
         assert "undecided" in shown
     data = report.to_dict()
     assert [e["doubt"] for e in data["effects"]] == [""]

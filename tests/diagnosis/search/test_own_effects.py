@@ -132,9 +132,9 @@ def test_two_hundred_effects_are_searched_in_little_time(alone):
         own(f"wave_{i}", lambda m, j, i=i: np.sin((1 + 0.1 * i) * m.q[:, [j]] + i))
         for i in range(200)
     ]
-    begin = time.perf_counter()
+    begin = time.process_time()
     loop = close([*library, "spring"])
-    assert time.perf_counter() - begin < 30.0
+    assert time.process_time() - begin < 30.0
     assert named(loop) == SPRING
     assert loop.report_.outcome.settings["n_candidates"] == 402
     # Of more candidates each is less expected.

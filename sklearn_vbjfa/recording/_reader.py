@@ -163,6 +163,9 @@ def read_recording(
     ImportError
         If a package is missing that the format needs (PACKAGES),
         or `urdf` without Pinocchio.
+    OSError
+        If the file cannot be read, or the temporary folder has no room for what is
+        `stored`: no fault of a file, which none is left out for.
     ValueError
         If the file is damaged, not what its ending says, or written to while it is
         read, the number of columns is wrong, two columns could be meant, a value is not
@@ -278,9 +281,6 @@ def _read_files(paths, given, bad, stored):
     for one in counted(paths, "reading", "files"):
         try:
             file = _read_file(one, *given)
-            if stored:
-                file = replace(file, recording=on_disk(file.recording, shelf))
-            files.append(file)
         except (FileNotFoundError, ImportError):
             raise
         except (ValueError, OSError) as error:
@@ -294,6 +294,11 @@ def _read_files(paths, given, bad, stored):
                 raise RecordingRefused(error.reason) from error
             else:
                 raise
+        else:
+            # A disk without room is no fault of the file.
+            if stored:
+                file = replace(file, recording=on_disk(file.recording, shelf))
+            files.append(file)
     if bad and not files:
         first = next(iter(bad.values()))
         _offer_join(paths, given, first)

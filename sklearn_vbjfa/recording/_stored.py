@@ -1,5 +1,6 @@
 """Rows that are read when they are looked at: of recordings too long for memory."""
 
+import contextlib
 import os
 import tempfile
 import threading
@@ -117,11 +118,13 @@ class Shelf:
         """Write rows (n, ...) behind all others; return them as `StoredRows`."""
         rows = np.ascontiguousarray(rows)
         dtype, width, size = rows.dtype, rows.shape[1:], rows[:1].nbytes
-        with self._lock:
+        with self._lock, _room_for(rows.nbytes):
             if self._file is None:
                 self._file = tempfile.TemporaryFile()
             begin = self._file.seek(0, os.SEEK_END)
             self._file.write(rows.data)
+            # Or what is left of them would fail where they are read.
+            self._file.flush()
 
         def read(start, stop):
             out = np.empty((stop - start, *width), dtype)
@@ -131,6 +134,21 @@ class Shelf:
             return out
 
         return StoredRows(read, rows.shape, dtype)
+
+
+@contextlib.contextmanager
+def _room_for(size):
+    """Name the temporary folder where bytes cannot be written to it."""
+    try:
+        yield
+    except OSError as error:
+        folder = tempfile.tempdir or os.environ.get("TMPDIR") or "temporary folder"
+        reason = (
+            f"{error.strerror or error}, where {size / 1e6:.3g} MB of a recording were "
+            "to be kept; let the environment variable TMPDIR name a folder with room "
+            "for all positions and torques (eight bytes a value)"
+        )
+        raise OSError(error.errno, reason, str(folder)) from error
 
 
 def put_together(parts):

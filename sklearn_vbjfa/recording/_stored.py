@@ -4,6 +4,7 @@ import contextlib
 import os
 import tempfile
 import threading
+import weakref
 from bisect import bisect_right
 from itertools import accumulate, pairwise
 
@@ -120,20 +121,30 @@ class Shelf:
         dtype, width, size = rows.dtype, rows.shape[1:], rows[:1].nbytes
         with self._lock, _room_for(rows.nbytes):
             if self._file is None:
-                self._file = tempfile.TemporaryFile()
+                # With a buffer what finds no room would fail where it is read.
+                self._file = tempfile.TemporaryFile(buffering=0)
+                weakref.finalize(self, self._file.close)
             begin = self._file.seek(0, os.SEEK_END)
-            self._file.write(rows.data)
-            # Or what is left of them would fail where they are read.
-            self._file.flush()
+            _all_bytes(rows, self._file.write)
 
         def read(start, stop):
             out = np.empty((stop - start, *width), dtype)
             with self._lock:
                 self._file.seek(begin + start * size)
-                self._file.readinto(out.data)
+                _all_bytes(out, self._file.readinto)
             return out
 
         return StoredRows(read, rows.shape, dtype)
+
+
+def _all_bytes(rows, transfer):
+    """Let a function write or fill the bytes of an array, which may do some at once."""
+    left = rows.reshape(-1).view(np.uint8)
+    while left.size:
+        done = transfer(left)
+        if not done:
+            raise EOFError("there are no such rows in the file.")
+        left = left[done:]
 
 
 @contextlib.contextmanager

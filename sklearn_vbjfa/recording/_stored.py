@@ -30,7 +30,8 @@ class StoredRows(np.lib.mixins.NDArrayOperatorsMixin):
         value = np.asarray(value)
 
         def read(start, stop):
-            return np.broadcast_to(value, (stop - start, *shape[1:]))
+            # Laid out as rows are that are no constant: sums go in the same order.
+            return np.full((stop - start, *shape[1:]), value)
 
         return cls(read, shape, value.dtype)
 

@@ -84,7 +84,7 @@ _MODULES = {
     ),
     "_stored": ("Shelf", "StoredRows", "pieces", "put_together"),
     "_table": ("RecordingRefused", "listed", "quoted"),
-    "formats": ("expanded", "recordings_in"),
+    "formats": ("expanded", "recordings_in", "tables_in"),
 }
 __all__ = ["Recording", "read_recording"]
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

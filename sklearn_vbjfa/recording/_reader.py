@@ -123,9 +123,10 @@ def read_recording(
     time_unit : {"s", "ms", "us", "ns"}, default=None
         Unit of time; None takes what the names say, or seconds.
     on_bad_files : {"raise", "warn"}, default="raise"
-        What becomes of those of several files that cannot be read, or do not go with
-        most of the others. ``"warn"`` leaves them out; a file that does not exist is an
-        error all the same, and so are two files of which none is the odd one.
+        What becomes of those of several files, or of a folder, that cannot be read, or
+        do not go with most of the others. ``"warn"`` leaves them out; a file that does
+        not exist is an error all the same, and so are two files of which none is the
+        odd one.
     stored : bool, default=False
         Whether positions, velocities and torques are kept in temporary files, as large
         as they, for recordings that are larger than memory: slices of them are read
@@ -239,12 +240,12 @@ def read_recording(
     paths, again = ([path], []) if is_one else without_repeats(path)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
-    bad = None if is_one or on_bad_files == "raise" else {}
     given = dt, urdf, joint_names, asked, topic, gains, time_unit
     paths, unfolded = _without_folders(paths, join, given)
     is_one = is_one or join
     if len(paths) > 1:
         is_one = False
+    bad = None if is_one or on_bad_files == "raise" else {}
     files = _read_files(paths, given, bad, stored)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:

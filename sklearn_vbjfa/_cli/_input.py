@@ -368,10 +368,11 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
     # identified: whether gains that are unknown can be identified; stored: whether
     # several files are kept on disk.
     from sklearn_vbjfa.datasets import read_recording
-    from sklearn_vbjfa.recording import RecordingRefused
+    from sklearn_vbjfa.recording import RecordingRefused, tables_in
 
     files = sources(arguments.recording)
     source = named(files)
+    several = len(files) > 1 or len(tables_in(files[0])) > 1
     try:
         recording = read_recording(
             files[0] if len(files) == 1 else files,
@@ -384,7 +385,7 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
             gains=gains,
             time_unit=arguments.time_unit,
             on_bad_files="warn",
-            stored=stored and len(files) > 1 and arguments.drive is None,
+            stored=stored and several and arguments.drive is None,
             drive=drive(arguments.drive),
             join=bool(arguments.join),
         )

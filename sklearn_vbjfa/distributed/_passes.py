@@ -8,9 +8,12 @@ files again, so that no worker holds more than the recordings that it is working
 
 import contextvars
 import functools
+import hashlib
 import operator
 import warnings
+import zipfile
 from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
@@ -22,14 +25,22 @@ from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._moments import from_data
 from sklearn_vbjfa._core._progress import counted, telling
 from sklearn_vbjfa.diagnosis import EffectDiscovery
-from sklearn_vbjfa.model import joint_names, load_model
+from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
     check_dt,
+    check_on_bad_files,
+    expanded,
+    finished,
     levels,
     read_recording,
+    recordings_in,
+    said_of_bad,
+    said_of_copies,
     store,
+    version,
+    without_repeats,
 )
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
@@ -55,7 +66,6 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._states import choose_states
 
-_SUFFIXES = (".csv", ".npz", ".parquet", ".txt")
 # Sample periods that differ by more than this share are not the same.
 _DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
@@ -67,7 +77,7 @@ _AT_ONCE = 8
 _FAN_IN = 8
 
 
-def fit_recordings(estimator, source):
+def fit_recordings(estimator, source, *, on_bad_files="raise", progress=None):
     """Identify a robot, or close the loop, from recordings in files, with Dask.
 
     The result is that of the estimator's `fit` on all recordings in memory, one group
@@ -78,9 +88,16 @@ def fit_recordings(estimator, source):
     estimator : RobotIdentifier or EffectDiscovery
         Identifier with `dt`, or a loop around one; it is fitted in place.
     source : str, os.PathLike or sequence of those
-        Folder with CSV, npz or parquet files as `read_recording` reads them, or a list
-        of files, under paths that the workers can read. Each file holds one recording,
-        or several if it has a column `segment`.
+        Folder with tables, bags and LeRobot data sets as `read_recording` reads them,
+        or a list of these, under paths that the workers can read. Each holds one
+        recording, or several if it has a column `segment`.
+    on_bad_files : {"raise", "warn"}, default="raise"
+        What becomes of files that cannot be read, or have another sample period or
+        number of joints. ``"warn"`` leaves them out; a file that does not exist is an
+        error all the same.
+    progress : callable, default=None
+        Function that is called with a :class:`~sklearn_vbjfa.Progress` whenever a stage
+        begins or goes on; `verbose` of the estimator shows the same.
 
     Returns
     -------
@@ -94,9 +111,16 @@ def fit_recordings(estimator, source):
     FileNotFoundError
         If the folder holds no recording.
     ValueError
-        If a file cannot be read or has another sample period or number of joints, or
-        if settings of an identifier need more than second moments (effects, `period`,
-        `block_noise`, other regressors).
+        If a file cannot be read or has another sample period or number of joints, if
+        all have with ``on_bad_files="warn"``, if a file changes while the passes over
+        the files go on, or if settings of an identifier need more than second moments
+        (effects, `period`, `block_noise`, other regressors).
+
+    Warns
+    -----
+    UserWarning
+        If a file is given twice, or is a copy of another: it is taken once. With
+        ``on_bad_files="warn"``, which files are left out, and why.
 
     Notes
     -----
@@ -129,20 +153,66 @@ def fit_recordings(estimator, source):
     True
     """
     dask = _import_dask()
-    files = _files(source)
-    if isinstance(estimator, EffectDiscovery):
-        return _close_loop(estimator, files, dask)
-    identifier = estimator
-    if not isinstance(identifier, RobotIdentifier):
+    check_on_bad_files(on_bad_files)
+    sources, again = _sources(source)
+    fits = {RobotIdentifier: _identify, EffectDiscovery: _close_loop}
+    fit = next((fits[kind] for kind in fits if isinstance(estimator, kind)), None)
+    if fit is None:
         raise TypeError(
             "estimator must be a RobotIdentifier or an EffectDiscovery; got "
-            f"{type(identifier).__name__}."
+            f"{type(estimator).__name__}."
         )
-    with telling(identifier.verbose):
-        return _identify(identifier, files, dask)
+    taken = _Taken(bad={} if on_bad_files == "warn" else None, copies=again)
+    with telling(estimator.verbose, progress):
+        return fit(estimator, sources, taken, dask)
 
 
-def _identify(identifier, files, dask):
+@dataclass(frozen=True)
+class _Source:
+    """A file, or the folder of a bag or data set, and its `version` when measured."""
+
+    path: str
+    version: tuple | None = None
+
+
+@dataclass(kw_only=True, eq=False)
+class _Taken:
+    """Which files are taken, and which are left out."""
+
+    # why files are left out, by path; None if that is an error
+    bad: dict | None
+    copies: list  # (path, first path) of what is there twice
+    digests: dict = field(default_factory=dict)  # path by what the recording is
+
+    @property
+    def lenient(self):
+        """Whether bad files are left out."""
+        return self.bad is not None
+
+    def takes(self, path, found):
+        """Whether a recording is taken, by its digest, or an error for it."""
+        if isinstance(found, Exception):
+            self.bad[path] = found
+            return False
+        first = self.digests.setdefault(found, path)
+        if first != path:
+            self.copies.append((path, first))
+        return first == path
+
+    def check(self):
+        """Refuse bad files alone, for the reason of the first."""
+        if not self.digests:
+            raise next(iter(self.bad.values()))
+
+    def say(self):
+        """Warn of what is left out."""
+        notes = said_of_bad(self.bad or {})
+        notes += [said_of_copies(self.copies)] if self.copies else []
+        for note in notes:
+            warnings.warn(note, DoubtWarning, stacklevel=4)
+
+
+def _identify(identifier, sources, taken, dask):
     """Fit an identifier to files, to sums that workers make of them."""
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
@@ -155,14 +225,20 @@ def _identify(identifier, files, dask):
         """Run a pass over the files; its other arguments are sent once."""
         task = dask.delayed(function, pure=False)
         shared = [dask.delayed(x, traverse=False, pure=False) for x in arguments]
-        some = [files[i : i + _AT_ONCE] for i in range(0, len(files), _AT_ONCE)]
+        some = [sources[i : i + _AT_ONCE] for i in range(0, len(sources), _AT_ONCE)]
         totals = []
         for own in counted(some, text, "files", list(map(len, some))):
-            tasks = [task(load, file, *shared) for file in own]
+            tasks = [task(load, one, *shared) for one in own]
             totals += dask.compute(_merged(merge, tasks))
         return _reduce(merge, totals)
 
-    extent = sums("lengths", _measure, _merge_extents)
+    measured = sums("lengths", _measure, operator.add, taken.lenient)
+    measured = [one for one in measured if taken.takes(one["path"], one["digest"])]
+    taken.check()
+    taken.say()
+    # Further passes read these files alone, as long as they are what they were.
+    sources = [_Source(one["path"], one["version"]) for one in measured]
+    extent = functools.reduce(_merge_extents, measured)
     longest = max(extent["lengths"])
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
     power = sums("spectra", _spectra, _add_pairs, dt, n_fft)
@@ -180,7 +256,7 @@ def _identify(identifier, files, dask):
     ranges = np.stack([motion.lowest, motion.highest])
     check_channels(names, ranges, extent["torques"], sum(extent["lengths"]))
     numbering = Numbering.of([plan.lowpass.centres(n).size for n in extent["lengths"]])
-    numbers = _first_numbers(files, extent["recordings"])
+    numbers = _first_numbers(sources, extent["recordings"])
     halves = identifier.input_noise is not None
     given = plan, identifier.features_, halves, numbering, numbers
     moments = sums("equations", _moments, _add, *given)
@@ -195,17 +271,31 @@ def _loader(identifier, names):
     return partial(_load, dt=dt, urdf=urdf and fspath(urdf), names=names)
 
 
-def _close_loop(discovery, files, dask):
+def _close_loop(discovery, sources, taken, dask):
     """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
     names = joint_names(load_model(discovery.identifier.model))
     load = _loader(discovery.identifier, names)
     # What a file takes while it is read is several times what it holds.
-    read = _on_workers(dask, load, [(file,) for file in files], at_once=1)
-    with telling(discovery.verbose):
-        whole = store(counted(read, "reading", "files", len(files) * [1]))
-        with workers():
-            offered = OfferedSignals(columns=whole.signals)
-            return discovery.fit_recording(whole, offered)
+    tasks = [(load, one, taken.lenient) for one in sources]
+    read = counted(
+        _on_workers(dask, _tried, tasks, at_once=1),
+        "reading",
+        "files",
+        len(tasks) * [1],
+    )
+
+    def recordings():
+        # The stage of reading ends with its last item.
+        for (found, digest), one in zip(read, sources):
+            if taken.takes(one.path, digest):
+                yield found
+        taken.check()
+
+    whole = store(recordings())
+    taken.say()
+    with workers():
+        offered = OfferedSignals(columns=whole.signals)
+        return discovery.fit_recording(whole, offered)
 
 
 @contextmanager
@@ -298,24 +388,26 @@ def _alone(function, *arguments):
         return contextvars.Context().run(function, *arguments)
 
 
-def _files(source):
-    """Return the paths of the files, sorted if a folder is given."""
+def _sources(source):
+    """Return what is to be read, and (path, first path) of what is given again."""
     if isinstance(source, (str, PathLike)):
-        folder = Path(source)
+        folder = expanded(source)
         if not folder.is_dir():
             raise FileNotFoundError(
                 f"source must be a folder or a list of files; {folder} is not a folder."
             )
-        files = sorted(p for p in folder.iterdir() if p.suffix.lower() in _SUFFIXES)
-        if not files:
+        paths = recordings_in(folder)
+        if not paths:
             raise FileNotFoundError(
-                f"No recording in {folder}; expected files {', '.join(_SUFFIXES)}."
+                f"No recording in {folder}; expected tables or bags that "
+                "read_recording reads."
             )
     else:
-        files = [Path(p) for p in source]
-        if not files:
+        paths = list(source)
+        if not paths:
             raise ValueError("source must name at least one file; got none.")
-    return [str(p) for p in files]
+    paths, again = without_repeats(paths)
+    return [_Source(str(path)) for path in paths], again
 
 
 def _check_settings(identifier):
@@ -339,37 +431,70 @@ def _check_settings(identifier):
 # -- what a worker does with one file --------------------------------------------------
 
 
-def _load(file, *, dt, urdf, names):
-    """Read the `Recording` in a file."""
-    # A period passed to the reader would override the file's own, which is to agree.
-    given = None if _has_period(file) else dt
-    recording = read_recording(file, dt=given, urdf=urdf)
+def _load(source, *, dt, urdf, names):
+    """Read the `Recording` in a file, which is still of the source's version."""
+    file = source.path
+    with finished(file, source.version):
+        # A period passed to the reader would override the file's own, which is to
+        # agree.
+        given = None if _has_period(file) else dt
+        recording = read_recording(file, dt=given, urdf=urdf)
     if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
         raise ValueError(
             f"{file} has a sample period of {recording.dt:.6g} s, the identifier "
             f"dt={dt:.6g} s. Resample it, or leave it out."
         )
-    check_widths(names, recording.q, recording.tau)
+    try:
+        check_widths(names, recording.q, recording.tau)
+    except ValueError as error:
+        raise ValueError(f"{file}: {error}") from error
     return recording
 
 
 def _has_period(file):
-    if Path(file).suffix.lower() != ".npz":
+    """Whether a file of arrays has its own sample period."""
+    # What is no archive is refused by the reader, with its name.
+    if Path(file).suffix.lower() != ".npz" or not zipfile.is_zipfile(file):
         return False
-    with np.load(file) as arrays:
-        return "dt" in arrays.files
+    try:
+        with zipfile.ZipFile(file) as archive:
+            return "dt.npy" in archive.namelist()
+    except zipfile.BadZipFile:
+        return False
 
 
-def _measure(load, file):
-    """Lengths, levels of torques, which joints move."""
-    recording = load(file)
+def _tried(load, source, lenient):
+    """Read a file; the recording and its digest, or None and the error if lenient."""
+    try:
+        recording = load(source)
+    except (FileNotFoundError, ImportError):
+        raise
+    except (ValueError, OSError) as error:
+        if not lenient:
+            raise
+        return None, error
+    digest = hashlib.blake2b(digest_size=16)
+    for values in (recording.q, recording.tau):
+        digest.update(np.ascontiguousarray(values))
+    return recording, digest.digest()
+
+
+def _measure(load, source, lenient):
+    """Lengths, levels of torques, which joints move: of one file, in a list."""
+    source = replace(source, version=version(source.path))
+    recording, digest = _tried(load, source, lenient)
+    found = {"path": source.path, "version": source.version, "digest": digest}
+    if recording is None:
+        return [found]
     parts, tau = recording.segments, recording.tau
-    return {
+    moving = [np.ptp(recording.q[part], axis=0) > 0 for part in parts]
+    found |= {
         "lengths": [part.stop - part.start for part in parts],
         "recordings": [len(parts)],
         "torques": levels(tau),
-        "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
+        "moving": np.any(moving, axis=0),
     }
+    return [found]
 
 
 def _merge_extents(first, second):
@@ -381,8 +506,8 @@ def _merge_extents(first, second):
     }
 
 
-def _spectra(load, file, dt, n_fft):
-    recording = load(file)
+def _spectra(load, source, dt, n_fft):
+    recording = load(source)
     powers = [
         _smoothing.acceleration_power(recording.q[part], dt, n_fft)
         for part in recording.segments
@@ -395,26 +520,26 @@ def _add_pairs(first, second):
     return first[0] + second[0], first[1] + second[1]
 
 
-def _summarise(load, file, estimator, keep):
+def _summarise(load, source, estimator, keep):
     """Motion of the recordings of one file."""
-    return smooth(load(file), estimator, False, keep, None)[1]
+    return smooth(load(source), estimator, False, keep, None)[1]
 
 
-def _noise(load, file, robot):
+def _noise(load, source, robot):
     """Noise of the torques of one file's recordings, a list."""
-    return robot.noise_facts(load(file))
+    return robot.noise_facts(load(source))
 
 
-def _first_numbers(files, counts):
-    """Return file -> number of its first recording."""
-    return dict(zip(files, np.cumsum([0, *counts[:-1]]).tolist()))
+def _first_numbers(sources, counts):
+    """Return source -> number of its first recording."""
+    return dict(zip(sources, np.cumsum([0, *counts[:-1]]).tolist()))
 
 
-def _moments(load, file, plan, features, halves, numbering, numbers):
+def _moments(load, source, plan, features, halves, numbering, numbers):
     """Second moments of the filtered equations of one file; None if it has none."""
-    recording = load(file)
+    recording = load(source)
     states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
-    made = segments(recording, states, plan, features, first=numbers[file])
+    made = segments(recording, states, plan, features, first=numbers[source])
     return accumulate(made, plan.lowpass, numbering=numbering)
 
 

@@ -61,8 +61,10 @@ from sklearn_vbjfa.effects._ranges import (
     STRAIGHT,
     EffectRange,
     OutsideRange,
+    n_farthest,
     outside,
     own_motions,
+    range_facts,
 )
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 

@@ -181,17 +181,95 @@ class OutsideRange:
     held: tuple = ()
 
 
-def outside(ranges, held, signals):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RangeFacts:
+    """How much of a signal lies outside the range of an effect; recordings add up."""
+
+    effect: EffectRange
+    quantity: str
+    n: int  # rows that are judged
+    n_far: int  # those that lie outside by more than the margin
+    # whether one of them is beyond an end: slower motion and the other direction are
+    # outside, but not beyond
+    beyond: bool
+    farthest: np.ndarray  # (k,): values of the farthest of them, the nearest first
+
+    @classmethod
+    def of(cls, effect, quantity, values, keep):
+        """Judge values (n,) by an effect's range."""
+        # keep: `n_farthest` of all recordings together.
+        excess, (low, high) = effect.excess(quantity, values), effect.ends(quantity)
+        far = values[excess > effect.margin(quantity)]
+        return cls(
+            effect=effect,
+            quantity=quantity,
+            n=excess.size,
+            n_far=far.size,
+            beyond=bool(((far < low) | (far > high)).any()),
+            farthest=_farthest(effect, quantity, far, keep),
+        )
+
+    def merge(self, other, keep):
+        """Merge with those of other recordings."""
+        far = np.concatenate([self.farthest, other.farthest])
+        return replace(
+            self,
+            n=self.n + other.n,
+            n_far=self.n_far + other.n_far,
+            beyond=self.beyond or other.beyond,
+            farthest=_farthest(self.effect, self.quantity, far, keep),
+        )
+
+    def said(self, holds):
+        """Return the `OutsideRange`, None of a motion inside."""
+        # holds: whether predictions hold the effect within its range.
+        if not self.n_far > OUTLIERS * self.n:
+            return None
+        return OutsideRange(
+            names=(self.effect.name,),
+            joint=self.effect.joint,
+            quantity=self.quantity,
+            fitted=getattr(self.effect, self.quantity),
+            reached=float(self.farthest[-n_farthest(self.n)]),
+            share=self.n_far / self.n,
+            held=(self.effect.name,) if holds and self.beyond else (),
+        )
+
+
+def n_farthest(n):
+    """Return how many of n rows are outliers, or the first that is none."""
+    return int(OUTLIERS * n) + 1
+
+
+def _farthest(effect, quantity, values, keep):
+    """Return the values (k,) farthest from a range, the nearest first."""
+    # Of two on either side, equally far, the larger one, whichever came first.
+    order = np.lexsort((values, effect.excess(quantity, values)))
+    return values[order[-keep:]]
+
+
+def range_facts(ranges, signals, keep):
+    """Judge signals by the ranges of effects; a tuple of `RangeFacts` for each."""
+    # signals: (n,) in the rows to judge, by quantity (positions, speeds, loads) and
+    # joint.
+    return [
+        tuple(
+            RangeFacts.of(one, quantity, signals[quantity, one.joint], keep)
+            for quantity in one.depends
+        )
+        for one in ranges
+    ]
+
+
+def outside(facts, held):
     """Find what lies outside the ranges of effects, a tuple of `OutsideRange`."""
-    # held: whether predictions hold each effect within its range; signals (n,) in the
-    # rows to judge, by quantity (positions, speeds, loads) and joint.
+    # facts: `range_facts`; held: whether predictions hold each effect within its range.
     found = {}
-    for one, holds in zip(ranges, held, strict=True):
-        for quantity in one.depends:
-            joint = one.joint
-            said = _outside(one, holds, quantity, signals[quantity, joint])
+    for several, holds in zip(facts, held, strict=True):
+        for one in several:
+            said = one.said(holds)
             if said is not None:
-                found.setdefault((joint, quantity), []).append(said)
+                found.setdefault((said.joint, said.quantity), []).append(said)
     return tuple(
         replace(
             max(several, key=lambda one: one.share),
@@ -199,26 +277,4 @@ def outside(ranges, held, signals):
             held=tuple(dict.fromkeys(name for one in several for name in one.held)),
         )
         for _, several in sorted(found.items())
-    )
-
-
-def _outside(one, holds, quantity, values):
-    """Judge values (n,) by one effect's range; None if they are inside."""
-    excess = one.excess(quantity, values)
-    far = excess > one.margin(quantity)
-    if not far.sum() > OUTLIERS * far.size:
-        return None
-    order = np.argsort(excess, kind="stable")
-    last = order[far.size - 1 - int(OUTLIERS * far.size)]
-    # Slower motion and the other direction are outside, but not beyond an end.
-    low, high = one.ends(quantity)
-    beyond = (values[far] < low) | (values[far] > high)
-    return OutsideRange(
-        names=(one.name,),
-        joint=one.joint,
-        quantity=quantity,
-        fitted=getattr(one, quantity),
-        reached=float(values[last]),
-        share=float(far.mean()),
-        held=(one.name,) if holds and beyond.any() else (),
     )

@@ -47,7 +47,16 @@ _MODULES = {
         "two_values",
     ),
     "_presets": ("PRESETS",),
-    "_reader": ("common_folder", "read_recording"),
+    "_reader": (
+        "check_on_bad_files",
+        "common_folder",
+        "finished",
+        "read_recording",
+        "said_of_bad",
+        "said_of_copies",
+        "version",
+        "without_repeats",
+    ),
     "_recording": (
         "Recording",
         "check_clock",
@@ -75,7 +84,7 @@ _MODULES = {
     ),
     "_stored": ("Shelf", "StoredRows", "pieces", "put_together"),
     "_table": ("RecordingRefused", "listed", "quoted"),
-    "formats": ("expanded",),
+    "formats": ("expanded", "recordings_in", "tables_in"),
 }
 __all__ = ["Recording", "read_recording"]
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -123,9 +123,10 @@ def read_recording(
     time_unit : {"s", "ms", "us", "ns"}, default=None
         Unit of time; None takes what the names say, or seconds.
     on_bad_files : {"raise", "warn"}, default="raise"
-        What becomes of those of several files that cannot be read, or do not go with
-        most of the others. ``"warn"`` leaves them out; a file that does not exist is an
-        error all the same, and so are two files of which none is the odd one.
+        What becomes of those of several files, or of a folder, that cannot be read, or
+        do not go with most of the others. ``"warn"`` leaves them out; a file that does
+        not exist is an error all the same, and so are two files of which none is the
+        odd one.
     stored : bool, default=False
         Whether positions, velocities and torques are kept in temporary files, as large
         as they, for recordings that are larger than memory: slices of them are read
@@ -163,6 +164,9 @@ def read_recording(
     ImportError
         If a package is missing that the format needs (PACKAGES),
         or `urdf` without Pinocchio.
+    OSError
+        If the file cannot be read, or the temporary folder has no room for what is
+        `stored`: no fault of a file, which none is left out for.
     ValueError
         If the file is damaged, not what its ending says, or written to while it is
         read, the number of columns is wrong, two columns could be meant, a value is not
@@ -231,20 +235,17 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
-    if on_bad_files not in ("raise", "warn"):
-        raise ValueError(
-            f'on_bad_files must be "raise" or "warn"; got {on_bad_files!r}.'
-        )
+    check_on_bad_files(on_bad_files)
     is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
-    paths, again = ([path], []) if is_one else _without_repeats(path)
+    paths, again = ([path], []) if is_one else without_repeats(path)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
-    bad = None if is_one or on_bad_files == "raise" else {}
     given = dt, urdf, joint_names, asked, topic, gains, time_unit
     paths, unfolded = _without_folders(paths, join, given)
     is_one = is_one or join
     if len(paths) > 1:
         is_one = False
+    bad = None if is_one or on_bad_files == "raise" else {}
     files = _read_files(paths, given, bad, stored)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:
@@ -255,7 +256,7 @@ def read_recording(
         if bad is not None:
             files = _without_odd(files, bad)
         recording, notes = _concatenate(files, again, name)
-        notes = [*_said_of_bad(bad or {}), *notes]
+        notes = [*said_of_bad(bad or {}), *notes]
     if asked.drive is not None:
         recording = _driven(recording, asked.drive, files)
     for note in notes:
@@ -278,9 +279,6 @@ def _read_files(paths, given, bad, stored):
     for one in counted(paths, "reading", "files"):
         try:
             file = _read_file(one, *given)
-            if stored:
-                file = replace(file, recording=on_disk(file.recording, shelf))
-            files.append(file)
         except (FileNotFoundError, ImportError):
             raise
         except (ValueError, OSError) as error:
@@ -294,6 +292,11 @@ def _read_files(paths, given, bad, stored):
                 raise RecordingRefused(error.reason) from error
             else:
                 raise
+        else:
+            # A disk without room is no fault of the file.
+            if stored:
+                file = replace(file, recording=on_disk(file.recording, shelf))
+            files.append(file)
     if bad and not files:
         first = next(iter(bad.values()))
         _offer_join(paths, given, first)
@@ -355,7 +358,7 @@ def _is_whole(path, given):
 def _table_of(path, topic, joints, commanded=False):
     """Read the table of a file, or those of one recording in several files."""
     if not isinstance(path, tuple):
-        with _finished(path):
+        with finished(path):
             return read_table(path, topic, joints, commanded)
     tables = [_table_of(one, topic, joints, commanded) for one in path]
     shown = path[0].parent / "+".join([x.name for x in path[:2]])
@@ -453,26 +456,31 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
 
 
 @contextlib.contextmanager
-def _finished(path):
+def finished(path, before=None):
     """Refuse a file that is written to while it is read."""
-    before = _version(path)
+    # before: `version` when it was read first; None for this time.
+    before = before or version(path)
     try:
         yield
     except ValueError as error:
-        if _version(path) == before:
+        if version(path) == before:
             raise
         raise _unfinished(path) from error
-    if _version(path) != before:
+    if version(path) != before:
         raise _unfinished(path)
 
 
-def _version(path):
-    """Return size and time of a file, None for what is none."""
+def version(path):
+    """Return size and time of a file, or of all in a folder; None for what is none."""
     path = expanded(path)
-    if not path.is_file():
+    if path.is_file():
+        found = [path.stat()]
+    elif path.is_dir():
+        found = [file.stat() for file in path.rglob("*") if file.is_file()]
+    else:
         return None
-    found = path.stat()
-    return found.st_size, found.st_mtime_ns
+    size = sum(one.st_size for one in found)
+    return len(found), size, max((one.st_mtime_ns for one in found), default=0)
 
 
 def _unfinished(path):
@@ -976,7 +984,7 @@ class _File:
     torque_units: tuple[str, ...]  # before they were multiplied by gains
 
 
-def _without_repeats(paths):
+def without_repeats(paths):
     """Return each file's first path, and (path, first path) of those given again."""
     first, again = {}, []
     for path in map(Path, paths):
@@ -1004,7 +1012,7 @@ def _concatenate(files, again=(), name=None):
     _check_agreement(files)
     files, copies = _without_copies(files)
     copies = [*again, *copies]
-    notes = [_said_of_copies(copies)] if copies else []
+    notes = [said_of_copies(copies)] if copies else []
     notes += _said(files)
     common, left_out, missing = _shared_signals(files)
     if missing:
@@ -1093,7 +1101,13 @@ def _period_told(odd, model):
     )
 
 
-def _said_of_bad(bad):
+def check_on_bad_files(value):
+    """Refuse what is none of the ways to deal with bad files."""
+    if value not in ("raise", "warn"):
+        raise ValueError(f'on_bad_files must be "raise" or "warn"; got {value!r}.')
+
+
+def said_of_bad(bad):
     """Say of each file that is left out why."""
     notes = []
     for path, error in bad.items():
@@ -1170,7 +1184,7 @@ def _is_copy(one, other):
     )
 
 
-def _said_of_copies(copies):
+def said_of_copies(copies):
     """Name all copies, in one line."""
     of = {}
     for path, first in copies:

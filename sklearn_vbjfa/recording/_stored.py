@@ -1,8 +1,10 @@
 """Rows that are read when they are looked at: of recordings too long for memory."""
 
+import contextlib
 import os
 import tempfile
 import threading
+import weakref
 from bisect import bisect_right
 from itertools import accumulate, pairwise
 
@@ -28,7 +30,8 @@ class StoredRows(np.lib.mixins.NDArrayOperatorsMixin):
         value = np.asarray(value)
 
         def read(start, stop):
-            return np.broadcast_to(value, (stop - start, *shape[1:]))
+            # Laid out as rows are that are no constant: sums go in the same order.
+            return np.full((stop - start, *shape[1:]), value)
 
         return cls(read, shape, value.dtype)
 
@@ -117,20 +120,47 @@ class Shelf:
         """Write rows (n, ...) behind all others; return them as `StoredRows`."""
         rows = np.ascontiguousarray(rows)
         dtype, width, size = rows.dtype, rows.shape[1:], rows[:1].nbytes
-        with self._lock:
+        with self._lock, _room_for(rows.nbytes):
             if self._file is None:
-                self._file = tempfile.TemporaryFile()
+                # With a buffer what finds no room would fail where it is read.
+                self._file = tempfile.TemporaryFile(buffering=0)
+                weakref.finalize(self, self._file.close)
             begin = self._file.seek(0, os.SEEK_END)
-            self._file.write(rows.data)
+            _all_bytes(rows, self._file.write)
 
         def read(start, stop):
             out = np.empty((stop - start, *width), dtype)
             with self._lock:
                 self._file.seek(begin + start * size)
-                self._file.readinto(out.data)
+                _all_bytes(out, self._file.readinto)
             return out
 
         return StoredRows(read, rows.shape, dtype)
+
+
+def _all_bytes(rows, transfer):
+    """Let a function write or fill the bytes of an array, which may do some at once."""
+    left = rows.reshape(-1).view(np.uint8)
+    while left.size:
+        done = transfer(left)
+        if not done:
+            raise EOFError("there are no such rows in the file.")
+        left = left[done:]
+
+
+@contextlib.contextmanager
+def _room_for(size):
+    """Name the temporary folder where bytes cannot be written to it."""
+    try:
+        yield
+    except OSError as error:
+        folder = tempfile.tempdir or os.environ.get("TMPDIR") or "temporary folder"
+        reason = (
+            f"{error.strerror or error}, where {size / 1e6:.3g} MB of a recording were "
+            "to be kept; let the environment variable TMPDIR name a folder with room "
+            "for all positions and torques (eight bytes a value)"
+        )
+        raise OSError(error.errno, reason, str(folder)) from error
 
 
 def put_together(parts):

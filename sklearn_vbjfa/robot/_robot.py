@@ -9,7 +9,12 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.effects._motion import Rest
-from sklearn_vbjfa.effects._ranges import outside, own_motions
+from sklearn_vbjfa.effects._ranges import (
+    n_farthest,
+    outside,
+    own_motions,
+    range_facts,
+)
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,
@@ -1007,21 +1012,22 @@ class IdentifiedRobot(SimulatesTorques):
 
     def outside(self, asked):
         """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
-        return self._outside(self._judged(asked))
+        return self._outside(self._judged(asked, n_farthest(len(asked.states))))
 
-    def _judged(self, asked):
-        """Signals of a `Query` in the rows to judge, by quantity and joint."""
+    def _judged(self, asked, keep):
+        """Judge a `Query` by the range of each effect, see `range_facts`."""
         wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
         load = any(name == "load" for name, _ in wanted)
         signals = asked.signals(self.features_, self.inertial() if load else None)
         counts = asked.counts(self.plan.standstill)
-        return {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
+        judged = {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
+        return range_facts(self.effect_ranges_, judged, keep)
 
-    def _outside(self, signals):
-        """Find where signals leave what was fitted."""
+    def _outside(self, facts):
+        """Find where motion leaves what was fitted."""
         held = [one is not None for one in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
-        return outside(self.effect_ranges_, held, signals)
+        return outside(facts, held)
 
     def said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""
@@ -1167,12 +1173,19 @@ class IdentifiedRobot(SimulatesTorques):
         """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
         if not recording.stored:
             return self.outside(self.ask_of(recording))
-        found = [
-            self._judged(self.ask_of(_alone(recording, k)))
-            for k in range(len(recording.segments))
-        ]
-        signals = {key: np.concatenate([x[key] for x in found]) for key in found[0]}
-        return self._outside(signals)
+        keep, facts = n_farthest(recording.n_samples), None
+        for k in range(len(recording.segments)):
+            own = self._judged(self.ask_of(_alone(recording, k)), keep)
+            facts = own if facts is None else _merged(facts, own, keep)
+        return self._outside(facts)
+
+
+def _merged(facts, others, keep):
+    """Merge the facts of ranges of two recordings, see `range_facts`."""
+    return [
+        tuple(one.merge(other, keep) for one, other in zip(*several))
+        for several in zip(facts, others)
+    ]
 
 
 def _alone(recording, k):

@@ -1,7 +1,7 @@
 """How time and memory of the loop grow with the length of a recording.
 
 Run ``python tests/benchmarks/bench_long_recordings.py [--cases NAME ...] [--quick]
-[--files] [--write]``.
+[--files] [--out FILE] [--write]``.
 
 Data, simulated without the code of the library (``_undeclared_robots.py``), seed 0:
 
@@ -25,6 +25,12 @@ Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
 motion, which goes on from file to file (npz), for 1 and 2 hours in files of 5 minutes
 and 10 hours in files of 30. ``fit_recordings`` closes the loop on the folder, without
 a cluster. Target: whatever their number, the memory of 30 minutes, 2 GB.
+
+With ``--out`` figures go to a file of JSON lines, with the peak memory after each
+stage; the table has all cases of the file, and what it holds is not run again. One case
+alone, and the table with those before it:
+``--files --cases "7 joints, 10 h in 20 files" --out FILE --write``.
+A gigabyte is 1e9 bytes.
 """
 
 import json
@@ -39,6 +45,7 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from _ledger import Ledger
 from _report import parser, publish, rst_table
 from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_robot
 
@@ -158,10 +165,10 @@ class Stages:
 
 
 def peak_gigabytes():
-    """Peak memory of this process so far [GB]."""
+    """Peak memory of this process so far [GB, 1e9 bytes]."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    # Kilobytes, but on macOS bytes.
-    return peak / (2**30 if sys.platform == "darwin" else 2**20)
+    # 1024 bytes each, but on macOS bytes.
+    return peak * (1 if sys.platform == "darwin" else 1024) / 1e9
 
 
 def make(arms, rows, path, count=0):
@@ -262,15 +269,18 @@ def row(name, rows, figures):
     ]
 
 
-def report(cases, chosen):
-    """Table of the chosen cases, and a line of the exponents."""
-    found, rows = {}, []
-    for name in chosen:
-        arms, n, *count = cases[name]
+def report(cases, chosen, ledger):
+    """Table of the cases that a ledger has, the chosen ones run if it lacks them."""
+    for task in ledger.missing([{"case": name} for name in chosen]):
+        arms, n, *count = cases[task["case"]]
         with tempfile.TemporaryDirectory() as folder:
-            found[name] = measure(name, arms, n, folder, *count)
-        rows.append(row(name, n * sum(count or [1]), found[name]))
-        print(" | ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
+            ledger.add(task | measure(task["case"], arms, n, folder, *count))
+        print(json.dumps(ledger.results[-1]), file=sys.stderr, flush=True)
+    found = {one["case"]: one for one in ledger.of([{"case": name} for name in cases])}
+    rows = [
+        row(name, cases[name][1] * sum(cases[name][2:] or [1]), figures)
+        for name, figures in found.items()
+    ]
     table, (seconds, memory) = rst_table(rows, HEADERS), exponents(found, cases)
     if np.isnan(seconds):
         return table
@@ -291,6 +301,7 @@ def main(argv=None):
     arguments.add_argument(
         "--files", action="store_true", help="the table of recordings in many files"
     )
+    arguments.add_argument("--out", help="file of figures, to run the cases in pieces")
     arguments.add_argument("--make", help="for the script itself")
     arguments.add_argument("--run", help="for the script itself")
     arguments = arguments.parse_args(argv)
@@ -306,8 +317,10 @@ def main(argv=None):
     if arguments.files:
         cases, name = (QUICK_FILES if arguments.quick else FILES), "recordings_in_files"
         command += " --files"
-    text = report(cases, arguments.cases or list(cases))
-    publish(name, text, write=arguments.write, command=command)
+    ledger = Ledger(arguments.out, ("case",))
+    text = report(cases, arguments.cases or list(cases), ledger)
+    states = ledger.states([{"case": name} for name in cases])
+    publish(name, text, write=arguments.write, command=command, states=states)
 
 
 if __name__ == "__main__":

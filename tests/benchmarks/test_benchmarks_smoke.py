@@ -31,6 +31,7 @@ def residuals(scale, index, tau):
     "name",
     [
         "conditioning",
+        "dask",
         "discovery",
         "errors_in_variables",
         "exports",
@@ -95,6 +96,26 @@ def test_measured_robots_on_the_demo(monkeypatch):
     assert summary[0] == "demo"
     # 5 % of torque noise, less behind the low-pass, and 8 s to learn from.
     assert float(summary[1]) < 10.0
+
+
+def test_a_killed_worker_changes_nothing_in_the_table_of_dask():
+    pytest.importorskip("distributed")
+    import bench_dask as bench
+
+    way = "2 workers, one killed"
+    text = bench.report(2, {way: bench.WAYS[way]})
+    assert text.count(way) == text.count("yes") == 2
+
+
+def test_differences_are_relative_to_the_largest():
+    pytest.importorskip("distributed")
+    import bench_dask as bench
+
+    one, other = (
+        SimpleNamespace(theta_=np.array([x, -200.0]), torque_noise_=np.array([y]))
+        for x, y in ((1.0, 4.0), (3.0, 5.0))
+    )
+    assert bench.differences(one, other) == [0.01, 0.2]
 
 
 def test_bootstrap_finds_a_difference_and_its_interval():

@@ -8,6 +8,7 @@ pytest.importorskip("pinocchio")
 import bench_long_recordings
 import bench_loop_time
 import bench_measured_sets as bench
+from _ledger import Ledger
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
@@ -88,18 +89,26 @@ def test_loop_time_of_a_small_robot():
 
 def test_long_recordings_of_small_robots():
     cases = bench_long_recordings.QUICK
-    text = bench_long_recordings.report(cases, list(cases))
+    ledger = Ledger(None, ("case",))
+    text = bench_long_recordings.report(cases, list(cases), ledger)
     assert text.count("stribeck") == len(cases)
     # two lengths of one robot are needed
     assert "to the power" not in text
 
 
-def test_recordings_in_files_of_small_robots():
+def test_recordings_in_files_of_small_robots(tmp_path):
     cases = bench_long_recordings.QUICK_FILES
-    text = bench_long_recordings.report(cases, list(cases))
+    ledger = Ledger(tmp_path / "figures", ("case",))
+    text = bench_long_recordings.report(cases, list(cases), ledger)
     assert "stribeck" in text
     # rows of all files
     assert "40000" in text
+    # what is there is not run again, and stands in the table
+    again = Ledger(tmp_path / "figures", ("case",))
+    assert bench_long_recordings.report(cases, [], again) == text
+    (figures,) = again.results
+    assert 0.1 < figures["gigabytes"] < 5.0
+    assert max(figures["peaks"].values()) <= figures["gigabytes"]
 
 
 def test_exponents_are_those_of_a_power():

@@ -330,6 +330,32 @@ def test_the_odd_file_is_left_out(kind, here, motions, capsys):
         assert out == plain
 
 
+def test_bad_files_of_a_folder_are_left_out(here, capsys):
+    Path("runs/a0.csv").write_text("")
+    shutil.copy("runs/b.csv", "runs/d.csv")
+    _, plain, _ = run(capsys, "inspect", *RUNS)
+    code, out, err = run(capsys, "inspect", "runs")
+    assert (code, out) == (3, plain)
+    assert next(line for line in err[:-1] if "is left out: " in line).startswith(
+        "note: runs/a0.csv is left out: "
+    )
+    assert any("runs/d.csv is a copy of runs/b.csv" in line for line in err)
+
+
+def test_the_files_of_a_folder_are_kept_on_disk(here, capsys, monkeypatch):
+    put, keep = [], _reader.on_disk
+
+    def noted(recording, shelf):
+        put.append(recording.name)
+        return keep(recording, shelf)
+
+    monkeypatch.setattr(_reader, "on_disk", noted)
+    listed = run(capsys, "close-loop", *RUNS, "--out", "one")
+    folder = run(capsys, "close-loop", "runs", "--out", "two")
+    assert put == 2 * ["a", "b", "c"]
+    assert folder[1].replace("two/", "one/") == listed[1]
+
+
 @pytest.mark.parametrize("kind", ODD)
 def test_of_two_files_neither_is_the_odd_one(kind, here, motions, capsys):
     write, options, _, message = ODD[kind]

@@ -1,13 +1,23 @@
 """Ranges of effects and what lies outside of them, against hand-made cases."""
 
 import dataclasses
+import functools
+import itertools
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import CURVED, STRAIGHT, EffectRange, OutsideRange, outside
+from sklearn_vbjfa.effects import (
+    CURVED,
+    STRAIGHT,
+    EffectRange,
+    OutsideRange,
+    n_farthest,
+    outside,
+    range_facts,
+)
 from tests.effects.test_effects import NAMES, V, library_effect, signals
 
 NAN = float("nan")
@@ -30,7 +40,7 @@ def judged(ranges, values, quantity="position", joint=1, counts=None, held=None)
         counts = np.ones(both.shape, dtype=bool)
     held = len(ranges) * [True] if held is None else held
     signals = {(quantity, j): both[counts[:, j], j] for j in range(2)}
-    return outside(ranges, held, signals)
+    return outside(range_facts(ranges, signals, n_farthest(values.size)), held)
 
 
 @pytest.mark.parametrize(
@@ -184,6 +194,29 @@ def test_effects_of_a_joint_are_told_together():
     assert found.names == found.held == ("spring", "ripple")
     (found,) = judged([SPRING, ripple], np.full(10, 3.9), held=[True, False])
     assert (found.names, found.held) == (("spring", "ripple"), ("spring",))
+
+
+@pytest.mark.parametrize("spread", [0.7, 1.0, 3.0, 50.0])
+@pytest.mark.parametrize("sizes", [(1, 999, 3000), (2000, 2000), (3, 5, 3992)])
+def test_recordings_add_up_in_any_order(sizes, spread):
+    # Whole numbers: many are equally far, on both sides.
+    values = np.random.default_rng(0).normal(1.0, spread, 4000).round()
+    keep, edges = n_farthest(values.size), np.cumsum([0, *sizes])
+    several = [
+        range_facts([SPRING], {("position", 1): values[a:b]}, keep)[0][0]
+        for a, b in itertools.pairwise(edges)
+    ]
+    assert max(one.farthest.size for one in several) <= keep
+    for order in itertools.permutations(several):
+        merged = functools.reduce(lambda one, two: one.merge(two, keep), order)
+        assert merged.farthest.size <= keep
+        assert outside([(merged,)], [True]) == judged([SPRING], values)
+    excess = np.sort(SPRING.excess("position", values))
+    for found in judged([SPRING], values):
+        reached = SPRING.excess("position", [found.reached])
+        assert reached == excess[values.size - 1 - int(0.005 * values.size)]
+        assert found.share == np.mean(excess > SPRING.margin("position"))
+    assert (len(judged([SPRING], values)) == 0) == (spread < 1.0)
 
 
 def test_one_speed_only_is_known_at_that_speed_only():

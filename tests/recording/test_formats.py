@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import _table
+from sklearn_vbjfa.recording import _reader, _table, recordings_in
 from sklearn_vbjfa.recording.formats import FORMATS
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
@@ -388,6 +388,33 @@ def test_a_lerobot_data_set_without_names(lerobot):
     with pytest.warns(UserWarning, match="LeRobot"):
         recording = read_recording(lerobot(names=None))
     assert_same(recording, table())
+
+
+def test_a_folder_that_is_written_to_while_it_is_read(lerobot, monkeypatch):
+    folder, read = lerobot(), _reader.read_table
+    *_, last = sorted(folder.rglob("*.parquet"))
+    changed = last.stat().st_mtime_ns + 10**9
+
+    def late(path, *rest):
+        found = read(path, *rest)
+        os.utime(last, ns=(changed, changed))
+        return found
+
+    monkeypatch.setattr(_reader, "read_table", late)
+    with pytest.raises(ValueError, match="set was written to while it was read"):
+        read_recording(folder)
+
+
+def test_recordings_in_a_folder(lerobot, tmp_path):
+    (tmp_path / "notes.md").write_text("no recording")
+    (tmp_path / "bag").mkdir()
+    for name in ("b.csv", "a.npz", "c.mcap", ".hidden.csv", "bag/one.db3"):
+        (tmp_path / name).write_text("")
+    (tmp_path / "empty").mkdir()
+    data_set = lerobot()
+    names = [path.name for path in recordings_in(tmp_path)]
+    assert names == ["a.npz", "b.csv", "bag", "c.mcap", "set"]
+    assert recordings_in(data_set) == [data_set]
 
 
 def test_lerobot_data_sets_that_lack_something(lerobot):

@@ -1,6 +1,8 @@
 """Rows that are read when they are looked at are those in memory."""
 
+import contextlib
 import pickle
+import tempfile
 from dataclasses import replace
 
 import numpy as np
@@ -71,7 +73,10 @@ def test_it_computes_as_an_array_does():
 def test_rows_without_room():
     ones = StoredRows.constant(1.0, (10**9, 7))
     assert ones[500:503].shape == (3, 7)
-    assert_array_equal(np.asarray(ones[10**8 : 10**8 + 2]), np.ones((2, 7)))
+    some = np.asarray(ones[10**8 : 10**8 + 2])
+    assert_array_equal(some, np.ones((2, 7)))
+    # Sums go through rows of another layout in another order, and are rounded so.
+    assert some.strides == np.ones((2, 7)).strides
     clock = StoredRows.clock(10**9, 0.001)
     assert clock[5_000_000] == 5_000_000 * 0.001
 
@@ -154,3 +159,52 @@ def test_a_copy_among_stored_files_is_taken_once(recording, tmp_path):
         np.savez(file, q=part.q, tau=part.tau, dt=0.01)
     with pytest.warns(UserWarning, match="copy of"):
         assert read_recording(files, stored=True).n_samples == part.n_samples
+
+
+# -- a disk without room ---------------------------------------------------------------
+
+
+@contextlib.contextmanager
+def room_for(size):
+    """Let no file become larger than so many bytes."""
+    resource = pytest.importorskip("resource")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size, hard))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+
+
+@pytest.mark.parametrize("n", [40, 4000])
+def test_rows_without_room_are_refused_when_they_are_put(n):
+    # Few rows fit into a buffer, and would fail when they are read.
+    shelf = Shelf()
+    kept = shelf.put(ROWS[:8])
+    with (
+        pytest.raises(OSError, match="TMPDIR name a folder with room") as error,
+        room_for(8 * 3 * (n - 1)),
+    ):
+        shelf.put(ROWS[:n])
+    assert error.value.filename == tempfile.gettempdir()
+    assert len(kept) == 8
+
+
+def test_a_folder_that_cannot_be_is_named(monkeypatch, tmp_path):
+    (tmp_path / "file").write_text("")
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "file"))
+    with pytest.raises(OSError, match="TMPDIR name a folder") as error:
+        Shelf().put(ROWS)
+    assert error.value.filename == str(tmp_path / "file")
+
+
+def test_a_full_disk_is_no_fault_of_a_file(recording, tmp_path):
+    files = [tmp_path / f"{k}.npz" for k in range(3)]
+    for k, file in enumerate(files):
+        part = recording.select(k)
+        np.savez(file, q=part.q, tau=part.tau, dt=0.01)
+    with (
+        pytest.raises(OSError, match="let the environment variable TMPDIR"),
+        room_for(3 * recording.select(0).q.nbytes),
+    ):
+        read_recording(files, stored=True, on_bad_files="warn")

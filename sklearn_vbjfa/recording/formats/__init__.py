@@ -125,10 +125,34 @@ def expanded(path):
 def tables_in(path):
     """Return the tables of a folder that is none of a format's, in order."""
     path = expanded(path)
-    if not path.is_dir():
+    if not path.is_dir() or _is_one(path, _MARKS):
         return []
-    if any(next(path.glob(mark), None) for one in FORMATS for mark in one.marks):
-        return []
+    return _tables(path)
+
+
+def recordings_in(path):
+    """Return the tables, bags and data sets of a folder, in order; itself if it is one.
+
+    Files of bags without a description are a recording each.
+    """
+    path = expanded(path)
+    if _is_one(path, [mark for mark in _MARKS if "*" not in mark]):
+        return [path]
+    folders = [x for x in path.iterdir() if x.is_dir() and _is_one(x, _MARKS)]
+    return sorted([*_tables(path), *folders])
+
+
+# What only folders have that are one bag or one data set.
+_MARKS = tuple(mark for one in FORMATS for mark in one.marks)
+
+
+def _is_one(path, marks):
+    """Whether a folder has one of some marks."""
+    return any(next(path.glob(mark), None) for mark in marks)
+
+
+def _tables(path):
+    """Return the files of a folder that have the ending of a format, in order."""
     packed = (*_OPEN, *_ZSTANDARD)
     found = []
     for file in sorted(path.iterdir()):

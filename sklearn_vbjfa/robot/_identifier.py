@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
@@ -127,6 +126,8 @@ class RecordingRegressorMixin(RegressorMixin):
         float
             R^2, the mean over the joints.
         """
+        from sklearn.metrics import r2_score
+
         if getattr(self, "drive", None) is not None:
             told = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)

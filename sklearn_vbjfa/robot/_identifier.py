@@ -577,7 +577,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
         if periods is None and self.torque_noise is None:
-            facts = fit.robot.noise_facts(recording, plan.clock(recording))
+            clock = plan.clock(recording)
+            facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
             fit = self._with_noise(fit, facts)
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self, reference)

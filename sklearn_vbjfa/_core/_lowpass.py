@@ -18,6 +18,8 @@ _MASK_SHARE = 0.5
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
 _MIN_ROWS = 128
+# Fewest rows that are multiplied with taps together.
+_FEWEST = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -129,14 +131,19 @@ class BlockFilter:
             at = first // self._lowpass.step
             self.outputs[at : at + kept.shape[0]] = kept
             return
-        before, matrix = _tap_matrix(self._taps, self._lowpass.step, rows.shape[0])
-        low = first // self._lowpass.step - before
-        high = min(low + matrix.shape[0], self.outputs.shape[0])
-        if high <= max(low, 0):
-            # Rows behind the window of the last output, which decimation leaves over.
-            return
-        matrix = matrix[max(-low, 0) : high - low]
-        self.outputs[max(low, 0) : high] += matrix @ rows
+        # Some rows at a time: the fewer, the fewer zeros are in the matrix of taps.
+        step, some = self._lowpass.step, max(_FEWEST, self._lowpass.half // 4)
+        some = step * -(-some // step)
+        for at in range(0, rows.shape[0], some):
+            own = rows[at : at + some]
+            before, matrix = _tap_matrix(self._taps, step, own.shape[0])
+            low = (first + at) // step - before
+            high = min(low + matrix.shape[0], self.outputs.shape[0])
+            if high <= max(low, 0):
+                # Rows behind the window of the last output, which decimation leaves.
+                return
+            matrix = matrix[max(-low, 0) : high - low]
+            self.outputs[max(low, 0) : high] += matrix @ own
 
 
 def decimate(lowpass, x):

@@ -24,8 +24,9 @@ import numpy as np
 
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
-# Samples that go through together: few enough to stay in the processor's cache.
-_ROWS = 1024
+# Samples that go through together: few enough to stay in the processor's cache, and
+# more than calls cost.
+_ROWS = 2048
 
 
 def _cross(x, y):
@@ -43,8 +44,12 @@ def _dot(x, y):
 
 
 def _times(A, x):
-    """Products of matrices (3, 3, ...) and vectors (3, ...)."""
-    return np.stack([_dot(A[0], x), _dot(A[1], x), _dot(A[2], x)])
+    """Products of matrices (3, 3, ...) and vectors (3, ...), or several (3, k, ...)."""
+    A = A if x.ndim < A.ndim else A[:, :, None]
+    out = A[:, 0] * x[0]
+    out += A[:, 1] * x[1]
+    out += A[:, 2] * x[2]
+    return out
 
 
 def _outer(x, y):
@@ -60,13 +65,7 @@ def _matrices(A, B):
 def _skew(x):
     """Matrices (3, 3, ...) that take y to x cross y."""
     zero = np.zeros_like(x[0])
-    return np.stack(
-        [
-            np.stack([zero, -x[2], x[1]]),
-            np.stack([x[2], zero, -x[0]]),
-            np.stack([-x[1], x[0], zero]),
-        ]
-    )
+    return np.array([[zero, -x[2], x[1]], [x[2], zero, -x[0]], [-x[1], x[0], zero]])
 
 
 def _trace(A):
@@ -231,19 +230,60 @@ def _links(tree, q, v, a):
     return links
 
 
-def _wrench(link, inertial):
-    """Force and moment about the origin (3, n) that the motion of a body takes."""
-    m, first = inertial[0], inertial[1:4]
-    xx, xy, yy, xz, yz, zz = inertial[4:]
-    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-    R, w, dw = link.axes, link.spin, link.gain
-    arm = np.einsum("kin,i->kn", R, first)
-    force = m * link.field + _cross(dw, arm) + _cross(w, _cross(w, arm))
-    # In the body's own axes, where its inertia is constant.
-    turn = R.transpose(1, 0, 2)
-    w, dw = _times(turn, w), _times(turn, dw)
-    own = inertia @ dw + _cross(w, inertia @ w)
-    return force, _cross(link.origin, force) + _cross(arm, link.field) + _times(R, own)
+class _Body:
+    """A body in some samples, in its own axes: its motion, then its joint's wrench."""
+
+    # `motion` (3, 3, n): its angular velocity and acceleration, and the acceleration of
+    # its origin, less gravity; `wrench` (3, 2, n): force and moment about its origin
+    # that the motion of it and of what it carries takes.
+
+    def __init__(self, q, v, a, tree, j, above, inertial):
+        turns, slides, axis = tree.turns[j], tree.slides[j], tree.axes[j][:, None]
+        self._slides, self._shift = slides * axis[:, 0], slides * q * axis
+        self._turns, self._arm = turns * axis[:, 0], tree.offsets[j]
+        # Rows of `frames` are the axes of the joint in those of its parent.
+        frame, about = tree.frames[j], _skew(axis[:, 0])
+        self._axes = np.sin(turns * q) * (about.T @ frame)[:, :, None]
+        self._axes += (1 - np.cos(turns * q)) * (about @ about @ frame)[:, :, None]
+        self._axes += frame[:, :, None]
+        if above is None:
+            placed = np.zeros((3, 3, 1))
+            placed[:, 1, 0], placed[:, 2, 0] = tree.base_angular, tree.base[j]
+        else:
+            placed = above.motion.copy()
+            placed[:, 2] += _swung(placed[:, 0], placed[:, 1], self._arm)
+        self.motion = _times(self._axes, placed)
+        w, dw, field = self.motion.transpose(1, 0, 2)
+        across = about.T @ w
+        if slides:
+            field += _cross(dw, self._shift) + _cross(w, _cross(w, self._shift))
+            field += 2 * slides * v * across + slides * a * axis
+        w += turns * v * axis
+        dw += turns * a * axis + turns * v * across
+        m, first = inertial[0], inertial[1:4]
+        xx, xy, yy, xz, yz, zz = inertial[4:]
+        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+        self.wrench = np.empty((3, 2, q.size))
+        self.wrench[:, 0] = m * field + _swung(w, dw, first)
+        own = inertia @ dw + _cross(w, inertia @ w)
+        self.wrench[:, 1] = own + _skew(first) @ field
+
+    def torque(self):
+        """Torque or force of the joint (n,)."""
+        return self._slides @ self.wrench[:, 0] + self._turns @ self.wrench[:, 1]
+
+    def lean_on(self, above):
+        """Add the wrench to that of the body that carries the joint."""
+        if self._slides.any():
+            self.wrench[:, 1] += _cross(self._shift, self.wrench[:, 0])
+        wrench = _times(self._axes.transpose(1, 0, 2), self.wrench)
+        wrench[:, 1] += _skew(self._arm) @ wrench[:, 0]
+        above.wrench += wrench
+
+
+def _swung(w, dw, arm):
+    """Acceleration (3, n) of the tip of an arm (3,) relative to its tail."""
+    return w * (arm @ w) - arm[:, None] * _dot(w, w) - _skew(arm) @ dw
 
 
 def inverse_dynamics(tree, q, v, a, inertial):
@@ -251,15 +291,16 @@ def inverse_dynamics(tree, q, v, a, inertial):
     torque = np.empty(q.shape)
     for begin in range(0, q.shape[0], _ROWS):
         rows = slice(begin, min(begin + _ROWS, q.shape[0]))
-        links = _links(tree, q[rows], v[rows], a[rows])
-        forces, moments = zip(*map(_wrench, links, inertial))
-        for j in range(len(links) - 1, -1, -1):
-            link, parent = links[j], tree.parents[j]
-            work = _dot(link.moment, moments[j]) + _dot(link.force, forces[j])
-            torque[rows, j] = work
-            if parent >= 0:
-                forces[parent][:] += forces[j]
-                moments[parent][:] += moments[j]
+        states = [np.ascontiguousarray(x[rows].T) for x in (q, v, a)]
+        bodies = []
+        for j, parent in enumerate(tree.parents):
+            above = bodies[parent] if parent >= 0 else None
+            own = _Body(*(x[j] for x in states), tree, j, above, inertial[j])
+            bodies.append(own)
+        for j in range(len(bodies) - 1, -1, -1):
+            torque[rows, j] = bodies[j].torque()
+            if tree.parents[j] >= 0:
+                bodies[j].lean_on(bodies[tree.parents[j]])
     return torque
 
 

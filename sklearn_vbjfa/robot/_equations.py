@@ -348,14 +348,24 @@ class RegressorRows:
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
     def predict(self, theta):
-        """Torques (n, nv) predicted by parameters (p,), block by block."""
-        joints, columns = np.divmod(self.used, self.n_parameters)
-        weights = np.zeros((self.n_joints, self.used.size))
-        weights[joints, np.arange(self.used.size)] = theta[columns]
+        """Torques (n, nv) predicted by parameters (p,), without their columns."""
+        features, (bodies, coefs) = self._features, np.split(theta, [self.n_rigid])
+        bodies = bodies.reshape(self.n_joints, -1)
+        inertial = np.ascontiguousarray(bodies[:, :10])
         torque = np.empty((self._states.shape[0], self.n_joints))
-        for at, entries in self.spans(slice(0, len(torque)), _BLOCK_ROWS):
-            torque[at : at + entries.shape[1]] = (weights @ entries).T
-        return torque
+        for begin in range(0, len(torque), _SPAN_ROWS):
+            rows = slice(begin, min(begin + _SPAN_ROWS, len(torque)))
+            states, out = self._states[rows], torque[rows]
+            friction = features.declared(states, self._rest)
+            out[...] = features.torques(*np.split(states, 3, axis=1), inertial)
+            out += np.einsum("jkn,jk->nj", friction, bodies[:, 10:])
+            at = 0
+            for effect, columns in self._columns:
+                stop = at + columns.shape[-1]
+                which = slice(None) if effect.whole_robot else effect.joint
+                out[:, which] += columns[rows] @ coefs[at:stop]
+                at = stop
+        return self._read(torque, np.arange(self.n_joints))
 
     def blocks(self):
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""

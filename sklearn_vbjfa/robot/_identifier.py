@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.metrics import r2_score
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
@@ -127,6 +126,8 @@ class RecordingRegressorMixin(RegressorMixin):
         float
             R^2, the mean over the joints.
         """
+        from sklearn.metrics import r2_score
+
         if getattr(self, "drive", None) is not None:
             told = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
@@ -576,7 +577,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
         if periods is None and self.torque_noise is None:
-            facts = fit.robot.noise_facts(recording, plan.clock(recording))
+            clock = plan.clock(recording)
+            facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
             fit = self._with_noise(fit, facts)
         if self.criterion == "simulation":
             fit = refine_fit(recipe, fit, source, self, reference)

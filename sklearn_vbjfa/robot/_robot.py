@@ -1154,7 +1154,7 @@ class IdentifiedRobot(SimulatesTorques):
             both = plan.state_estimator.split_transform(X, groups=groups)
         return pieces(of_rows(self.query(X, groups)[0], both))
 
-    def noise_facts(self, recording, clock=None):
+    def noise_facts(self, recording, clock=None, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
@@ -1165,8 +1165,8 @@ class IdentifiedRobot(SimulatesTorques):
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.ask(np.asarray(recording.inputs[rows]), t=t, signals=own)
             asked, y = asked.noiseless(self.plan), np.asarray(recording.tau[rows])
-            facts = noise_facts(y - self.torques(asked), y, asked.states, *band)
-            found.append(facts)
+            known = y - self.torques(asked), y, asked.states
+            found.append(noise_facts(*known, *band, n_jobs))
         return found
 
     def outside_of(self, recording):

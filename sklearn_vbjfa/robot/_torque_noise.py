@@ -17,6 +17,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import dahl
+from sklearn_vbjfa.robot._parallel import run
 
 _ORDER = 5
 # The median of abs(x) is 0.6745 standard deviations of a normal variable, and the
@@ -87,36 +88,39 @@ def seen(dt, cutoff):
     return dt is not None and np.isfinite(cutoff) and _LOWEST * cutoff <= 0.5 / dt
 
 
-def noise_facts(residual, torque, states, dt, cutoff):
+def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
     """Measure the spectrum of the residual (n, nv) of one recording."""
     # states (n, 3 nv); dt [s]; cutoff: of the fit [Hz].
     n, nv = residual.shape
-    # The samples of a signal next to each other, as all is done joint by joint.
-    residual, torque, states = (
-        np.ascontiguousarray(x.T).T for x in (residual, torque, states)
-    )
-    hold = np.array([held_rows(x) for x in torque.T])
-    scales = np.full((nv, len(_STRIDES)), np.nan)
-    positions, velocities = states[:, :nv], states[:, nv : 2 * nv]
-    turning = int(_TURNING / (cutoff * dt))
-    for j, count in enumerate(hold):
-        turned = np.cumsum(np.r_[0, np.diff(np.sign(velocities[:, j])) != 0, 0])
-        first = np.arange(count // 2, n, count)
-        turned_after = turned[np.minimum(first + turning, n - 1)]
-        turned_before = turned[np.maximum(first - turning, 0)]
-        x = residual[count // 2 :: count, j]
-        for k, stride in enumerate(_strides(dt * count, cutoff)):
-            if x.size >= max(_SHORTEST, 16 * _ORDER * stride):
-                d = x
-                for _ in range(_ORDER):
-                    d = d[stride:] - d[:-stride]
-                d = d[turned_after[-d.size :] == turned_before[: d.size]]
-                if d.size >= _SHORTEST:
-                    scales[j, k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
-    columns = zip(positions.T, velocities.T, residual.T)
-    left = np.column_stack([_without_own_friction(*c) for c in columns])
-    gap = _gap_power(left, dt, cutoff)
+    columns = zip(residual.T, torque.T, states[:, :nv].T, states[:, nv : 2 * nv].T)
+    found = run(_of_joint, ((*own, dt, cutoff) for own in columns), n_jobs)
+    hold, scales, gap = map(np.array, zip(*found))
     return NoiseFacts(n=n, hold=hold, scales=scales, gap=gap)
+
+
+def _of_joint(*given):
+    """Return for how many rows a torque is held, and the `NoiseFacts` of one joint."""
+    # given: residual, torque, position and velocity (n,), dt [s], cutoff [Hz].
+    residual, torque, q, v = map(np.ascontiguousarray, given[:4])
+    dt, cutoff = given[4:]
+    n, count = residual.size, held_rows(torque)
+    scales = np.full(len(_STRIDES), np.nan)
+    turning = int(_TURNING / (cutoff * dt))
+    turned = np.cumsum(np.r_[0, np.diff(np.sign(v)) != 0, 0])
+    first = np.arange(count // 2, n, count)
+    turned_after = turned[np.minimum(first + turning, n - 1)]
+    turned_before = turned[np.maximum(first - turning, 0)]
+    x = residual[count // 2 :: count]
+    for k, stride in enumerate(_strides(dt * count, cutoff)):
+        if x.size >= max(_SHORTEST, 16 * _ORDER * stride):
+            d = x
+            for _ in range(_ORDER):
+                d = d[stride:] - d[:-stride]
+            d = d[turned_after[-d.size :] == turned_before[: d.size]]
+            if d.size >= _SHORTEST:
+                scales[k] = (np.median(np.abs(d)) / _MEDIAN) ** 2
+    left = _without_own_friction(q, v, residual)
+    return count, scales, _gap_power(left, dt, cutoff)
 
 
 def _without_own_friction(q, v, residual):
@@ -129,7 +133,9 @@ def _without_own_friction(q, v, residual):
     columns = np.stack([*friction, np.ones_like(q)])
     sizes = np.abs(columns).max(axis=1, keepdims=True)
     columns /= np.maximum(sizes, np.finfo(float).tiny)
-    return residual - np.linalg.lstsq(columns.T, residual, rcond=None)[0] @ columns
+    # Products suffice: what they cannot tell apart takes away the same.
+    products = columns @ columns.T, columns @ residual
+    return residual - np.linalg.lstsq(*products, rcond=None)[0] @ columns
 
 
 def held_rows(torque):
@@ -149,26 +155,22 @@ def _strides(dt, cutoff):
 
 
 def _gap_power(x, dt, cutoff):
-    """Power per row in the bands of the gap, (nv, n_bands), the median of windows."""
+    """Power per row of x (n,) in bands of the gap (n_bands,), median of windows."""
     length = round(_WINDOW / (cutoff * dt))
-    power = np.full((x.shape[1], _GAP.size - 1), np.nan)
-    if x.shape[0] < 3 * length:
+    power = np.full(_GAP.size - 1, np.nan)
+    if x.size < 3 * length:
         return power
     taper = np.hanning(length + 2)[1:-1]
-    starts = np.arange(0, x.shape[0] - length + 1, length // 2)
     frequency = np.fft.rfftfreq(length, dt) / cutoff
     borders = np.searchsorted(frequency, _GAP)
-    windows = np.empty((starts.size, *power.shape))
-    for window, start in zip(windows, starts):
-        piece = x[start : start + length]
-        piece = (piece - piece.mean(axis=0)) * taper[:, None]
-        spectrum = np.abs(np.fft.rfft(piece, axis=0)) ** 2 / (taper @ taper)
-        for k in range(power.shape[1]):
-            inside = spectrum[borders[k] : borders[k + 1]]
-            window[:, k] = inside.mean(axis=0) if len(inside) else np.nan
+    windows = np.lib.stride_tricks.sliding_window_view(x, length)[:: length // 2]
+    windows = (windows - windows.mean(axis=1, keepdims=True)) * taper
+    spectra = np.abs(np.fft.rfft(windows, axis=1)) ** 2 / (taper @ taper)
+    for k, (low, high) in enumerate(itertools.pairwise(borders)):
+        if low < high:
+            power[k] = np.median(spectra[:, low:high].mean(axis=1))
     # the median of a Gamma variable over its mean (Wilson and Hilferty)
-    power[:] = np.median(windows, axis=0) / (1 - 1 / (9 * _gap_shape())) ** 3
-    return power
+    return power / (1 - 1 / (9 * _gap_shape())) ** 3
 
 
 def _gap_shape():

@@ -121,3 +121,17 @@ def test_linear_motion_passes_unchanged():
     x = np.linspace(-2.0, 3.0, 200)
     filt = _lowpass.design(0.01, 10.0)
     assert_allclose(filt(x), x[filt.centres(200)], atol=1e-13)
+
+
+def test_most_taps_that_are_multiplied_are_not_zero(monkeypatch):
+    made, taps = [], _lowpass._tap_matrix
+
+    def matrix(*known):
+        made.append(taps(*known)[1])
+        return taps(*known)
+
+    monkeypatch.setattr(_lowpass, "_tap_matrix", matrix)
+    x = np.random.default_rng(3).normal(size=(4000, 2))
+    lowpass = _lowpass.design(1e-3, 30.0)
+    assert_allclose(_lowpass.decimate(lowpass, x), lowpass(x), atol=1e-12)
+    assert sum(map(np.count_nonzero, made)) > 0.7 * sum(one.size for one in made)

@@ -13,7 +13,8 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.model import _regressor, load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.robot._equations import RegressorRows  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -47,6 +48,19 @@ def test_inverse_dynamics_of_random_trees(seed, n_joints):
     states = states_of(rng, model)
     Phi = RigidBodyFeatures(model, friction=()).fit_transform(states)
     assert_torques(Phi, bodies.ravel(), inverse_dynamics(model, states))
+
+
+def test_torques_are_predicted_without_calls_for_each_sample(monkeypatch):
+    rng = np.random.default_rng(11)
+    model, _ = random_tree(rng, 4)
+    features = RigidBodyFeatures(model, friction=ALL).load()
+    states = states_of(rng, model, 9)
+    rows = RegressorRows(features, states)
+    theta = rng.normal(size=features.n_parameters_)
+    expected = rows(slice(None)) @ theta
+    monkeypatch.setattr(_regressor, "load_kernel", lambda: None)
+    monkeypatch.setattr(_regressor.TreeRegressor, "one_by_one", None)
+    np.testing.assert_allclose(rows.predict(theta), expected, atol=1e-9)
 
 
 def test_inverse_dynamics_of_the_demo_arm_with_its_tool():

@@ -1,5 +1,7 @@
 """Noise of torque channels, on residuals of known noise."""
 
+import threading
+
 import numpy as np
 import pytest
 from scipy import signal
@@ -101,6 +103,24 @@ def test_nothing_above_the_band_tells_nothing():
     assert np.isnan(told(noise, cutoff=60.0)).all()
     assert not _torque_noise.seen(None, 1.0)
     assert not _torque_noise.seen(DT, np.inf)
+
+
+def test_joints_are_looked_at_by_several_threads(monkeypatch):
+    threads, own = set(), _torque_noise.held_rows
+
+    def seen_by(torque):
+        threads.add(threading.get_ident())
+        started.wait(60)
+        return own(torque)
+
+    noise, started = np.random.default_rng(8).normal(size=(N, 2)), threading.Barrier(2)
+    given = noise, noise, STATES, DT, CUTOFF
+    expected = noise_facts(*given)
+    monkeypatch.setattr(_torque_noise, "held_rows", seen_by)
+    found = noise_facts(*given, n_jobs=2)
+    assert len(threads) == 2
+    for name in ("hold", "scales", "gap"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 
 
 def test_short_recordings_tell_nothing():

@@ -138,12 +138,16 @@ class Fit:
 
     def telling(self, found, **changes):
         """Return the fit with the parameters of a corrected estimate."""
+        told = self.robot.spread
+        if told is not None:
+            told = told.of(found.covariance)
         robot = replace(
             self.robot,
             theta_=found.theta,
             theta_unconstrained_=found.theta_unconstrained,
             theta_std_=found.std,
             spreads=tuple(map(Spread.of_deviations, self.robot.split(found.std))),
+            spread=told,
             **changes,
         )
         robot = replace(robot, known_=known_parameters(robot, found))
@@ -528,17 +532,26 @@ class ModelValues:
 
     def beside(self, std, covariance):
         """Add to deviations (p,) and a covariance what the values leave unknown."""
-        # The others were estimated with the values as found, and move with them.
-        joint, std = self.estimate.covariance, std.copy()
-        covariance = None if covariance is None else covariance.copy()
-        for place, deviation in zip(self.places, self.std):
-            if not np.isfinite(deviation):
-                continue
-            slope = joint[:, place] / joint[place, place]
-            slope[self.places] = 0.0
-            std = np.hypot(std, slope * deviation)
-            if covariance is not None:
-                covariance += np.outer(slope, slope) * deviation**2
+        # The others were estimated with the values as found, and move with them, as
+        # their columns are alike.
+        std, told = std.copy(), np.isfinite(self.std)
+        # What is held as described does not move.
+        own, rest = self.places[told], std > 0
+        rest[self.places] = False
+        within = self.estimate.covariance[np.ix_(own, own)]
+        inverse = self.estimate.eigen.inverse()[:, own]
+        slope = np.linalg.solve(inverse[own], inverse[rest].T).T
+        std[rest] = np.hypot(std[rest], np.sqrt(_squares(slope, within)))
+        if covariance is not None:
+            covariance = covariance.copy()
+            covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
+            covariance[self.places] = covariance[:, self.places] = 0.0
+            # Of a value that the recording does not show nothing is known.
+            covariance[self.places, self.places] = np.inf
+            covariance[np.ix_(own, own)] = within
+            across = slope @ within
+            covariance[np.ix_(rest, own)] = across
+            covariance[np.ix_(own, rest)] = across.T
         return std, covariance
 
     @staticmethod
@@ -580,6 +593,11 @@ class ModelValues:
                 DoubtWarning,
                 stacklevel=6,
             )
+
+
+def _squares(rows, matrix):
+    """Return r M r' (n,) of rows (n, k) and a matrix (k, k)."""
+    return np.einsum("ik,kl,il->i", rows, matrix, rows)
 
 
 def _at_bounds(effect):

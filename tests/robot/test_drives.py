@@ -214,6 +214,64 @@ def test_the_deviation_of_the_delay_is_its_scatter():
     assert 0.6 < values.std() / np.median(stds) < 1.5
 
 
+def literal_covariance(recording, robot, sigma):
+    """Covariance of all that was fitted, by differences of a literal residual.
+
+    Without a filter, all joints alike: what the commands say a delay later, less the
+    torque of bodies, armature and damping.
+    """
+    t = DT * np.arange(len(recording.q))
+    q, v, a = np.split(recording.states, 3, axis=1)
+    rigid = inverse_dynamics(ARM, recording.states)
+    commands = CubicSpline(t, recording.command)
+
+    def left(x):
+        armature, viscous, delay = x[:3], x[3:6], x[6]
+        late = commands(np.maximum(t - delay, 0.0)) - commands(t)
+        law = recording.tau + late
+        return (law - rigid - armature * a - viscous * v)[20:-20].ravel()
+
+    x = np.r_[ARMATURE, VISCOUS, delay_of(robot)[0]]
+    slopes = []
+    for k in range(7):
+        step = np.zeros(7)
+        step[k] = 1e-5
+        slopes.append((left(x + step) - left(x - step)) / 2e-5)
+    J = np.transpose(slopes)
+    names = [f"{joint}:{term}" for term in FRICTION[::-1] for joint in NAMES]
+    places = [robot.parameter_names_.index(one) for one in [*names, "drive:delay"]]
+    return sigma**2 * np.linalg.inv(J.T @ J), places
+
+
+def test_samples_of_delay_and_damping_belong_together(tmp_path):
+    """An arm that follows closely: a later command is a smaller damping."""
+    stiff = PDDrive(20 * KP, KD)
+    recording = told()
+    q, v, a = states(DT * np.arange(len(recording.q)) + 0.008)
+    later = q + (torques(q, v, a) + KD * v) / (20 * KP)
+    recording.signals["q_desired"][:] = later
+    recording = stiff.driven(recording)
+    noise = np.random.default_rng(3).normal(size=recording.q.shape)
+    # Commands of before the recording, and after it, are not known.
+    weight = np.ones(recording.q.shape)
+    weight[:20] = weight[-20:] = 0.0
+    recording = replace(recording, tau=recording.tau + 0.4 * noise, weight=weight)
+    robot = identify(recording, stiff, bodies="fixed", joint_weights=None)
+    expected, at = literal_covariance(recording, robot, 0.4)
+    size = np.sqrt(np.diagonal(expected))
+    correlation = expected / np.outer(size, size)
+    assert (correlation[6, 3:6] < -0.5).all()
+    robot.save(tmp_path / "arm.json")
+    for one in (robot.robot_, load_identified(tmp_path / "arm.json")):
+        # Within a recording, as the covariance is.
+        drawn = replace(one, between=None).sample(4000, random_state=0)[:, at]
+        assert_allclose(np.corrcoef(drawn.T), correlation, atol=0.08)
+        assert_allclose(drawn.std(axis=0), size, rtol=0.25)
+        assert_allclose(drawn.std(axis=0), robot.theta_std_[at], rtol=0.2)
+    among = replace(robot.robot_, between=None).ranges().correlation
+    assert_allclose(among[np.ix_(at, at)], correlation, atol=0.08)
+
+
 def test_a_saved_robot_keeps_the_delay(tmp_path):
     recording = told(0.007)
     robot = identify(recording)

@@ -222,6 +222,65 @@ def free_least_squares(described, gains, log):
     return Found(numbers=numbers, deviations={})
 
 
+def described_bodies(described, gains, log, delay, held, motion, real):
+    """Posterior means and deviations of who knows states, delay and noise.
+
+    Of the bodies it knows how far those that are `real` are from described ones, by
+    draws, as a normal distribution of each body.
+
+    Parameters
+    ----------
+    described : pinocchio.Model
+        Robot.
+    gains : Gains
+        Drive.
+    log : Log
+        Recording.
+    delay, held : float
+        As for `least_squares`.
+    motion : tuple of three ndarray of shape (n, nv)
+        Positions, speeds, accelerations.
+    real : ndarray of shape (n_draws, nv, 10)
+        Bodies that robots of this description may have.
+
+    Returns
+    -------
+    Found
+    """
+    q, v, a = motion
+    nv, base = described.nv, vectors(described)
+    X, rigid = _free_system(described, q, v, a)
+    rows = moving(v)
+    Y = lowpass(late_torque(log, gains, delay, held)) - rigid
+    # Behind the low-pass only so many samples are independent.
+    fewer = 0.5 / (BAND * DT)
+    centre, precision = np.zeros(14 * nv), np.zeros((14 * nv, 14 * nv))
+    for k in range(nv):
+        own, away = slice(10 * k, 10 * k + 10), real[:, k] - base[k]
+        centre[own] = away.mean(axis=0)
+        precision[own, own] = np.linalg.inv(np.cov(away.T))
+    weight = np.ones(nv)
+    for _ in range(5):
+        # The noise of each joint is that of its residual.
+        H, b = precision.copy(), precision @ centre
+        for j in range(nv):
+            A, y = X[rows[:, j], j], Y[rows[:, j], j]
+            H += weight[j] / fewer * A.T @ A
+            b += weight[j] / fewer * A.T @ y
+        scale = 1 / np.sqrt(np.diag(H))
+        inverse = np.linalg.inv(H * np.outer(scale, scale)) * np.outer(scale, scale)
+        theta = inverse @ b
+        left = [Y[rows[:, j], j] - X[rows[:, j], j] @ theta for j in range(nv)]
+        weight = np.array([1 / r.var() for r in left])
+    bodies = base + theta[: 10 * nv].reshape(nv, 10)
+    terms = theta[10 * nv :].reshape(nv, 4)
+    deviations = np.sqrt(np.diag(inverse)[10 * nv :]).reshape(nv, 4)
+    return Found(
+        numbers=numbers_of(described, terms, delay, bodies),
+        deviations=dict(zip(VALUES, deviations.T)),
+    )
+
+
 def _free_system(described, q, v, a):
     """Columns (n, nv, 14 nv) of bodies and terms, and the described bodies' torque."""
     nv = described.nv

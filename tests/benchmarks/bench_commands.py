@@ -27,9 +27,11 @@ least squares on the same positions (``output error``, as mujoco.sysid has it), 
 drive, which says how well anybody could know the values. Its intervals take residuals
 for white in the band; those of ``oracle, blocks``, the same fit, are by the scatter of
 blocks of half a second, as the friction of the simulator is nothing white, and have one
-of the delay beside the four terms. ``package, drive`` knows of the hold as well
-(`PDDrive.period`), the others do not: half a millisecond of the feedback is some 2 % of
-the armature and 4 % of the damping.
+of the delay beside the four terms. ``oracle, described bodies`` is told all but the
+bodies, of which it knows from draws how far robots are from their description: nobody
+tells an armature from the inertia of a leg better than that. ``package, drive`` knows
+of the hold as well (`PDDrive.period`), the others do not: half a millisecond of the
+feedback is some 2 % of the armature and 4 % of the damping.
 
 - armature, damping, Coulomb: median of the error over the true value.
 - held: share of the intervals of 90 % that hold the true value.
@@ -63,6 +65,7 @@ from _commanded_rivals import (
     DT,
     VALUES,
     Found,
+    described_bodies,
     evolution,
     free_least_squares,
     instruments,
@@ -110,7 +113,9 @@ POPULATION, GENERATIONS = 16, 120
 CMA_EVERY = 8
 PACKAGE, DRIVE = "package", "package, drive"
 ORACLE, BLOCKS = "oracle", "oracle, blocks"
-ORACLES = ORACLE, BLOCKS
+DESCRIBED = "oracle, described bodies"
+ORACLES = ORACLE, BLOCKS, DESCRIBED
+DRAWS = 2000
 CMA, SIMULATED = "CMA-ES", "output error"
 Z90 = 1.645
 # Of the measured robot's runs.
@@ -293,6 +298,21 @@ def oracle(case, *, by_blocks=False):
     )
 
 
+def oracle_of_bodies(case):
+    """Posterior of who knows the states, the delay, and what bodies may be."""
+    log, described = case["fitted"], case["described"]
+    rng = np.random.default_rng(0)
+    return described_bodies(
+        described,
+        case["gains"],
+        log,
+        case["numbers"].delay,
+        0.5 * TICK,
+        (log.true_q, log.true_v, log.true_a),
+        np.array([vectors(changed(described, rng)[0]) for _ in range(DRAWS)]),
+    )
+
+
 WAYS = {
     PACKAGE: package,
     DRIVE: functools.partial(package, drive=True),
@@ -377,7 +397,9 @@ def run(task):
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if task["way"] in ORACLES:
+        if task["way"] == DESCRIBED:
+            found = oracle_of_bodies(case)
+        elif task["way"] in ORACLES:
             found = oracle(case, by_blocks=task["way"] == BLOCKS)
         else:
             way = WAYS[task["way"]]
@@ -421,7 +443,8 @@ CALLED = ("armature", "damping", "Coulomb", "delay")
 def overall(results):
     """Table of the ways on all robots."""
     rows = []
-    for way in dict.fromkeys(r["way"] for r in results if r["way"] != BLOCKS):
+    hidden = BLOCKS, DESCRIBED
+    for way in dict.fromkeys(r["way"] for r in results if r["way"] not in hidden):
         own = [r for r in results if r["way"] == way]
         simulated = [r["positions"] for r in own if r["positions"] == r["positions"]]
         rows.append(
@@ -461,15 +484,24 @@ def of_intervals(results):
             held[-1] = np.nan
         if not np.isfinite(held).any():
             continue
-        plain, blocks = (
+        plain, blocks, bodies = (
             [_width(own, theirs, name) for name in TERMS] for theirs in oracles
         )
-        rows.append([way, *fixed(held, 0), *fixed(plain[:-1], 2), *fixed(blocks, 2)])
+        rows.append(
+            [
+                way,
+                *fixed(held, 0),
+                *fixed(plain[:-1], 2),
+                *fixed(blocks, 2),
+                *fixed(bodies[:1], 2),
+            ]
+        )
     headers = [
         "way",
         *(f"held, {name} [%]" for name in CALLED),
         *(f"width / {ORACLE}'s, {name}" for name in CALLED[:-1]),
         *(f"/ {BLOCKS}, {name}" for name in CALLED),
+        f"/ {DESCRIBED}, armature",
     ]
     return rst_table(rows, headers)
 
@@ -667,9 +699,8 @@ def main(argv=None):
     first, last = arguments.seeds
     ways = [way for way in (*ORACLES, *WAYS) if way != DRIVE or has_drive()]
     if arguments.measured:
-        chosen = [
-            way for way in WAYS if way in ways and way in (arguments.ways or ways)
-        ]
+        asked = arguments.ways or ways
+        chosen = [way for way in ways[len(ORACLES) :] if way in asked]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             text = measured(arguments.data_home, chosen, arguments.cma_runs)

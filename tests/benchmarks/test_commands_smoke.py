@@ -135,7 +135,7 @@ def test_errors_by_blocks_are_those_of_repetitions():
 
 def test_tables_have_the_width_of_each_term_by_both_oracles(case):
     results = []
-    for way, by_blocks in zip(commands.ORACLES, (False, True)):
+    for way, by_blocks in ((commands.ORACLE, False), (commands.BLOCKS, True)):
         found = commands.oracle(case, by_blocks=by_blocks)
         results.append({"seed": 6, "way": way, **commands.judge(case, found)})
     white, blocks = results
@@ -149,6 +149,15 @@ def test_tables_have_the_width_of_each_term_by_both_oracles(case):
     assert any(line.startswith("oracle, blocks") for line in own)
     ratio = np.median(np.array(blocks["damping_width"]) / white["damping_width"])
     assert f"{ratio:.2f}" in text
+
+
+def test_who_knows_no_body_knows_an_armature_worse(case):
+    """But for bodies it knows the same, and its posterior holds what is true."""
+    figures = commands.judge(case, commands.oracle_of_bodies(case))
+    white = commands.judge(case, commands.oracle(case))
+    assert (np.array(figures["armature_width"]) > white["armature_width"]).all()
+    away = np.array(figures["armature"]) * case["numbers"].armature
+    assert (np.abs(away) < 4 * np.array(figures["armature_width"])).all()
 
 
 def test_rivals_run_and_the_delay_is_found(case):

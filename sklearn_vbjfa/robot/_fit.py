@@ -14,9 +14,11 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core._progress import stage
+from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.recording import Recording, check_wait
 from sklearn_vbjfa.robot._alike import beside_each_other
+from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._corners import with_corners
 from sklearn_vbjfa.robot._equations import (
@@ -278,8 +280,26 @@ def fit_robot(recipe, robot, source, before=None):
     fit = _settled(recipe, robot, source, relative, passes, load)
     turned = with_corners(fit.robot, source)
     if turned is not None:
+        rounded = fit.found.theta_unconstrained
         fit = _settled(recipe, turned, source, relative, [turned.plan], fit.robot.load)
+        fit = _in_doubt(fit, rounded)
     return fit.with_loads()
+
+
+def _in_doubt(fit, rounded):
+    """Add to what is not known a share of what corners moved, from `rounded` (p,)."""
+    # They follow from dry friction that turns at once, at a joint whose others are
+    # free. No drive is quite so, and all joints are off the same way, so that nothing
+    # of it shows in how the residual scatters.
+    found = fit.found
+    std = found.std
+    moved = DESCRIBED * (found.theta_unconstrained - rounded)
+    moved = np.where(std > 0, moved, 0.0)
+    covariance = found.covariance
+    if covariance is not None:
+        covariance = covariance + np.outer(moved, moved)
+    changed = {"std": np.hypot(std, moved), "covariance": covariance}
+    return fit.telling(replace(found, **changed))
 
 
 def _settled(recipe, robot, source, relative, passes, load):
@@ -342,6 +362,9 @@ def _settle(recipe, fit, source, relative):
             fit = recipe.of_source(own, source)
             fit, values, powers = _corrected(recipe, fit, source, relative)
     values.tell_bounds(fit.robot.joint_names_)
+    for effect in fit.robot.effects_:
+        if isinstance(effect, CommandDelay):
+            check_wait(effect.delay, source.recording)
     common = None
     if relative is not None:
         common, covariance = _common_gain(recipe, fit, relative, values)
@@ -573,11 +596,13 @@ class ModelValues:
     def tell_bounds(self, names):
         """Warn of values at the bounds of the plausible: they fit something else."""
         # names: of the joints.
-        told = []
+        told, advice = [], []
         for effect in self.effects:
             if not effect.in_model:
                 continue
             below, above = _at_bounds(effect)
+            if (below | above).any():
+                advice.append(effect.at_bounds)
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
                 for name, value, ends in zip(
@@ -588,8 +613,8 @@ class ModelValues:
         if told:
             warnings.warn(
                 f"{', '.join(told)} reached the limit of what is plausible: the "
-                "recording shows something else, or does not show it. Leave the effect "
-                "out, or look for a larger fault.",
+                "recording shows something else, or does not show it. "
+                f"{' '.join(dict.fromkeys(advice))}",
                 DoubtWarning,
                 stacklevel=6,
             )

@@ -23,6 +23,7 @@ from sklearn_vbjfa.robot import (  # noqa: E402
     CurrentDrive,
     PDDrive,
     RecordingStates,
+    VoltageDrive,
     follow_windows,
 )
 from sklearn_vbjfa.robot._equations import segments  # noqa: E402
@@ -221,7 +222,7 @@ def literal_covariance(recording, robot, sigma):
     torque of bodies, armature and damping.
     """
     t = DT * np.arange(len(recording.q))
-    q, v, a = np.split(recording.states, 3, axis=1)
+    _, v, a = np.split(recording.states, 3, axis=1)
     rigid = inverse_dynamics(ARM, recording.states)
     commands = CubicSpline(t, recording.command)
 
@@ -364,8 +365,39 @@ def test_bad_input_is_named(case):
 
 
 def test_a_delay_longer_than_plausible_is_told():
-    with pytest.warns(UserWarning, match="reached the limit of what is plausible"):
+    with pytest.warns(UserWarning, match=r"reached the limit .* give it to the drive"):
         identify(told(0.2))
+
+
+@pytest.mark.parametrize("drive", [PDDrive(KP, KD), PDDrive(KP, KD, delay=0.09)])
+def test_a_delay_longer_than_a_tenth_of_the_motion_is_refused(drive):
+    message = r"is 0\.0\d+ s, of a recording of 0\.8 s: .* Record longer"
+    with pytest.raises(ValueError, match=message):
+        identify(told(0.09, duration=0.8), drive)
+    assert np.isfinite(identify(told(0.09, duration=3.0), drive).theta_).all()
+
+
+def test_a_command_that_is_constant_is_named_joint_by_joint():
+    recording = told(0.006)
+    recording.signals["q_desired"][:, 1] = 0.25
+    with pytest.warns(UserWarning, match=r"joints that move: joint_2 \(0\.25, pos"):
+        found = PDDrive(KP, KD).driven(recording)
+    assert np.isfinite(found.tau).all()
+    recording.signals["q_desired"][:] = 0.25
+    with pytest.raises(ValueError, match=r"joint_1 \(0\.25.*joint_2.*joint_3"):
+        PDDrive(KP, KD).driven(recording)
+
+
+def test_a_duty_cycle_at_its_end_is_what_the_motor_got():
+    """Nothing is left out: voltage and back-EMF say the torque there as well."""
+    recording = told()
+    duty = np.clip(2.0 * np.sin(recording.states[:, :3]), -1, 1)
+    recording = replace(recording, signals={"voltage": duty})
+    drive = VoltageDrive(0.1, 2.0, supply=12.0)
+    found = drive.driven(recording)
+    v = recording.states[:, 3:6]
+    assert_allclose(found.tau, 0.1 / 2.0 * 12.0 * duty - 0.1**2 / 2.0 * v)
+    assert found.weight is None
 
 
 # -- noise that positions and torques have in common ----------------------------------

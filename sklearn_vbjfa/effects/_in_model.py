@@ -100,6 +100,8 @@ class ModelEffect(Effect):
         ``{second}``; empty lists the values behind the label.
     mjcf_note : str
         What a reader of an MJCF file has to know of it.
+    at_bounds : str
+        What to do where a value is at the end of what is plausible.
     """
 
     in_model = True
@@ -109,6 +111,7 @@ class ModelEffect(Effect):
     subject: tuple = ()
     told = ""
     mjcf_note = ""
+    at_bounds = "Leave the effect out, or look for a larger fault."
 
     @property
     def values(self):
@@ -591,6 +594,11 @@ class CommandDelay(ModelEffect):
     whole_robot = True
     scope = "robot"
     owner = "drive"
+    at_bounds = (
+        "Commands and positions may be of two clocks, or the drive of another mode: "
+        "shift the commands by what is known of their delay, or give it to the drive "
+        "(delay=)."
+    )
     visible = "commands that change"
     record = "faster commands, and some that the robot does not follow closely"
 

@@ -32,6 +32,7 @@ _MODULES = {
         "Drive",
         "PDDrive",
         "VoltageDrive",
+        "check_wait",
         "parse_drive",
     ),
     "_faults": (

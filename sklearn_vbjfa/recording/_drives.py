@@ -5,6 +5,7 @@ that follows from commands alone is kept as `Recording.command`: a delay moves t
 and not the one that the drive makes of the positions it measures.
 """
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
@@ -27,6 +28,8 @@ _MOSTLY = 0.5
 _SLOW = 10.0
 # Commands that vary less than this share of the motion do not move the joint.
 _STILL = 1e-6
+# What was commanded before a recording is not known: longest delay, as a share of it.
+_UNKNOWN = 0.1
 
 
 class Drive(BaseEstimator):
@@ -262,6 +265,7 @@ class PDDrive(Drive):
         ahead = self._channel(recording, "tau_ff")
         command = kp * aim + kd * rate + gear * (0.0 if ahead is None else ahead)
         if self.waits is not None:
+            check_wait(self.waits, recording)
             command = between(command, parts, clock, self.waits)
         q, v = np.asarray(recording.q), velocities(recording)
         if self.period is not None:
@@ -276,14 +280,28 @@ class PDDrive(Drive):
 
     def _check_aim(self, aim, recording):
         """Refuse commands that do not vary where the joints move."""
-        still = np.ptp(aim, axis=0) <= _STILL * np.ptp(recording.q, axis=0)
-        moving = np.ptp(recording.q, axis=0) > 0
-        if moving.any() and still[moving].all():
+        travel = np.ptp(recording.q, axis=0)
+        still = (travel > 0) & (np.ptp(aim, axis=0) <= _STILL * travel)
+        if not still.any():
+            return
+        said = ", ".join(
+            f"{recording.joint_names[j]} ({aim[0, j]:.4g}, positions over "
+            f"{travel[j]:.3g})"
+            for j in np.flatnonzero(still)
+        )
+        if still[travel > 0].all():
             raise ValueError(
-                "q_desired is constant on every joint that moves: commands of another "
-                "time, or of another mode of the drive. Record the commands that the "
-                "robot followed."
+                f"q_desired is constant on every joint that moves: {said}. Commands "
+                "of another time, or of another mode of the drive: record the "
+                "commands that the robot followed."
             )
+        warnings.warn(
+            f"q_desired is constant on joints that move: {said}. They count as held "
+            "there, and moved by the others. If they followed other commands, record "
+            "those, or leave the joints out.",
+            UserWarning,
+            stacklevel=2,
+        )
 
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
@@ -594,6 +612,21 @@ class VoltageDrive(_MotorDrive):
         command = constant / resistance * volts
         tau = command - constant**2 / resistance * velocities(recording)
         return replace(recording, tau=tau, command=command)
+
+
+def check_wait(delay, recording):
+    """Refuse a delay [s] before which too much of a recording has no known command."""
+    pieces = len(recording.segments)
+    time = check_dt(recording.dt) * recording.n_samples
+    if abs(delay) * pieces > _UNKNOWN * time:
+        each = f"{pieces} recordings of {time:.3g} s in all"
+        raise ValueError(
+            f"The delay of the commands is {delay:.3g} s, of "
+            f"{each if pieces > 1 else f'a recording of {time:.3g} s'}: for more than "
+            "a tenth of it nobody knows what was commanded. Record longer; or, if "
+            "commands and positions are not of one clock, shift the commands by what "
+            "is known and leave the rest to delay='auto'. delay is in seconds."
+        )
 
 
 def velocities(recording):

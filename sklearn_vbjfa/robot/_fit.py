@@ -14,9 +14,11 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core._progress import stage
+from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import Recording
+from sklearn_vbjfa.recording import Recording, check_wait
 from sklearn_vbjfa.robot._alike import beside_each_other
+from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._corners import with_corners
 from sklearn_vbjfa.robot._equations import (
@@ -138,12 +140,16 @@ class Fit:
 
     def telling(self, found, **changes):
         """Return the fit with the parameters of a corrected estimate."""
+        told = self.robot.spread
+        if told is not None:
+            told = told.of(found.covariance)
         robot = replace(
             self.robot,
             theta_=found.theta,
             theta_unconstrained_=found.theta_unconstrained,
             theta_std_=found.std,
             spreads=tuple(map(Spread.of_deviations, self.robot.split(found.std))),
+            spread=told,
             **changes,
         )
         robot = replace(robot, known_=known_parameters(robot, found))
@@ -274,8 +280,26 @@ def fit_robot(recipe, robot, source, before=None):
     fit = _settled(recipe, robot, source, relative, passes, load)
     turned = with_corners(fit.robot, source)
     if turned is not None:
+        rounded = fit.found.theta_unconstrained
         fit = _settled(recipe, turned, source, relative, [turned.plan], fit.robot.load)
+        fit = _in_doubt(fit, rounded)
     return fit.with_loads()
+
+
+def _in_doubt(fit, rounded):
+    """Add to what is not known a share of what corners moved, from `rounded` (p,)."""
+    # They follow from dry friction that turns at once, at a joint whose others are
+    # free. No drive is quite so, and all joints are off the same way, so that nothing
+    # of it shows in how the residual scatters.
+    found = fit.found
+    std = found.std
+    moved = DESCRIBED * (found.theta_unconstrained - rounded)
+    moved = np.where(std > 0, moved, 0.0)
+    covariance = found.covariance
+    if covariance is not None:
+        covariance = covariance + np.outer(moved, moved)
+    changed = {"std": np.hypot(std, moved), "covariance": covariance}
+    return fit.telling(replace(found, **changed))
 
 
 def _settled(recipe, robot, source, relative, passes, load):
@@ -338,6 +362,9 @@ def _settle(recipe, fit, source, relative):
             fit = recipe.of_source(own, source)
             fit, values, powers = _corrected(recipe, fit, source, relative)
     values.tell_bounds(fit.robot.joint_names_)
+    for effect in fit.robot.effects_:
+        if isinstance(effect, CommandDelay):
+            check_wait(effect.delay, source.recording)
     common = None
     if relative is not None:
         common, covariance = _common_gain(recipe, fit, relative, values)
@@ -528,17 +555,26 @@ class ModelValues:
 
     def beside(self, std, covariance):
         """Add to deviations (p,) and a covariance what the values leave unknown."""
-        # The others were estimated with the values as found, and move with them.
-        joint, std = self.estimate.covariance, std.copy()
-        covariance = None if covariance is None else covariance.copy()
-        for place, deviation in zip(self.places, self.std):
-            if not np.isfinite(deviation):
-                continue
-            slope = joint[:, place] / joint[place, place]
-            slope[self.places] = 0.0
-            std = np.hypot(std, slope * deviation)
-            if covariance is not None:
-                covariance += np.outer(slope, slope) * deviation**2
+        # The others were estimated with the values as found, and move with them, as
+        # their columns are alike.
+        std, told = std.copy(), np.isfinite(self.std)
+        # What is held as described does not move.
+        own, rest = self.places[told], std > 0
+        rest[self.places] = False
+        within = self.estimate.covariance[np.ix_(own, own)]
+        inverse = self.estimate.eigen.inverse()[:, own]
+        slope = np.linalg.solve(inverse[own], inverse[rest].T).T
+        std[rest] = np.hypot(std[rest], np.sqrt(_squares(slope, within)))
+        if covariance is not None:
+            covariance = covariance.copy()
+            covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
+            covariance[self.places] = covariance[:, self.places] = 0.0
+            # Of a value that the recording does not show nothing is known.
+            covariance[self.places, self.places] = np.inf
+            covariance[np.ix_(own, own)] = within
+            across = slope @ within
+            covariance[np.ix_(rest, own)] = across
+            covariance[np.ix_(own, rest)] = across.T
         return std, covariance
 
     @staticmethod
@@ -560,11 +596,13 @@ class ModelValues:
     def tell_bounds(self, names):
         """Warn of values at the bounds of the plausible: they fit something else."""
         # names: of the joints.
-        told = []
+        told, advice = [], []
         for effect in self.effects:
             if not effect.in_model:
                 continue
             below, above = _at_bounds(effect)
+            if (below | above).any():
+                advice.append(effect.at_bounds)
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
                 for name, value, ends in zip(
@@ -575,11 +613,16 @@ class ModelValues:
         if told:
             warnings.warn(
                 f"{', '.join(told)} reached the limit of what is plausible: the "
-                "recording shows something else, or does not show it. Leave the effect "
-                "out, or look for a larger fault.",
+                "recording shows something else, or does not show it. "
+                f"{' '.join(dict.fromkeys(advice))}",
                 DoubtWarning,
                 stacklevel=6,
             )
+
+
+def _squares(rows, matrix):
+    """Return r M r' (n,) of rows (n, k) and a matrix (k, k)."""
+    return np.einsum("ik,kl,il->i", rows, matrix, rows)
 
 
 def _at_bounds(effect):

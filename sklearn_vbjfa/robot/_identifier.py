@@ -1229,8 +1229,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             Parameters in the order of `parameter_names_` and the units of
             `parameter_units_`; bodies are physically consistent, and friction and
             armature are not negative. What no torque tells stays as it is. Values of
-            effects in the model (a tilt, a gain, a delay) are drawn by themselves; the
-            files of `to_mjcf` and `to_urdf` have them as identified, but for the delay.
+            the geometry (a tilt, a gain) are drawn by themselves, and the files of
+            `to_mjcf` and `to_urdf` have them as identified; a delay of commands is
+            drawn with the damping that it may be mistaken for.
 
         Raises
         ------
@@ -1326,7 +1327,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         >>> bool(one.lower < one.value < one.upper)
         True
         """
-        return self.robot_.ranges(level)
+        return self.robot_.ranges(level, drive=self._drive_of_files(None))
 
     def to_urdf(self, path, sample=None, random_state=0):
         """Write the robot description with the identified inertias and friction.

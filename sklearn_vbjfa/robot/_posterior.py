@@ -279,10 +279,10 @@ class Posterior:
             )
         covariance = np.zeros(2 * robot.theta_.shape)
         known = robot.spread.covariance
-        told = np.isfinite(np.diagonal(known)) & ~of_the_model(robot)
+        told = np.isfinite(np.diagonal(known))
         covariance[np.ix_(told, told)] = known[np.ix_(told, told)]
-        # Of values in the model only the deviations are known.
-        alone = of_the_model(robot) & np.isfinite(robot.theta_std_)
+        # Of values of the geometry only the deviations are known.
+        alone = of_the_model(robot) & ~told & np.isfinite(robot.theta_std_)
         covariance[alone, alone] = robot.theta_std_[alone] ** 2
         moves = np.diagonal(covariance) > 0
         return cls(

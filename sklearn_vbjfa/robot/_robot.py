@@ -713,13 +713,16 @@ class IdentifiedRobot(SimulatesTorques):
         n = check_number("n", n, 1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))
 
-    def ranges(self, level=0.9):
+    def ranges(self, level=0.9, *, drive=None):
         """Return the ranges of all parameters; see `RobotIdentifier.ranges`.
 
         Parameters
         ----------
         level : float, default=0.9
             Probability of an interval.
+        drive : PDDrive, default=None
+            Drive with gains that stand beside the ranges; a robot from a file has none
+            of its own.
 
         Returns
         -------
@@ -731,7 +734,7 @@ class IdentifiedRobot(SimulatesTorques):
         ValueError
             If the level is not between 0 and 1, or the robot has no covariance.
         """
-        return ranges_of(self, level)
+        return ranges_of(self, level, drive)
 
     def _sampled(self, sample, random_state):
         """Return the robot of a file, and a note of which sample it is."""

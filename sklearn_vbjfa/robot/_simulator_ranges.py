@@ -59,9 +59,9 @@ class ParameterRange:
     within, between : float
         Standard deviations within recordings (noise, `theta_std_`) and from recording
         to recording, before anything is cut off; zero for a single recording.
-    known : {"yes", "in combination", "from the description", "no"}
+    known : {"yes", "in combination", "from the description", "no", "given"}
         Whether the recordings tell it by itself, only together with others, hardly
-        beside the description, or not at all.
+        beside the description, or not at all; "given" is a setting of the drive.
     nonnegative : bool
         Whether negative values are cut off.
 
@@ -134,6 +134,9 @@ class Ranges:
         Units of their torques.
     notes : tuple of str
         What else a reader of the values has to know.
+    given : tuple of ParameterRange
+        Gains of a `PDDrive`, and its delay if that is known: values without a range,
+        for which the others were found.
 
     See Also
     --------
@@ -160,6 +163,7 @@ class Ranges:
     joint_names: tuple
     torque_units: tuple
     notes: tuple = ()
+    given: tuple = ()
 
     def __iter__(self):
         """Iterate over the parameters."""
@@ -171,7 +175,7 @@ class Ranges:
 
     def __getitem__(self, name):
         """Return the `ParameterRange` of a name."""
-        for one in self.parameters:
+        for one in (*self.parameters, *self.given):
             if one.name == name:
                 return one
         raise KeyError(name)
@@ -243,9 +247,11 @@ class Ranges:
         # What does not vary goes together with nothing.
         among[np.isnan(among)] = 0.0
         np.fill_diagonal(among, 1.0)
+        given = [_value(one) for one in self.given if one.joint == joint]
         return {
             "values": [_value(self.parameters[k]) for k in own],
             "correlation": among.tolist(),
+            **({"given": given} if given else {}),
         }
 
 
@@ -275,12 +281,14 @@ def _value(one):
 
 def _distribution(one):
     """Say what distribution a parameter has."""
+    if one.known == "given":
+        return "fixed"
     kind = "normal" if one.between == 0 else "mixture of normals"
     return f"{kind}, cut off at zero" if one.nonnegative else kind
 
 
-def ranges_of(robot, level):
-    """Return the `Ranges` of an `IdentifiedRobot`."""
+def ranges_of(robot, level, drive=None):
+    """Return the `Ranges` of an `IdentifiedRobot`, with the settings of a `PDDrive`."""
     is_number = isinstance(level, Real) and not isinstance(level, bool)
     if not (is_number and 0 < level < 1):
         raise ValueError(
@@ -300,7 +308,26 @@ def ranges_of(robot, level):
         joint_names=robot.joint_names_,
         torque_units=tuple("N" if slides else "N m" for slides in kinds),
         notes=(note,) if note else (),
+        given=() if drive is None else tuple(_given(robot.joint_names_, kinds, drive)),
     )
+
+
+def _given(names, kinds, drive):
+    """Yield the settings of a `PDDrive` as values without a range."""
+    units = {"kp": ("N m/rad", "N/m"), "kd": ("N m s/rad", "N s/m")}
+    for (word, unit), gains in zip(units.items(), drive.law(names)):
+        for name, slides, gain in zip(names, kinds, gains.tolist()):
+            yield _fixed(f"{name}:{word}", name, unit[int(slides)], gain)
+    if drive.waits is not None:
+        yield _fixed("drive:delay", "", "s", drive.waits)
+
+
+def _fixed(name, joint, unit, value):
+    """Return a value that was given."""
+    where = dict.fromkeys(("value", "lower", "upper", "mean"), value)
+    spread = dict.fromkeys(("std", "within", "between"), 0.0)
+    known = {"known": "given", "nonnegative": value >= 0}
+    return ParameterRange(name=name, joint=joint, unit=unit, **where, **spread, **known)
 
 
 def _range_of(robot, posterior, k, level):

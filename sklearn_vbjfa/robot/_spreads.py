@@ -151,12 +151,13 @@ class TorqueSpread:
         taken = np.einsum("jik,ik->j", moments.G[:, told][:, :, told], known)
         with np.errstate(divide="ignore", invalid="ignore"):
             taken = np.where(moments.n > 0, taken / moments.n, 0.0)
-        return cls(
-            # Symmetric to the last bit, of which a file holds one half.
-            covariance=0.5 * (found.covariance + found.covariance.T),
-            through=through**2,
-            rest=rest**2 + taken,
-        )
+        made = cls(covariance=known, through=through**2, rest=rest**2 + taken)
+        return made.of(found.covariance)
+
+    def of(self, covariance):
+        """Return it with another covariance (p, p) of the parameters."""
+        # Symmetric to the last bit, of which a file holds one half.
+        return replace(self, covariance=0.5 * (covariance + covariance.T))
 
     def std(self, rows, *, noiseless):
         """Deviations (n, nv) for `RegressorRows`, with noise of positions or not."""

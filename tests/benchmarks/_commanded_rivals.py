@@ -19,6 +19,7 @@ STATE_BAND, BAND = 30.0, 15.0  # of positions, and of columns and torques [Hz]
 MARGIN = 0.5  # left out at both ends [s]
 STANDSTILL = 0.02  # share of the fastest speed
 DELAYS = np.arange(0.0, 25.01e-3, 0.5e-3)  # the grid [s]
+BLOCK = 0.5  # of errors by blocks of time [s]
 VALUES = ("armature", "damping", "coulomb")
 # Box of CMA-ES: logarithms of N m s^2/rad, N m s/rad, N m; and s.
 LOWEST = np.array([1e-3, 1e-2, 1e-2])
@@ -78,6 +79,26 @@ def own_columns(v, a):
     return np.stack([a, v, np.sign(v), np.ones_like(v)], axis=2)
 
 
+def slope_of_delay(log, gains, delay, step=1e-4):
+    """Differentiate the PD law's torque by its delay, behind the low-pass (n, nv)."""
+    ahead, behind = (late_torque(log, gains, delay + s) for s in (step, -step))
+    return lowpass((ahead - behind) / (2 * step))
+
+
+def block_covariance(A, left, blocks):
+    """Covariance (p, p) of least squares A (n, p) by the scatter of blocks (n,).
+
+    Scores of a block are summed before they are squared, so that residuals may be
+    correlated in it in any way (Liang and Zeger, 1986).
+    """
+    scores = np.zeros((blocks.max() + 1, A.shape[1]))
+    np.add.at(scores, blocks, A * left[:, None])
+    used = np.unique(blocks).size
+    inverse = np.linalg.inv(A.T @ A)
+    few = used / max(used - A.shape[1], 1)
+    return few * inverse @ (scores.T @ scores) @ inverse
+
+
 def numbers_of(described, terms, delay, bodies):
     """Numbers of the four terms (nv, 4)."""
     armature, damping, coulomb, offset = np.transpose(terms)
@@ -99,7 +120,9 @@ def vectors(model):
 # -- least squares ---------------------------------------------------------------------
 
 
-def least_squares(described, gains, log, *, delays=(0.0,), held=0.0, motion=None):
+def least_squares(
+    described, gains, log, *, delays=(0.0,), held=0.0, motion=None, by_blocks=False
+):
     """Four terms of every joint beside the described bodies.
 
     Parameters
@@ -116,6 +139,9 @@ def least_squares(described, gains, log, *, delays=(0.0,), held=0.0, motion=None
         By how much what the drive reads is old [s].
     motion : tuple of three ndarray of shape (n, nv), default=None
         Positions, speeds, accelerations, if these are known.
+    by_blocks : bool, default=False
+        Deviations by the scatter of blocks of `BLOCK` seconds, and one of the delay
+        beside the terms; otherwise for residuals that are white in the band.
 
     Returns
     -------
@@ -140,14 +166,31 @@ def least_squares(described, gains, log, *, delays=(0.0,), held=0.0, motion=None
     terms, deviations = np.empty((nv, 4)), np.empty((nv, 4))
     # Behind the low-pass only so many samples are independent.
     fewer = 0.5 / (BAND * DT)
+    block = (np.arange(len(rows)) * DT / BLOCK).astype(int)
+    slope = slope_of_delay(log, gains, delay)
+    stacked, residuals, blocks = [], [], []
     for j in range(nv):
         A, y = X[rows[:, j], j], Y[rows[:, j], j]
         terms[j], square, *_ = np.linalg.lstsq(A, y)
         variance = fewer * square[0] / (len(y) - 4 * fewer)
         deviations[j] = np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
+        if by_blocks:
+            left, own = y - A @ terms[j], block[rows[:, j]]
+            deviations[j] = np.sqrt(np.diag(block_covariance(A, left, own)))
+            # What the four terms leave of the delay's column.
+            alone = slope[rows[:, j], j]
+            alone = alone - A @ np.linalg.lstsq(A, alone)[0]
+            stacked.append(alone / left.std())
+            residuals.append(left / left.std())
+            blocks.append(own)
+    by_name = dict(zip(VALUES, deviations.T))
+    if by_blocks:
+        own = [np.concatenate(x) for x in (stacked, residuals, blocks)]
+        spread = block_covariance(own[0][:, None], *own[1:])
+        by_name["delay"] = float(np.sqrt(spread[0, 0]))
     return Found(
         numbers=numbers_of(described, terms, delay, vectors(described)),
-        deviations=dict(zip(VALUES, deviations.T)),
+        deviations=by_name,
     )
 
 
@@ -177,6 +220,65 @@ def free_least_squares(described, gains, log):
     terms = theta[10 * nv :].reshape(nv, 4)
     numbers = numbers_of(described, terms, delay, bodies)
     return Found(numbers=numbers, deviations={})
+
+
+def described_bodies(described, gains, log, delay, held, motion, real):
+    """Posterior means and deviations of who knows states, delay and noise.
+
+    Of the bodies it knows how far those that are `real` are from described ones, by
+    draws, as a normal distribution of each body.
+
+    Parameters
+    ----------
+    described : pinocchio.Model
+        Robot.
+    gains : Gains
+        Drive.
+    log : Log
+        Recording.
+    delay, held : float
+        As for `least_squares`.
+    motion : tuple of three ndarray of shape (n, nv)
+        Positions, speeds, accelerations.
+    real : ndarray of shape (n_draws, nv, 10)
+        Bodies that robots of this description may have.
+
+    Returns
+    -------
+    Found
+    """
+    q, v, a = motion
+    nv, base = described.nv, vectors(described)
+    X, rigid = _free_system(described, q, v, a)
+    rows = moving(v)
+    Y = lowpass(late_torque(log, gains, delay, held)) - rigid
+    # Behind the low-pass only so many samples are independent.
+    fewer = 0.5 / (BAND * DT)
+    centre, precision = np.zeros(14 * nv), np.zeros((14 * nv, 14 * nv))
+    for k in range(nv):
+        own, away = slice(10 * k, 10 * k + 10), real[:, k] - base[k]
+        centre[own] = away.mean(axis=0)
+        precision[own, own] = np.linalg.inv(np.cov(away.T))
+    weight = np.ones(nv)
+    for _ in range(5):
+        # The noise of each joint is that of its residual.
+        H, b = precision.copy(), precision @ centre
+        for j in range(nv):
+            A, y = X[rows[:, j], j], Y[rows[:, j], j]
+            H += weight[j] / fewer * A.T @ A
+            b += weight[j] / fewer * A.T @ y
+        scale = 1 / np.sqrt(np.diag(H))
+        inverse = np.linalg.inv(H * np.outer(scale, scale)) * np.outer(scale, scale)
+        theta = inverse @ b
+        left = [Y[rows[:, j], j] - X[rows[:, j], j] @ theta for j in range(nv)]
+        weight = np.array([1 / r.var() for r in left])
+    bodies = base + theta[: 10 * nv].reshape(nv, 10)
+    terms = theta[10 * nv :].reshape(nv, 4)
+    deviations = np.sqrt(np.diag(inverse)[10 * nv :]).reshape(nv, 4)
+    return Found(
+        numbers=numbers_of(described, terms, delay, bodies),
+        deviations=dict(zip(VALUES, deviations.T)),
+    )
 
 
 def _free_system(described, q, v, a):
@@ -231,11 +333,7 @@ def instruments(described, gains, log, *, rounds=3):
         simulated, speeds = loop.motion(numbers, log)
         Z = own_columns(speeds, interpolate.CubicSpline(t, simulated)(t, 2))
         Z = lowpass(Z)
-        step = 1e-4
-        ahead, behind = (
-            late_torque(log, gains, numbers.delay + s) for s in (step, -step)
-        )
-        slope = lowpass((ahead - behind) / (2 * step))
+        slope = slope_of_delay(log, gains, numbers.delay)
         Y = lowpass(late_torque(log, gains, numbers.delay)) - rigid
         weight = 1 / Y.std(axis=0)
         blocks = []

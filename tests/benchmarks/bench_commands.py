@@ -7,7 +7,7 @@ Data: the description is the MJCF of the measured Go2 (`fetch_unitree_go2`), its
 held. The truth is not as described: masses and shapes off by 20 % and one body by a
 factor of two (as in ``bench_bodies.py``); armature, damping and Coulomb friction drawn
 for hip, thigh and calf, those of the four legs alike within 5 %; commands late by a
-constant delay. It is stepped by MuJoCo at 4 kHz under a PD law at 1 kHz that holds its
+constant delay. It is stepped by MuJoCo at 20 kHz under a PD law at 1 kHz that holds its
 torque (`_commanded_robots.py`): nothing of it comes from the package. Encoders are read
 with white noise; speeds are true but for that noise, differentiated behind 40 Hz. The
 log has 20 s at 200 Hz: positions and speeds as read, positions as commanded. Every
@@ -24,13 +24,19 @@ variables with the motion simulated from the commands (``_commanded_rivals.py``)
 on simulated positions (bodies as described, as PACE has them; every eighth robot),
 least squares on the same positions (``output error``, as mujoco.sysid has it), and
 ``oracle``: least squares with true states, true delay, true bodies and the hold of the
-drive, which says how well anybody could know the values. ``package, drive`` knows of
-the hold as well (`PDDrive.period`), the others do not: half a millisecond of the
+drive, which says how well anybody could know the values. Its intervals take residuals
+for white in the band; those of ``oracle, blocks``, the same fit, are by the scatter of
+blocks of half a second, as the friction of the simulator is nothing white, and have one
+of the delay beside the four terms. ``oracle, described bodies`` is told all but the
+bodies, of which it knows from draws how far robots are from their description: nobody
+tells an armature from the inertia of a leg better than that. ``package, drive`` knows
+of the hold as well (`PDDrive.period`), the others do not: half a millisecond of the
 feedback is some 2 % of the armature and 4 % of the damping.
 
 - armature, damping, Coulomb: median of the error over the true value.
-- held: share of the intervals of 90 % that hold the true value, and their width as a
-  share of that of the oracle (median).
+- held: share of the intervals of 90 % that hold the true value.
+- width: of these intervals, as a share of that of each oracle, term by term (median);
+  a fair scale is an oracle whose own intervals hold what they say.
 - torque: error in the other motion, along its true states, behind 15 Hz, over its
   spread.
 - positions: error of the simulation of the other motion from its commands alone [mrad];
@@ -59,6 +65,7 @@ from _commanded_rivals import (
     DT,
     VALUES,
     Found,
+    described_bodies,
     evolution,
     free_least_squares,
     instruments,
@@ -104,7 +111,11 @@ DRAWN = {
 AMPLITUDES = (0.2, 0.5)
 POPULATION, GENERATIONS = 16, 120
 CMA_EVERY = 8
-PACKAGE, DRIVE, ORACLE = "package", "package, drive", "oracle"
+PACKAGE, DRIVE = "package", "package, drive"
+ORACLE, BLOCKS = "oracle", "oracle, blocks"
+DESCRIBED = "oracle, described bodies"
+ORACLES = ORACLE, BLOCKS, DESCRIBED
+DRAWS = 2000
 CMA, SIMULATED = "CMA-ES", "output error"
 Z90 = 1.645
 # Of the measured robot's runs.
@@ -273,7 +284,7 @@ def found_by(robot, described):
     return Found(numbers=numbers, deviations={}, intervals=intervals)
 
 
-def oracle(case):
+def oracle(case, *, by_blocks=False):
     """Least squares of who knows the states, the delay and the bodies."""
     log = case["fitted"]
     return least_squares(
@@ -283,6 +294,22 @@ def oracle(case):
         delays=[case["numbers"].delay],
         held=0.5 * TICK,
         motion=(log.true_q, log.true_v, log.true_a),
+        by_blocks=by_blocks,
+    )
+
+
+def oracle_of_bodies(case):
+    """Posterior of who knows the states, the delay, and what bodies may be."""
+    log, described = case["fitted"], case["described"]
+    rng = np.random.default_rng(0)
+    return described_bodies(
+        described,
+        case["gains"],
+        log,
+        case["numbers"].delay,
+        0.5 * TICK,
+        (log.true_q, log.true_v, log.true_a),
+        np.array([vectors(changed(described, rng)[0]) for _ in range(DRAWS)]),
     )
 
 
@@ -370,8 +397,10 @@ def run(task):
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if task["way"] == ORACLE:
-            found = oracle(case)
+        if task["way"] == DESCRIBED:
+            found = oracle_of_bodies(case)
+        elif task["way"] in ORACLES:
+            found = oracle(case, by_blocks=task["way"] == BLOCKS)
         else:
             way = WAYS[task["way"]]
             found = way(case["described"], case["gains"], case["fitted"])
@@ -397,21 +426,25 @@ def _held(results, names):
     return 100 * float(np.mean(held)) if held else np.nan
 
 
-def _width(results, oracles):
-    ratios = []
+def _width(results, oracles, name):
+    """Median of the widths of a value's intervals over those of an oracle."""
+    key, ratios = f"{name}_width", []
     for r in results:
-        for name in VALUES:
-            if f"{name}_width" in r and r["seed"] in oracles:
-                theirs = oracles[r["seed"]][f"{name}_width"]
-                ratios += list(np.array(r[f"{name}_width"]) / theirs)
+        theirs = oracles.get(r["seed"], {})
+        if key in r and key in theirs:
+            ratios += list(np.array(r[key]) / theirs[key])
     return float(np.median(ratios)) if ratios else np.nan
+
+
+TERMS = (*VALUES, "delay")
+CALLED = ("armature", "damping", "Coulomb", "delay")
 
 
 def overall(results):
     """Table of the ways on all robots."""
-    oracles = {r["seed"]: r for r in results if r["way"] == ORACLE}
     rows = []
-    for way in dict.fromkeys(r["way"] for r in results):
+    hidden = BLOCKS, DESCRIBED
+    for way in dict.fromkeys(r["way"] for r in results if r["way"] not in hidden):
         own = [r for r in results if r["way"] == way]
         simulated = [r["positions"] for r in own if r["positions"] == r["positions"]]
         rows.append(
@@ -420,8 +453,6 @@ def overall(results):
                 str(len(own)),
                 *fixed([100 * _median(own, name) for name in VALUES], 1),
                 *fixed([_median(own, "delay") if way != ORACLE else np.nan], 2),
-                *fixed([_held(own, [name]) for name in (*VALUES, "delay")], 0),
-                *fixed([_width(own, oracles)], 1),
                 *fixed([100 * np.median([r["torque"] for r in own])], 1),
                 *fixed([np.median(simulated) if simulated else np.nan], 1),
                 str(len(simulated)),
@@ -431,14 +462,46 @@ def overall(results):
     headers = [
         "way",
         "robots",
-        *(f"{name} [%]" for name in ("armature", "damping", "Coulomb")),
+        *(f"{name} [%]" for name in CALLED[:-1]),
         "delay [ms]",
-        *(f"held, {n} [%]" for n in ("armature", "damping", "Coulomb", "delay")),
-        "width / oracle's",
         "torque [%]",
         "positions [mrad]",
         "simulated",
         "s",
+    ]
+    return rst_table(rows, headers)
+
+
+def of_intervals(results):
+    """Table of the intervals of 90 %: what they hold, and how wide they are."""
+    oracles = [{r["seed"]: r for r in results if r["way"] == way} for way in ORACLES]
+    rows = []
+    for way in dict.fromkeys(r["way"] for r in results):
+        own = [r for r in results if r["way"] == way]
+        held = [_held(own, [name]) for name in TERMS]
+        if way in ORACLES:
+            # It is told the delay.
+            held[-1] = np.nan
+        if not np.isfinite(held).any():
+            continue
+        plain, blocks, bodies = (
+            [_width(own, theirs, name) for name in TERMS] for theirs in oracles
+        )
+        rows.append(
+            [
+                way,
+                *fixed(held, 0),
+                *fixed(plain[:-1], 2),
+                *fixed(blocks, 2),
+                *fixed(bodies[:1], 2),
+            ]
+        )
+    headers = [
+        "way",
+        *(f"held, {name} [%]" for name in CALLED),
+        *(f"width / {ORACLE}'s, {name}" for name in CALLED[:-1]),
+        *(f"/ {BLOCKS}, {name}" for name in CALLED),
+        f"/ {DESCRIBED}, armature",
     ]
     return rst_table(rows, headers)
 
@@ -448,7 +511,7 @@ PLAIN = "least squares, no delay"
 
 def by_cell(results, name):
     """Table of one value's error by cell, a column for each way."""
-    ways = list(dict.fromkeys(r["way"] for r in results if r["way"] != ORACLE))
+    ways = list(dict.fromkeys(r["way"] for r in results if r["way"] not in ORACLES))
     rows = []
     for late in LATE:
         for place in PLACES:
@@ -476,6 +539,7 @@ def by_cell(results, name):
 def report(results, first, last):
     """Text of the tables."""
     parts = [f"Seeds {first} to {last}.", overall(results)]
+    parts += [rst_title("Intervals of 90 %", "~"), of_intervals(results)]
     titles = {
         "armature": "Armature, error [%]",
         "damping": "Damping, error [%]",
@@ -619,7 +683,7 @@ def main(argv=None):
     arguments.add_argument("--data-home", default=None, metavar="DIR")
     arguments.add_argument("--out", nargs="+", default=None, metavar="FILE")
     arguments.add_argument("--seeds", type=int, nargs=2, default=(0, 19))
-    arguments.add_argument("--ways", nargs="+", choices=[*WAYS, ORACLE], default=None)
+    arguments.add_argument("--ways", nargs="+", choices=[*WAYS, *ORACLES], default=None)
     arguments.add_argument("--jobs", type=int, default=1)
     arguments.add_argument(
         "--measured", action="store_true", help="the ten runs of the measured robot"
@@ -633,9 +697,10 @@ def main(argv=None):
     )
     arguments = arguments.parse_args(argv)
     first, last = arguments.seeds
-    ways = [way for way in (ORACLE, *WAYS) if way != DRIVE or has_drive()]
+    ways = [way for way in (*ORACLES, *WAYS) if way != DRIVE or has_drive()]
     if arguments.measured:
-        chosen = [way for way in ways[1:] if way in (arguments.ways or ways)]
+        asked = arguments.ways or ways
+        chosen = [way for way in ways[len(ORACLES) :] if way in asked]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             text = measured(arguments.data_home, chosen, arguments.cma_runs)

@@ -10,7 +10,14 @@ pytest.importorskip("mujoco")
 
 import bench_commands as commands
 import mujoco
-from _commanded_rivals import DELAYS, branches, instruments, least_squares, vectors
+from _commanded_rivals import (
+    DELAYS,
+    block_covariance,
+    branches,
+    instruments,
+    least_squares,
+    vectors,
+)
 from _commanded_robots import TICK, ClosedLoop, Gains, mjcf, recorded
 from _undeclared_robots import inverse_dynamics
 from bench_bodies import leg
@@ -110,6 +117,47 @@ def test_who_knows_all_finds_the_values(case):
     figures = commands.judge(case, found)
     for name in commands.VALUES:
         assert np.median(np.abs(figures[name])) < 0.05
+
+
+def test_errors_by_blocks_are_those_of_repetitions():
+    """Residuals that stay for a while scatter the estimate more than white ones."""
+    rng = np.random.default_rng(0)
+    blocks = np.repeat(np.arange(60), 20)
+    A = rng.normal(size=(60, 2)).repeat(20, axis=0) + rng.normal(size=(1200, 2))
+    found, said = [], []
+    for _ in range(300):
+        left = rng.normal(size=60).repeat(20) + 0.1 * rng.normal(size=1200)
+        coef = np.linalg.lstsq(A, left)[0]
+        found.append(coef)
+        said.append(np.diag(block_covariance(A, left - A @ coef, blocks)))
+    np.testing.assert_allclose(np.mean(said, axis=0), np.var(found, axis=0), rtol=0.2)
+
+
+def test_tables_have_the_width_of_each_term_by_both_oracles(case):
+    results = []
+    for way, by_blocks in ((commands.ORACLE, False), (commands.BLOCKS, True)):
+        found = commands.oracle(case, by_blocks=by_blocks)
+        results.append({"seed": 6, "way": way, **commands.judge(case, found)})
+    white, blocks = results
+    assert white["armature"] == blocks["armature"]
+    assert "delay_width" not in white
+    assert blocks["delay_width"][0] > 0
+    for result in results:
+        result["seconds"] = 1.0
+    text = commands.of_intervals(results)
+    own = text.splitlines()
+    assert any(line.startswith("oracle, blocks") for line in own)
+    ratio = np.median(np.array(blocks["damping_width"]) / white["damping_width"])
+    assert f"{ratio:.2f}" in text
+
+
+def test_who_knows_no_body_knows_an_armature_worse(case):
+    """But for bodies it knows the same, and its posterior holds what is true."""
+    figures = commands.judge(case, commands.oracle_of_bodies(case))
+    white = commands.judge(case, commands.oracle(case))
+    assert (np.array(figures["armature_width"]) > white["armature_width"]).all()
+    away = np.array(figures["armature"]) * case["numbers"].armature
+    assert (np.abs(away) < 4 * np.array(figures["armature_width"])).all()
 
 
 def test_rivals_run_and_the_delay_is_found(case):

@@ -23,6 +23,7 @@ pytest.importorskip("python_calamine")
 from tests.hostile import (
     _archives,
     _descriptions,
+    _drives,
     _formats,
     _motions,
     _several,
@@ -43,6 +44,7 @@ CASES = [
         _motions,
         _times,
         _several,
+        _drives,
     )
     for case in family.cases()
 ]

@@ -23,6 +23,7 @@ from sklearn_vbjfa.robot import (  # noqa: E402
     CurrentDrive,
     PDDrive,
     RecordingStates,
+    VoltageDrive,
     follow_windows,
 )
 from sklearn_vbjfa.robot._equations import segments  # noqa: E402
@@ -214,6 +215,64 @@ def test_the_deviation_of_the_delay_is_its_scatter():
     assert 0.6 < values.std() / np.median(stds) < 1.5
 
 
+def literal_covariance(recording, robot, sigma):
+    """Covariance of all that was fitted, by differences of a literal residual.
+
+    Without a filter, all joints alike: what the commands say a delay later, less the
+    torque of bodies, armature and damping.
+    """
+    t = DT * np.arange(len(recording.q))
+    _, v, a = np.split(recording.states, 3, axis=1)
+    rigid = inverse_dynamics(ARM, recording.states)
+    commands = CubicSpline(t, recording.command)
+
+    def left(x):
+        armature, viscous, delay = x[:3], x[3:6], x[6]
+        late = commands(np.maximum(t - delay, 0.0)) - commands(t)
+        law = recording.tau + late
+        return (law - rigid - armature * a - viscous * v)[20:-20].ravel()
+
+    x = np.r_[ARMATURE, VISCOUS, delay_of(robot)[0]]
+    slopes = []
+    for k in range(7):
+        step = np.zeros(7)
+        step[k] = 1e-5
+        slopes.append((left(x + step) - left(x - step)) / 2e-5)
+    J = np.transpose(slopes)
+    names = [f"{joint}:{term}" for term in FRICTION[::-1] for joint in NAMES]
+    places = [robot.parameter_names_.index(one) for one in [*names, "drive:delay"]]
+    return sigma**2 * np.linalg.inv(J.T @ J), places
+
+
+def test_samples_of_delay_and_damping_belong_together(tmp_path):
+    """An arm that follows closely: a later command is a smaller damping."""
+    stiff = PDDrive(20 * KP, KD)
+    recording = told()
+    q, v, a = states(DT * np.arange(len(recording.q)) + 0.008)
+    later = q + (torques(q, v, a) + KD * v) / (20 * KP)
+    recording.signals["q_desired"][:] = later
+    recording = stiff.driven(recording)
+    noise = np.random.default_rng(3).normal(size=recording.q.shape)
+    # Commands of before the recording, and after it, are not known.
+    weight = np.ones(recording.q.shape)
+    weight[:20] = weight[-20:] = 0.0
+    recording = replace(recording, tau=recording.tau + 0.4 * noise, weight=weight)
+    robot = identify(recording, stiff, bodies="fixed", joint_weights=None)
+    expected, at = literal_covariance(recording, robot, 0.4)
+    size = np.sqrt(np.diagonal(expected))
+    correlation = expected / np.outer(size, size)
+    assert (correlation[6, 3:6] < -0.5).all()
+    robot.save(tmp_path / "arm.json")
+    for one in (robot.robot_, load_identified(tmp_path / "arm.json")):
+        # Within a recording, as the covariance is.
+        drawn = replace(one, between=None).sample(4000, random_state=0)[:, at]
+        assert_allclose(np.corrcoef(drawn.T), correlation, atol=0.08)
+        assert_allclose(drawn.std(axis=0), size, rtol=0.25)
+        assert_allclose(drawn.std(axis=0), robot.theta_std_[at], rtol=0.2)
+    among = replace(robot.robot_, between=None).ranges().correlation
+    assert_allclose(among[np.ix_(at, at)], correlation, atol=0.08)
+
+
 def test_a_saved_robot_keeps_the_delay(tmp_path):
     recording = told(0.007)
     robot = identify(recording)
@@ -306,8 +365,39 @@ def test_bad_input_is_named(case):
 
 
 def test_a_delay_longer_than_plausible_is_told():
-    with pytest.warns(UserWarning, match="reached the limit of what is plausible"):
+    with pytest.warns(UserWarning, match=r"reached the limit .* give it to the drive"):
         identify(told(0.2))
+
+
+@pytest.mark.parametrize("drive", [PDDrive(KP, KD), PDDrive(KP, KD, delay=0.09)])
+def test_a_delay_longer_than_a_tenth_of_the_motion_is_refused(drive):
+    message = r"is 0\.0\d+ s, of a recording of 0\.8 s: .* Record longer"
+    with pytest.raises(ValueError, match=message):
+        identify(told(0.09, duration=0.8), drive)
+    assert np.isfinite(identify(told(0.09, duration=3.0), drive).theta_).all()
+
+
+def test_a_command_that_is_constant_is_named_joint_by_joint():
+    recording = told(0.006)
+    recording.signals["q_desired"][:, 1] = 0.25
+    with pytest.warns(UserWarning, match=r"joints that move: joint_2 \(0\.25, pos"):
+        found = PDDrive(KP, KD).driven(recording)
+    assert np.isfinite(found.tau).all()
+    recording.signals["q_desired"][:] = 0.25
+    with pytest.raises(ValueError, match=r"joint_1 \(0\.25.*joint_2.*joint_3"):
+        PDDrive(KP, KD).driven(recording)
+
+
+def test_a_duty_cycle_at_its_end_is_what_the_motor_got():
+    """Nothing is left out: voltage and back-EMF say the torque there as well."""
+    recording = told()
+    duty = np.clip(2.0 * np.sin(recording.states[:, :3]), -1, 1)
+    recording = replace(recording, signals={"voltage": duty})
+    drive = VoltageDrive(0.1, 2.0, supply=12.0)
+    found = drive.driven(recording)
+    v = recording.states[:, 3:6]
+    assert_allclose(found.tau, 0.1 / 2.0 * 12.0 * duty - 0.1**2 / 2.0 * v)
+    assert found.weight is None
 
 
 # -- noise that positions and torques have in common ----------------------------------

@@ -21,6 +21,7 @@ from sklearn_vbjfa.robot import (  # noqa: E402
     BetweenRecordings,
     Marginal,
     ParameterRange,
+    PDDrive,
     Posterior,
 )
 from sklearn_vbjfa.robot._posterior import _RecordingEffects  # noqa: E402
@@ -529,6 +530,41 @@ def test_the_delay_of_a_drive_is_of_the_whole_robot(tmp_path):
     drawn = drawn[:, robot.parameter_names_.index("drive:delay")]
     inside = (found.lower < drawn) & (drawn < found.upper)
     assert inside.mean() == pytest.approx(0.9, abs=0.07)
+
+
+def test_settings_of_a_drive_are_fixed_values_of_a_file(tmp_path):
+    """Gains in the words of three simulators, of a drive or as they were recorded."""
+    kp, kd = np.array([40.0, 60.0, 20.0]), np.array([1.0, 2.0, 0.5])
+    recording = told(0.01)
+    n = len(recording.q)
+    channels = {"kp": np.tile(kp, (n, 1)), "kd": np.tile(kd, (n, 1))}
+    recorded = {**recording.signals, **channels}
+    for drive, signals in (
+        (PDDrive(kp / 2.0, kd / 2.0, gear=2.0, delay=0.01), recording.signals),
+        (PDDrive(delay=0.01), recorded),
+    ):
+        robot = identify(dataclasses.replace(recording, signals=signals), drive)
+        ranges = robot.ranges()
+        assert ranges["joint_2:kp"].value == ranges["joint_2:kp"].upper == 60.0
+        ranges.save(tmp_path / "ranges.json")
+        content = json.loads((tmp_path / "ranges.json").read_text())
+        for joint, own in zip(content["joints"], zip(kp, kd)):
+            words = [("kp", "stiffness", "set_dofs_kp"), ("kv", "damping")]
+            words[1] += ("set_dofs_kv",)
+            assert [one["value"] for one in joint["given"]] == list(own)
+            for one, word in zip(joint["given"], words):
+                told_of = [one[key] for key in ("mujoco", "isaac_lab", "genesis")]
+                assert told_of == list(word)
+                assert one["low"] == one["high"] == one["value"]
+                assert (one["distribution"], one["known"]) == ("fixed", "given")
+            assert len(joint["values"]) == len(joint["correlation"])
+        (delay,) = content["robot"]["given"]
+        assert (delay["parameter"], delay["value"]) == ("drive:delay", 0.01)
+    # what is found has a range, and no second value
+    found = json.loads(identify(told(0.01)).ranges().to_json())
+    assert "given" not in found["robot"]
+    assert "given" in found["joints"][0]
+    assert not identify(told(0.01)).robot_.ranges().given
 
 
 def test_a_delay_that_differs_between_recordings_is_told():

@@ -430,7 +430,11 @@ def _loads(model, states):
     features = RigidBodyFeatures(model, friction=()).fit(states[:1])
     still = np.zeros_like(states)
     still[:, : model.nv] = states[:, : model.nv]
-    return features.matrices(still) @ nominal_parameters(model).ravel()
+    loads = features.matrices(still) @ nominal_parameters(model).ravel()
+    # What is left about a vertical axis is rounding.
+    size = np.abs(loads).max(axis=0)
+    loads[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
+    return loads
 
 
 def one_speed(speed):
@@ -478,6 +482,7 @@ def _visible(speeds, reversals, ends, slides, load, torque):
         # As on a vertical slide.
         reason = "gravity loads it alike everywhere, accelerations alone vary its load"
     elif spread < _SAME_LOAD * scale:
-        reason = f"its load by gravity varies by {spread:.2g} only"
+        unit = "N" if slides else "N m"
+        reason = f"its load by gravity varies by {spread:.2g} {unit} only"
     put("friction that varies with the load", reason)
     return tuple(shows), tuple(hides)

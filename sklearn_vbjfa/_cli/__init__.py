@@ -453,11 +453,15 @@ def _arguments(argv):
         _flush()
 
 
+# Options whose lists of numbers may begin with a minus.
+_SIGNED = ("--start", "--gain", "--base-orientation")
+
+
 def _joined(words):
     """Join options and the lists of numbers behind them that begin with a minus."""
     found = []
     for word in words:
-        if found and found[-1] == "--start" and re.match(r"-\.?\d", word):
+        if found and found[-1] in _SIGNED and re.match(r"-\.?\d", word):
             found[-1] += f"={word}"
         else:
             found.append(word)

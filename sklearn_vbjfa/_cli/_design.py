@@ -97,7 +97,10 @@ def _motion(arguments, robot, limits, asked, found, seed):
 
     names = robot.known.joint_names
     start = _numbers("--start", arguments.start, names, positive=False)
-    with stage(f"designing {arguments.duration:g} s for {len(names)} joints"):
+    task = f"designing {arguments.duration:g} s for {len(names)} joints"
+    # Told before the minutes that it takes.
+    free = "" if _has_shapes(robot) else ", SELF-COLLISION IS NOT CHECKED"
+    with stage(task + free):
         motion = design_motion(
             robot.known,
             duration=arguments.duration,
@@ -114,6 +117,17 @@ def _motion(arguments, robot, limits, asked, found, seed):
             "give another --start, a longer --duration or another --seed."
         )
     return motion
+
+
+def _has_shapes(robot):
+    """Whether shapes of the links are known, which keep them apart."""
+    from sklearn_vbjfa.model import NoShapes, load_shapes
+
+    try:
+        load_shapes(robot.known.description, robot.known.features.model_)
+    except NoShapes:
+        return False
+    return True
 
 
 # -- what is given ---------------------------------------------------------------------

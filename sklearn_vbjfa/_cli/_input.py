@@ -88,8 +88,9 @@ class Taken:
         from sklearn_vbjfa.model import DoubtWarning
 
         findings = self.findings()
-        with blaming(self.source):
-            wrong = refusal(findings)
+        measured = 0 if self.drive else self.recording.nv
+        with blaming(self.source, self.gains):
+            wrong = refusal(findings, measured)
             if wrong is not None:
                 raise wrong
         for message in channel_doubts(findings):

@@ -87,8 +87,9 @@ def _write(arguments, done, caught):
 
 
 @contextlib.contextmanager
-def blaming(source):
+def blaming(source, gains=None):
     """Name what was read in a refusal: the options are valid, so it is at fault."""
+    # gains: factors that its torques have already, which signs are multiplied with.
     from sklearn_vbjfa.physical import ProjectionError
 
     try:
@@ -99,6 +100,12 @@ def blaming(source):
         if "drive" in refused.options:
             # It has gains of its own.
             refused.options["gains"] = None
+        signs = refused.options.get("gains")
+        if isinstance(signs, tuple) and gains == "unknown":
+            # These are positive.
+            del refused.options["gains"]
+        elif isinstance(signs, tuple) and gains is not None:
+            refused.options["gains"] = tuple(a * b for a, b in zip(signs, gains))
         raise refused from error
 
 

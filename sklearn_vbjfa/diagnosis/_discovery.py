@@ -514,7 +514,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             return (), []
         known = whole.q, whole.tau, whole.dt, whole.groups
         findings = inspect_channels(model, *known, drive=self.identifier.drive)
-        wrong = refusal(findings)
+        measured = self.identifier.drive is None
+        wrong = refusal(findings, model.nv if measured else 0)
         if wrong is not None:
             raise wrong
         allowed = ()

@@ -20,7 +20,7 @@ from sklearn_vbjfa.inspection._rivals import (
     total,
 )
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import ChannelFinding
+from sklearn_vbjfa.recording import ChannelFinding, in_order, listed_joints
 
 # Friction below this share of a torque is no evidence of a wrong sign ...
 _FRICTION_SHARE = 0.1
@@ -37,6 +37,7 @@ def torque_signs(model, names, signals):
     equations = ChannelEquations(model, signals)
     found = []
     sign = np.ones(model.nv)
+    unseen, right = dict.fromkeys(range(model.nv)), False
     for j, fit in fits_of(equations, signals).items():
         scale, scale_t, share = equations.nominal_scale(j)
         if fit.error[0] > _WORST_ERROR:
@@ -49,8 +50,10 @@ def torque_signs(model, names, signals):
             scale_t * (share > 0.5 * NOMINAL_SHARE),
         )
         if min(friction, rigid) > -SURE or against > 2.0:
+            right |= max(friction, rigid) > SURE
             continue
         sign[j] = -1.0
+        del unseen[j]
         evidence = []
         if friction < -SURE:
             evidence.append(
@@ -74,6 +77,22 @@ def torque_signs(model, names, signals):
                 f"{' and '.join(evidence)}; multiply it by -1.",
             )
         )
+    if not found or right:
+        return found, signals.signed(sign)
+    # A log whose torques all have the other sign is likelier than one in which just
+    # those are right that cannot be seen.
+    if unseen:
+        found.append(
+            ChannelFinding(
+                "torque_sign",
+                tuple(unseen),
+                in_order(found)[0].severity,
+                f"The sign of the torque of {listed_joints(names, unseen)} cannot be "
+                "seen in this motion; as all that can be seen are wrong, multiply it "
+                "by -1 too.",
+            )
+        )
+        sign[list(unseen)] = -1.0
     return found, signals.signed(sign)
 
 

@@ -77,13 +77,15 @@ def inspect_recording(recording, model=None):
     return tuple(one for one in found if one.kind not in OF_SIZE)
 
 
-def refusal(findings):
+def refusal(findings, n_torques=0):
     """Return the error that findings are, with the option that mends it; None if none.
 
     Parameters
     ----------
     findings : sequence of ChannelFinding
         Of a recording.
+    n_torques : int, default=0
+        Joints whose torques were measured, which factors can turn; 0 for a drive.
 
     Returns
     -------
@@ -93,9 +95,13 @@ def refusal(findings):
     errors = [one for one in findings if one.severity == "error"]
     if not errors:
         return None
-    unsigned = [one.kind for one in errors] == ["unsigned_torque"]
-    text = " ".join(one.message for one in errors)
-    return RecordingRefused(text, {"drive": UNSIGNED} if unsigned else {})
+    kinds, options = {one.kind for one in errors}, {}
+    if kinds == {"unsigned_torque"}:
+        options = {"drive": UNSIGNED}
+    elif kinds == {"torque_sign"} and n_torques:
+        wrong = {j for one in errors for j in one.joints}
+        options = {"gains": tuple(-1 if j in wrong else 1 for j in range(n_torques))}
+    return RecordingRefused(" ".join(one.message for one in errors), options)
 
 
 def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
@@ -424,7 +430,11 @@ def _loads(model, states):
     features = RigidBodyFeatures(model, friction=()).fit(states[:1])
     still = np.zeros_like(states)
     still[:, : model.nv] = states[:, : model.nv]
-    return features.matrices(still) @ nominal_parameters(model).ravel()
+    loads = features.matrices(still) @ nominal_parameters(model).ravel()
+    # What is left about a vertical axis is rounding.
+    size = np.abs(loads).max(axis=0)
+    loads[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
+    return loads
 
 
 def one_speed(speed):
@@ -472,6 +482,7 @@ def _visible(speeds, reversals, ends, slides, load, torque):
         # As on a vertical slide.
         reason = "gravity loads it alike everywhere, accelerations alone vary its load"
     elif spread < _SAME_LOAD * scale:
-        reason = f"its load by gravity varies by {spread:.2g} only"
+        unit = "N" if slides else "N m"
+        reason = f"its load by gravity varies by {spread:.2g} {unit} only"
     put("friction that varies with the load", reason)
     return tuple(shows), tuple(hides)

@@ -116,8 +116,8 @@ def _find_meshes(tree, path, package_dirs):
                 searched = [repr(str(x)) for x in (*given, path.resolve().parent)]
                 raise NoShapes(
                     f"The mesh {name!r} of link {link.get('name')!r} was not found in "
-                    f"{', '.join(searched)} or a folder above it; put its package "
-                    "there, or name its folder (package_dirs)."
+                    f"{', '.join(searched)} or a folder above it; put the "
+                    "folder of its package there."
                 )
             mesh.set("filename", f"file://{found}")
 

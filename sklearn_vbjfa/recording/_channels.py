@@ -277,7 +277,7 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         near = f" (nearest: {near})" if near else ""
         parts.append(
             f"no column t and no dt{near}; add time stamps [s] as column t, or give "
-            "the sample period dt in seconds"
+            "the sample period dt in seconds (command line: --dt 0.002)"
             if not missing
             else f"no time: expected a column t, or dt{near}"
         )

@@ -768,6 +768,23 @@ def test_faults_of_a_recording(fault, urdf, recording, tmp_path, monkeypatch, ca
     assert not (tmp_path / "arm-report").exists()
 
 
+def test_a_wrong_sign_offers_the_gains_that_turn_it(
+    urdf, recording, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    source = write_csv("arm.csv", recording, tau=recording.tau * [0.5, -0.5])
+    line = refusal(capsys, source, "--urdf", urdf)
+    assert line.endswith(" --gain 1,-1")
+    # Factors that were given stay, and those of unknown gains have no sign.
+    line = refusal(capsys, source, "--urdf", urdf, "--gain", "2,2")
+    assert line.endswith(" --gain 2,-2")
+    line = refusal(capsys, source, "--urdf", urdf, "--gain", "unknown")
+    assert line.endswith("multiply it by -1")
+    # What is offered works, and so do factors of which the first is negative.
+    whole = write_csv("whole.csv", recording, tau=-recording.tau)
+    assert main(["inspect", whole, "--urdf", str(urdf), "--gain", "-1,-1"]) == 0
+
+
 def test_no_positions(good, urdf, capsys):
     good.write_text(good.read_text().replace("q1,q2", "angle1,angle2", 1))
     line = refusal(capsys, good, "--urdf", urdf)

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli import _design, main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.design import design_motion
 from tests.command_line.test_close_loop import LINK, URDF
@@ -83,6 +83,22 @@ def designed(home):
     (line,) = errors.getvalue().splitlines()
     assert line.startswith("note: exit code 3: SELF-COLLISION WAS NOT CHECKED")
     return out, text.getvalue(), argv
+
+
+@pytest.mark.parametrize("has_shapes", [False, True])
+def test_progress_says_from_its_start_whether_links_are_kept_apart(
+    has_shapes, here, monkeypatch
+):
+    shape = "<collision><geometry><sphere radius='0.01'/></geometry></collision>"
+    if has_shapes:
+        (here / "arm.urdf").write_text(URDF.replace("<inertial>", shape + "<inertial>"))
+    stages = []
+    monkeypatch.setattr(
+        _design, "stage", lambda text: stages.append(text) or contextlib.nullcontext()
+    )
+    main(["design", "--urdf", "arm.urdf", *FAST])
+    (begun,) = stages
+    assert begun.endswith("SELF-COLLISION IS NOT CHECKED") == (not has_shapes)
 
 
 @pytest.fixture

@@ -131,7 +131,7 @@ def test_meshes_are_found_in_the_folders_given(tmp_path):
     (packages / "arm").mkdir(parents=True)
     (packages / "arm/cube.obj").write_text(CUBE, encoding="utf-8")
     path = with_mesh(folder, "package://arm/cube.obj")
-    assert "package_dirs" in reason(path)
+    assert "put the folder of its package there" in reason(path)
     for given in (packages, packages / "arm"):
         found = load_shapes(path, load_model(path), package_dirs=[given])
         assert len(found.shapes) == 1

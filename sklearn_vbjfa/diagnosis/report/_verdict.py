@@ -262,10 +262,12 @@ def _headline(outcome, joints, status):
     open_joints = {v.joint for v in joints if v.status == "unexplained"}
     rest = [u for u in outcome.unexplained if u.joint in open_joints]
     worst = max(rest, key=lambda u: u.of_torque)
-    noise = words.percent(outcome.floor[worst.joint])
+    noise = f"noise: {words.percent(outcome.floor[worst.joint])}"
+    if not one:
+        noise = f"{words.joint_label(outcome.joint_names, worst.joint)}; its {noise}"
     return (
         f"{first} {'' if one else 'up to '}{words.percent(worst.of_torque)} of the "
-        f"torque of {which} remains unexplained (noise: {noise}).{silent}"
+        f"torque of {which} remains unexplained ({noise}).{silent}"
     )
 
 

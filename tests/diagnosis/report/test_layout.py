@@ -4,6 +4,8 @@ import json
 import re
 import shutil
 import subprocess
+from collections import Counter
+from html import unescape
 
 import numpy as np
 import pytest
@@ -26,6 +28,11 @@ window.addEventListener("load", async function () {
     if (box.right > innerWidth + 1 && (!scrolls || scrolls === one)) {
       told.wide.push(one.tagName + "." + one.getAttribute("class"));
     }
+  });
+  told.named = 0;
+  document.querySelectorAll(".stack td").forEach(function (one) {
+    var name = getComputedStyle(one, "::before").content;
+    told.named += !one.textContent.trim() && !["none", "normal"].includes(name);
   });
   told.scroll = document.documentElement.scrollWidth;
   document.querySelectorAll(".chart svg").forEach(function (svg) {
@@ -50,9 +57,23 @@ window.addEventListener("load", async function () {
   out.id = "probe";
   out.textContent = JSON.stringify(told);
   document.body.replaceChildren(out);
+  parent.postMessage(out.textContent, "*");
 });
 </script>
 </body>
+"""
+# A window is at least 500 px wide; what it frames may be narrower. Its answer is passed
+# on by a message, since files may not look into each other.
+FRAME = """<!DOCTYPE html>
+<iframe src="report.html" style="width:{width}px;height:900px;border:0"></iframe>
+<script>
+addEventListener("message", function (e) {{
+  var out = document.createElement("pre");
+  out.id = "probe";
+  out.textContent = e.data;
+  document.body.replaceChildren(out);
+}});
+</script>
 """
 FAILURES = """<head>
 <script>
@@ -60,6 +81,22 @@ window.failures = [];
 window.addEventListener("error", function (e) { window.failures.push(e.message); });
 </script>
 """
+
+
+def browse(path, *options):
+    """Run a browser without a window on a page; skip where there is none."""
+    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
+    if browser is None:
+        pytest.skip(f"none of {', '.join(BROWSERS)} is installed")
+    own = ["--headless=new", "--no-sandbox", "--disable-gpu"]
+    own.append(f"--user-data-dir={path.parent / 'profile'}")
+    return subprocess.run(
+        [browser, *own, *options, path.as_uri()],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+    )
 
 
 def pages():
@@ -124,35 +161,63 @@ def test_the_marks_of_a_page_are_closed_and_its_places_are_different(html):
 def test_a_browser_draws_the_page_without_errors_or_overflow(
     html, width, look, tmp_path
 ):
-    browser = next(filter(None, map(shutil.which, BROWSERS)), None)
-    if browser is None:
-        pytest.skip(f"none of {', '.join(BROWSERS)} is installed")
-    path = tmp_path / "report.html"
     text = html.replace("<head>\n", FAILURES, 1).replace("</body>\n", PROBE, 1)
-    path.write_text(text, encoding="utf-8")
-    run = subprocess.run(
-        [
-            browser,
-            "--headless=new",
-            "--no-sandbox",
-            "--disable-gpu",
-            f"--user-data-dir={tmp_path / 'profile'}",
-            f"--window-size={width},900",
-            f"--blink-settings=preferredColorScheme={int(look == 'light')}",
-            "--virtual-time-budget=5000",
-            "--dump-dom",
-            path.as_uri(),
-        ],
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=True,
+    (tmp_path / "report.html").write_text(text, encoding="utf-8")
+    frame = tmp_path / "frame.html"
+    frame.write_text(FRAME.format(width=width), encoding="utf-8")
+    run = browse(
+        frame,
+        f"--window-size={max(width, 500) + 50},900",
+        f"--blink-settings=preferredColorScheme={int(look == 'light')}",
+        "--virtual-time-budget=5000",
+        "--dump-dom",
     )
     told = json.loads(re.search(r'<pre id="probe">(.*?)</pre>', run.stdout)[1])
     assert told["errors"] == []
-    assert told["width"] <= max(width, 500)
+    assert told["width"] == width
     assert told["wide"] == []
+    assert told["named"] == 0, "cells with a name and nothing behind it"
     assert told["scroll"] <= told["width"]
     assert told["charts"] == html.count('<div class="chart"')
     assert told["empty"] == 0
     assert told["zoomed"] == html.count('class="numbers"')
+
+
+def words(text):
+    """Count the words of a text that no line is too short for."""
+    return Counter(one for one in re.findall(r"\w+", text) if 4 <= len(one) <= 20)
+
+
+# Points that a printed page leaves empty on each side.
+MARGIN = 20
+
+
+@pytest.mark.slow
+def test_a_page_is_printed_whole(html, tmp_path):
+    if shutil.which("pdftotext") is None:
+        pytest.skip("pdftotext (poppler) is not installed")
+    path, printed = tmp_path / "report.html", tmp_path / "report.pdf"
+    path.write_text(html, encoding="utf-8")
+    browse(path, "--no-pdf-header-footer", f"--print-to-pdf={printed}")
+    run = ["pdftotext", "-bbox", str(printed), "-"]
+    told = subprocess.run(run, capture_output=True, text=True, check=True).stdout
+    pages = told.split("<page ")[1:]
+    joints = html.count("determined by the recording")
+    # Three pictures and two sheets of parameters a joint, about.
+    assert 3 + joints // 2 <= len(pages) <= 8 + 3 * joints
+    found = ""
+    for page in pages:
+        size = re.match(r'width="(.*?)" height="(.*?)"', page)
+        width, height = map(float, size.groups())
+        boxes = re.findall(r'xMin="(.*?)" yMin="(.*?)" xMax="(.*?)" yMax="(.*?)"', page)
+        assert boxes, "an empty page"
+        left, top, right, bottom = np.array(boxes, dtype=float).T
+        # What a frame cuts off would reach into the margins of 29 points.
+        assert min(left.min(), top.min()) >= MARGIN
+        assert right.max() <= width - MARGIN
+        assert bottom.max() <= height - MARGIN
+        found += " " + " ".join(re.findall(r">([^<]*)</word>", page))
+    # What is folded on a screen is there too: the parameters of every joint.
+    cells = re.findall(r"<(?:h2|td)[^>]*>\s*([^<]+?)\s*</(?:h2|td)>", html)
+    assert len(cells) > 20 * joints
+    assert words(unescape(" ".join(cells))) - words(unescape(found)) == Counter()

@@ -331,13 +331,17 @@ def test_success_is_never_claimed_while_something_is_open(changes):
 def test_verdict_names_the_joints_that_stay_above_the_floor():
     report = Report(make_outcome(n_effects=0, unexplained=(1, 4)))
     noise = words.percent(report.outcome.floor[1])
-    told = f"4.3 % of the torque of joints 2 and 5 remains unexplained (noise: {noise})"
+    told = (
+        "4.3 % of the torque of joints 2 and 5 remains unexplained "
+        f"(joint 2; its noise: {noise})"
+    )
     assert f"No known effect is missing, but up to {told}." in report.verdict
     named = make_outcome(
         nv=2, n_effects=0, unexplained=(1,), names=("shoulder", "elbow")
     )
     verdict = Report(named).verdict
-    assert "but 4.3 % of the torque of joint 2 (elbow) remains unexplained" in verdict
+    told = "4.3 % of the torque of joint 2 (elbow) remains unexplained (noise: "
+    assert f"but {told}" in verdict
 
 
 def test_verdict_says_when_held_out_data_got_worse():

@@ -91,7 +91,7 @@ def mjcf(described, numbers, gains=None, step=STEP):
     Parameters
     ----------
     described : pinocchio.Model
-        Its joints and where they are; revolute about an axis.
+        Its joints and where they are; each turns about an axis, or slides.
     numbers : Numbers
         Its numbers.
     gains : Gains, default=None
@@ -111,7 +111,9 @@ def mjcf(described, numbers, gains=None, step=STEP):
         quaternion = pin.Quaternion(place.rotation).coeffs()[[3, 0, 1, 2]]
         data = described.joints[i].createData()
         described.joints[i].calc(data, np.zeros(1))
-        axis = np.asarray(data.S).reshape(6)[3:]
+        slides, turns = np.asarray(data.S).reshape(2, 3)
+        kind = "hinge" if turns.any() else "slide"
+        axis = turns if turns.any() else slides
         inertia = pin.Inertia.FromDynamicParameters(numbers.bodies[j])
         full = inertia.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
         inside = "".join(body(k) for k in children[i])
@@ -119,7 +121,7 @@ def mjcf(described, numbers, gains=None, step=STEP):
             f'<body pos="{_words(place.translation)}" quat="{_words(quaternion)}">'
             f'<inertial mass="{inertia.mass:.17g}" pos="{_words(inertia.lever)}" '
             f'fullinertia="{_words(full)}"/>'
-            f'<joint name="{described.names[i]}" axis="{_words(axis)}" '
+            f'<joint name="{described.names[i]}" type="{kind}" axis="{_words(axis)}" '
             f'armature="{numbers.armature[j]:.17g}" '
             f'damping="{numbers.damping[j]:.17g}" '
             f'frictionloss="{numbers.coulomb[j]:.17g}" solreffriction="{SOLREF}"/>'

@@ -52,9 +52,9 @@ OURS, SEARCH, FIGAROH = "RobotIdentifier", "EffectDiscovery", "FIGAROH"
 SYSID, CMA = "mujoco.sysid", "CMA-ES"
 # Budgets: simulations of CMA-ES for a run (and evaluations for the servo), iterations
 # of mujoco.sysid.
-POPULATION, GENERATIONS, EVALUATIONS, ITERATIONS = 16, 120, 4000, 15
+POPULATION, GENERATIONS, EVALUATIONS, ITERATIONS = 16, 120, 4000, 10
 # Of the torque-driven simulations that mujoco.sysid is fitted to.
-RUNS, LENGTH, LONGEST_STEP = 20, 0.5, 2e-3  # number, [s], [s]
+RUNS, LENGTH, LONGEST_STEP = 8, 0.5, 2e-3  # number, [s], [s]
 LARGEST_BIAS = 5.0  # of the Go2's joints [N m]
 THICKNESS = 1e-2  # [m]
 SERVO = "bam_xl330"
@@ -317,11 +317,11 @@ def figaroh_robot(recording, values):
     """Return the simulation of a robot with the parameters that FIGAROH names."""
     model = recording.robot_model()
     words = "m mx my mz Ixx Ixy Iyy Ixz Iyz Izz".split()
-    numbers = range(1, model.nv + 1)
-    bodies = np.array([[values[f"{w}{j}"] for w in words] for j in numbers])
+    joints = recording.joint_names
+    bodies = np.array([[values[f"{w}_{j}"] for w in words] for j in joints])
     terms = {"viscous": "fv", "coulomb": "fs", "offset": "off", "rotor_inertia": "Ia"}
     friction = {
-        name: np.array([values[f"{word}{j}"] for j in numbers])
+        name: np.array([values[f"{word}_{j}"] for j in joints])
         for name, word in terms.items()
     }
     robot = torque_model(model, bodies=bodies, friction=friction, dt=recording.dt)

@@ -23,10 +23,10 @@ rotor inertia of every joint (on EMPS the rotor is the mass again).
 - FIGAROH: the user script and settings of ``side_by_side`` for the UR5, with joints,
   rate and filter (1.5 times the set's) of the set put in; physical fit, base parameters
   where that is refused.
-- mujoco.sysid: ``side_by_side/mujoco_sysid_user.py``, 15 iterations at most. On the
+- mujoco.sysid: ``side_by_side/mujoco_sysid_user.py``, 10 iterations at most. On the
   Go2, joints and delay by the positions that commands make, the bodies as described;
   on other sets joints and bodies (pseudo-inertias in its default boxes) by the
-  positions that torques make, in twenty stretches of half a second.
+  positions that torques make, in eight stretches of half a second.
 - CMA-ES: armature, damping, Coulomb friction, offset and delay by the positions that
   commands make, the bodies as described, as PACE has it; on the servo the model M1 of
   BAM as BAM fits it. Budget: 16 x 120 simulations of a run, 4000 of the servo's
@@ -40,13 +40,13 @@ CMA-ES and mujoco.sysid take minutes for a run of the Go2: they are fitted to ru
 - scatter: the two halves of the fitted part (of every recording; on the Go2 runs 0 to 3
   and 4 to 6, or the two runs) are fitted each alone; half the difference of the torques
   that they predict for the held-out part, over its spread. Coordinates of the
-  parameters do not matter.
+  parameters do not matter. mujoco.sysid has it on the Go2 alone.
 - positions: simulated over windows of a second of the held-out part, each from the
   measured state at its start: by the recorded torques, at most twenty windows evenly
-  over the part; on the Go2 and the servo by commands alone, all windows but the first
-  of a recording. Mean error over that of a robot that stays where it is, mean over the
-  joints. A window counts on no joint more than the worst that a robot has which stays
-  or goes on at its velocity, and so much if its simulation fails.
+  over the part; on the Go2 and the servo by commands alone, in all windows (those of
+  the Go2 from the first second on). Mean error over that of a robot that stays where it
+  is, mean over the joints. A window counts on no joint more than the worst that a robot
+  has which stays or goes on at its velocity, and so much if its simulation fails.
 - consistent: whether all bodies are physically consistent (pseudo-inertia).
 - seconds: of one processor (FIGAROH: by the clock, imports not counted).
 - lines: that a user writes, settings included.
@@ -88,6 +88,7 @@ SETS = tuple(name for name in protocols() if name != "demo")
 PEERS = (OURS, SEARCH, *regressors(10), FIGAROH, SYSID, CMA)
 COLUMNS = ("q", "v", "tau", "t", "weight", "states")
 WINDOW, WINDOWS = 1.0, 20  # length [s], and most of them where torques drive
+MARGIN = 0.1  # before the first of a recording [s]
 # What a simulation may end in; anything else is a fault of this script.
 FAILURES = (ValueError, ArithmeticError, RuntimeError)
 
@@ -178,12 +179,14 @@ def windows_of(case):
     """List the windows of the held-out part, each its rows (m,)."""
     part = case.held_out
     length, found = round(WINDOW / part["dt"]), []
+    # Late commands are not there yet in the first second of the Go2's runs; elsewhere
+    # states rest on one side only where a recording begins. Windows of the servo are
+    # those of `follow`.
+    first = length if case.gains else round(MARGIN / part["dt"])
+    first = 0 if case.name == SERVO else first
     for rows in recordings(part):
-        # The first of a recording begins where states rest on one side only, and
-        # commands that act late are not there yet.
-        found += [
-            rows[k : k + length] for k in range(length, len(rows) - length + 1, length)
-        ]
+        starts = range(first, len(rows) - length + 1, length)
+        found += [rows[k : k + length] for k in starts]
     if "recording" in part or len(found) <= WINDOWS:
         return found
     chosen = np.linspace(0, len(found) - 1, WINDOWS).astype(int)
@@ -263,7 +266,9 @@ def run(task):
         if case.gains and peer in (CMA, SYSID):
             whole, *others = by_commands(case, case.fitted, peer)
         else:
-            parts = [case.fitted, *halves(case.fitted)]
+            # Another two fits of mujoco.sysid would take a quarter of an hour.
+            others = [] if peer == SYSID else halves(case.fitted)
+            parts = [case.fitted, *others]
             whole, *others = (answer(case, x, peer, task.get("python")) for x in parts)
     except (ImportError, RuntimeError, ValueError) as error:
         return {**kept, "failure": str(error).splitlines()[0]}
@@ -293,7 +298,7 @@ def judged(case, whole, others):
     predicted = [other.predicted for other in others]
     figures = {
         "error": 100 * float(np.nanmean(error(whole.predicted, told))),
-        "scatter": 50 * float(np.nanmean(off(*predicted))),
+        "scatter": 50 * float(np.nanmean(off(*predicted))) if predicted else np.nan,
     }
     if whole.simulate or whole.follow:
         try:
@@ -461,7 +466,7 @@ def main(argv=None):
             ledger.add(run(task))
             taken = time.perf_counter() - started
             print(ledger.results[-1], f"{taken:.0f} s in all", flush=True)
-        board = by_the_board(arguments.data_home)
+        board = by_the_board(arguments.data_home) if "emps" in arguments.data else ""
     done = ledger.of(every)
     parts = [places(done), summary(done), board]
     for name in dict.fromkeys(r["set"] for r in done):

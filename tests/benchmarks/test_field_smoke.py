@@ -51,14 +51,44 @@ def test_peers_predict_and_simulate_the_part_that_is_held_out(demo, peer):
     assert failed == 0 or peer != peers.OURS
 
 
-def test_sysid_comes_closer_than_who_goes_on(demo, monkeypatch):
+@pytest.mark.parametrize("gains", [None, 40.0])
+def test_sysid_finds_the_joint_that_moved(gains):
+    """A pendulum of MuJoCo, driven by torques, or by commands that act late."""
+    mujoco = pytest.importorskip("mujoco")
     pytest.importorskip("absl")
-    monkeypatch.setattr(peers, "RUNS", 2)
-    monkeypatch.setattr(peers, "ITERATIONS", 2)
-    found = peers.answer(demo, demo.fitted, peers.SYSID)
-    own, goes_on, _ = field.position_figures(field.position_errors(demo, found))
-    assert own < goes_on
-    assert found.consistent == "yes"
+    from _commanded_rivals import numbers_of, vectors
+    from _commanded_robots import Gains, mjcf
+    from _simulated_models import pendulum
+
+    model = pendulum((1.0, 0.3, 0.02, 0.5))
+    terms = [[0.05, 0.4, 0.3, -0.2]]
+    truth = numbers_of(model, terms, 0.0, vectors(model))
+    drive = None if gains is None else Gains(kp=np.array([gains]), kd=np.array([2.0]))
+    step, late = 2e-3, 0 if gains is None else 5
+    made = mujoco.MjModel.from_xml_string(mjcf(model, truth, drive, step))
+    data, t = mujoco.MjData(made), step * np.arange(2000)
+    told = (3.0 if gains is None else 0.5) * np.sin(2 * t + 0.3 * t**2)[:, None]
+    q = np.empty((len(t), 1))
+    size = 1.0 if gains is None else 1 / gains
+    for k in range(len(t)):
+        q[k] = data.qpos
+        # Offset -0.2: the actuator has 0.2 N m more.
+        data.ctrl[:] = told[max(k - late, 0)] + 0.2 * size
+        mujoco.mj_step(made, data)
+    most = {"armature": 0.2, "damping": 2.0, "frictionloss": 1.0, "bias": 1.0}
+    found, values = peers.sysid_user().identify(
+        mjcf(model, replace(truth, armature=truth.armature + 0.1), drive, step),
+        [(t, told, q, np.zeros(1))],
+        {word: np.array([limit]) for word, limit in most.items()},
+        bodies=False,
+        delay=None if gains is None else 0.025,
+        iterations=20,
+    )
+    got = [x[0] for x in peers.friction_of(found, values).values()]
+    np.testing.assert_allclose(got, terms[0], rtol=0.1)
+    if gains is not None:
+        # Sensors are a step behind the state.
+        assert values["delay"].value[0] == pytest.approx(late * step, abs=1.5 * step)
 
 
 def test_the_bodies_that_sysid_found_are_read_back():

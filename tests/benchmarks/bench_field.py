@@ -262,18 +262,24 @@ def run(task):
     kept = {key: task[key] for key in KEYS}
     if peer == FIGAROH and task["python"] is None:
         return {**kept, "failure": "no --figaroh-python was given"}
+    python, others, why = task.get("python"), [], None
     try:
         if case.gains and peer in (CMA, SYSID):
             whole, *others = by_commands(case, case.fitted, peer)
         else:
-            # Another two fits of mujoco.sysid would take a quarter of an hour.
-            others = [] if peer == SYSID else halves(case.fitted)
-            parts = [case.fitted, *others]
-            whole, *others = (answer(case, x, peer, task.get("python")) for x in parts)
+            whole = answer(case, case.fitted, peer, python)
     except (ImportError, RuntimeError, ValueError) as error:
         return {**kept, "failure": str(error).splitlines()[0]}
+    # Another two fits of mujoco.sysid would take a quarter of an hour.
+    if not others and peer != SYSID:
+        try:
+            others = [answer(case, x, peer, python) for x in halves(case.fitted)]
+        except (RuntimeError, ValueError) as error:
+            # Half of a short recording may hold too little motion.
+            why = str(error).splitlines()[0]
     result = {**kept, **judged(case, whole, others)}
     result.update(
+        scatter_failure=why,
         consistent=whole.consistent,
         named=whole.named,
         seconds=whole.seconds,
@@ -371,9 +377,16 @@ def table_of(name, results):
     others = [r["goes_on"] for r in results if "goes_on" in r]
     if others:
         table += f"\n\nPositions of who goes on at its velocity: {others[0]:.2f} %."
+    for key, word in (
+        ("scatter_failure", "No scatter"),
+        ("positions_failure", "No positions"),
+    ):
+        for why in dict.fromkeys(r[key] for r in results if r.get(key)):
+            which = ", ".join(r["peer"] for r in results if r.get(key) == why)
+            table += f"\n\n{word} ({which}): {why}"
     failed = [f"{r['peer']} {r['failed']}" for r in results if r.get("failed")]
     if failed:
-        table += f" Windows whose simulation failed: {', '.join(failed)}."
+        table += f"\n\nWindows whose simulation failed: {', '.join(failed)}."
     return table
 
 

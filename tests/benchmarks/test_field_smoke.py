@@ -154,3 +154,22 @@ def test_settings_of_figaroh_name_the_joints_of_the_set(demo, tmp_path):
 def test_a_peer_that_is_not_run_says_why():
     table = field.table_of("x", [{"peer": "FIGAROH", "failure": "no URDF"}])
     assert "not run: no URDF" in table
+    done = {"error": 1.0, "scatter": np.nan, "consistent": "no", "seconds": 1.0}
+    done |= {"lines": 3, "named": "nothing", "positions_failure": "no mass"}
+    table = field.table_of("x", [{"peer": "PLS", **done}, {"peer": "ridge", **done}])
+    assert "No positions (PLS, ridge): no mass" in table
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_a_half_that_cannot_be_fitted_costs_the_scatter_alone(demo, monkeypatch):
+    def answer(case, part, peer, python):
+        if part is not case.fitted:
+            raise ValueError("too little motion")
+        return peers.answer(case, part, peer)
+
+    monkeypatch.setattr(field, "load", lambda *_: demo)
+    monkeypatch.setattr(field, "answer", answer)
+    result = field.run({"set": "demo", "peer": peers.OURS, "data_home": None})
+    assert np.isnan(result["scatter"])
+    assert result["scatter_failure"] == "too little motion"
+    assert np.isfinite(result["error"])

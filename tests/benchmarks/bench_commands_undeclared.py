@@ -30,6 +30,7 @@ positions over its own, and seconds over its own, medians.
 Seeds 0 to 17 are for work, from 5000 on to confirm, each once.
 """
 
+import functools
 import time
 import warnings
 
@@ -61,6 +62,7 @@ def undeclared_of(seed, nv):
     return Undeclared(name=name, size=size, speed=float(rng.uniform(*SPEEDS)))
 
 
+@functools.lru_cache(maxsize=1)
 def case_of(seed, data_home):
     """Return the case of a seed, and its undeclared friction."""
     recording, model, gains = commands.go2(data_home)

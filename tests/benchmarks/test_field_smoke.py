@@ -163,11 +163,11 @@ def test_a_peer_that_is_not_run_says_why():
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_half_that_cannot_be_fitted_costs_the_scatter_alone(demo, monkeypatch):
     def answer(case, part, peer, python):
-        if part is not case.fitted:
+        if part is not demo.fitted:
             raise ValueError("too little motion")
         return peers.answer(case, part, peer)
 
-    monkeypatch.setattr(field, "load", lambda *_: demo)
+    monkeypatch.setattr(field, "load", lambda *_: replace(demo, cutoff=10.0))
     monkeypatch.setattr(field, "answer", answer)
     result = field.run({"set": "demo", "peer": peers.OURS, "data_home": None})
     assert np.isnan(result["scatter"])

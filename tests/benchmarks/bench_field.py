@@ -354,6 +354,11 @@ def by_the_board(data_home):
 # -- the tables ------------------------------------------------------------------------
 
 
+def shown(values):
+    """Numbers with two digits; very large ones as powers of ten."""
+    return [f"{v:.0e}" if v >= 1e4 else fixed([v], 2)[0] for v in values]
+
+
 def table_of(name, results):
     """Table of one set."""
     rows = []
@@ -365,7 +370,7 @@ def table_of(name, results):
         rows.append(
             [
                 result["peer"],
-                *fixed(values, 2),
+                *shown(values),
                 result["consistent"],
                 *fixed([result["seconds"]], 1),
                 str(result["lines"]),
@@ -411,7 +416,7 @@ def summary(results):
         for figure in ("error", "positions"):
             rival, value = best_rival(own, figure)
             ours = [by_peer.get(p, {}).get(figure, np.nan) for p in (OURS, SEARCH)]
-            cells += [*fixed([*ours, value], 2), rival]
+            cells += [*shown([*ours, value]), rival]
         rows.append([name, *cells])
     headers = [
         f"{word}, {what}"

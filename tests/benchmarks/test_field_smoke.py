@@ -158,6 +158,7 @@ def test_a_peer_that_is_not_run_says_why():
     done |= {"lines": 3, "named": "nothing", "positions_failure": "no mass"}
     table = field.table_of("x", [{"peer": "PLS", **done}, {"peer": "ridge", **done}])
     assert "No positions (PLS, ridge): no mass" in table
+    assert field.shown([7.2e10, 3.0, np.nan]) == ["7e+10", "3.00", "–"]
 
 
 @pytest.mark.filterwarnings("ignore::UserWarning")

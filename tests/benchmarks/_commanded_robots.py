@@ -91,7 +91,7 @@ def mjcf(described, numbers, gains=None, step=STEP):
     Parameters
     ----------
     described : pinocchio.Model
-        Its joints and where they are; revolute about an axis.
+        Its joints and where they are; each turns about an axis, or slides.
     numbers : Numbers
         Its numbers.
     gains : Gains, default=None
@@ -111,7 +111,9 @@ def mjcf(described, numbers, gains=None, step=STEP):
         quaternion = pin.Quaternion(place.rotation).coeffs()[[3, 0, 1, 2]]
         data = described.joints[i].createData()
         described.joints[i].calc(data, np.zeros(1))
-        axis = np.asarray(data.S).reshape(6)[3:]
+        slides, turns = np.asarray(data.S).reshape(2, 3)
+        kind = "hinge" if turns.any() else "slide"
+        axis = turns if turns.any() else slides
         inertia = pin.Inertia.FromDynamicParameters(numbers.bodies[j])
         full = inertia.inertia[(0, 1, 2, 0, 0, 1), (0, 1, 2, 1, 2, 2)]
         inside = "".join(body(k) for k in children[i])
@@ -119,7 +121,7 @@ def mjcf(described, numbers, gains=None, step=STEP):
             f'<body pos="{_words(place.translation)}" quat="{_words(quaternion)}">'
             f'<inertial mass="{inertia.mass:.17g}" pos="{_words(inertia.lever)}" '
             f'fullinertia="{_words(full)}"/>'
-            f'<joint name="{described.names[i]}" axis="{_words(axis)}" '
+            f'<joint name="{described.names[i]}" type="{kind}" axis="{_words(axis)}" '
             f'armature="{numbers.armature[j]:.17g}" '
             f'damping="{numbers.damping[j]:.17g}" '
             f'frictionloss="{numbers.coulomb[j]:.17g}" solreffriction="{SOLREF}"/>'
@@ -169,7 +171,44 @@ def read_noise(deviation, shape, rng):
     return e, signal.lfilter([1 - keep], [1.0, -keep], difference, axis=0)
 
 
-def recorded(described, numbers, gains, motion, duration, *, deviation, in_loop, rng):
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Undeclared:
+    """Friction that no description has, beside viscous and Coulomb friction.
+
+    name : "load_friction", size times the torque of the bodies, or "stribeck", size
+    [N m] that falls with speed; size (nv,), zero where a joint has none; speed [rad/s].
+    """
+
+    name: str
+    size: np.ndarray
+    speed: float = 0.1
+
+    def friction(self, load, v):
+        """Size of the friction, (nv,) or (n, nv), under a load and at a speed."""
+        if self.name == "load_friction":
+            return self.size * np.abs(load)
+        return self.size * np.exp(-np.abs(v) / self.speed)
+
+
+def load_of(model, data):
+    """Torque (nv,) of the bodies alone, without armatures."""
+    whole = np.empty(model.nv)
+    mujoco.mj_mulM(model, data, whole, data.qacc)
+    return whole - model.dof_armature * data.qacc + data.qfrc_bias
+
+
+def recorded(
+    described,
+    numbers,
+    gains,
+    motion,
+    duration,
+    *,
+    deviation,
+    in_loop,
+    rng,
+    undeclared=None,
+):
     """Simulate a robot that follows a motion, and log it.
 
     Parameters
@@ -190,6 +229,8 @@ def recorded(described, numbers, gains, motion, duration, *, deviation, in_loop,
         Whether the drive sees that noise, or only the log.
     rng : Generator
         Random numbers.
+    undeclared : Undeclared, default=None
+        Friction beside that of the numbers, which changes from tick to tick.
 
     Returns
     -------
@@ -210,6 +251,9 @@ def recorded(described, numbers, gains, motion, duration, *, deviation, in_loop,
         q[k], v[k] = data.qpos, data.qvel
         applied[k] = gains.torque(wanted[k], q[k] + seen_e[k], v[k] + seen_w[k])
         data.ctrl[:] = applied[k] - numbers.offset
+        if undeclared is not None:
+            more = undeclared.friction(load_of(model, data), data.qvel)
+            model.dof_frictionloss[:] = numbers.coulomb + more
         mujoco.mj_step(model, data, SUBSTEPS)
     rows = np.arange(LOG, n - LOG, LOG)
     return Log(

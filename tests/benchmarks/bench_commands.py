@@ -18,7 +18,8 @@ only the log (next), delays of 0 to 5, 5 to 10 and 10 to 15 ms (next): 18 seeds 
 every cell once.
 
 Ways: ``package`` (RobotIdentifier on the torque of the PD law without a delay; with
-``drive=`` where there is such a parameter, ``package, drive``), least squares with four
+``drive=`` where there is such a parameter, ``package, drive``, and with the parameters
+that CMA-ES fits, ``package, bodies as described``), least squares with four
 terms at no delay and with the delay on a grid, bodies free as well, instrumental
 variables with the motion simulated from the commands (``_commanded_rivals.py``), CMA-ES
 on simulated positions (bodies as described, as PACE has them; every eighth robot),
@@ -117,6 +118,7 @@ DESCRIBED = "oracle, described bodies"
 ORACLES = ORACLE, BLOCKS, DESCRIBED
 DRAWS = 2000
 CMA, SIMULATED = "CMA-ES", "output error"
+FIXED = "package, bodies as described"
 Z90 = 1.645
 # Of the measured robot's runs.
 FITTED, JUDGED, SEARCHED = range(7), range(7, 10), (0, 3, 6)
@@ -176,8 +178,10 @@ def cell_of(seed):
     return NOISES[seed % 3], PLACES[seed // 3 % 2], LATE[seed // 6 % 3]
 
 
-def draw(seed, described, gains, centre, duration=DURATION):
+def draw(seed, described, gains, centre, duration=DURATION, undeclared=None):
     """Draw a robot that is not as described and log two motions of it.
+
+    It may have an `Undeclared` friction.
 
     Returns
     -------
@@ -201,6 +205,7 @@ def draw(seed, described, gains, centre, duration=DURATION):
         delay=float(rng.uniform(*late)),
     )
     settings = {"deviation": noise, "in_loop": place == "loop", "rng": rng}
+    settings["undeclared"] = undeclared
     logs = [
         recorded(described, numbers, gains, made(rng, centre), duration, **settings)
         for made in (chirps, sines)
@@ -249,9 +254,8 @@ def has_drive():
     return "drive" in inspect.signature(RobotIdentifier).parameters
 
 
-def package(described, gains, log, *, drive=False):
+def package(described, gains, log, *, drive=False, **settings):
     """Fit the package, which sees the log."""
-    settings = {}
     if drive:
         from sklearn_vbjfa.robot import PDDrive
 
@@ -323,6 +327,8 @@ WAYS = {
     SIMULATED: output_error,
     CMA: functools.partial(evolution, population=POPULATION, generations=GENERATIONS),
 }
+# What CMA-ES fits: armature, damping, friction, a constant, and a delay.
+WAYS[FIXED] = functools.partial(package, drive=True, bodies="fixed")
 
 
 # -- the judgement ---------------------------------------------------------------------

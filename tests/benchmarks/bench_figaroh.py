@@ -84,12 +84,13 @@ class Contestant:
 
 @dataclass(frozen=True, kw_only=True)
 class Outcome:
-    """What a user script left behind: prediction, output and seconds."""
+    """What a user script left behind: prediction, output, seconds, text of a file."""
 
     predicted: np.ndarray
     said: str
     seconds: float
     seconds_with_import: float
+    kept: str | None = None
 
 
 def contestants(name, cutoff, dt):
@@ -263,7 +264,7 @@ def write_description(source, target):
     tree.write(target, encoding="utf-8", xml_declaration=True)
 
 
-def run_script(contestant, python, urdf, parts, settings):
+def run_script(contestant, python, urdf, parts, settings, kept=None):
     """Run one user script in a folder and a process of its own.
 
     Parameters
@@ -278,12 +279,15 @@ def run_script(contestant, python, urdf, parts, settings):
         Fitted and held-out part.
     settings : Path
         Settings file of the tool for this robot.
+    kept : str, default=None
+        Name of a file that the script may leave.
     """
     with tempfile.TemporaryDirectory() as folder:
         folder = Path(folder)
         write_description(urdf, folder / "robot.urdf")
         for key, part in zip(("fitted", "held_out"), parts):
-            np.savez(folder / f"{key}.npz", **part)
+            arrays = {k: part[k] for k in ("q", "tau", "groups", "dt")}
+            np.savez(folder / f"{key}.npz", **arrays)
         text = settings.read_text(encoding="utf-8")
         if contestant.stage == "fit":
             text = text.replace(_STAGE, "select_stage: fit")
@@ -307,7 +311,9 @@ def run_script(contestant, python, urdf, parts, settings):
         if answer.returncode != 0:
             last = answer.stderr.strip().splitlines()[-1]
             raise RuntimeError(f"{contestant.label} ended with an error: {last}")
+        left = kept is not None and (folder / kept).exists()
         return Outcome(
+            kept=(folder / kept).read_text(encoding="utf-8") if left else None,
             predicted=np.load(folder / "predicted.npy"),
             said=answer.stdout,
             seconds=json.loads((folder / "seconds.json").read_text(encoding="utf-8")),

@@ -159,9 +159,9 @@ def nominal(recording):
     return replace(recording, signals={**recording.signals, "kp": kp[:, None]})
 
 
-def windows_of(part, dt):
-    """Rows of the windows of a recording."""
-    length = round(WINDOW / dt)
+def windows_of(part, dt, window):
+    """Rows of the windows of a recording, so many seconds each."""
+    length = round(window / dt)
     return [
         slice(first, min(first + length, part.stop))
         for first in range(part.start, part.stop, length)
@@ -211,19 +211,21 @@ def judge_package(robot, recording, states):
     return judge(said, whole, windows, recording, states)
 
 
-def judge_model(p, recording, states):
-    """Figures of one of BAM's models."""
-    whole, windows = np.empty((2, recording.n_samples))
+def swung(p, recording, states, window=None):
+    """Positions (n,) of one of BAM's models from its goals, whole or in windows [s]."""
+    found, dt = np.empty(recording.n_samples), recording.dt
     goal, gain = recording.signals["q_desired"][:, 0], recording.signals["firmware"]
     for part in recording.segments:
-        for found, pieces in (
-            (whole, [part]),
-            (windows, windows_of(part, recording.dt)),
-        ):
-            for rows in pieces:
-                q0, v0 = states[rows.start, :2]
-                known = gain[rows.start], SUPPLY, q0, v0, recording.dt, STEPS
-                found[rows] = swing(p, goal[rows], *known)
+        for rows in [part] if window is None else windows_of(part, dt, window):
+            q0, v0 = states[rows.start, :2]
+            known = gain[rows.start], SUPPLY, q0, v0, dt, STEPS
+            found[rows] = swing(p, goal[rows], *known)
+    return found
+
+
+def judge_model(p, recording, states):
+    """Figures of one of BAM's models."""
+    whole, windows = (swung(p, recording, states, x) for x in (None, WINDOW))
     return judge(voltage(p, *states.T), whole, windows, recording, states)
 
 

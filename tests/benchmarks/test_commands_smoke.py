@@ -194,3 +194,66 @@ def test_evolution_comes_closer_with_more_generations(case):
 
 def test_cells_are_all_there_in_eighteen_seeds():
     assert len({commands.cell_of(seed) for seed in range(5000, 5018)}) == 18
+
+
+def test_undeclared_frictions_are_those_of_the_package():
+    """Their formula, beside the laws of the effects that are to be named."""
+    from _commanded_robots import Undeclared
+
+    from sklearn_vbjfa.effects import LoadFriction, Stribeck
+
+    rng = np.random.default_rng(0)
+    q, v, a = rng.normal(size=(3, 20, 1))
+    load, motion = rng.normal(size=(20, 1)), np.hstack([q, v, a])
+    for name, effect in (
+        ("load_friction", LoadFriction()),
+        ("stribeck", Stribeck(vs=0.3)),
+    ):
+        own = Undeclared(name=name, size=np.array([2.0]), speed=0.3)
+        column = effect.fit(motion).transform(motion, load=load)
+        expected = np.sign(v) * own.friction(load, v)
+        np.testing.assert_allclose(2.0 * column, expected, atol=1e-12)
+
+
+def test_a_robot_with_undeclared_friction_needs_more_torque(case):
+    from _commanded_robots import Undeclared, load_of
+
+    described, numbers = case["described"], case["numbers"]
+    model = mujoco.MjModel.from_xml_string(mjcf(described, numbers))
+    model.dof_frictionloss[:] = 0.0
+    model.dof_damping[:] = 0.0
+    data = mujoco.MjData(model)
+    data.qpos, data.qvel = np.random.default_rng(0).normal(size=(2, 3))
+    data.ctrl[:] = 1.0
+    mujoco.mj_forward(model, data)
+    # What is left of one newton metre is the rotors'.
+    np.testing.assert_allclose(
+        load_of(model, data), 1.0 - numbers.armature * data.qacc, atol=1e-9
+    )
+    more = Undeclared(name="stribeck", size=np.full(3, 0.5), speed=10.0)
+    robot = commands.draw(6, described, GAINS, CENTRE, 3.0, undeclared=more)
+    log = robot["fitted"]
+    motion = log.true_q, log.true_v, log.true_a
+    known = commands.torques(robot["numbers"], described, motion)
+    rest = commands.lowpass(log.applied - known)
+    rows = commands.moving(log.true_v)
+    along = commands.lowpass(np.sign(log.true_v))
+    for j in range(3):
+        slope = along[rows[:, j], j] @ rest[rows[:, j], j]
+        slope /= np.sum(along[rows[:, j], j] ** 2)
+        assert 0.35 < slope < 0.6
+
+
+@pytest.mark.filterwarnings("ignore::UserWarning")
+def test_the_package_follows_commands_with_what_it_found(case):
+    import bench_commands_undeclared as undeclared
+
+    none = undeclared.undeclared_of(0, 3)
+    robot, effects = undeclared.fitted_by(commands.FIXED, case)
+    assert undeclared.named_by(effects, none) == (0, 0)
+    found = commands.found_by(robot, case["described"])
+    own = undeclared.followed(robot, case)
+    theirs = commands.position_errors(
+        found.numbers, case["described"], GAINS, case["judged"]
+    )
+    np.testing.assert_allclose(own, theirs, rtol=0.2)

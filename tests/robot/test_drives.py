@@ -779,7 +779,7 @@ def test_a_sampled_robot_has_its_sampled_delay(tmp_path):
 def test_commands_that_act_before_they_come_are_left_out(tmp_path):
     (left,) = real(told(-0.004)).to_mjcf(tmp_path / "arm.xml")
     assert left.name == "command_delay"
-    assert "before they come" in left.reason
+    assert "before they are given" in left.reason
     assert all(x.get("delay") is None for x in actuators(tmp_path / "arm.xml"))
 
 

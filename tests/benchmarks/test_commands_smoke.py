@@ -14,6 +14,7 @@ from _commanded_rivals import (
     DELAYS,
     block_covariance,
     branches,
+    described_bodies,
     instruments,
     least_squares,
     vectors,
@@ -152,12 +153,23 @@ def test_tables_have_the_width_of_each_term_by_both_oracles(case):
 
 
 def test_who_knows_no_body_knows_an_armature_worse(case):
-    """But for bodies it knows the same, and its posterior holds what is true."""
+    """But for bodies it knows the same: with these known it is the other oracle."""
     figures = commands.judge(case, commands.oracle_of_bodies(case))
     white = commands.judge(case, commands.oracle(case))
     assert (np.array(figures["armature_width"]) > white["armature_width"]).all()
-    away = np.array(figures["armature"]) * case["numbers"].armature
-    assert (np.abs(away) < 4 * np.array(figures["armature_width"])).all()
+    log, true = case["fitted"], vectors(case["real"])
+    known = true + 1e-6 * np.random.default_rng(0).normal(size=(40, *true.shape))
+    motion = log.true_q, log.true_v, log.true_a
+    delay = case["numbers"].delay
+    found = described_bodies(
+        case["described"], GAINS, log, delay, 0.5 * TICK, motion, known
+    )
+    same = commands.oracle(case)
+    for name in ("armature", "damping", "coulomb"):
+        deviation = same.deviations[name]
+        np.testing.assert_allclose(found.deviations[name], deviation, rtol=0.02)
+        away = getattr(found.numbers, name) - getattr(same.numbers, name)
+        assert (np.abs(away) < 0.05 * deviation).all()
 
 
 def test_rivals_run_and_the_delay_is_found(case):

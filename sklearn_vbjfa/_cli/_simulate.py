@@ -147,11 +147,13 @@ def _followed(task, times, seconds):
     from sklearn_vbjfa.diagnosis.displays import windows_of
     from sklearn_vbjfa.robot import follow_windows
 
-    part = _rows_of(task.recording, task.rows)
+    part, one = _rows_of(task.recording, task.rows), next(iter(task.robots.values()))
+    if times is None:
+        times = one.robot_.clock(None, part.n_samples)
     cuts = [
         (
             _rows_of(part, np.arange(rows.start, rows.stop)),
-            None if times is None else times[rows],
+            times[rows],
             {"window": None, "signals": _at(task.signals, rows)},
         )
         for rows in part.segments
@@ -161,7 +163,7 @@ def _followed(task, times, seconds):
         windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
         for *one, settings in cuts
     ]
-    one, left = next(iter(task.robots.values())).robot_, ""
+    one, left = one.robot_, ""
     # Of several robots the first is the one to compare with; torques that have a unit
     # of their own are not those of a description.
     if len(task.robots) == 1 and one.gains_ is None:
@@ -256,7 +258,8 @@ def _commanded(drive, robot, recording):
     if _input.command_delay(robot) is not None:
         # The delay is that of the fit.
         drive = _input.replaced(drive, delay="auto")
-    return replace(recording, command=None), drive
+    # Of all rows: parts of it have commands from before they begin.
+    return drive.driven(replace(recording, command=None)), drive
 
 
 def _saved_gains(arguments, robot):
@@ -296,7 +299,7 @@ def _identified(arguments, source, folder):
     part = _rows_of(recording, first)
     known = {"t": recording.clock()[first], "signals": _at(signals, first)}
     settings["torque_noise"] = recording.torque_noise
-    with blaming(source):
+    with blaming(source, taken.gains):
         robots = _robots(part, str(taken.urdf), library, known, settings)
     late, drive = "", settings.get("drive")
     if drive is not None:
@@ -457,8 +460,8 @@ def _over_all(simulated):
     """Tabulate errors over whole recordings, where these are simulated; lines."""
     if not simulated.whole:
         return []
-    found = [{**own, **one.rivals} for own in simulated.whole for one in own.values()]
-    counts = [one.t.size for own in simulated.whole for one in own.values()]
+    found = [{**own, **next(iter(own.values())).rivals} for own in simulated.whole]
+    counts = [next(iter(own.values())).t.size for own in simulated.whole]
     scale, units = next(iter(simulated.windows.values())).scales
     columns = {"": next(iter(found[0].values())).joint_names, "unit": units}
     for label in found[0]:

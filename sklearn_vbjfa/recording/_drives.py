@@ -28,6 +28,9 @@ _MOSTLY = 0.5
 _SLOW = 10.0
 # Commands that vary less than this share of the motion do not move the joint.
 _STILL = 1e-6
+# A joint that travels less than this share of the one that travels most is held: what
+# it does is noise of its encoder.
+_HELD = 1e-3
 # What was commanded before a recording is not known: longest delay, as a share of it.
 _UNKNOWN = 0.1
 
@@ -281,7 +284,8 @@ class PDDrive(Drive):
     def _check_aim(self, aim, recording):
         """Refuse commands that do not vary where the joints move."""
         travel = np.ptp(recording.q, axis=0)
-        still = (travel > 0) & (np.ptp(aim, axis=0) <= _STILL * travel)
+        moves = travel > _HELD * travel.max()
+        still = moves & (np.ptp(aim, axis=0) <= _STILL * travel)
         if not still.any():
             return
         said = ", ".join(
@@ -289,7 +293,7 @@ class PDDrive(Drive):
             f"{travel[j]:.3g})"
             for j in np.flatnonzero(still)
         )
-        if still[travel > 0].all():
+        if still[moves].all():
             raise ValueError(
                 f"q_desired is constant on every joint that moves: {said}. Commands "
                 "of another time, or of another mode of the drive: record the "

@@ -522,6 +522,7 @@ def _take_slices(recording, slices, groups):
         joint_names=recording.joint_names,
         signals={name: take(values) for name, values in recording.signals.items()},
         command=take(recording.command),
+        feedback=recording.feedback,
     )
     return taken if recording.v is None else replace(taken, v=take(recording.v))
 

@@ -1100,6 +1100,9 @@ class IdentifiedRobot(SimulatesTorques):
 
     def described(self):
         """Return the robot of its description: those bodies, and no friction."""
+        # What belongs to the drive, as the delay of its commands, stays as found.
+        driven = [e for e in self.effects_ if e.owner == "drive"]
+        values = [getattr(e, name) for e in driven for name in e.coefficients]
         features, bodies = self.features_.corrected(()), self.bodies(self.theta_)
         bodies = np.zeros_like(bodies)
         bodies[:, :10] = nominal_parameters(features.nominal_)
@@ -1107,8 +1110,10 @@ class IdentifiedRobot(SimulatesTorques):
         return replace(
             self,
             features_=features,
-            plan=replace(self.plan, effects=self.effects_[: len(followers)]),
-            theta_=np.r_[bodies.ravel(), followers.ravel()],
+            plan=replace(
+                self.plan, effects=(*self.effects_[: len(followers)], *driven)
+            ),
+            theta_=np.r_[bodies.ravel(), followers.ravel(), values],
             load=None,
             effect_ranges_=(),
         )

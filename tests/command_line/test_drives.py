@@ -212,6 +212,22 @@ def test_a_saved_robot_of_commands_is_simulated(run, urdf):
     assert again.partition("written")[0] == out.partition("written")[0]
 
 
+def test_commands_of_a_stretch_are_those_of_the_whole_recording(run, told):
+    """The last 30 % are simulated: they may hold one command, and be short."""
+    rest = slice(round(0.6 * len(told["t"])), None)
+    held = {}
+    for name, x in told.items():
+        if name != "t":
+            x = x.copy()
+            x[rest] = x[rest.start] + 1e-6 * np.sin(np.arange(len(x[rest])))
+            x[rest] = x[rest.start] if "desired" in name else x[rest]
+            held[name] = x
+    code, out, err = run("simulate", "--quiet", **held)
+    assert "constant" not in err
+    assert code in (0, 3), err
+    assert "over whole recordings" in out
+
+
 def test_a_description_that_cannot_be_simulated_is_left_out(run, urdf, tmp_path):
     """A link without mass, which the torques give one."""
     path = tmp_path / "empty.urdf"

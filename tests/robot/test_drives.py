@@ -377,6 +377,32 @@ def test_a_delay_longer_than_a_tenth_of_the_motion_is_refused(drive):
     assert np.isfinite(identify(told(0.09, duration=3.0), drive).theta_).all()
 
 
+def test_rows_keep_the_gains_of_the_drive():
+    """As slices or by their numbers; ranges and corners need them."""
+    made = PDDrive(KP, KD).driven(told())
+    for rows, groups in (([slice(0, 900)], [0]), (np.arange(900), np.zeros(900))):
+        taken = take_rows(made, rows, groups)
+        assert_array_equal(taken.feedback, made.feedback)
+        assert_array_equal(taken.command, made.command[:900])
+
+
+def test_the_robot_of_the_description_has_the_delay_that_was_found():
+    (late,) = (e for e in identify(told(0.02)).robot_.described().effects_)
+    assert late.delay == pytest.approx(0.02, abs=1e-4)
+
+
+@pytest.mark.filterwarnings("error::UserWarning")
+def test_a_joint_that_is_held_does_not_move_for_the_noise_of_its_encoder():
+    recording = told()
+    inputs = recording.inputs.copy()
+    noise = 1e-5 * np.random.default_rng(0).normal(size=len(inputs))
+    inputs[:, 2], inputs[:, [5, 8]] = 0.5 + noise, 0.0
+    held = take_arrays(inputs, recording.tau, dt=DT, joint_names=NAMES)
+    aim = recording.signals["q_desired"].copy()
+    aim[:, 2] = 0.5
+    PDDrive(KP, KD).driven(replace(held, signals={"q_desired": aim}))
+
+
 def test_a_command_that_is_constant_is_named_joint_by_joint():
     recording = told(0.006)
     recording.signals["q_desired"][:, 1] = 0.25
@@ -663,7 +689,7 @@ def test_the_robot_of_the_description_has_its_bodies_and_no_friction(followed_ar
     robot, recording, _ = followed_arm
     described = robot.robot_.described()
     q, v, a = np.split(recording.states[:20], 3, axis=1)
-    assert described.effects_ == ()
+    assert described.effects_ == robot.robot_.effects_  # the delay of its commands
     assert_allclose(
         described.predict(recording.states[:20]),
         inverse_dynamics(ARM, np.hstack([q, v, a])),

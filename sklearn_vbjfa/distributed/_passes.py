@@ -11,12 +11,10 @@ import functools
 import hashlib
 import operator
 import warnings
-import zipfile
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import partial
 from os import PathLike, fspath
-from pathlib import Path
 
 import numpy as np
 from sklearn.utils.validation import check_array
@@ -66,8 +64,6 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._states import choose_states
 
-# Sample periods that differ by more than this share are not the same.
-_DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
 _MISSING = "Fits on several machines need Dask: pip install 'dask[array]' distributed."
@@ -435,32 +431,12 @@ def _load(source, *, dt, urdf, names):
     """Read the `Recording` in a file, which is still of the source's version."""
     file = source.path
     with finished(file, source.version):
-        # A period passed to the reader would override the file's own, which is to
-        # agree.
-        given = None if _has_period(file) else dt
-        recording = read_recording(file, dt=given, urdf=urdf)
-    if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
-        raise ValueError(
-            f"{file} has a sample period of {recording.dt:.6g} s, the identifier "
-            f"dt={dt:.6g} s. Resample it, or leave it out."
-        )
+        recording = read_recording(file, dt=dt, urdf=urdf)
     try:
         check_widths(names, recording.q, recording.tau)
     except ValueError as error:
         raise ValueError(f"{file}: {error}") from error
     return recording
-
-
-def _has_period(file):
-    """Whether a file of arrays has its own sample period."""
-    # What is no archive is refused by the reader, with its name.
-    if Path(file).suffix.lower() != ".npz" or not zipfile.is_zipfile(file):
-        return False
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return "dt.npy" in archive.namelist()
-    except zipfile.BadZipFile:
-        return False
 
 
 def _tried(load, source, lenient):

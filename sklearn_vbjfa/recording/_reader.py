@@ -365,7 +365,7 @@ def _is_whole(path, given):
 def _table_of(path, topic, joints, commanded=False):
     """Read the table of a file, or those of one recording in several files."""
     if not isinstance(path, tuple):
-        with finished(path):
+        with _finished(path):
             return read_table(path, topic, joints, commanded)
     tables = [_table_of(one, topic, joints, commanded) for one in path]
     shown = path[0].parent / "+".join([x.name for x in path[:2]])
@@ -463,21 +463,20 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
 
 
 @contextlib.contextmanager
-def finished(path, before=None):
+def _finished(path):
     """Refuse a file that is written to while it is read."""
-    # before: `version` when it was read first; None for this time.
-    before = before or version(path)
+    before = _version(path)
     try:
         yield
     except ValueError as error:
-        if version(path) == before:
+        if _version(path) == before:
             raise
         raise _unfinished(path) from error
-    if version(path) != before:
+    if _version(path) != before:
         raise _unfinished(path)
 
 
-def version(path):
+def _version(path):
     """Return size and time of a file, or of all in a folder; None for what is none."""
     path = expanded(path)
     if path.is_file():

@@ -76,20 +76,27 @@ def inspect_recording(recording, model=None):
     found = inspect_channels(
         robot, recording.q, recording.tau, recording.dt, recording.groups
     )
-    if all(unit in ("N m", "N") for unit in recording.torque_units):
+    if _are_torques(recording.torque_units):
         return found
     return tuple(one for one in found if one.kind not in OF_SIZE)
 
 
-def refusal(findings, n_torques=0):
+def _are_torques(units):
+    """Whether channels of torque are torques or forces, not quantities of a motor."""
+    # Arrays have no units.
+    return all(unit in ("N m", "N", "") for unit in units)
+
+
+def refusal(findings, units=()):
     """Return the error that findings are, with the option that mends it; None if none.
 
     Parameters
     ----------
     findings : sequence of ChannelFinding
         Of a recording.
-    n_torques : int, default=0
-        Joints whose torques were measured, which factors can turn; 0 for a drive.
+    units : sequence of str, default=()
+        Those of the measured torques, one a joint, which factors can turn: factors of
+        currents would have to be those to N m. None for a drive, or unknown gains.
 
     Returns
     -------
@@ -102,9 +109,9 @@ def refusal(findings, n_torques=0):
     kinds, options = {one.kind for one in errors}, {}
     if kinds == {"unsigned_torque"}:
         options = {"drive": UNSIGNED}
-    elif kinds == {"torque_sign"} and n_torques:
+    elif kinds == {"torque_sign"} and units and _are_torques(units):
         wrong = {j for one in errors for j in one.joints}
-        options = {"gains": tuple(-1 if j in wrong else 1 for j in range(n_torques))}
+        options = {"gains": tuple(-1 if j in wrong else 1 for j in range(len(units)))}
     return RecordingRefused(" ".join(one.message for one in errors), options)
 
 

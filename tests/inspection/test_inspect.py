@@ -174,12 +174,13 @@ def test_a_sign_that_shows_in_one_block_is_not_unseen(arm, monkeypatch):
     last = np.where(third < 2, noise, recording.tau[:, 5])
     tau = np.column_stack([-recording.tau[:, :5], last])
     known = model, recording.q, tau, recording.dt, third
+    units = recording.torque_units
     monkeypatch.setattr(_inspect, "_AT_ONCE", 1)
     findings = inspect_channels(*known)
-    assert refusal(findings, 6).options == {"gains": (-1, -1, -1, -1, -1, 1)}
+    assert refusal(findings, units).options == {"gains": (-1, -1, -1, -1, -1, 1)}
     # Unless it shows in none.
     tau[:, 5] = noise
-    assert refusal(inspect_channels(*known), 6).options == {"gains": 6 * (-1,)}
+    assert refusal(inspect_channels(*known), units).options == {"gains": 6 * (-1,)}
 
 
 def test_two_faults_at_once(arm):

@@ -88,9 +88,10 @@ class Taken:
         from sklearn_vbjfa.model import DoubtWarning
 
         findings = self.findings()
-        measured = 0 if self.drive else self.recording.nv
+        measured = self.drive is None and self.gains != "unknown"
+        units = self.recording.torque_units if measured else ()
         with blaming(self.source, self.gains):
-            wrong = refusal(findings, measured)
+            wrong = refusal(findings, units)
             if wrong is not None:
                 raise wrong
         for message in channel_doubts(findings):

@@ -101,10 +101,7 @@ def blaming(source, gains=None):
             # It has gains of its own.
             refused.options["gains"] = None
         signs = refused.options.get("gains")
-        if isinstance(signs, tuple) and gains == "unknown":
-            # These are positive.
-            del refused.options["gains"]
-        elif isinstance(signs, tuple) and gains is not None:
+        if isinstance(signs, tuple) and gains is not None:
             refused.options["gains"] = tuple(a * b for a, b in zip(signs, gains))
         raise refused from error
 

@@ -368,6 +368,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             known = recording.groups, recording.weight, None
             whole = self._recording(model, recording.inputs, recording.tau, *known)
             known = {"command": recording.command, "feedback": recording.feedback}
+            known["torque_units"] = recording.torque_units
             drive = self.identifier.drive
             if drive is not None and drive.of_positions:
                 known |= {"v": recording.v, "signals": recording.signals}
@@ -514,8 +515,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             return (), []
         known = whole.q, whole.tau, whole.dt, whole.groups
         findings = inspect_channels(model, *known, drive=self.identifier.drive)
-        measured = self.identifier.drive is None
-        wrong = refusal(findings, model.nv if measured else 0)
+        measured = self.identifier.drive is None and self.identifier.gains is None
+        wrong = refusal(findings, whole.torque_units if measured else ())
         if wrong is not None:
             raise wrong
         allowed = ()

@@ -11,12 +11,10 @@ import functools
 import hashlib
 import operator
 import warnings
-import zipfile
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import partial
 from os import PathLike, fspath
-from pathlib import Path
 
 import numpy as np
 from sklearn.utils.validation import check_array
@@ -32,14 +30,12 @@ from sklearn_vbjfa.recording import (
     check_dt,
     check_on_bad_files,
     expanded,
-    finished,
     levels,
     read_recording,
     recordings_in,
     said_of_bad,
     said_of_copies,
     store,
-    version,
     without_repeats,
 )
 from sklearn_vbjfa.regression import (
@@ -66,8 +62,6 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._states import choose_states
 
-# Sample periods that differ by more than this share are not the same.
-_DT_TOLERANCE = 0.002
 # How long [s] a scheduler may take to answer.
 _ANSWERS = 10
 _MISSING = "Fits on several machines need Dask: pip install 'dask[array]' distributed."
@@ -169,10 +163,10 @@ def fit_recordings(estimator, source, *, on_bad_files="raise", progress=None):
 
 @dataclass(frozen=True)
 class _Source:
-    """A file, or the folder of a bag or data set, and its `version` when measured."""
+    """A file, or the folder of a bag or data set, and its digest when measured."""
 
     path: str
-    version: tuple | None = None
+    digest: bytes | None = None
 
 
 @dataclass(kw_only=True, eq=False)
@@ -237,7 +231,7 @@ def _identify(identifier, sources, taken, dask):
     taken.check()
     taken.say()
     # Further passes read these files alone, as long as they are what they were.
-    sources = [_Source(one["path"], one["version"]) for one in measured]
+    sources = [_Source(one["path"], one["digest"]) for one in measured]
     extent = functools.reduce(_merge_extents, measured)
     longest = max(extent["lengths"])
     n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
@@ -432,18 +426,17 @@ def _check_settings(identifier):
 
 
 def _load(source, *, dt, urdf, names):
-    """Read the `Recording` in a file, which is still of the source's version."""
+    """Read the `Recording` in a file, which still has the source's rows."""
     file = source.path
-    with finished(file, source.version):
-        # A period passed to the reader would override the file's own, which is to
-        # agree.
-        given = None if _has_period(file) else dt
-        recording = read_recording(file, dt=given, urdf=urdf)
-    if abs(recording.dt / dt - 1) > _DT_TOLERANCE:
-        raise ValueError(
-            f"{file} has a sample period of {recording.dt:.6g} s, the identifier "
-            f"dt={dt:.6g} s. Resample it, or leave it out."
-        )
+    try:
+        recording = read_recording(file, dt=dt, urdf=urdf)
+    except ValueError as error:
+        if source.digest is None:
+            raise
+        raise _changed(file) from error
+    # Copies of a file on several machines differ in their times, not in their rows.
+    if source.digest not in (None, _digest(recording)):
+        raise _changed(file)
     try:
         check_widths(names, recording.q, recording.tau)
     except ValueError as error:
@@ -451,16 +444,19 @@ def _load(source, *, dt, urdf, names):
     return recording
 
 
-def _has_period(file):
-    """Whether a file of arrays has its own sample period."""
-    # What is no archive is refused by the reader, with its name.
-    if Path(file).suffix.lower() != ".npz" or not zipfile.is_zipfile(file):
-        return False
-    try:
-        with zipfile.ZipFile(file) as archive:
-            return "dt.npy" in archive.namelist()
-    except zipfile.BadZipFile:
-        return False
+def _digest(recording):
+    """Return what tells the rows of a recording from others, bytes."""
+    digest = hashlib.blake2b(digest_size=16)
+    for values in (recording.q, recording.tau):
+        digest.update(np.ascontiguousarray(values))
+    return digest.digest()
+
+
+def _changed(file):
+    return ValueError(
+        f"{file} has changed since it was first read; wait until the recording has "
+        "ended, and give all workers the same file."
+    )
 
 
 def _tried(load, source, lenient):
@@ -473,17 +469,13 @@ def _tried(load, source, lenient):
         if not lenient:
             raise
         return None, error
-    digest = hashlib.blake2b(digest_size=16)
-    for values in (recording.q, recording.tau):
-        digest.update(np.ascontiguousarray(values))
-    return recording, digest.digest()
+    return recording, _digest(recording)
 
 
 def _measure(load, source, lenient):
     """Lengths, levels of torques, which joints move: of one file, in a list."""
-    source = replace(source, version=version(source.path))
     recording, digest = _tried(load, source, lenient)
-    found = {"path": source.path, "version": source.version, "digest": digest}
+    found = {"path": source.path, "digest": digest}
     if recording is None:
         return [found]
     parts, tau = recording.segments, recording.tau

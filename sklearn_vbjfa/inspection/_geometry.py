@@ -33,11 +33,12 @@ _WORST_ERROR = 0.3
 
 
 def torque_signs(model, names, signals):
-    """Find torques with the wrong sign; also return the signals with it corrected."""
+    """Find torques with the wrong sign; also whether any is seen to be right."""
+    # Returns the signals with the signs corrected as well.
     equations = ChannelEquations(model, signals)
     found = []
     sign = np.ones(model.nv)
-    unseen, right = dict.fromkeys(range(model.nv)), False
+    right = False
     for j, fit in fits_of(equations, signals).items():
         scale, scale_t, share = equations.nominal_scale(j)
         if fit.error[0] > _WORST_ERROR:
@@ -53,7 +54,6 @@ def torque_signs(model, names, signals):
             right |= max(friction, rigid) > SURE
             continue
         sign[j] = -1.0
-        del unseen[j]
         evidence = []
         if friction < -SURE:
             evidence.append(
@@ -77,23 +77,31 @@ def torque_signs(model, names, signals):
                 f"{' and '.join(evidence)}; multiply it by -1.",
             )
         )
-    if not found or right:
-        return found, signals.signed(sign)
-    # A log whose torques all have the other sign is likelier than one in which just
+    if found and not right:
+        # What follows is asked as `unseen_signs` will conclude.
+        sign[:] = -1.0
+    return found, right, signals.signed(sign)
+
+
+def unseen_signs(names, findings):
+    """Conclude on the signs that nothing shows: one finding or none."""
+    # findings: of all blocks of time, in none of which a sign is seen to be right. A
+    # log whose torques all have the other sign is likelier than one in which just
     # those are right that cannot be seen.
-    if unseen:
-        found.append(
-            ChannelFinding(
-                "torque_sign",
-                tuple(unseen),
-                in_order(found)[0].severity,
-                f"The sign of the torque of {listed_joints(names, unseen)} cannot be "
-                "seen in this motion; as all that can be seen are wrong, multiply it "
-                "by -1 too.",
-            )
+    wrong = [one for one in findings if one.kind == "torque_sign"]
+    seen = {j for one in wrong for j in one.joints}
+    unseen = tuple(j for j in range(len(names)) if j not in seen)
+    if not wrong or not unseen:
+        return []
+    return [
+        ChannelFinding(
+            "torque_sign",
+            unseen,
+            in_order(wrong)[0].severity,
+            f"The sign of the torque of {listed_joints(names, unseen)} cannot be seen "
+            "in this motion; as all that can be seen are wrong, multiply it by -1 too.",
         )
-        sign[list(unseen)] = -1.0
-    return found, signals.signed(sign)
+    ]
 
 
 # Swapping two channels must lower the squared errors of both by this factor.

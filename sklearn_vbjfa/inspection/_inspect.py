@@ -4,7 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.inspection._geometry import misplaced, torque_signs
+from sklearn_vbjfa.inspection._geometry import (
+    misplaced,
+    torque_signs,
+    unseen_signs,
+)
 from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
 from sklearn_vbjfa.inspection._units import (
     OF_SIZE,
@@ -72,20 +76,27 @@ def inspect_recording(recording, model=None):
     found = inspect_channels(
         robot, recording.q, recording.tau, recording.dt, recording.groups
     )
-    if all(unit in ("N m", "N") for unit in recording.torque_units):
+    if _are_torques(recording.torque_units):
         return found
     return tuple(one for one in found if one.kind not in OF_SIZE)
 
 
-def refusal(findings, n_torques=0):
+def _are_torques(units):
+    """Whether channels of torque are torques or forces, not quantities of a motor."""
+    # Arrays have no units.
+    return all(unit in ("N m", "N", "") for unit in units)
+
+
+def refusal(findings, units=()):
     """Return the error that findings are, with the option that mends it; None if none.
 
     Parameters
     ----------
     findings : sequence of ChannelFinding
         Of a recording.
-    n_torques : int, default=0
-        Joints whose torques were measured, which factors can turn; 0 for a drive.
+    units : sequence of str, default=()
+        Those of the measured torques, one a joint, which factors can turn: factors of
+        currents would have to be those to N m. None for a drive, or unknown gains.
 
     Returns
     -------
@@ -98,9 +109,9 @@ def refusal(findings, n_torques=0):
     kinds, options = {one.kind for one in errors}, {}
     if kinds == {"unsigned_torque"}:
         options = {"drive": UNSIGNED}
-    elif kinds == {"torque_sign"} and n_torques:
+    elif kinds == {"torque_sign"} and units and _are_torques(units):
         wrong = {j for one in errors for j in one.joints}
-        options = {"gains": tuple(-1 if j in wrong else 1 for j in range(n_torques))}
+        options = {"gains": tuple(-1 if j in wrong else 1 for j in range(len(units)))}
     return RecordingRefused(" ".join(one.message for one in errors), options)
 
 
@@ -178,12 +189,17 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     model, dt = load_model(model), check_dt(dt)
     blocks = list(_blocks(contiguous_groups(groups, len(q)), model.nv))
     if len(blocks) == 1:
-        return _inspected(model, q, tau, dt, groups, drive)
-    found = [
-        _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), drive, b.start)
-        for b in blocks
-    ]
-    return in_order(_agreed(found))
+        findings, right = _inspected(model, q, tau, dt, groups, drive)
+    else:
+        found = [
+            _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), drive, b.start)
+            for b in blocks
+        ]
+        findings = _agreed([one for one, _ in found])
+        right = any(right for _, right in found)
+    if not right:
+        findings += unseen_signs(joint_names(model), findings)
+    return in_order(findings)
 
 
 # Values of the positions that are looked at together, and what of some recordings holds
@@ -230,12 +246,13 @@ def _agreed(found):
 
 def _inspected(model, q, tau, dt, groups, drive, first=0):
     """Inspect recordings whose rows begin with row `first` of all."""
+    # Returns findings, a list, and whether a sign of a torque is seen to be right.
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
     rows, parts = long_parts(len(q), groups)
     if shuffled or not parts:
-        return tuple(shuffled)
+        return shuffled, False
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
     numbers = rows + first
@@ -244,15 +261,15 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
     findings += counts(model, names, q, ratio)
     # Such positions allow no further question.
     if _names(findings, "position_counts"):
-        return in_order(findings)
+        return findings, False
     found = unsigned_torques(model, names, q, tau, dt, parts)
     if found:
         # Neither do torques without signs.
         known = drive is not None and drive.unsigned
-        return in_order(findings if known else findings + found)
+        return findings if known else findings + found, False
     signals = channel_signals(q, tau, dt, parts, usable)
     if signals is None or not signals.informative().any():
-        return in_order(findings + impossible)
+        return findings + impossible, False
     found, signals = degrees(model, names, q, signals)
     if not found:
         found = velocities(model, names, q, tau, dt, parts, usable, signals)
@@ -261,19 +278,20 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
     findings += found
     # These two cannot be corrected, and would show in everything that follows.
     if not _names(findings, "velocity_as_position", "wrong_dt"):
-        findings += _with_model(model, names, dt, signals, drive)
-    return in_order(findings)
+        found, right = _with_model(model, names, dt, signals, drive)
+        return findings + found, right
+    return findings, False
 
 
 def _with_model(model, names, dt, signals, drive):
     """Check, with the robot's model, that channels are what their names say."""
     findings, signals = misplaced(model, names, signals)
-    found, signals = torque_signs(model, names, signals)
+    found, right, signals = torque_signs(model, names, signals)
     findings += found
     if drive is not None and drive.told in COMMANDS:
-        return findings + commanded_sizes(model, names, signals, drive)
+        return findings + commanded_sizes(model, names, signals, drive), right
     findings += gear_factors(model, names, signals)
-    return findings + delays(model, names, dt, signals)
+    return findings + delays(model, names, dt, signals), right
 
 
 def _names(findings, *kinds):

@@ -51,11 +51,9 @@ _MODULES = {
     "_reader": (
         "check_on_bad_files",
         "common_folder",
-        "finished",
         "read_recording",
         "said_of_bad",
         "said_of_copies",
-        "version",
         "without_repeats",
     ),
     "_recording": (

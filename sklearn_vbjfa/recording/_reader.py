@@ -38,7 +38,14 @@ from sklearn_vbjfa.recording._layout import (
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
 from sklearn_vbjfa.recording._recording import Recording, _check_dt, on_disk
-from sklearn_vbjfa.recording._sampling import distinct, in_order, on_grid, on_one_grid
+from sklearn_vbjfa.recording._sampling import (
+    SAME_DT,
+    check_given,
+    distinct,
+    in_order,
+    on_grid,
+    on_one_grid,
+)
 from sklearn_vbjfa.recording._stored import Shelf
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
@@ -358,7 +365,7 @@ def _is_whole(path, given):
 def _table_of(path, topic, joints, commanded=False):
     """Read the table of a file, or those of one recording in several files."""
     if not isinstance(path, tuple):
-        with finished(path):
+        with _finished(path):
             return read_table(path, topic, joints, commanded)
     tables = [_table_of(one, topic, joints, commanded) for one in path]
     shown = path[0].parent / "+".join([x.name for x in path[:2]])
@@ -456,21 +463,20 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
 
 
 @contextlib.contextmanager
-def finished(path, before=None):
+def _finished(path):
     """Refuse a file that is written to while it is read."""
-    # before: `version` when it was read first; None for this time.
-    before = before or version(path)
+    before = _version(path)
     try:
         yield
     except ValueError as error:
-        if version(path) == before:
+        if _version(path) == before:
             raise
         raise _unfinished(path) from error
-    if version(path) != before:
+    if _version(path) != before:
         raise _unfinished(path)
 
 
-def version(path):
+def _version(path):
     """Return size and time of a file, or of all in a folder; None for what is none."""
     path = expanded(path)
     if path.is_file():
@@ -958,16 +964,22 @@ def _check_unit(table: Table, role, values, period, time_unit):
 
 def _given_period(table: Table, dt):
     """Return the period given by the caller or the file; None for neither."""
-    if dt is None and "dt" in table.scalars:
-        entry = table.scalars["dt"]
-        dt = entry.item() if entry.size == 1 and entry.dtype.kind in "iuf" else None
-        if dt is None or not 0 < dt < np.inf:
-            raise ValueError(
-                f"{table.path}: dt must be a positive number of seconds, got {entry}; "
-                "correct it in the file."
-            )
-        dt = float(dt)
-    return dt
+    entry = table.scalars.get("dt")
+    if entry is None:
+        return dt
+    own = entry.item() if entry.size == 1 and entry.dtype.kind in "iuf" else None
+    if own is None or not 0 < own < np.inf:
+        if dt is not None:
+            return dt
+        raise ValueError(
+            f"{table.path}: dt must be a positive number of seconds, got {entry}; "
+            "correct it in the file."
+        )
+    try:
+        check_given(own, dt, "its dt is", SAME_DT)
+    except ValueError as error:
+        raise ValueError(f"{table.path}: {error}") from None
+    return float(own) if dt is None else dt
 
 
 # -- several files of one robot --------------------------------------------------------

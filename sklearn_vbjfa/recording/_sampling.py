@@ -99,7 +99,7 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
         slots = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
     else:
         own, slots, sampled = _when(t, pieces, period, whole, positions, where)
-    _check_given(own, dt)
+    check_given(own, dt)
     missing = np.delete(np.diff(slots), gaps) > 1
     inside = np.delete(step, gaps)
     off = [np.ptp(t[x] - own * slots[x]) for x in pieces]
@@ -221,9 +221,9 @@ def _resolution(t, dt):
     return 0.0
 
 
-def _check_given(own, dt):
-    """Refuse a period that contradicts the stamps."""
-    if dt is None or abs(own - dt) <= _DT_TOLERANCE * dt:
+def check_given(own, dt, told="time steps by", tolerance=_DT_TOLERANCE):
+    """Refuse a period that contradicts the stamps, or what else tells it."""
+    if dt is None or abs(own - dt) <= tolerance * dt:
         return
     meant = ""
     if abs(1 / dt - own) <= _DT_TOLERANCE * own:
@@ -231,7 +231,7 @@ def _check_given(own, dt):
     elif abs(dt / 1e3 - own) <= _DT_TOLERANCE * own:
         meant = f" ({dt:.6g} ms are {dt / 1e3:.6g} s)"
     raise ValueError(
-        f"time steps by {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
+        f"{told} {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
         "or leave out dt."
     )
 
@@ -431,7 +431,7 @@ _UNIFORM_RTOL = 1e-3
 # A step of a log above this many periods ends a part and starts another one.
 _LOG_GAP_PERIODS = 10.0
 # Relative difference between the periods of segments below which they count as one.
-_SAME_DT = 1e-3
+SAME_DT = 1e-3
 # The lower quartile of the size of a normal variable, in standard deviations.
 _QUARTILE = 0.3186
 
@@ -732,7 +732,7 @@ def on_one_grid(recordings, names, dt):
             values = _rows_of(channels, rows)
             n = rows.stop - rows.start
             t = StoredRows.clock(n, dt) if one.stored else dt * np.arange(n)
-            if abs(one.dt - dt) >= _SAME_DT * dt:
+            if abs(one.dt - dt) >= SAME_DT * dt:
                 own = one.dt * np.arange(n)
                 values = {key: np.asarray(x) for key, x in values.items()}
                 tally.off_grid.append((own, values["tau"]))
@@ -772,7 +772,7 @@ def _put(t, values, checked, part, dt, tally):
         slots = checked.slots[part]
         # Late stamps alone do not make another period.
         unsure = 3 * checked.jitter / checked.slots.size
-        same = abs(checked.dt - dt) < max(_SAME_DT * dt, unsure)
+        same = abs(checked.dt - dt) < max(SAME_DT * dt, unsure)
         at = (dt if same else checked.dt) * (slots - slots[0])
         missing = int(slots[-1] - slots[0]) + 1 - part.size
         tally.single += missing

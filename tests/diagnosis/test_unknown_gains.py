@@ -1,5 +1,7 @@
 """The loop with torque channels of unknown gains."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -7,7 +9,9 @@ from numpy.testing import assert_allclose
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.effects import Payload  # noqa: E402
+from sklearn_vbjfa.recording import RecordingRefused  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT, NV = 0.02, 3
@@ -101,3 +105,23 @@ def test_a_doubt_about_the_unit_of_torques_is_none(recording):
     loop = close((model, X[:, :NV], 40.0 * y), None, ["spring"])
     kinds = {one.kind for one in loop.report_.outcome.channels}
     assert "gear_factor" not in kinds
+
+
+@pytest.mark.parametrize(
+    ("unit", "gains", "options"),
+    [
+        ("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}),
+        # Signs as gains would declare currents to be in N m.
+        ("A", None, {}),
+        ("A", "unknown", {}),
+        ("N m", "unknown", {}),
+    ],
+)
+def test_signs_are_offered_as_gains_of_torques_alone(unit, gains, options):
+    made = make_robot_recording(random_state=3, duration=16.0)
+    tau = made.tau * [-1, 1, 1, 1, 1, 1]
+    wrong = replace(made, tau=tau, torque_units=6 * (unit,), states=None)
+    loop = EffectDiscovery(RobotIdentifier(made.urdf, dt=made.dt, gains=gains))
+    with pytest.raises(RecordingRefused, match="has the wrong sign") as caught:
+        loop.fit_recording(wrong)
+    assert caught.value.options == options

@@ -13,8 +13,10 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.inspection import (
     ChannelFinding,
+    _inspect,
     inspect_channels,
     inspect_recording,
+    refusal,
 )
 from sklearn_vbjfa.recording import levels, parse_drive
 from tests._quick import checkered, one_in
@@ -163,6 +165,22 @@ def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
     # One torque that is right says that not all are turned.
     tau[:, 1] *= -1
     assert (5,) not in {f.joints for f in inspect(arm, q=q, tau=tau)}
+
+
+def test_a_sign_that_shows_in_one_block_is_not_unseen(arm, monkeypatch):
+    recording, model = arm
+    third = np.arange(recording.n_samples) * 3 // recording.n_samples
+    noise = np.random.default_rng(0).normal(size=recording.n_samples)
+    last = np.where(third < 2, noise, recording.tau[:, 5])
+    tau = np.column_stack([-recording.tau[:, :5], last])
+    known = model, recording.q, tau, recording.dt, third
+    units = recording.torque_units
+    monkeypatch.setattr(_inspect, "_AT_ONCE", 1)
+    findings = inspect_channels(*known)
+    assert refusal(findings, units).options == {"gains": (-1, -1, -1, -1, -1, 1)}
+    # Unless it shows in none.
+    tau[:, 5] = noise
+    assert refusal(inspect_channels(*known), units).options == {"gains": 6 * (-1,)}
 
 
 def test_two_faults_at_once(arm):

@@ -407,7 +407,7 @@ def test_shares_of_a_calibrated_range_are_converted(servos):
     ("text", "said"),
     [
         (None, "'observation.state.shoulder_pan' is a share of a calibrated range"),
-        ("{", "calibration.json: is no whole JSON file"),
+        ("{", "calibration.json: is not a complete JSON file"),
         ('{"gripper": {"range_min": 5, "range_max": 5}}', "'gripper' has the ends"),
         ('{"gripper": 7}', r"has the ends \[None, None\]; expected range_min and"),
         ('{"gripper": {"range_min": 5, "range_max": 9}}', "which is not known: put"),

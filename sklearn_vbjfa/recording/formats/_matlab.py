@@ -120,7 +120,12 @@ def _unpacked_size(path):
 
 def _upright(arrays):
     """Turn matrices of one column per sample; MATLAB has either."""
-    lengths = [max(x.shape) for x in arrays.values() if x.ndim and x.size > 1]
+    # Texts are names of columns, and as many as these.
+    lengths = [
+        max(x.shape)
+        for x in arrays.values()
+        if x.ndim and x.size > 1 and x.dtype.kind != "U"
+    ]
     if not lengths:
         return arrays
     n_rows = max(set(lengths), key=lengths.count)

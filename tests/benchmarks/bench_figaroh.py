@@ -66,8 +66,7 @@ class Contestant:
     """One row of the table: a user script and what it is started with.
 
     `stage` is the estimate that FIGAROH reports, "fit" or "physical_fit"; a `long` one
-    runs once; what a `quoted` one says goes into the guide, where `EffectDiscovery` has
-    a page of its own.
+    runs once; what a `quoted` one says goes into the guide.
     """
 
     label: str
@@ -113,6 +112,7 @@ def contestants(name, cutoff, dt):
             label="EffectDiscovery",
             files=("vbjfa_user_discovery.py",),
             long=True,
+            quoted=True,
         ),
         figaroh("base parameters, decimation 10"),
         figaroh(f"base parameters, decimation {same_band}", same_band),

@@ -228,7 +228,7 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     told = " ".join(capsys.readouterr().out.split())
     assert re.search(
-        r"identified.urdf has no place for 5 effects, the largest: load_friction on "
+        r"identified.urdf has no place for 4 effects, the largest: load_friction on "
         r"shoulder \([^;]*\), identified.xml for an effect; they say why",
         told,
     )

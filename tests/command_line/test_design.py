@@ -174,7 +174,8 @@ def test_what_is_printed_fits_a_screen(designed):
     assert "elbow" in text
     assert "98 %" in text
     never = " ".join(text.split()).partition("Not identifiable by any motion: ")[2]
-    assert re.match(r"encoder zero [^;]*shoulder", never)
+    assert re.match(r"rotor inertia [^;]*encoder zero [^;]*shoulder", never)
+    assert "(absorbed by other parameters)" in never
     assert "no <collision>" in text
     assert "repeats" not in text
     assert "1 of 1 intervals become narrower" in text

@@ -360,7 +360,7 @@ def test_a_wild_model_stops_the_robot(recording):
     plant = recording.plant
     for wild, reason in (
         (lambda states: -4.0 * plant.inverse_dynamics(states), "limit|speed"),
-        (lambda states: np.full((len(states), plant.model.nv), np.nan), "no number"),
+        (lambda states: np.full((len(states), plant.model.nv), np.nan), "not a number"),
     ):
         result = track(recording, wild)
         assert result.failed

@@ -158,6 +158,24 @@ def test_a_known_delay_is_no_parameter():
     assert VISCOUS[1] + 0.1 < wrong.theta_[at] < VISCOUS[1] + 0.012 * KP[1]
 
 
+def test_a_law_that_is_late_as_a_whole_is_taken_for_armature_and_damping():
+    """Torques that the drive makes of old positions: Kd T and Kp T less, as documented.
+
+    The law at t - T is that of now, plus Kp T v and Kd T a to first order in T.
+    """
+    late, on_time = 1e-4, told(delay=0.004)
+    t = on_time.dt * np.arange(on_time.n_samples)
+    q, v, _ = states(t - late)
+    now = states(t)
+    asked = (torques(*now) + KD * v) / KP + q
+    recording = replace(on_time, signals={"q_desired": asked})
+    robot = identify(recording, PDDrive(KP, KD, delay=0.0))
+    damping, rotors = robot.theta_.reshape(3, -1)[:, 10:].T
+    assert_allclose(VISCOUS - damping, KP * late, rtol=0.02)
+    # Of the other rotors and the bodies' inertia about them the motion tells the sum.
+    assert ARMATURE[2] - rotors[2] == pytest.approx(KD[2] * late, rel=0.02)
+
+
 def test_the_column_is_the_derivative_by_the_delay():
     recording = PDDrive(KP, KD).driven(told(0.01))
     robot = identify(recording)

@@ -73,7 +73,11 @@ class Estimate:
         """`metric` with what the description adds in the same units, (p, p)."""
         if self.bodies is None:
             return self.metric
-        return self.metric + self.bodies.noise * self.bodies.prior
+        metric = self.metric + self.bodies.noise * self.bodies.prior
+        # What is held does not give way to anything else.
+        held = self.prior_std == 0
+        metric[np.not_equal.outer(held, held)] = 0.0
+        return metric
 
     @property
     def prior_std(self):
@@ -405,6 +409,11 @@ def project(found, projector, features):
         features.friction_,
         nominal_followers(features),
     )
+    kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
+    own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
+    if (min_eigenvalues(own) > 0).all():
+        # What is held has not moved but for the accuracy of the solver.
+        theta = kept
     return replace(found, theta=theta, projector=fitted)
 
 

@@ -225,6 +225,17 @@ def test_fixed_bodies_are_those_of_the_description(recording):
     assert robot.from_description_.reshape(3, -1)[:, :10].all()
 
 
+def test_fixed_bodies_do_not_give_way_to_friction_that_cannot_be(recording):
+    q, tau = recording
+    model, v = a_robot(), np.gradient(q, DT, axis=0)
+    robot = fitted(model, (q, tau - 1.0 * v), bodies="fixed")
+    expected = [body.toDynamicParameters() for body in model.inertias[1:]]
+    np.testing.assert_allclose(bodies(robot), expected, rtol=1e-6, atol=1e-9)
+    np.testing.assert_allclose(robot.theta_.reshape(3, -1)[:, 10], 0.0, atol=1e-6)
+    raw = robot.theta_unconstrained_.reshape(3, -1)[:, 10]
+    np.testing.assert_allclose(raw, -0.5, rtol=0.1)
+
+
 def test_a_description_without_masses_leaves_the_bodies_free(recording):
     prior = fitted(scaled(a_robot(), 0.0), recording)
     free = fitted(scaled(a_robot(), 0.0), recording, bodies="free")

@@ -71,7 +71,7 @@ LENGTHS = {f"7 joints, {m} min": m for m in MINUTES}
 JOINTS = {f"{sum(arms)} joints": sum(arms) for arms in ARMS}
 CASES = {name: ((7,), m * 60_000) for name, m in LENGTHS.items()}
 CASES |= {name: (arms, MANY_ROWS) for name, arms in zip(JOINTS, ARMS, strict=True)}
-QUICK = {"2 joints, 20 s": ((2,), 20_000), "4 joints, 20 s": ((2, 2), 20_000)}
+QUICK = {"2 joints, 40 s": ((2,), 40_000), "4 joints, 40 s": ((2, 2), 40_000)}
 # Files and the minutes of each.
 FILES = {"1 h": (12, 5), "2 h": (24, 5), "10 h": (20, 30)}
 FILES = {
@@ -308,7 +308,7 @@ def main(argv=None):
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--cases", nargs="+", help="names of the table")
     arguments.add_argument(
-        "--quick", action="store_true", help="small robots for 20 s, as a smoke test"
+        "--quick", action="store_true", help="small robots for 40 s, as a smoke test"
     )
     arguments.add_argument(
         "--files", action="store_true", help="the table of recordings in many files"

@@ -414,6 +414,25 @@ def test_growth_is_drawn_from_its_table(recorded, monkeypatch):
     assert found["joints"]["RobotIdentifier"].keys() == {1, 6, 12, 25}  # 50 was not run
 
 
+def test_growth_of_long_recordings_is_drawn_from_its_table(recorded, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.setattr(sys, "path", list(sys.path))
+    drawing = script(DOCS / "images" / "long_recordings.py", monkeypatch)
+    text = recorded.read("long_recordings")
+    minutes, _ = drawing.draw(drawing.figures_of(text), drawing.with_powers(text)).axes
+    (table,) = recorded.tables_in(text)
+    lengths = [row for row in table.rows if row[0].endswith(" min")]
+    seconds, gigabytes = (list(line.get_ydata()) for line in minutes.lines)
+    place = table.headers.index("time [s]")
+    assert seconds == [float(row[place]) for row in lengths]
+    place = table.headers.index("memory [GB]")
+    assert gigabytes == [float(row[place]) for row in lengths]
+    said = recorded.paragraph_in(text, "With the length").rstrip(".")
+    powers = re.findall(r"to the power of ([\d.]+)", said)
+    labels = [words.get_text() for words in minutes.texts]
+    assert [re.search(r"\{(.*)\}", label)[1] for label in labels] == powers
+
+
 @pytest.mark.slow
 def test_picture_of_the_residual_is_of_what_was_found(monkeypatch):
     pytest.importorskip("pinocchio")

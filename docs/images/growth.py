@@ -119,11 +119,12 @@ def figures_of(text):
     return found
 
 
-def draw(found):
-    """One panel for each message, logarithmic, with names beside the lines."""
-    picture = Figure(figsize=(9.2, 7.0), facecolor="white", layout="constrained")
-    for axis, panel in zip(picture.subplots(2, 2).flat, PANELS, strict=True):
-        largest = 1
+def draw(found, panels=PANELS):
+    """One panel for each message, two in a row, logarithmic, names beside lines."""
+    rows = len(panels) // 2
+    picture = Figure(figsize=(9.2, 3.5 * rows), facecolor="white", layout="constrained")
+    for axis, panel in zip(picture.subplots(rows, 2).flat, panels, strict=True):
+        smallest, largest = float("inf"), 1
         for line in panel.lines:
             values = found[panel.study][line.method]
             sizes = list(values)
@@ -139,11 +140,11 @@ def draw(found):
                 color=line.colour,
                 annotation_clip=False,
             )
-            largest = max(largest, *sizes)
-        smallest = min(found[panel.study][panel.lines[0].method])
+            smallest, largest = min(smallest, *sizes), max(largest, *sizes)
         # Room for the names to the right.
         axis.set_xlim(0.7 * smallest, largest * (largest / smallest) ** 0.42)
-        axis.set_xticks([n for n in found[panel.study]["Ridge"] if n <= largest])
+        known = set().union(*found[panel.study].values())
+        axis.set_xticks([n for n in sorted(known) if n <= largest])
         axis.xaxis.set_major_formatter(_short)
         if panel.quantity == "megabytes":
             # Little more than a decade.

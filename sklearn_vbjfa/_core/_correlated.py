@@ -9,6 +9,7 @@ relevance determination; b is what noise of the inputs does to the output direct
 b = 0 unless they have noise in common. Tags such as [C6] are equations of the guide.
 """
 
+import functools
 from collections import deque
 from dataclasses import dataclass, replace
 
@@ -85,9 +86,15 @@ class LatentSums:
 
 def _given_beta(latent, cov, s2=1.0):
     """H, P (d, d) and log det(I + P_0 C / psi_y), beta of covariance C (d, d), [C4]."""
-    lu = linalg.lu_factor(np.eye(cov.shape[0]) + latent.P @ cov / s2)
-    H, P = linalg.lu_solve(lu, latent.H), linalg.lu_solve(lu, latent.P)  # [C4]
-    logdet = np.log(np.abs(np.diagonal(lu[0]))).sum()
+    d = cov.shape[0]
+    A = latent.P @ cov / s2
+    A[np.diag_indices(d)] += 1.0
+    # SciPy's own function checks for longer than such small systems take.
+    lu, _, both, failed = lapack.dgesv(A, np.hstack([latent.H, latent.P]))  # [C4]
+    if failed:
+        raise linalg.LinAlgError("the precision of the latent inputs is singular")
+    H, P = both[:, :d], both[:, d:]
+    logdet = np.log(np.abs(np.diagonal(lu))).sum()
     return H, 0.5 * (P + P.T), logdet
 
 
@@ -111,17 +118,13 @@ def expect_latent(moments, latent, state):
     S_ee = yy - 2 * c @ xy + c @ S_c
     HS = H @ S
     H_xe = H @ S_xe
-    S_tt = (
-        HS @ H.T
-        + np.outer(H_xe, k)
-        + np.outer(k, H_xe)
-        + S_ee * np.outer(k, k)
-        + n * (P - q * np.outer(k, k))
-    )  # [C6]
+    # Half of it, and the other half is its transpose.
+    half = 0.5 * (HS @ H.T + n * P)
+    half += np.outer(H_xe + 0.5 * (S_ee - n * q) * k, k)
+    S_tt = half + half.T  # [C6]
     S_ty = H @ xy + k * (yy - c @ xy)  # [C7]
     cost = np.vdot(state.beta_cov, HS @ latent.H.T) / s2
     value = -0.5 * (n * (LOG_2PI + np.log(q) + logdet) + S_ee / q + cost)  # [C12]
-    S_tt = 0.5 * (S_tt + S_tt.T)
     return LatentSums(S_tt=S_tt, S_ty=S_ty, yy=yy, bound=float(value))
 
 
@@ -307,8 +310,10 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     if safe[0]:
         A = S_tt * np.outer(prior, prior) / s2
         A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A)
-        scaled = prior[:, None] * linalg.solve_triangular(factor, np.eye(d))
+        factor, failed = lapack.dpotrf(A)
+        if failed:
+            raise linalg.LinAlgError(f"leading minor {failed} is not positive definite")
+        scaled = prior[:, None] * lapack.dtrtri(factor)[0]
         cov = scaled @ scaled.T  # [C8]
         mean = scaled @ (scaled.T @ S_ty) / s2  # [C9]
         logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
@@ -322,7 +327,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         rows[: root.z.size, d] = root.z / np.sqrt(s2)
         factor = linalg.qr(rows, mode="r", check_finite=False)[0][:d]
         factor, z = factor[:, :d], factor[:, d]
-        scaled = prior[:, None] * linalg.solve_triangular(factor, np.eye(d))
+        scaled = prior[:, None] * lapack.dtrtri(factor)[0]
         cov = scaled @ scaled.T  # [C8]
         mean = scaled @ z  # [C9]
         logdet = -2 * np.log(np.abs(np.diagonal(factor))).sum() - np.log(alpha).sum()
@@ -547,12 +552,21 @@ class CorrelatedProblem:
 
     def coordinates(self, point):
         """Return what the next plain step depends on, log alpha and log s2 first."""
-        # (d + 1,), or (d + 1 + d * d + d,) with noisy inputs
+        # (d + 1,), or (d + 1 + d (d + 1) / 2 + d,) with noisy inputs: each entry of the
+        # upper triangle with the length of both that it stands for.
         state, sums = point.state, point.sums
         parts = [np.log(state.E_alpha), [np.log(state.psi_y)]]
         if not self.latent.exact:
-            parts += [sums.S_tt.ravel() / self.n, sums.S_ty / self.n]
+            places, length = self._triangle
+            upper = sums.S_tt.ravel()[places] * (length / self.n)
+            parts += [upper, sums.S_ty / self.n]
         return np.concatenate(parts)
+
+    @functools.cached_property
+    def _triangle(self):
+        """Places of the upper triangle in a flat (d, d), and lengths of its entries."""
+        i, j = np.triu_indices(self.d)
+        return i * self.d + j, np.where(i == j, 1.0, np.sqrt(2.0))
 
     def moved(self, point, vector):
         """Return a point with these coordinates, to make a plain step from."""
@@ -565,8 +579,11 @@ class CorrelatedProblem:
         )
         sums = point.sums
         if not self.latent.exact:
-            S_tt = self.n * vector[d + 1 : d + 1 + d * d].reshape(d, d)
-            S_ty = self.n * vector[d + 1 + d * d :]
+            places, length = self._triangle
+            S_tt = np.zeros((d, d))
+            S_tt.ravel()[places] = vector[d + 1 : -d] * (self.n / length)
+            S_tt += np.triu(S_tt, 1).T
+            S_ty = self.n * vector[-d:]
             sums = replace(sums, S_tt=S_tt, S_ty=S_ty, yy=self._yy(S_tt, S_ty))
         return replace(point, state=state, sums=sums)
 
@@ -587,24 +604,26 @@ class _Anderson:
     """Anderson's extrapolation of a fixed-point iteration (Walker and Ni, 2011)."""
 
     def __init__(self, n_logs):
-        self.n_logs = n_logs
-        self.points, self.steps = deque(maxlen=_MEMORY), deque(maxlen=_MEMORY)
+        self.n_logs, self.last = n_logs, None
+        # Differences of images and of steps, from one to the next.
+        self.images, self.steps = deque(maxlen=_MEMORY - 1), deque(maxlen=_MEMORY - 1)
 
     def forget(self):
         """Start again."""
-        self.points.clear()
+        self.last = None
+        self.images.clear()
         self.steps.clear()
 
     def next(self, point, image):
         """Return the next point to evaluate, after `point` was mapped to `image`."""
-        step = image - point
-        self.points.append(point)
-        self.steps.append(step)
-        if len(self.steps) == 1:
+        step, before = image - point, self.last
+        self.last = image, step
+        if before is None:
             return image
-        dx, df = (np.diff(np.array(x), axis=0) for x in (self.points, self.steps))
-        share = np.linalg.lstsq(df.T, step, rcond=1e-10)[0]
-        further = share @ (dx + df)
+        self.images.append(image - before[0])
+        self.steps.append(step - before[1])
+        share = np.linalg.lstsq(np.array(self.steps).T, step, rcond=1e-10)[0]
+        further = share @ np.array(self.images)
         # Coordinates are logarithms: over many decades the map is not linear.
         if not np.abs(further[: self.n_logs]).max() < _LARGEST_STRETCH:
             self.forget()

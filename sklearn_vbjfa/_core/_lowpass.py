@@ -92,13 +92,14 @@ def design(dt, cutoff, step=None):
 def _tap_matrix(taps, step, n_rows):
     """Taps (n_outputs, n_rows) of a block that begins at a multiple of `step`."""
     # Also returns how many outputs before the one that begins with the block it adds
-    # to.
-    length = len(taps)
+    # to. taps: their bytes, of which a filter has hundreds.
+    taps = np.frombuffer(taps)
+    length = taps.size
     before = (length - 1) // step
     outputs = np.arange(-before, (n_rows - 1) // step + 1)
     k = np.arange(n_rows) - step * outputs[:, None]
     inside = (k >= 0) & (k < length)
-    matrix = np.where(inside, np.array(taps)[np.where(inside, k, 0)], 0.0)
+    matrix = np.where(inside, taps[np.where(inside, k, 0)], 0.0)
     matrix.setflags(write=False)
     return before, matrix
 
@@ -121,7 +122,7 @@ class BlockFilter:
 
     def __init__(self, lowpass, count, width):
         self._lowpass = lowpass
-        self._taps = tuple(lowpass.taps.tolist())
+        self._taps = np.asarray(lowpass.taps, dtype=float).tobytes()
         self.outputs = np.zeros((count, width))
 
     def add(self, first, rows):

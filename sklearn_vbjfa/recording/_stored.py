@@ -166,7 +166,7 @@ def _room_for(size):
 def put_together(parts):
     """Rows of several arrays, one after the other; stored if one of them is."""
     if not any(isinstance(part, StoredRows) for part in parts):
-        return np.concatenate(parts)
+        return _constant(parts) if _are_constant(parts) else np.concatenate(parts)
     edges = [0, *accumulate(map(len, parts))]
 
     def read(start, stop):
@@ -179,6 +179,19 @@ def put_together(parts):
 
     one = next(part for part in parts if isinstance(part, StoredRows))
     return StoredRows(read, (edges[-1], *one.shape[1:]), one.dtype)
+
+
+def _are_constant(parts):
+    """Whether arrays hold one number that takes no memory, as weights of one do."""
+    there = [part for part in parts if part.size]
+    same = there and not any(any(part.strides) for part in there)
+    return bool(same and len({part.flat[0] for part in there}) == 1)
+
+
+def _constant(parts):
+    """Rows of arrays that hold one number, which take no memory either."""
+    one = next(part for part in parts if part.size)
+    return np.broadcast_to(one.flat[0], (sum(map(len, parts)), *one.shape[1:]))
 
 
 def pieces(n):

@@ -698,7 +698,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
         halves = list(zip(*[rows_of(half) for half in states.halves]))
     weight = recording.weight
     if weight is None:
-        weight = np.ones(recording.tau.shape)
+        weight = np.broadcast_to(1.0, recording.tau.shape)
     return [
         Segment(
             first=part.start,

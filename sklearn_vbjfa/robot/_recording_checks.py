@@ -189,7 +189,8 @@ def check_weight(sample_weight, shape, *, stored=False):
     if stored:
         return sample_weight or StoredRows.constant(1.0, shape)
     if sample_weight is None:
-        return np.ones(shape)
+        # A number for each value of a long recording would be as large as that.
+        return np.broadcast_to(1.0, shape)
     weight = np.asarray(sample_weight, dtype=float)
     if weight.shape not in {shape, shape[:1]}:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""How time and memory of the loop grow with the length of a recording.
+"""How time and memory of the loop grow with the length of a recording and the joints.
 
 Run ``python tests/benchmarks/bench_long_recordings.py [--cases NAME ...] [--quick]
 [--files] [--out FILE] [--write]``.
@@ -9,17 +9,19 @@ Data, simulated without the code of the library (``_undeclared_robots.py``), see
   1 Hz) of 1, 3, 10 and 30 minutes at 1 kHz. Every joint has viscous and Coulomb
   friction, which are declared, and torque noise of 10 % of its spread; joint 3 also has
   a Stribeck friction of 15 % of its torque, which is not declared.
-- ``23 joints``: three arms of seven joints and a pair on one base, 165,014 rows at
-  1 kHz, the same friction and noise.
+- ``3 joints`` to ``23 joints``: arms of up to seven joints on one base (23: three arms
+  and a pair), 165,014 rows at 1 kHz, the same friction and noise.
 
 ``EffectDiscovery.fit`` with all its effects and its defaults, fits in two threads
 (``n_jobs=2``), and the report's text, each in a process of its own; the data are made
 in another one and read from a file, so that the peak memory (``ru_maxrss``) is that of
 reading, the loop and the report.
 Seconds by stage are those inside of a function of the loop, without what it calls of
-the other stages; processor time stands beside the time on the wall. The exponent is
-that of a straight line through the logarithms of length and figure, from 3 minutes on.
+the other stages; processor time stands beside the time on the wall. Exponents are
+those of straight lines through the logarithms of figures and of lengths, from 3 minutes
+on, or of joints, from 7 on: what any recording costs shows in the smallest.
 Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
+``--write`` draws the picture of the guide as well (``docs/images/long_recordings.py``).
 
 ``--files`` is another table, of recordings that lie in many files: the same arm and
 motion, which goes on from file to file (npz), for 1 and 2 hours in files of 5 minutes
@@ -46,13 +48,14 @@ from unittest import mock
 
 import numpy as np
 from _ledger import Ledger
-from _report import parser, publish, rst_table
+from _report import ROOT, parser, publish, rst_table
 from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_robot
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis import _discovery
 from sklearn_vbjfa.distributed import fit_recordings
 
+PICTURE = ROOT / "docs" / "images" / "long_recordings.py"
 DT = 0.001
 SEED = 0
 NOISE, FRICTION, UNDECLARED = 0.1, 0.15, 0.15
@@ -61,10 +64,14 @@ STRIBECK = 0.05
 # Rows of which a robot's torques are made at once.
 CHUNK = 50_000
 MINUTES = (1, 3, 10, 30)
+ARMS = ((3,), (7,), (7, 7), (7, 7, 7, 2))
 MANY_ROWS = 165_014
-CASES = {f"7 joints, {m} min": ((7,), m * 60_000) for m in MINUTES}
-CASES["23 joints"] = ((7, 7, 7, 2), MANY_ROWS)
-QUICK = {"2 joints, 20 s": ((2,), 20_000), "4 joints, 20 s": ((2, 2), 20_000)}
+# What grows, by the names of the cases.
+LENGTHS = {f"7 joints, {m} min": m for m in MINUTES}
+JOINTS = {f"{sum(arms)} joints": sum(arms) for arms in ARMS}
+CASES = {name: ((7,), m * 60_000) for name, m in LENGTHS.items()}
+CASES |= {name: (arms, MANY_ROWS) for name, arms in zip(JOINTS, ARMS, strict=True)}
+QUICK = {"2 joints, 40 s": ((2,), 40_000), "4 joints, 40 s": ((2, 2), 40_000)}
 # Files and the minutes of each.
 FILES = {"1 h": (12, 5), "2 h": (24, 5), "10 h": (20, 30)}
 FILES = {
@@ -232,20 +239,32 @@ def measure(name, arms, rows, folder, count=0):
     return json.loads(answer.stdout.splitlines()[-1])
 
 
-def exponents(found, cases):
-    """Exponents of seconds and gigabytes against rows of one robot, or nan."""
-    own = [
-        (cases[name][1], figures["seconds"], figures["gigabytes"])
-        for name, figures in found.items()
-        if cases[name][0] == (7,) and cases[name][1] >= 180_000
-        if len(cases[name]) == 2
-    ]
-    if len(own) < 2:
+def exponents(found, sizes):
+    """Exponents of seconds and gigabytes against sizes but the smallest, or nan."""
+    names = [name for name in sorted(sizes, key=sizes.get)[1:] if name in found]
+    if len(names) < 2:
         return np.nan, np.nan
-    rows, seconds, gigabytes = np.log(np.array(own)).T
-    return tuple(float(np.polyfit(rows, y, 1)[0]) for y in (seconds, gigabytes))
+    size = np.log([sizes[name] for name in names])
+    figures = (np.log([found[name][of] for name in names]) for of in FIGURES)
+    return tuple(float(np.polyfit(size, y, 1)[0]) for y in figures)
 
 
+def growth(found):
+    """Sentences on how time and memory grow, those of which there are figures."""
+    of = {
+        "length, seven joints, from 3 minutes on": LENGTHS,
+        "joints, from 7 on": JOINTS,
+    }
+    powers = {words: exponents(found, sizes) for words, sizes in of.items()}
+    return [
+        f"With the {words}: time to the power of {seconds:.2f}, memory to the power of "
+        f"{memory:.2f}."
+        for words, (seconds, memory) in powers.items()
+        if np.isfinite(seconds)
+    ]
+
+
+FIGURES = ("seconds", "gigabytes")
 HEADERS = ["recording", "rows", "time [s]", "processor time", "memory [GB]"]
 HEADERS += ["named", "mean before [%]", "mean after", *STAGES, "rest", "target"]
 
@@ -281,14 +300,7 @@ def report(cases, chosen, ledger):
         row(name, cases[name][1] * sum(cases[name][2:] or [1]), figures)
         for name, figures in found.items()
     ]
-    table, (seconds, memory) = rst_table(rows, HEADERS), exponents(found, cases)
-    if np.isnan(seconds):
-        return table
-    line = (
-        f"With the length, seven joints, from 3 minutes on: time to the power of "
-        f"{seconds:.2f}, memory to the power of {memory:.2f}."
-    )
-    return f"{table}\n\n{line}"
+    return "\n\n".join([rst_table(rows, HEADERS), *growth(found)])
 
 
 def main(argv=None):
@@ -296,7 +308,7 @@ def main(argv=None):
     arguments = parser(__doc__.splitlines()[0])
     arguments.add_argument("--cases", nargs="+", help="names of the table")
     arguments.add_argument(
-        "--quick", action="store_true", help="small robots for 20 s, as a smoke test"
+        "--quick", action="store_true", help="small robots for 40 s, as a smoke test"
     )
     arguments.add_argument(
         "--files", action="store_true", help="the table of recordings in many files"
@@ -321,6 +333,8 @@ def main(argv=None):
     text = report(cases, arguments.cases or list(cases), ledger)
     states = ledger.states([{"case": name} for name in cases])
     publish(name, text, write=arguments.write, command=command, states=states)
+    if arguments.write and cases is CASES:
+        subprocess.run([sys.executable, str(PICTURE)], check=True)
 
 
 if __name__ == "__main__":

@@ -1,5 +1,8 @@
 """Other methods are judged on the rows that the loop held out."""
 
+import importlib
+import re
+
 import numpy as np
 import pytest
 
@@ -111,12 +114,31 @@ def test_recordings_in_files_of_small_robots(tmp_path):
     assert max(figures["peaks"].values()) <= figures["gigabytes"]
 
 
-def test_exponents_are_those_of_a_power():
-    cases = {f"{m} min": ((7,), 60_000 * m) for m in (1, 3, 30)}
-    found = {
-        name: {"seconds": 0.1 * rows, "gigabytes": rows**0.5}
-        for name, (_, rows) in cases.items()
-    }
-    # what is fixed shows in the shortest, which is not asked
-    found["1 min"] = {"seconds": 1e9, "gigabytes": 1e9}
-    assert np.allclose(bench_long_recordings.exponents(found, cases), (1.0, 0.5))
+def test_growth_is_that_of_a_power_and_is_drawn(monkeypatch):
+    cases, lengths = bench_long_recordings.CASES, bench_long_recordings.LENGTHS
+    ledger = Ledger(None, ("case",))
+    stages = dict.fromkeys([*bench_long_recordings.STAGES, "rest"], 0.0)
+    for name, (arms, rows) in cases.items():
+        power = {"seconds": 1e-3 * rows, "gigabytes": 0.01 * rows**0.5}
+        if name not in lengths:
+            power = {"seconds": sum(arms) ** 1.5, "gigabytes": 0.1 * sum(arms)}
+        more = {"processor": 1.0, "named": [], "error": [0.1, 0.1], "stages": stages}
+        ledger.add({"case": name, **power, **more})
+    # what is fixed shows in the smallest, which are not asked
+    for figures in ledger.results:
+        if figures["case"] in ("7 joints, 1 min", "3 joints"):
+            figures |= {"seconds": 1e9, "gigabytes": 1e9}
+    text = bench_long_recordings.report(cases, [], ledger)
+    said = [line for line in text.splitlines() if "to the power" in line]
+    assert [re.findall(r"of (\d\.\d+)", line) for line in said] == [
+        ["1.00", "0.50"],
+        ["1.50", "1.00"],
+    ]
+    # the picture has both
+    monkeypatch.syspath_prepend(bench_long_recordings.PICTURE.parent)
+    drawing = importlib.import_module(bench_long_recordings.PICTURE.stem)
+    axes = drawing.draw(drawing.figures_of(text), drawing.with_powers(text)).axes
+    labels = [words.get_text() for axis in axes for words in axis.texts]
+    powers = [re.search(r"\{(.*)\}", label)[1] for label in labels]
+    assert powers == ["1.00", "0.50", "1.50", "1.00"]
+    assert [len(line.get_xdata()) for line in axes[1].lines] == [4, 4]

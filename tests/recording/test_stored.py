@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording import (
     store,
     take_rows,
 )
+from sklearn_vbjfa.robot._recording_checks import check_weight
 
 N = 20_000
 ROWS = np.random.default_rng(0).normal(size=(N, 3))
@@ -83,6 +84,23 @@ def test_rows_without_room():
 
 def test_arrays_in_memory_stay_there():
     assert isinstance(put_together([ROWS[:3], ROWS[3:]]), np.ndarray)
+
+
+def test_weights_that_nobody_gave_take_no_memory():
+    shape = (10**12, 7)
+    ones = check_weight(None, shape)
+    assert ones.shape == shape
+    parts = [ones[:10], ones[:0], ones[50:]]
+    together = put_together(parts)
+    assert together.shape == (10**12 - 40, 7)
+    assert_array_equal(together[:12], np.ones((12, 7)))
+    # but where they differ
+    other = np.broadcast_to(2.0, (3, 7))
+    assert_array_equal(put_together([ones[:2], other])[:, 0], [1, 1, 2, 2, 2])
+    some = np.arange(21.0).reshape(3, 7)
+    assert_array_equal(put_together([ones[:1], some])[1:], some)
+    nothing = put_together([ones[:0], ones[:0]])
+    assert nothing.shape == (0, 7)
 
 
 @pytest.fixture(scope="module")

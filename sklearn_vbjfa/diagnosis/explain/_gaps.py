@@ -187,14 +187,16 @@ def inseparable(found, effects):
     # comes before it in precedence or in the list.
     model = found.model
     order = sorted(effects, key=lambda one: one.precedence)
-    families = [_family(model, one) for one in order]
-    for i, own in enumerate(families):
+    before = []
+    for one in order:
+        own = _family(model, one)
         alone = model.fit.groups(own).H[0]
-        for other, before in zip(order[:i], families[:i]):
-            beside = model.fit.beside(before.member(0, _LOOSE)).groups(own).H[0]
+        for other, fit in before:
+            beside = fit.groups(own).H[0]
             if (np.diagonal(beside) <= _EQUAL * np.diagonal(alone)).all():
-                yield order[i], other
+                yield one, other
                 break
+        before.append((one, model.fit.beside(own.member(0, _LOOSE))))
 
 
 def _family(model, effect):
@@ -209,6 +211,8 @@ class _Unseen:
     found: Found  # what was found
     present: set  # effects that the joint has, with what they contain
     missing: tuple  # those of the library that it lacks
+    # the model with some of these beside it, by their places
+    fits: dict
 
     @classmethod
     def on(cls, joint, found):
@@ -222,7 +226,18 @@ class _Unseen:
         missing = tuple(
             e for e in own if e.name not in present and not e.applies(model.motion)
         )
-        return cls(found=found, present=present, missing=missing)
+        known = {"present": present, "missing": missing}
+        return cls(found=found, fits={(): model.fit}, **known)
+
+    def _beside(self, places):
+        """Fit of the model with what is missing at some places beside it."""
+        if places not in self.fits:
+            fit = self._beside(places[:-1])
+            own = _family(self.found.model, self.missing[places[-1]])
+            if own is not None:
+                fit = fit.beside(own.member(0, _LOOSE))
+            self.fits[places] = fit
+        return self.fits[places]
 
     def hides(self, effect):
         """Whether no shape of an effect shows beside the plainer ones it contains."""
@@ -237,13 +252,8 @@ class _Unseen:
             worth = 0.5 * np.diagonal(groups.H[0]) * away**2
             needed = self.found.needed + np.log(max(self.found.n_candidates, 1))
             return bool(not (worth > needed + _OCCAM).any())
-        fit = model.fit
-        for plain in self.missing:
-            if plain.name in effect.contains:
-                own = _family(model, plain)
-                if own is not None:
-                    fit = fit.beside(own.member(0, _LOOSE))
-        groups = fit.groups(family)
+        plain = (i for i, e in enumerate(self.missing) if e.name in effect.contains)
+        groups = self._beside(tuple(plain)).groups(family)
         left = np.diagonal(groups.H, axis1=1, axis2=2)
         share = left / np.where(groups.own > 0, groups.own, np.inf)
         return not share.max() > _UNSEEN

@@ -294,20 +294,25 @@ class RecordingView:
     def _made(self, effect, motion):
         """Columns of an effect at the samples; those of one's own may be anything."""
         columns = np.asarray(effect.columns(motion))
-        named = f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
         n, k = motion.q.shape[0], len(effect.coefficients)
         expected = (n, self.nv, k) if effect.whole_robot else (n, k)
         if columns.shape != expected:
             raise ValueError(
-                f"{named} must have columns of shape {expected}, a row for each sample "
-                f"and a column for each coefficient; got {columns.shape}."
+                f"{self._named(effect)} must have columns of shape {expected}, a row "
+                "for each sample and a column for each coefficient; got "
+                f"{columns.shape}."
             )
         if not np.isfinite(columns).all():
             rows = int((~np.isfinite(columns.reshape(n, -1))).any(axis=1).sum())
             raise ValueError(
-                f"{named} has columns that are not finite in {rows} of {n} samples."
+                f"{self._named(effect)} has columns that are not finite in {rows} of "
+                f"{n} samples."
             )
         return columns
+
+    def _named(self, effect):
+        """Effect and its joint, in words."""
+        return f"Effect {effect.name!r} on {self.robot.joint_names_[effect.joint]}"
 
     def in_equations(self, effect, motion):
         """Columns of an effect in all joints' equations, (m, nv, k), not weighted."""

@@ -40,6 +40,7 @@ from sklearn_vbjfa.recording import (
     take_rows,
     torques_in_order,
 )
+from sklearn_vbjfa.robot._from_commands import unfollowed
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
@@ -200,6 +201,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     they share no body, each with its share of the effects that are expected; couplings
     between branches are then not looked for. With `max_effects`, effects of your own,
     or effects declared already, the robot is searched as a whole.
+
+    Where a `PDDrive` makes the torques no channel reads them: delays, filters, jerk and
+    elasticity, which its simulation from commands goes without, are not looked for.
 
     Of more than 50,000 rows the search looks at every so many samples, five for each
     filtered row, and beyond 50,000 of these at stretches of equal motion; parameters,
@@ -482,6 +486,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if self.identifier.asked_gains is not None:
             # They are declared on every channel.
             library = [one for one in library if not isinstance(one, TorqueGain)]
+        drive = self.identifier.drive
+        if drive is not None and drive.of_positions:
+            # No channel reads its torques, and values that were found beside what its
+            # simulation goes without are not those of the robot that is simulated.
+            library = [one for one in library if not unfollowed(one)]
         return library
 
     def _recording(self, model, X, y, groups, sample_weight, t):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.robot._equations import late_command
+from sklearn_vbjfa.robot._equations import late_command, regressor_rows
 
 # Rows at which the inertia of a joint is looked at.
 _ROWS = 64
@@ -26,12 +26,20 @@ def with_corners(robot, source):
     # which nothing is known of, and may take the jump away.
     plan, features = robot.plan, robot.features_
     estimator, feedback = plan.state_estimator, source.recording.feedback
-    if feedback is None or estimator is None or "coulomb" not in features.friction_:
+    if feedback is None or estimator is None:
         return None
+    nothing = np.zeros(source.recording.nv)
     terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
-    dry = np.maximum(terms["coulomb"] - _commanded(robot, source), 0.0)
+    command = late_command(source.recording, robot.effects_)
+    torques = [_of_effects(robot, source), command]
+    further, commanded = _jumps_of(torques, robot, source)
+    dry = terms.get("coulomb", nothing) + further
+    if not dry.any():
+        return None
+    # Friction that is commanded ahead takes the jump away.
+    dry = np.maximum(dry - commanded, 0.0)
     damping = feedback[1] + np.maximum(terms.get("viscous", 0.0), 0.0)
-    rotors = np.maximum(terms.get("rotor_inertia", np.zeros(dry.size)), 0.0)
+    rotors = np.maximum(terms.get("rotor_inertia", nothing), 0.0)
     inertia = _inertias(robot, rotors, source.states)
     jumps = [
         jump(*own) for own in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
@@ -56,20 +64,32 @@ def jump(dry, inertia, damping, stiffness, cutoff):
     return max(late, 0.0) / _smoothing.rounding(cutoff)
 
 
-def _commanded(robot, source):
-    """Jump (nv,) that commands make by themselves where joints turn, half of it."""
-    # Friction that is commanded ahead takes the jump away: of what the smoother leaves
-    # out of commands, the part that goes with what it leaves out of the signs.
-    recording, nv = source.recording, source.recording.nv
-    command = late_command(recording, robot.effects_)
-    estimator, groups = robot.plan.state_estimator, recording.groups
+def _of_effects(robot, source):
+    """Torques (n, nv) of the effects of a fitted robot along its motion."""
+    recording, coefs = source.recording, robot.split(robot.theta_)
+    known = recording, source.states.own, robot.plan, robot.features_
+    torque = np.zeros((recording.n_samples, recording.nv))
+    for part, rows in zip(recording.segments, regressor_rows(*known, theta=robot.load)):
+        for (effect, columns), coef in zip(rows.columns, coefs):
+            which = slice(None) if effect.whole_robot else effect.joint
+            torque[part, which] += columns[slice(None)] @ coef
+    return torque
+
+
+def _jumps_of(torques, robot, source):
+    """Half of the jump (nv,) that each of some torques (n, nv) makes at turns."""
+    # Of what the smoother leaves out of it, the part that goes with what it leaves out
+    # of the signs.
+    estimator, groups = robot.plan.state_estimator, source.recording.groups
+    nv = source.recording.nv
     speed = np.concatenate([own[slice(None)] for own in source.states.own])
     signs = np.sign(speed.reshape(len(speed), -1)[:, nv : 2 * nv])
-    command, signs = (
-        x - estimator.transform(x, groups=groups)[:, :nv] for x in (command, signs)
+    signs, *torques = (
+        x - estimator.transform(x, groups=groups)[:, :nv] for x in (signs, *torques)
     )
     power = (signs**2).sum(axis=0)
-    return (command * signs).sum(axis=0) / np.where(power > 0, power, 1.0)
+    power = np.where(power > 0, power, 1.0)
+    return [(torque * signs).sum(axis=0) / power for torque in torques]
 
 
 def _inertias(robot, rotors, states):

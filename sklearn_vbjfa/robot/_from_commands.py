@@ -15,6 +15,11 @@ _AT_ONCE = "torques of the drive act at once"
 _DRIVE_PERIOD = 1e-3
 
 
+def unfollowed(effect):
+    """Why a simulation under a drive goes without an effect; "" if it does not."""
+    return effect.not_simulated or (_AT_ONCE if effect.in_channel else "")
+
+
 class Follower:
     """A robot under its drive, told the commands of a recording and nothing else."""
 
@@ -33,9 +38,9 @@ class Follower:
         self._signals = {k: x for k, x in recording.signals.items() if x.ndim == 1}
         # effects that a simulation goes without, in words
         self.left_out = tuple(
-            f"{one.name} on {names[one.joint]} ({one.not_simulated or _AT_ONCE})"
+            f"{one.name} on {names[one.joint]} ({unfollowed(one)})"
             for one in robot.effects_
-            if one.not_simulated or one.in_channel
+            if unfollowed(one)
         )
 
     def tell_left_out(self, stacklevel):

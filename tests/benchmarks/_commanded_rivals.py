@@ -16,6 +16,8 @@ from scipy import interpolate, optimize, signal
 from sklearn_vbjfa import InstrumentalVariables
 
 STATE_BAND, BAND = 30.0, 15.0  # of positions, and of columns and torques [Hz]
+# Behind the low-pass one in so many samples is independent.
+FEWER = 0.5 / (BAND * DT)
 MARGIN = 0.5  # left out at both ends [s]
 STANDSTILL = 0.02  # share of the fastest speed
 DELAYS = np.arange(0.0, 25.01e-3, 0.5e-3)  # the grid [s]
@@ -164,15 +166,13 @@ def least_squares(
             found = left, delay, Y
     _, delay, Y = found
     terms, deviations = np.empty((nv, 4)), np.empty((nv, 4))
-    # Behind the low-pass only so many samples are independent.
-    fewer = 0.5 / (BAND * DT)
     block = (np.arange(len(rows)) * DT / BLOCK).astype(int)
     slope = slope_of_delay(log, gains, delay)
     stacked, residuals, blocks = [], [], []
     for j in range(nv):
         A, y = X[rows[:, j], j], Y[rows[:, j], j]
         terms[j], square, *_ = np.linalg.lstsq(A, y)
-        variance = fewer * square[0] / (len(y) - 4 * fewer)
+        variance = FEWER * square[0] / (len(y) - 4 * FEWER)
         deviations[j] = np.sqrt(variance * np.diag(np.linalg.inv(A.T @ A)))
         if by_blocks:
             left, own = y - A @ terms[j], block[rows[:, j]]
@@ -199,7 +199,6 @@ def free_least_squares(described, gains, log):
     q, v, a = states(log.q)
     X, Y = _free_system(described, q, v, a)
     rows = moving(v)
-    nv = described.nv
     weights = rows / lowpass(late_torque(log, gains, 0.0)).std(axis=0)
     A = (X * weights[:, :, None]).reshape(-1, X.shape[2])
     scale = np.sqrt((A**2).sum(axis=0))
@@ -216,10 +215,7 @@ def free_least_squares(described, gains, log):
             best = left, delay, along
     _, delay, along = best
     theta = (Vt[kept].T @ (along[kept] / S[kept])) / scale
-    bodies = vectors(described) + theta[: 10 * nv].reshape(nv, 10)
-    terms = theta[10 * nv :].reshape(nv, 4)
-    numbers = numbers_of(described, terms, delay, bodies)
-    return Found(numbers=numbers, deviations={})
+    return Found(numbers=_free_numbers(described, theta, delay), deviations={})
 
 
 def described_bodies(described, gains, log, delay, held, motion, real):
@@ -252,8 +248,6 @@ def described_bodies(described, gains, log, delay, held, motion, real):
     X, rigid = _free_system(described, q, v, a)
     rows = moving(v)
     Y = lowpass(late_torque(log, gains, delay, held)) - rigid
-    # Behind the low-pass only so many samples are independent.
-    fewer = 0.5 / (BAND * DT)
     centre, precision = np.zeros(14 * nv), np.zeros((14 * nv, 14 * nv))
     for k in range(nv):
         own, away = slice(10 * k, 10 * k + 10), real[:, k] - base[k]
@@ -265,20 +259,25 @@ def described_bodies(described, gains, log, delay, held, motion, real):
         H, b = precision.copy(), precision @ centre
         for j in range(nv):
             A, y = X[rows[:, j], j], Y[rows[:, j], j]
-            H += weight[j] / fewer * A.T @ A
-            b += weight[j] / fewer * A.T @ y
+            H += weight[j] / FEWER * A.T @ A
+            b += weight[j] / FEWER * A.T @ y
         scale = 1 / np.sqrt(np.diag(H))
         inverse = np.linalg.inv(H * np.outer(scale, scale)) * np.outer(scale, scale)
         theta = inverse @ b
         left = [Y[rows[:, j], j] - X[rows[:, j], j] @ theta for j in range(nv)]
         weight = np.array([1 / r.var() for r in left])
-    bodies = base + theta[: 10 * nv].reshape(nv, 10)
-    terms = theta[10 * nv :].reshape(nv, 4)
     deviations = np.sqrt(np.diag(inverse)[10 * nv :]).reshape(nv, 4)
     return Found(
-        numbers=numbers_of(described, terms, delay, bodies),
+        numbers=_free_numbers(described, theta, delay),
         deviations=dict(zip(VALUES, deviations.T)),
     )
+
+
+def _free_numbers(described, theta, delay):
+    """Numbers of changes of the bodies and of terms, (14 nv,)."""
+    nv = described.nv
+    bodies = vectors(described) + theta[: 10 * nv].reshape(nv, 10)
+    return numbers_of(described, theta[10 * nv :].reshape(nv, 4), delay, bodies)
 
 
 def _free_system(described, q, v, a):
@@ -328,7 +327,6 @@ def instruments(described, gains, log, *, rounds=3):
     numbers = _physical_terms(found.numbers)
     loop = ClosedLoop(described, gains, vectors(described))
     t = DT * np.arange(len(q))
-    fewer = 0.5 / (BAND * DT)
     for _ in range(rounds):
         simulated, speeds = loop.motion(numbers, log)
         Z = own_columns(speeds, interpolate.CubicSpline(t, simulated)(t, 2))
@@ -355,7 +353,7 @@ def instruments(described, gains, log, *, rounds=3):
         numbers = _physical_terms(
             numbers_of(described, terms, delay, vectors(described))
         )
-    deviations = np.sqrt(fewer) * two_stage.coef_std_
+    deviations = np.sqrt(FEWER) * two_stage.coef_std_
     by_name = dict(zip(VALUES, deviations[:-1].reshape(nv, 4).T))
     by_name["delay"] = deviations[-1]
     final = numbers_of(described, terms, delay, vectors(described))

@@ -133,46 +133,17 @@ class Answer:
 # -- what a user writes ----------------------------------------------------------------
 
 
-def with_defaults(model, case, part):
-    """Identify with this package."""
-    robot = RobotIdentifier(
+def declared(model, case, part, **more):
+    """Declare a robot to this package, as a user does."""
+    return RobotIdentifier(
         model,
         dt=part["dt"],
         friction=PLAIN,
         cutoff=case.cutoff,
         standstill=case.standstill,
         drive=PDDrive() if case.gains else None,
+        **more,
     )
-    return fit(robot, part)
-
-
-def with_search(model, case, part):
-    """Identify with this package and search for what is missing."""
-    robot = RobotIdentifier(
-        model,
-        dt=part["dt"],
-        friction=PLAIN,
-        cutoff=case.cutoff,
-        standstill=case.standstill,
-        drive=PDDrive() if case.gains else None,
-    )
-    loop = EffectDiscovery(robot, random_state=0, ceiling=False)
-    return fit(loop, part)
-
-
-def with_regressor(model, case, part, regressor):
-    """Identify with a regressor of scikit-learn."""
-    robot = RobotIdentifier(
-        model,
-        dt=part["dt"],
-        friction=PLAIN,
-        cutoff=case.cutoff,
-        standstill=case.standstill,
-        drive=PDDrive() if case.gains else None,
-        regressor=regressor,
-        projector=None,
-    )
-    return fit(robot, part)
 
 
 def fit(robot, part):
@@ -194,13 +165,14 @@ def identified(case, part, peer):
     """Answer of this package, or of a regressor on its columns."""
     model = case.recording.robot_model()
     started = time.process_time()
-    if peer in (OURS, SEARCH):
-        function = with_defaults if peer == OURS else with_search
-        robot = function(model, case, part)
-    else:
+    more, lines = {}, lines_of(declared)
+    if peer not in (OURS, SEARCH):
         regressor = regressors(14 * case.recording.nv)[peer]
-        function = with_regressor
-        robot = with_regressor(model, case, part, regressor)
+        more, lines = {"regressor": regressor, "projector": None}, lines + 2
+    robot = declared(model, case, part, **more)
+    if peer == SEARCH:
+        robot, lines = EffectDiscovery(robot, random_state=0, ceiling=False), lines + 1
+    robot = fit(robot, part)
     held_out = case.held_out
     predicted = robot.predict(held_out["q"], groups=held_out["groups"])
     seconds = time.process_time() - started
@@ -214,7 +186,7 @@ def identified(case, part, peer):
         predicted=predicted,
         told=told,
         seconds=seconds,
-        lines=lines_of(function),
+        lines=lines,
         consistent=_yes((robot.min_eigenvalues_ > 0).all()),
         named=names_of(effects, case.recording.joint_names),
         simulate=robot.simulate,

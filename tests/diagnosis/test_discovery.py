@@ -20,6 +20,7 @@ from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
 from tests.effects._arms import inverse_dynamics, play_sample_by_sample
+from tests.robot import test_drives as drives
 
 ARM = record("ZY", seed=0, duration=20.0)
 PLAIN = ["coulomb", "offset", "spring"]
@@ -820,3 +821,25 @@ def test_the_search_works_on_torques():
     )
     with pytest.raises(ValueError, match=r'must have criterion="torque".*loop\.ident'):
         EffectDiscovery(robot).fit(ARM.q, ARM.torque())
+
+
+# -- torques of a drive
+
+
+def test_channels_that_a_drive_has_not_are_not_looked_for():
+    """Torques that lag: a lag of their channel, which only measured ones have."""
+    told = drives.told(duration=20.0)
+    rng = np.random.default_rng(0)
+    jerk = np.gradient(told.states[:, 6:], drives.DT, axis=0)
+    more = -2e-3 * jerk * [0.0, 1.0, 0.0] + 0.05 * rng.standard_normal(jerk.shape)
+    told.signals["q_desired"] += more / drives.KP
+    drive = drives.PDDrive(drives.KP, drives.KD, delay=0.0)
+    recording = drive.driven(told)
+    robot = RobotIdentifier(drives.ARM, dt=drives.DT)
+    asked = {"effects": ["jerk", "torque_filter", "delay"], "ceiling": False}
+    measured = EffectDiscovery(robot, **asked).fit(recording.states, recording.tau)
+    assert [one.joint for one in measured.effects_] == [1]
+    made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)
+    made.fit_recording(told)
+    assert made.effects_ + made.perhaps_ == ()
+    assert max(made.unexplained_, key=lambda one: one.rms).joint == 1

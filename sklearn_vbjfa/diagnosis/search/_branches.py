@@ -19,7 +19,7 @@ _TOGETHER = 7
 # Parameters of an identifier that may have a value for each joint.
 _BY_JOINT = ("state_cutoff", "joint_weights", "torque_noise")
 # Fields of a recording that have a column for each joint.
-_COLUMNS = ("q", "tau", "v", "weight", "torque_noise")
+_COLUMNS = ("q", "tau", "v", "weight", "torque_noise", "command", "feedback")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 import pinocchio as pin
+from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
@@ -16,6 +17,7 @@ from sklearn_vbjfa.diagnosis.explain import concerned
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
+from sklearn_vbjfa.robot import PDDrive
 
 AXES = ("RY", "RX", "RZ", "RY")
 
@@ -140,6 +142,16 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
         loop.error_after_[others], loop.error_before_[others], rtol=0.05
     )
     assert "spring" in str(loop.report_)
+
+
+def test_a_branch_is_told_its_own_commands(two_arms):
+    recording, robot = two_arms
+    kp = 20.0 + np.arange(8)
+    told = {"q_desired": recording.q + recording.tau / kp}
+    driven = clone(robot).set_params(drive=PDDrive(kp, 0.0, delay=0.0))
+    loop = EffectDiscovery(driven, effects=["spring"], ceiling=False, random_state=0)
+    loop.fit_recording(replace(recording, v=None, signals=told))
+    assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
 
 
 def test_signals_are_those_of_all_branches(two_arms):

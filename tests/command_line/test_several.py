@@ -468,7 +468,7 @@ def test_signals_that_a_file_lacks_are_said(here, motions, capsys):
         path.write_text("\n".join([f"{head},temperature", *rows]))
     line = refusal(capsys, "close-loop", *RUNS, "--signals", "temperature")
     assert "The column 'temperature' is missing in runs/c.csv" in line
-    code, out, _ = run(capsys, "close-loop", *RUNS, "--signals", "none")
+    code, _, _ = run(capsys, "close-loop", *RUNS, "--signals", "none")
     assert code == 0
     code, _, err = run(capsys, "close-loop", *RUNS, "--force")
     assert code == 3

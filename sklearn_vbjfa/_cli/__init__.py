@@ -447,7 +447,7 @@ def _arguments(argv):
         for name, value in arguments.defaults.items():
             if own[name] is None:
                 own[name] = value
-        arguments.written, arguments.doubts = False, ()
+        arguments.written, arguments.doubts, arguments.page = False, (), False
         return arguments
     finally:
         _flush()
@@ -522,7 +522,8 @@ def main(argv=None):
         return _given_up(arguments)
     if arguments is None or not arguments.doubts:
         return USABLE
-    say(wrapped(one_line(f"note: {exit_line(arguments.doubts)}"), sys.stderr))
+    told = exit_line(arguments.doubts, arguments.page)
+    say(wrapped(one_line(f"note: {told}"), sys.stderr))
     return DOUBTFUL
 
 

@@ -53,19 +53,23 @@ def run(arguments, folder):
             signals=signals,
             **settings,
         )
-    others = taken.other_joints()
+    # Who names the joints knows the others.
+    others = [] if arguments.joints else taken.other_joints()
 
     def write(folder, warned):
         # Each file once, whatever was typed.
         given = tuple(dict.fromkeys(map(str, files)))
         file, description = source if len(files) == 1 else given, str(urdf)
-        report = _report(loop, warned, file, description, taken.held)
-        left_out = _write(loop, report, folder)
-        lines = [*left_out_lines(left_out), *_next_motion(report.outcome, out)]
+        left_out = left_out_lines(_write_robot(loop.identifier_, folder))
+        report = _report(loop, (*warned, *left_out), file, description, taken.held)
+        _write_report(report, folder)
+        lines = _next_motion(report.outcome, out)
+        if left_out:
+            lines.append("only identified.json has every effect (page)")
         if ranges is not None:
             loop.identifier_.ranges().save(ranges)
             lines.append(f"ranges for domain randomisation: {ranges}")
-        return ["", *lines, ""] if lines else [""]
+        return lines
 
     return Done(
         text="\n".join([str(recording), *others, str(loop.report_)]),
@@ -74,6 +78,7 @@ def run(arguments, folder):
         fresh=not arguments.force,
         files=_FILES,
         write=write,
+        page=True,
     )
 
 
@@ -89,12 +94,15 @@ def run_demo(arguments, folder):
 
 def report_doubts(report):
     """Doubts that a report states, a list of str."""
-    from sklearn_vbjfa.diagnosis.report import contradiction, gain_doubts
+    from sklearn_vbjfa.diagnosis.report import contradiction, gain_doubts, words
 
     outcome = report.outcome
-    joints = [
-        f"{one.label}: {one.text}" for one in report.joints if one.status in _NO_ANSWER
-    ]
+    texts = {}
+    for one in report.joints:
+        if one.status in _NO_ANSWER:
+            texts.setdefault(one.text, []).append(one.joint)
+    names = outcome.joint_names
+    joints = [f"{x} ({words.joint_list(names, own, 1)})" for x, own in texts.items()]
     # What the recording itself is doubted for comes first, what is left out last.
     doubted = [one for one in outcome.channels if one.severity != "warning"]
     others = [one for one in outcome.channels if one.severity == "warning"]
@@ -166,17 +174,17 @@ def _report(loop, warned, file, description, held):
     return Report(replace(loop.report_.outcome, provenance=provenance))
 
 
-def _write(loop, report, folder):
-    """Write all files; return what the descriptions lack, by their names."""
+def _write_report(report, folder):
+    """Write the page and the same as data."""
+    text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
+    folder.joinpath(_PAGE).write_text(report.to_html(), encoding="utf-8")
+    folder.joinpath("report.json").write_text(text, encoding="utf-8")
+
+
+def _write_robot(robot, folder):
+    """Write the robot; return what its descriptions lack, by their names."""
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
 
-    robot = loop.identifier_
-    page, text = (
-        report.to_html(),
-        json.dumps(report.to_dict(), indent=1, allow_nan=False),
-    )
-    folder.joinpath(_PAGE).write_text(page, encoding="utf-8")
-    folder.joinpath("report.json").write_text(text, encoding="utf-8")
     write_parameters(robot, parameter_values(robot), folder / "parameters.csv")
     robot.save(folder / "identified.json")
     return {
@@ -195,7 +203,7 @@ def _next_motion(outcome, out):
     if not is_open:
         return []
     return [
-        "A motion that decides what is open: python -m sklearn_vbjfa design --report "
+        "The motion for it: python -m sklearn_vbjfa design --report "
         f"{shlex.quote(str(out))}"
     ]
 

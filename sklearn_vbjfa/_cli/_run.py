@@ -9,6 +9,7 @@ import contextlib
 import gc
 import importlib
 import os
+import re
 import shutil
 import signal
 import sys
@@ -35,6 +36,7 @@ class Done:
     # writes them to a folder, given the warnings; returns lines to print behind `text`
     write: object = None
     left: str = ""  # what is said of files that are not written
+    page: bool = False  # whether the first of them tells all that a terminal leaves out
 
 
 def run(arguments):
@@ -52,9 +54,10 @@ def run(arguments):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
         arguments.doubts = [*done.doubts, *_doubts_of(caught)]
+        arguments.page = done.page
         lines = [] if done.write is None else _write(arguments, done, caught)
     print("\n".join([done.text, *(wrapped(line, sys.stdout) for line in lines)]))
-    for text in _told(caught):
+    for text in () if done.page else _told(caught):
         say(wrapped(f"note: {text}", sys.stderr))
 
 
@@ -81,9 +84,18 @@ def _write(arguments, done, caught):
             # A full disk does not say which.
             raise OSError(error.errno, error.strerror, str(done.folder)) from error
         raise
-    names = ", ".join(str(done.folder / name) for name in done.files)
     moved = filter(None, [getattr(arguments, "moved", "")])
+    names = _named_files(done, len(_told(caught)))
     return [*lines, *moved, f"written: {names}{done.left}"]
+
+
+def _named_files(done, n_notes):
+    """Name the files that are written; beside a page only how many they are."""
+    paths = [str(done.folder / name) for name in done.files]
+    if not done.page:
+        return ", ".join(paths)
+    notes = f"; notes: {n_notes}" if n_notes else ""
+    return f"{paths[0]} (more{notes}), {len(paths) - 1} files"
 
 
 @contextlib.contextmanager
@@ -134,13 +146,18 @@ EPILOG = (
     "a signal that ended the run, 130 for an interrupt"
 )
 
-# Doubts that the last line names; all of them are in what was printed before.
+# Doubts that the last line names; all of them are in what was printed before, or on
+# the page.
 _NAMED = 3
+# Characters that the last line has for each if a page has them whole.
+_BRIEF = 60
 
 
-def exit_line(doubts):
-    """Say in a line why the exit code is what it is."""
+def exit_line(doubts, page=False):
+    """Say in a line why the exit code is what it is; in brief if a page says it."""
     named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]
+    if page:
+        named = [brief(one, _BRIEF) for one in named]
     more = len(doubts) - len(named)
     return f"exit code {DOUBTFUL}: {'; '.join(named)}" + (
         f"; and {more} more" if more else ""
@@ -184,6 +201,17 @@ def say(text):
     if sys.stderr is not None:
         with contextlib.suppress(OSError):
             print(text, file=sys.stderr, flush=True)
+
+
+def brief(text, width):
+    """Return the first clauses of a message, as many as a width [characters] takes."""
+    text = " ".join(text.split())
+    # A first word with a colon is the name of a file, which says nothing alone.
+    ends = [end.start() for end in re.finditer(r"[;:.](?= )", text)]
+    ends = [end for end in ends if " " in text[:end]]
+    if len(text) <= width or not ends:
+        return text
+    return text[: max([end for end in ends if end <= width], default=ends[0])]
 
 
 def wrapped(text, stream):

@@ -418,7 +418,7 @@ def make_closed_loop_recording(
     --------
     >>> from sklearn_vbjfa.datasets import make_closed_loop_recording
     >>> make_closed_loop_recording("head", duration=2.0, random_state=0)
-    Recording 'head': 840 samples, 7 joints, dt = 0.00238095 s, 1 recording
+    Recording 'head': 840 samples, 7 joints, dt = 0.00238095 s
     """
     if torque not in _TORQUES:
         raise ValueError(f"torque must be one of {_TORQUES}, got {torque!r}.")

@@ -17,7 +17,7 @@ import numpy as np
 from sklearn_vbjfa.model import (
     JointPoses,
     NoShapes,
-    import_pinocchio,
+    import_coal,
     load_model,
     load_shapes,
 )
@@ -77,8 +77,7 @@ class Clearance:
     at_once = 200_000
 
     def __init__(self, model, shapes, margin=0.0):
-        pin = import_pinocchio()
-        self._coal = pin.coal
+        self._coal = import_coal()
         self._poses = JointPoses(model)
         self._shapes = shapes.shapes
         self._bodies = np.array([shape.joint for shape in self._shapes])

@@ -52,18 +52,26 @@ class RobotShapes:
     neighbours: np.ndarray
 
 
+def import_coal():
+    """Import coal, the collision library that comes with Pinocchio, or say how."""
+    # By its own name: Pinocchio 3.3, the oldest that is taken, has no other for it.
+    try:
+        import coal
+    except ImportError as error:
+        raise NoShapes(
+            f"Pinocchio {import_pinocchio().__version__} comes without the collision "
+            "library coal, distances between links are not known: pip install "
+            "--upgrade pin brings both."
+        ) from error
+    return coal
+
+
 def load_shapes(path, model, package_dirs=()):
     """Read the collision shapes of a URDF onto the bodies of a model."""
     # NoShapes where there are none. What held joints carry is where the model has it.
     # Packages of meshes are looked for in package_dirs, in the folder of the URDF and
     # in its parents.
-    pin = import_pinocchio()
-    if not hasattr(pin, "coal"):
-        raise NoShapes(
-            f"Pinocchio {pin.__version__} comes without the collision library coal, "
-            "distances between links are not known: pip install --upgrade pin brings "
-            "both."
-        )
+    pin, coal = import_pinocchio(), import_coal()
     path = Path(path)
     tree = parse_description(path)
     links = _links_with_shapes(tree, path)
@@ -83,7 +91,7 @@ def load_shapes(path, model, package_dirs=()):
             f"{path.name!r}; correct its <collision>."
         )
     shapes = tuple(
-        _shape(pin.coal, found, link, path)
+        _shape(coal, found, link, path)
         for found, link in zip(geometry.geometryObjects, read)
     )
     return RobotShapes(shapes, _neighbours(tree, read))

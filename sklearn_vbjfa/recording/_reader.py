@@ -206,7 +206,7 @@ def read_recording(
     ...     file = pathlib.Path(folder) / "hinge.csv"
     ...     _ = file.write_text("clock,angle,torque\n" + "\n".join(rows))
     ...     read_recording(file, columns="q=angle,tau=torque,t=clock")
-    Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s, 1 recording
+    Recording 'hinge': 20 samples, 1 joint, dt = 0.01 s
 
     Several files:
 

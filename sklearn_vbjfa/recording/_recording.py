@@ -291,10 +291,10 @@ class Recording:
     def __repr__(self) -> str:
         joints = "joint" if self.nv == 1 else "joints"
         n_groups = len(self.group_names)
-        recordings = "recording" if n_groups == 1 else "recordings"
+        recordings = f", {n_groups} recordings" if n_groups > 1 else ""
         return (
             f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
-            f"dt = {_period(self.dt)}, {n_groups} {recordings}"
+            f"dt = {_period(self.dt)}{recordings}"
         )
 
     def select(self, *names_or_labels: str | int) -> "Recording":

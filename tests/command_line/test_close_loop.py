@@ -122,9 +122,7 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     captured = capsys.readouterr()
     assert captured.err == ""
     lines = captured.out.splitlines()
-    assert lines[0] == "Recording 'swing': 3000 samples, 2 joints, dt = 0.005 s, " + (
-        "1 recording"
-    )
+    assert lines[0] == "Recording 'swing': 3000 samples, 2 joints, dt = 0.005 s"
     assert lines[1].startswith("Spring on joint 1 (shoulder) was missing")
     assert lines[-1].startswith("written: ")
 
@@ -161,12 +159,14 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     spring = values["shoulder:spring:k"]
     assert spring["mujoco"] == "stiffness"
     assert spring["low"] < effect["parameters"]["k"] < spring["high"]
-    # MuJoCo has springs, offsets and the inertia of rotors: nothing is left out.
-    assert "identified.xml has no place" not in told
-    # URDF has none of them.
-    assert re.search(
-        r"identified.urdf has no place for \d effects, the largest: spring on", told
+    # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
+    assert "only identified.json has every effect (page)" in told
+    (left,) = report["provenance"]["warnings"]
+    assert re.match(
+        r"identified.urdf has no place for \d effects, the largest: spring on", left
     )
+    assert "identified.xml" not in left
+    assert "identified.urdf has no place for" in page
     root = ElementTree.parse(folder / "identified.xml").getroot()
     joints = {x.get("name"): x for x in root.iter("joint") if x.get("name")}
     assert list(joints) == ["shoulder", "elbow"]
@@ -226,11 +226,12 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
     write_csv(good, made)
     options = ["--effects", "load_friction", "--no-ceiling"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
-    told = " ".join(capsys.readouterr().out.split())
+    assert "only identified.json has every effect" in capsys.readouterr().out
+    report = json.loads(Path("arm-report/report.json").read_text(encoding="utf-8"))
     assert re.search(
         r"identified.urdf has no place for 4 effects, the largest: load_friction on "
         r"shoulder \([^;]*\), identified.xml for an effect; they say why",
-        told,
+        " ".join(report["provenance"]["warnings"]),
     )
     text = Path("arm-report/identified.xml").read_text(encoding="utf-8")
     assert "load_friction" in text[: text.index("-->")]
@@ -432,7 +433,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
         # The mass does not help.
         assert main(["close-loop", str(source), "--urdf", str(path), *options]) == 3
     text = " ".join(capsys.readouterr().out.split())
-    assert "Gains are relative to the channel of joint" in text
+    assert "Gains are relative to joint" in text
     assert "The mass of lower (2 kg) cannot fix the common gain" in text
     report = json.loads((tmp_path / "out" / "report.json").read_text(encoding="utf-8"))
     found = report["gains"]
@@ -546,8 +547,11 @@ def test_joints_that_are_not_named_are_held_at_zero(
     argv = ["close-loop", str(good), "--urdf", str(with_hand), *joints, *common]
     assert main([*argv, "--out", "held"]) == 0
     captured = capsys.readouterr()
-    assert captured.out.splitlines()[1] == "held at zero: grip, grip_2, drive"
+    # Who names the joints knows the others: they are on the page.
+    assert "held at zero" not in captured.out
     assert captured.err == ""
+    report = json.loads(Path("held/report.json").read_text(encoding="utf-8"))
+    assert report["provenance"]["held"] == ["grip", "grip_2", "drive"]
     assert main([*argv[:3], str(urdf), *common, "--out", "plain"]) == 0
     held, plain = values("held"), values("plain")
     assert list(held) == list(plain)
@@ -951,13 +955,15 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     assert [x for x in effect["rivals"] if x in {"signal: gain", "signal: temperature"}]
     assert report["settings"]["signals"] == ["temperature", "gain"]
     said = " ".join(capsys.readouterr().out.split())
+    assert "'fixed' is not used as a signal" in said
+    messages = " ".join(one["message"] for one in report["channels"])
     for reason in (
         "'fixed' is not used as a signal: it is constant",
         "'current' is not used as a signal: it is the torque of",
         "'state' is not used as a signal: it holds 'start' and not numbers",
         "'hole' is not used as a signal: it has gaps",
     ):
-        assert reason in said
+        assert reason in messages
 
 
 def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):

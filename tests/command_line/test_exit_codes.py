@@ -124,7 +124,10 @@ RECORDINGS = {
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
             "": (3, "elbow never moves"),
-            "close-loop": (3, r"joint 2 \(elbow\): no samples that count; elbow never"),
+            "close-loop": (
+                3,
+                r"no samples that count \(joint 2 \(elbow\)\); elbow never",
+            ),
             "identify": (3, "no error of elbow; "),
         },
     ),
@@ -160,7 +163,7 @@ RECORDINGS = {
         lambda x: {name: column[:100] for name, column in x.items()},
         {
             "": (0, ""),
-            "close-loop": (3, r"joint 1 \(shoulder\): noise unknown"),
+            "close-loop": (3, r"noise unknown \(joint 1 \(shoulder\)\)"),
             "simulate": (2, "No recording is as long as a window of 0.3 s"),
         },
     ),
@@ -211,7 +214,11 @@ def test_recordings(kind, command, here, capsys):
         assert out
     told = [x for x in err if x.startswith("note: exit code 3: ")]
     assert told == err[-1:] * (code == 3)
-    assert re.search(message, "".join(err[-1:])), err
+    shown = "".join(err[-1:])
+    if command == "close-loop" and code == 3:
+        # The last line has the first clauses of what the page has whole.
+        shown += Path("out/report.json").read_text(encoding="utf-8")
+    assert re.search(message, shown), err
 
 
 def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
@@ -252,7 +259,37 @@ def test_verdicts_on_a_joint(status, text, report):
     first, *rest = report.joints
     changed = (replace(first, status=status, text=text), *rest)
     doubts = report_doubts(SimpleNamespace(outcome=report.outcome, joints=changed))
-    assert doubts == ([f"{first.label}: {text}"] if text else [])
+    assert doubts == ([f"{text} ({first.label})"] if text else [])
+
+
+def test_joints_with_the_same_doubt_are_named_together(report):
+    changed = [
+        replace(x, status="unknown", text="noise unknown") for x in report.joints
+    ]
+    told = SimpleNamespace(outcome=report.outcome, joints=changed)
+    assert report_doubts(told) == ["noise unknown (all joints)"]
+    told.joints = changed[:4]
+    assert report_doubts(told) == ["noise unknown (joints 1, 2, 3 and 4)"]
+
+
+def test_the_last_line_is_brief_where_a_page_has_it_whole():
+    long = "a/b.csv: 3 gap(s) of more than 5 periods: the recording is split. Mend it."
+    doubts = [long, "short: one.", "x: y", "z"]
+    assert (
+        exit_line(doubts) == f"exit code 3: {long[:-1]}; short: one; x: y; and 1 more"
+    )
+    assert exit_line(doubts, page=True) == (
+        "exit code 3: a/b.csv: 3 gap(s) of more than 5 periods; short: one; x: y; and "
+        "1 more"
+    )
+    # The name of a file says nothing alone, and a sentence has an end.
+    name = f"{'folder/' * 12}b.csv"
+    assert exit_line([f"{name}: a gap: split"], page=True) == (
+        f"exit code 3: {name}: a gap"
+    )
+    assert (
+        exit_line(["word " * 30], page=True) == f"exit code 3: {'word ' * 30}".strip()
+    )
 
 
 @pytest.fixture(scope="module")

@@ -214,10 +214,11 @@ def commands_alone(outcome, verdict):
         f"one by {after} (mean of the joints); a robot that is where it is told to be "
         f"is off by {told}."
     )
+    short = f"Simulated from commands alone, positions are off by {before} before, "
     return Section(
         heading=heading,
         sentences=(sentence, *failed),
-        terminal=(sentence, *failed),
+        terminal=(f"{short}{after} after.",),
         table=Table(heads=("joint", "unit", *errors), rows=tuple(rows), numbers=True),
         note="Root mean squares of simulated minus recorded positions. Each held-out "
         "stretch is simulated from its recorded first state on; the models were fitted "

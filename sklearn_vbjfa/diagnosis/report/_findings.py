@@ -1,18 +1,24 @@
 """What was found, what it asks for, and what is still open."""
 
 import math
+import re
 from dataclasses import dataclass
 
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._limits import doubts, next_sentences
+from sklearn_vbjfa.diagnosis.report._limits import (
+    doubts,
+    is_measured,
+    next_sentences,
+)
 from sklearn_vbjfa.diagnosis.report._pictures import map_picture
 from sklearn_vbjfa.diagnosis.report._render import Section, listed, table_of
-from sklearn_vbjfa.diagnosis.search._posterior import UNDECIDED
 from sklearn_vbjfa.robot._ranges import held_text
 
 # A share below this is hardly worth an effect.
 _LITTLE = 0.1
+# Characters that a terminal has for what to record, and for what an effect is called.
+_ADVICE, _LABEL = 40, 34
 # Fewer signals are named if they explain this share of what more explain.
 _MOST = 0.8
 _FORMS = (
@@ -42,15 +48,15 @@ def effects(outcome, verdict):
             parameters = words.parameter_text(e)
             first = ", ".join([f"{joint}: {label}", *parameters])
         gain, odds = words.whole_percent(e.evidence.gain), words.odds_text(e.log_odds)
-        evidence = f"saves {gain}, odds {odds}"
-        told = [f"- {first}", evidence]
+        told = [f"- {first}", f"saves {gain}, odds {odds}"]
         if rivals:
             told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
         known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
         told += known
         sentences.append("; ".join(told))
-        beside = " (or another)" if rivals else ""
-        short.append((f"- {joint}", label + beside, evidence))
+        evidence = f"saves {gain}, odds {odds.removesuffix(' : 1')}"
+        evidence += ", or another" if rivals else ""
+        short.append((f"- {joint}", _short_label(label), evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, (*parameters, *known), gain, odds, cannot))
@@ -62,6 +68,12 @@ def effects(outcome, verdict):
         table=table_of((*heads, "cannot be told from"), rows, links=links),
         terminal=listed(sentences, short),
     )
+
+
+def _short_label(label):
+    """Call an effect so that it has room in a line of a terminal."""
+    label = words.without_asides(label)
+    return label.partition(": ")[0] if len(label) > _LABEL else label
 
 
 def _called(outcome, effect):
@@ -82,8 +94,10 @@ def perhaps(outcome, verdict):
         cell = tuple(words.parameter_text(e))
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, cell, probability, e.doubt, cannot))
-        why = "" if e.doubt == UNDECIDED else f"; {e.doubt}"
-        told.append(f"- {joint}: perhaps {label}, probability {probability}{why}")
+        at = "" if joint == "robot" else f" on {joint}"
+        told.append(f"{_short_label(label)}{at} ({probability})")
+    # The page has the others.
+    short = f"- perhaps {words.first_of(told)}" if told else ""
     heads = ("joint", "effect", "parameters (90 %)", "probability", "why not named")
     return Section(
         heading="Perhaps",
@@ -91,7 +105,7 @@ def perhaps(outcome, verdict):
         note="Part of the completed model: leaving them out would predict no better."
         if rows
         else "",
-        terminal=tuple(told),
+        terminal=tuple(filter(None, [short])),
     )
 
 
@@ -115,12 +129,18 @@ def to_do(outcome, verdict):
         for e in own
     ]
     channels = [" ".join(c.message.split()) for c in outcome.channels]
-    # The headline has the first doubt already.
+    # The headline has the first doubt already; of warnings a terminal has the subject.
     first = " ".join("".join(doubts(outcome)[:1]).split())
+    short = [
+        message if c.severity == "doubt" else f"{_subject(message)}."
+        for c, message in zip(outcome.channels, channels)
+        if message != first
+    ]
     record, expected = recordings(outcome), next_sentences(outcome)
-    shown = [f"Channel: {message}" for message in channels if message != first]
+    shown = [f"Channel: {message}" for message in short]
     shown += [f"To correct: {mend}."] if mend else []
-    shown += [f"Record next: {words.join(record, 2)}."] if record else []
+    if record:
+        shown.append(f"Record next: {words.first_of(_recordings(outcome, most=0))}.")
     return Section(
         heading="What to do next",
         sentences=(
@@ -134,8 +154,14 @@ def to_do(outcome, verdict):
         "they were recorded."
         if own
         else "",
-        terminal=(*shown, *expected),
+        # What is assumed is no finding of this recording: the page has it.
+        terminal=(*shown, *(expected if is_measured(outcome) else ())),
     )
+
+
+def _subject(message):
+    """Return the first clause of a message."""
+    return re.split("[:,;] ", message)[0].rstrip(".")
 
 
 def outside(outcome, verdict):
@@ -404,6 +430,11 @@ def _changes(outcome, rest):
 
 def recordings(outcome):
     """Say what to record next, what matters most first, without repetition; a list."""
+    return _recordings(outcome, most=3)
+
+
+def _recordings(outcome, most):
+    """Say what to record next, with the names of so many joints; a list."""
     wanted = dict.fromkeys([_NO_PERIOD] if outcome.repeated else [], ())
     wanted |= _record_again(outcome)
     for rest in outcome.unexplained:
@@ -420,7 +451,9 @@ def recordings(outcome):
             wanted.setdefault(advice, []).extend(_own_joint(outcome, h))
     found = []
     for advice, joints in wanted.items():
-        where = words.joint_list(outcome.joint_names, joints)
+        where = words.joint_list(outcome.joint_names, joints, most)
+        if not most and len(advice) > _ADVICE:
+            advice = advice.partition(", ")[0]
         if advice:
             found.append(f"{advice} ({where})" if where else advice)
     return found

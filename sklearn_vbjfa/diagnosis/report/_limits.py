@@ -347,6 +347,12 @@ def next_sentences(outcome):
     return (f"{text} ({one.recordings} left out in turn{also}).",)
 
 
+def is_measured(outcome):
+    """Whether the error to expect rests on recordings of this robot."""
+    one = outcome.next_recording
+    return one is not None and one.source != "assumed"
+
+
 def repeated_sentences(outcome):
     """Say what repeats, and what therefore cannot be told from the model's lack."""
     if not outcome.repeated:
@@ -541,24 +547,32 @@ def drive_sentences(outcome, verdict):
     drive = outcome.declared.get("drive")
     if drive is None:
         return ()
+    first = _COMMANDED if drive["kind"] == "PDDrive" else _OF_THE_MOTOR
+    return (first, *drive_found(outcome, verdict))
+
+
+def drive_found(outcome, verdict):
+    """Say how late commands act, and where they ask for more than there is."""
+    drive = outcome.declared.get("drive")
+    if drive is None:
+        return ()
     own = [one for one in outcome.parameters if one.name == "drive:delay"]
     known = drive.get(CommandDelay.tangent[0])
     told = [delay_sentence(one.value, one.interval) for one in own]
     if known is not None:
         told = [f"{delay_sentence(known)[:-1]}, as given."]
-    first = _COMMANDED if drive["kind"] == "PDDrive" else _OF_THE_MOTOR
-    return (first, *told, *_saturated(outcome, drive.get("saturated", ())))
+    return (*told, *_saturated(outcome, drive.get("saturated", ())))
 
 
 _COMMANDED = (
-    "No torque was measured: torques are commanded, what the law of the drive makes of "
-    "its commands, and all values are as right as its gains."
+    "No torque was measured: torques are computed from the commands by the law of the "
+    "drive, and all values are as right as its gains."
 )
 
 
 _OF_THE_MOTOR = (
-    "No torque was measured: torques are made of what the motor was given, and all "
-    "values are as right as its constants."
+    "No torque was measured: torques are computed from what the motor was given, and "
+    "all values are as right as its constants."
 )
 
 
@@ -602,13 +616,16 @@ def _gains_text(outcome):
     if not gains.references:
         told = [_NOT_SHOWN]
     else:
-        end = ": " if gains.absolute else ", from which "
-        told = [_unit_of_gains(outcome, gains).partition(end)[0]]
+        if gains.absolute:
+            told = [_unit_of_gains(outcome, gains).partition(": ")[0]]
+        else:
+            channel = words.joint_list(names, gains.references)
+            told = [f"Gains are relative to {channel}"]
         if gains.hidden:
             told.append(f"not shown: {words.joint_list(names, gains.hidden)}")
         if gains.doubtful:
             told.append(f"hardly credible: {words.joint_list(names, gains.doubtful)}")
-        told = [f"{'; '.join(told)} (table on the page)."]
+        told = [f"{'; '.join(told)} (page)."]
     told += filter(None, [_unused(gains, known) for known in gains.common.masses])
     return " ".join(filter(None, [*told, _disagreement(gains.common)]))
 

@@ -23,8 +23,6 @@ _TERMINAL, _LONG = 80, 20
 _SIZE = {"width": _pictures.WIDTH, "height": _pictures.HEIGHT}
 # Entries of a list that a terminal shows as sentences; of more, each is a row.
 _SENTENCES = 2
-# How the entries of a list begin.
-_MARKS = ("- ",)
 # What is read of a section, its tables and its figures.
 _READ: tuple = ("heading", "sentences", "table", "note", "drawn")
 _READ += ("heads", "rows", "title", "charts", "keys", "x_label", "y_label")
@@ -81,16 +79,18 @@ def listed(sentences, rows):
     return sentences if len(rows) <= _SENTENCES else (Table(rows=tuple(rows)),)
 
 
-def paragraph(heading, sentences_of, *, on_terminal=False):
+def paragraph(heading, sentences_of, *, terminal_of=None):
     """Return a section that is read as one paragraph, except where lists are."""
-    # sentences_of: a function of the outcome and the verdict.
+    # sentences_of, terminal_of (what a terminal has of them; None for nothing):
+    # functions of the outcome and the verdict.
 
     def section(outcome, verdict):
         sentences = tuple(sentences_of(outcome, verdict))
+        shown = () if terminal_of is None else terminal_of(outcome, verdict)
         return Section(
             heading=heading,
             sentences=sentences,
-            terminal=(" ".join(sentences),) if sentences and on_terminal else (),
+            terminal=(" ".join(shown),) if shown else (),
             template="paragraph",
         )
 
@@ -124,32 +124,18 @@ def _texts(value):
 
 
 def plain_text(sections):
-    """Write the sections for a terminal, those of a kind without a line between."""
-    out, before = "", ""
+    """Write the sections for a terminal, with a line before a table that has heads."""
+    out = ""
     for section in sections:
-        shown = section.terminal
-        if not shown:
-            continue
-        kind = _kind(shown)
-        out += ("\n" if kind == before else "\n\n") if out else ""
-        indent = "  " if out else ""
-        out += "\n".join(
-            _wrapped(x, indent)
-            if isinstance(x, str)
-            else text_table(x.heads, x.rows, numbers=x.numbers)
-            for x in shown
-        )
-        before = kind
+        for one in section.terminal:
+            is_text = isinstance(one, str)
+            out += ("\n" if is_text or not one.heads else "\n\n") if out else ""
+            out += (
+                _wrapped(one, "  " if out else "")
+                if is_text
+                else text_table(one.heads, one.rows, numbers=one.numbers)
+            )
     return out
-
-
-def _kind(shown):
-    """Whether a terminal shows a "list", a "table" or "text"."""
-    first = shown[0]
-    first = first if isinstance(first, str) else first.rows[0][0]
-    if first[:2] in _MARKS:
-        return "list"
-    return "text" if isinstance(shown[0], str) else "table"
 
 
 def _wrapped(sentence, indent):

@@ -29,7 +29,9 @@ SECTIONS = (
     _findings.effects,
     _findings.perhaps,
     _findings.to_do,
-    _render.paragraph("Drive", _limits.drive_sentences, on_terminal=True),
+    _render.paragraph(
+        "Drive", _limits.drive_sentences, terminal_of=_limits.drive_found
+    ),
     _limits.channel_gains,
     _evidence.commands_alone,
     _evidence.effect_pictures,

@@ -1,6 +1,6 @@
 """What an outcome amounts to: the verdict, on the robot and on each joint; errors."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,10 +12,12 @@ from sklearn_vbjfa.diagnosis.report._render import Section, Table
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05
-# Effects that the headline names.
+# Effects up to which the headline names them.
 _NAMED = 2
 # The error of predicting the mean of the held-out torque and no more.
 _MEAN_TORQUE = 1.0
+# Joints that a terminal has room for; of more, so many that gain most and that lose.
+_ROWS, _FIRST, _LAST = 8, 4, 2
 # Bars end at this many times the error of the middle joint, or one would flatten all.
 _FAR = 8.0
 _COLOURS = {
@@ -357,7 +359,7 @@ def plain_words(outcome):
 
 
 def _found(outcome):
-    """Name the first effects, and count the others; with a verb."""
+    """Name a few effects, count many; with a verb."""
     effects = outcome.effects
     if not effects:
         return "0 effects were"
@@ -374,14 +376,12 @@ def _missing(outcome):
 
 
 def _named(outcome, effects):
-    """Name the first of some effects, and count the others."""
-    named = [
-        words.effect_at(outcome, e.name, e.joint, e.parameters)
-        for e in effects[:_NAMED]
-    ]
+    """Name a few effects; many are counted, as they are listed below."""
     if len(effects) > _NAMED:
-        named.append(words.plural(len(effects) - _NAMED, "more effect"))
-    return words.join(named)
+        return words.plural(len(effects), "effect")
+    return words.join(
+        words.effect_at(outcome, e.name, e.joint, e.parameters) for e in effects
+    )
 
 
 # -- sections ---------------------------------------------------------------------
@@ -435,15 +435,15 @@ def joints(outcome, verdict):
     band = words.number(outcome.wide_cutoff, 2)
     reaches = [_reach_text(outcome, j) for j in range(len(after))]
     columns = {
-        "held-out\nerror, %": [v.label for v in verdict.joints],
+        "error, %": [v.label for v in verdict.joints],
         "before": _percents(before),
-        "four\nterms": _percents(outcome.error_plain) if outcome.added else None,
+        "four terms": _percents(outcome.error_plain) if outcome.added else None,
         "after [90 %]": list(map("".join, zip(_percents(after), reaches))),
         # without the sign of a zero
         "gain": _percents(np.round(before - after, 3) + 0.0),
         unit: [words.number(x, 2) for x in after * outcome.spread],
         "noise": _percents(outcome.floor),
-        f"to\n{band} Hz": _percents(outcome.wide_after),
+        f"to {band} Hz": _percents(outcome.wide_after),
         "": [v.text for v in verdict.joints],
     }
     note, wide = "", bool(np.isfinite(outcome.wide_cutoff))
@@ -459,19 +459,34 @@ def joints(outcome, verdict):
         rows = tuple(tuple(columns[head][j] for head in heads) for j in order)
         return Table(heads=tuple(heads), rows=rows, numbers=True)
 
-    unknown = () if wide else (f"to\n{band} Hz",)
+    unknown = () if wide else (f"to {band} Hz",)
     # A line of a terminal has room for the size in N m, or for a third error.
-    short = {"gain", f"to\n{band} Hz", unit if outcome.added else "gain"}
+    short = {"gain", f"to {band} Hz", unit if outcome.added else "gain"}
+    if not np.isfinite(outcome.floor).any():
+        short.add("noise")
+    if all(v.status == "unknown" for v in verdict.joints):
+        # The headline says it.
+        short.add("")
     return Section(
         heading="Error of each joint on held-out data",
         table=table(unknown),
-        terminal=(table(short),),
+        terminal=(_shortened(table(short)),),
         note=f"{added(outcome)}In per cent of the standard deviation of the torque in "
         "the moving time of the whole recording. Gain: before minus after. [ ]: "
         f"{interval_text(outcome.settings)}.{note}",
         template="joints",
         drawn={"joints": _bars(outcome, [verdict.joints[j] for j in order])},
     )
+
+
+def _shortened(table):
+    """Return a table for a terminal, without the middle of many rows."""
+    rows = table.rows
+    if len(rows) <= _ROWS:
+        return table
+    left = len(rows) - _FIRST - _LAST
+    more = (f"{left} more (page)", *[""] * (len(rows[0]) - 1))
+    return replace(table, rows=(*rows[:_FIRST], more, *rows[-_LAST:]))
 
 
 def _percents(values):

@@ -96,16 +96,18 @@ def joint_label(names, joint):
     return f"joint {joint + 1} ({name})"
 
 
-def joint_list(names, joints):
-    """Write several joints, by number where they are numbered."""
+def joint_list(names, joints, most=3):
+    """Write several joints, by number where they are numbered; most: names of them."""
     joints = sorted(set(joints))
     if len(joints) == len(names) > 1:
         return "all joints"
     labels = [joint_label(names, j) for j in joints]
     numbers = [label.removeprefix("joint ") for label in labels]
-    if len(joints) > 1 and all(number.isdigit() for number in numbers):
+    if len(joints) < 2:
+        return "".join(labels)
+    if all(number.isdigit() for number in numbers):
         return f"joints {join(numbers, 6)}"
-    return join(labels, 3)
+    return join(labels, most) if most else plural(len(joints), "joint")
 
 
 def signal_label(signal, names, joint):
@@ -282,6 +284,11 @@ def parameter_text(effect):
     return found
 
 
+def without_asides(text):
+    """Return a text without what it has in parentheses."""
+    return re.sub(r" \([^()]*\)", "", text)
+
+
 def join(parts, most=3, word="and"):
     """Write a list as a sentence does; what is beyond the most is counted."""
     parts = list(parts)
@@ -290,6 +297,12 @@ def join(parts, most=3, word="and"):
     if len(parts) <= 1:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
+
+
+def first_of(parts):
+    """Write the first of a list and count the others, for a terminal."""
+    more = f" and {len(parts) - 1} more (page)" if len(parts) > 1 else ""
+    return "".join(parts[:1]) + more
 
 
 def plural(count, noun):

@@ -104,11 +104,14 @@ def test_gains_are_a_line_of_a_terminal(n_effects):
     )
     lines = str(Report(outcome)).splitlines()
     (line,) = (x for x in lines if "Gains are relative" in x)
-    assert line.startswith("Gains are relative to the channel of joint 2; not shown: ")
-    assert len(lines) <= 20 + n_effects + 2
-    # The effects that are perhaps there follow the others without a line between.
+    assert line == (
+        "Gains are relative to joint 2; not shown: joint 6; hardly credible: joint 1"
+    )
+    assert len(lines) <= 16 + n_effects
+    # Those that are perhaps there follow the others in one line.
     first = next(k for k, x in enumerate(lines) if x[:2] == "- ")
-    assert all(x[:2] == "- " for x in lines[first : first + n_effects + 2])
+    assert all(x[:2] == "- " for x in lines[first : first + n_effects + 1])
+    assert lines[first + n_effects].endswith("%) and 1 more (page)")
     page = Report(outcome).to_html()
     assert "relative to joint 2" in page
     assert "from which those of" in page

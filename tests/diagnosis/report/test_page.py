@@ -171,8 +171,10 @@ def test_positions_from_commands_alone_have_a_table_and_pictures():
         "by 2.50 mrad and 4.00 mm (mean of the joints); a robot that is where it is "
         "told to be is off by 250 mrad and 400 mm."
     )
-    assert said in " ".join(str(report).split())
     text = report.to_markdown()
+    assert said in " ".join(text.split())
+    short = "positions are off by 25.0 mrad and 40.0 mm before, 2.50 mrad and 4.00 mm"
+    assert f"{short} after." in " ".join(str(report).split())
     assert "| joint | unit | declared model | completed model | as told |" in text
     assert "| joint 1 | mrad | 20.0 | 2.00 | 200 |" in text
     assert "| joint 3 | mm | 40.0 | 4.00 | 400 |" in text
@@ -215,12 +217,14 @@ def test_a_model_that_is_not_simulated_to_its_end_is_told():
     torques = [replace(x, before=np.full(x.seconds.size, np.nan)) for x in line.torques]
     curves = {"positions": replace(line, torques=tuple(torques))}
     report = Report(replace(outcome, curves=outcome.curves | curves))
-    text = " ".join(str(report).split())
+    text = " ".join(report.to_markdown().split())
     assert "The declared model was not simulated to its end: It diverges." in text
+    short = "positions are off by an unknown distance and an unknown distance before"
+    assert short in " ".join(str(report).split())
     assert "It diverges too" not in text
     assert "Simulated without" not in text
     some = replace(outcome.commands_alone, left_out=("jerk on a (why)", "b"))
-    text = " ".join(str(Report(replace(outcome, commands_alone=some))).split())
+    text = " ".join(Report(replace(outcome, commands_alone=some)).to_markdown().split())
     assert "Simulated without jerk on a (why) and b." in text
     assert "declared model are off by an unknown distance" in text
     assert "joint 1 | mrad | ? | 2.00 | 200" in report.to_markdown()

@@ -1,6 +1,7 @@
 """Command line: its commands and options, and how a run ends in words."""
 
 import argparse
+import difflib
 import os
 import re
 import shlex
@@ -407,7 +408,7 @@ def _parser():
         "a command, close the loop on the recording that comes with the package.",
     )
     parser.add_argument("--version", action="version", version=__version__)
-    parser.set_defaults(run="_close_loop:run_demo", defaults={})
+    parser.set_defaults(run="_close_loop:run_demo", command=None, defaults={})
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for name, command in _COMMANDS.items():
         _add(commands, name, **command)
@@ -426,7 +427,7 @@ def _add(commands, name, *, run, arguments="", own=None, **told):
         action = command.add_argument(*_SHORT.get(argument, ()), argument, **given)
         if default is not None:
             defaults[action.dest] = default
-    command.set_defaults(run=run, defaults=defaults)
+    command.set_defaults(run=run, command=name, defaults=defaults)
 
 
 def _arguments(argv):
@@ -441,7 +442,7 @@ def _arguments(argv):
             # Recordings behind an option, which argparse leaves over.
             files += more
         elif more:
-            parser.error(f"unrecognized arguments: {' '.join(more)}")
+            parser.error(_not_taken(options or more, arguments.command))
         own = vars(arguments)
         arguments.given = {name for name in own if own[name] not in (None, [])}
         for name, value in arguments.defaults.items():
@@ -451,6 +452,21 @@ def _arguments(argv):
         return arguments
     finally:
         _flush()
+
+
+def _not_taken(words, command):
+    """Say what a command does not take, and where it belongs."""
+    told = f"unrecognized arguments: {' '.join(words)}"
+    option = words[0].partition("=")[0]
+    takes = {name: one.get("arguments", "").split() for name, one in _COMMANDS.items()}
+    others = [name for name, own in takes.items() if option in own]
+    near = difflib.get_close_matches(option, takes.get(command, ()), 1, 0.75)
+    if others:
+        told += f"; {option} belongs to {', '.join(others)}"
+    elif near:
+        told += f" (close to it: {near[0]})"
+    whose = "" if command is None else f" {command}"
+    return f"{told}. sklearn-vbjfa{whose} --help lists what there is"
 
 
 # Options whose lists of numbers may begin with a minus.

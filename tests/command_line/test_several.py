@@ -127,17 +127,20 @@ def test_recordings_may_stand_behind_options(here, capsys):
 
 
 @pytest.mark.parametrize(
-    "argv",
+    ("argv", "told"),
     [
-        ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv", "--fast"],
-        ["effects", "runs/a.csv"],
+        (["inspect", "a.csv", "--urdf", "a.urdf", "b.csv", "--fast"], "--fast. "),
+        (["effects", "runs/a.csv"], "runs/a.csv. sklearn-vbjfa effects --help lists"),
+        (["identify", "a.csv", "--out", "x"], "--out; --out belongs to close-loop, "),
+        (["identify", "a.csv", "--colums", "q=a"], "--colums (close to it: --columns)"),
+        (["--seed=3"], "--seed=3; --seed belongs to close-loop"),
     ],
 )
-def test_what_no_command_takes_is_refused(argv, here, capsys):
+def test_what_a_command_does_not_take_is_refused(argv, told, here, capsys):
     with pytest.raises(SystemExit) as end:
         main(argv)
     assert end.value.code == 2
-    assert "unrecognized arguments: " in capsys.readouterr().err
+    assert f"unrecognized arguments: {told}" in capsys.readouterr().err
 
 
 def test_a_simulation_takes_one_recording(here, capsys):

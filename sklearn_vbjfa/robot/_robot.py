@@ -996,9 +996,10 @@ class IdentifiedRobot(SimulatesTorques):
 
     # -- answers --------------------------------------------------------------------
 
-    def torques(self, asked):
+    def torques(self, asked, n_jobs=1):
         """Torques (n, nv) that are predicted for a `Query`."""
-        return np.concatenate([one.predict(self.theta_) for one in self._rows(asked)])
+        known = self.theta_, n_jobs
+        return np.concatenate([one.predict(*known) for one in self._rows(asked)])
 
     def _rows(self, asked):
         """Return the `RegressorRows` of each segment of a `Query`."""
@@ -1173,7 +1174,7 @@ class IdentifiedRobot(SimulatesTorques):
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.ask(np.asarray(recording.inputs[rows]), t=t, signals=own)
             asked, y = asked.noiseless(self.plan), np.asarray(recording.tau[rows])
-            known = y - self.torques(asked), y, asked.states
+            known = y - self.torques(asked, n_jobs), y, asked.states
             found.append(noise_facts(*known, *band, n_jobs))
         return found
 

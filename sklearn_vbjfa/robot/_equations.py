@@ -549,7 +549,9 @@ class Segment:
         row = np.arange(start, stop)
         inside = (row >= self.edge) & (row < self.n_rows - self.edge)
         moves = (np.abs(v) > self.standstill) & inside[:, None]
-        return self.weight[rows] * moves
+        # Sums go through rows of another layout in another order, and are rounded so:
+        # the same whether weights take memory or not.
+        return np.multiply(self.weight[rows], moves, order="C")
 
     def pieces(self, lowpass):
         """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""

@@ -214,11 +214,16 @@ class _Problem:
 
     def precision(self, sites):
         """Precision (p, p) of the prior with some sites."""
-        out = np.zeros(self.A.shape)
-        known = zip(self.description.places, self.description.root, sites)
-        for at, root, site in known:
-            out[np.ix_(at, at)] = root.T @ site.precision @ root
+        out, root = np.zeros(self.A.shape), self.description.root
+        own = np.array([site.precision for site in sites])
+        out[self._blocks] = root.transpose(0, 2, 1) @ own @ root
         return 0.5 * (out + out.T)
+
+    @property
+    def _blocks(self):
+        """Places of each body's block in a matrix (p, p)."""
+        places = self.description.places
+        return places[:, :, None], places[:, None, :]
 
     @property
     def centre(self):
@@ -238,9 +243,9 @@ class _Problem:
         right[p] = centre @ right[:p]
         total[:p, :p] += self.precision(sites)
         total[p, p] += DESCRIBED**-2
-        known = zip(self.description.places, self.description.root, sites)
-        for at, root, site in known:
-            right[at] += root.T @ site.right
+        own = np.array([site.right for site in sites])
+        root = self.description.root
+        right[self.description.places] += np.einsum("kij,ki->kj", root, own)
         # A direction that neither torques nor description tell stays where it is.
         if self.sized:
             total[p], total[:, p], right[p] = 0.0, 0.0, 0.0
@@ -253,19 +258,20 @@ class _Problem:
         own, product, _ = _along(self.description, self.A, self.b)
         return product / own if own > 0 and product > 0 else 1.0
 
-    def marginal(self, solution, k):
-        """Precision and its product with the mean of a body, everything in."""
-        at, root = self.description.places[k], self.description.root[k]
-        around = root @ solution.covariance[np.ix_(at, at)] @ root.T
+    def marginals(self, solution):
+        """Precisions (n, 10, 10) of bodies, and products with the means (n, 10)."""
+        # Everything is in them.
+        root = self.description.root
+        around = root @ solution.covariance[self._blocks] @ root.transpose(0, 2, 1)
         inverse = inverse_of(around)
-        return inverse, inverse @ (root @ solution.mean[at])
+        mean = root @ solution.mean[self.description.places][:, :, None]
+        return inverse, (inverse @ mean)[:, :, 0]
 
     def sites(self):
         """Sites of the bodies, see `propagated`."""
 
         def marginals(sites):
-            solution = self.solved(sites)
-            return (self.marginal(solution, k) for k in range(len(sites)))
+            return zip(*self.marginals(self.solved(sites)))
 
         usual = [Site.of_scale(DESCRIBED)] * len(self.description.names)
         return propagated(usual, marginals)
@@ -282,10 +288,9 @@ class _Problem:
         sites, open_ = [Site.of_scale(DESCRIBED)] * len(names), np.ones(len(names))
         found = []
         while open_.any():
-            solution = self.solved(sites)
+            known = self.marginals(self.solved(sites))
             H, q = np.zeros((len(names), 1, 1)), np.zeros((len(names), 1))
-            for k, along in enumerate(size):
-                precision, product = self.marginal(solution, k)
+            for k, (along, precision, product) in enumerate(zip(size, *known)):
                 variance = along @ np.linalg.solve(precision, along)
                 q[k] = along @ np.linalg.solve(precision, product) / variance
                 own = along @ sites[k].precision @ along
@@ -320,9 +325,10 @@ class _Problem:
 
 
 def inverse_of(covariance):
-    """Inverse of a covariance whose smallest deviations may be rounding."""
-    size, axes = np.linalg.eigh(0.5 * (covariance + covariance.T))
-    return (axes / np.maximum(size, _ROUNDING * size[-1])) @ axes.T
+    """Inverses of covariances (..., k, k), the smallest deviations perhaps rounding."""
+    size, axes = np.linalg.eigh(0.5 * (covariance + np.swapaxes(covariance, -1, -2)))
+    size = np.maximum(size, _ROUNDING * size[..., -1:])
+    return (axes / size[..., None, :]) @ np.swapaxes(axes, -1, -2)
 
 
 def propagated(sites, marginals):
@@ -330,53 +336,71 @@ def propagated(sites, marginals):
     # T. Minka, UAI 2001; for scale mixtures M. Seeger, J. Machine Learning Research 9,
     # 2008. marginals: from sites to the precision and product of each, everything in.
     for number in range(_PASSES):
-        share, moved, new = (0.5 if number else 1.0), 0.0, []
-        for site, (precision, product) in zip(sites, marginals(sites)):
-            if not product.size:
-                new.append(site)
-                continue
-            found, step = _matched(precision, product, site)
+        share, moved, new = (0.5 if number else 1.0), 0.0, list(sites)
+        known, alike = list(marginals(sites)), {}
+        for k, (_, product) in enumerate(known):
+            alike.setdefault(product.size, []).append(k)
+        # Those of one size together; one with no directions stays as it is.
+        alike.pop(0, None)
+        for places in alike.values():
+            precision, product = (np.array(x) for x in zip(*[known[k] for k in places]))
+            found, step = _matched(precision, product, [sites[k] for k in places])
             moved = max(moved, step)
-            new.append(
-                Site(
-                    site.precision + share * (found.precision - site.precision),
-                    site.right + share * (found.right - site.right),
-                    found.scale,
+            for k, one in zip(places, found):
+                site = sites[k]
+                new[k] = Site(
+                    site.precision + share * (one.precision - site.precision),
+                    site.right + share * (one.right - site.right),
+                    one.scale,
                 )
-            )
         sites = new
         if moved < _STAYS:
             break
     return sites
 
 
-def _matched(precision, product, site):
-    """Site with which a body has the mean and covariance of its scale mixture."""
-    # precision, product: of the body with its present site. Returns the site and how
-    # far the mean moves, in deviations.
-    value, vectors = np.linalg.eigh(precision - site.precision)
+def _matched(precision, product, sites):
+    """Sites with which bodies have the mean and covariance of their scale mixtures."""
+    # precision (n, k, k), product (n, k): of the bodies with their present sites.
+    # Returns the sites and how far a mean moves at most, in deviations.
+    before, aim = (
+        np.array([getattr(site, name) for site in sites])
+        for name in ("precision", "right")
+    )
+    value, vectors = np.linalg.eigh(precision - before)
+    back = np.swapaxes(vectors, 1, 2)
     value = np.maximum(value, 0.0)
-    rest = vectors.T @ (product - site.right)
+    rest = _times(back, product - aim)
     s2, ratio = (SCALES**2)[:, None], SCALES / DESCRIBED
-    along = 0.5 * rest**2 * s2 / (1 + s2 * value) - 0.5 * np.log1p(s2 * value)
+    spread = 1 + s2 * value[:, None]
+    along = 0.5 * rest[:, None] ** 2 * s2 / spread - 0.5 * np.log(spread)
     prior = ratio / (1 + ratio**2)
     prior[[0, -1]] *= 0.5  # the trapezoidal rule
-    weight = softmax(along.sum(axis=1) + np.log(prior))
-    variance = s2 / (1 + s2 * value)
-    means = rest * variance
-    mean = weight @ means
-    away = means - mean
-    covariance = np.diag(weight @ variance) + (away.T * weight) @ away
-    inverse = inverse_of(covariance)
+    weight = softmax(along.sum(axis=2) + np.log(prior), axis=1)
+    variance = s2 / spread
+    means = rest[:, None] * variance
+    mean = _times(np.swapaxes(means, 1, 2), weight)
+    away = means - mean[:, None]
+    every = np.arange(mean.shape[1])
+    covariance = np.swapaxes(away, 1, 2) @ (away * weight[:, :, None])
+    covariance[:, every, every] += _times(np.swapaxes(variance, 1, 2), weight)
+    told = np.zeros_like(covariance)
+    told[:, every, every] = value
     # A prior takes no precision away.
-    left, turned = np.linalg.eigh(inverse - np.diag(value))
-    own = (turned * np.maximum(left, _LEAST / DESCRIBED**2)) @ turned.T
-    right = (own + np.diag(value)) @ mean - rest
-    before = vectors.T @ np.linalg.solve(precision, product)
-    step = np.abs(mean - before) / np.sqrt(np.diagonal(covariance))
-    scale = float(np.sqrt(weight @ s2[:, 0]))
-    made = Site(vectors @ own @ vectors.T, vectors @ right, scale)
-    return made, float(step.max())
+    left, turned = np.linalg.eigh(inverse_of(covariance) - told)
+    left = np.maximum(left, _LEAST / DESCRIBED**2)
+    own = (turned * left[:, None]) @ np.swapaxes(turned, 1, 2)
+    right = _times(own + told, mean) - rest
+    moved = mean - _times(back, np.linalg.solve(precision, product[:, :, None])[..., 0])
+    step = np.abs(moved) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
+    scale = np.sqrt(weight @ s2[:, 0]).tolist()
+    made = map(Site, vectors @ own @ back, _times(vectors, right), scale)
+    return list(made), float(step.max())
+
+
+def _times(matrices, vectors):
+    """Products of matrices (n, i, j) and vectors (n, j), one by one."""
+    return (matrices @ vectors[:, :, None])[:, :, 0]
 
 
 def around(description, A, b):

@@ -347,19 +347,22 @@ class RegressorRows:
                 at = stop
         return out.reshape(-1, self.n_joints, self.n_parameters)
 
-    def predict(self, theta):
+    def predict(self, theta, n_jobs=1):
         """Torques (n, nv) predicted by parameters (p,), without their columns."""
-        features, (bodies, coefs) = self._features, np.split(theta, [self.n_rigid])
-        bodies = bodies.reshape(self.n_joints, -1)
-        inertial = np.ascontiguousarray(bodies[:, :10])
+        bodies, coefs = np.split(theta, [self.n_rigid])
+        known = self._features, self._rest, bodies.reshape(self.n_joints, -1)
         torque = np.empty((self._states.shape[0], self.n_joints))
-        for begin in range(0, len(torque), _SPAN_ROWS):
-            rows = slice(begin, min(begin + _SPAN_ROWS, len(torque)))
-            states, out = self._states[rows], torque[rows]
-            friction = features.declared(states, self._rest)
-            out[...] = features.torques(*np.split(states, 3, axis=1), inertial)
-            out += np.einsum("jkn,jk->nj", friction, bodies[:, 10:])
-            at = 0
+        begins = range(0, len(torque), _SPAN_ROWS)
+        spans = [slice(one, min(one + _SPAN_ROWS, len(torque))) for one in begins]
+        tasks = ((*known, self._states[rows]) for rows in spans)
+        # A task of its own is not worth it for the few rows of a single query.
+        alone = n_jobs == 1 or len(spans) < 2
+        made = (_plain_torques(*task) for task in tasks)
+        if not alone:
+            made = run(_plain_torques, tasks, n_jobs)
+        for rows, own in zip(spans, made):
+            out, at = torque[rows], 0
+            out[...] = own
             for effect, columns in self._columns:
                 stop = at + columns.shape[-1]
                 which = slice(None) if effect.whole_robot else effect.joint
@@ -371,6 +374,14 @@ class RegressorRows:
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
         for _, entries in self.spans(slice(0, self._states.shape[0]), _BLOCK_ROWS):
             yield self.spread(entries.T)
+
+
+def _plain_torques(features, rest, bodies, states):
+    """Torques (n, nv) of bodies and declared friction (nv, k) in states (n, 3 nv)."""
+    inertial = np.ascontiguousarray(bodies[:, :10])
+    torque = features.torques(*np.split(states, 3, axis=1), inertial)
+    friction = features.declared(states, rest)
+    return torque + np.einsum("jkn,jk->nj", friction, bodies[:, 10:])
 
 
 def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
@@ -538,7 +549,9 @@ class Segment:
         row = np.arange(start, stop)
         inside = (row >= self.edge) & (row < self.n_rows - self.edge)
         moves = (np.abs(v) > self.standstill) & inside[:, None]
-        return self.weight[rows] * moves
+        # Sums go through rows of another layout in another order, and are rounded so:
+        # the same whether weights take memory or not.
+        return np.multiply(self.weight[rows], moves, order="C")
 
     def pieces(self, lowpass):
         """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""

@@ -71,22 +71,21 @@ def torque_spread(*parts):
     return _weighted((torque - mean) ** 2, weight) ** 0.5
 
 
-def compare(segments, lowpass, theta):
-    """Residuals of `Segment` by parameters (p,); None predicts no torque."""
+def compare(segments, lowpasses, theta):
+    """Residuals behind each low-pass of `Segment` by parameters (p,), a list."""
     # Torques are predicted before the low-pass, which is linear: a filter of one column
-    # of each joint instead of all columns of the regressor.
-    found = []
+    # of each joint instead of all columns of the regressor. None predicts no torque.
+    found = [[] for _ in lowpasses]
     for own in segments:
-        rows = lowpass.centres(own.n_rows)
         torques = [np.asarray(own.torque)]
         torques.append(0 * torques[0] if theta is None else own.rows.predict(theta))
         every = slice(None)
-        weight = own.counts(every, derivative(own.states, every, 1))
-        weight = filter_weight(lowpass, weight)
-        found.append(
-            (own.first + rows, *(decimate(lowpass, x) for x in torques), weight)
-        )
-    return _joined(found)
+        counts = own.counts(every, derivative(own.states, every, 1))
+        for lowpass, pieces in zip(lowpasses, found):
+            rows = own.first + lowpass.centres(own.n_rows)
+            weight = filter_weight(lowpass, counts)
+            pieces.append((rows, *(decimate(lowpass, x) for x in torques), weight))
+    return [_joined(pieces) for pieces in found]
 
 
 def collect_residuals(pieces, theta):

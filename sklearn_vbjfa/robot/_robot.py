@@ -589,14 +589,22 @@ class IdentifiedRobot(SimulatesTorques):
 
     def residuals_of(self, recording, *, cutoff="fit"):
         """Torque residuals on a `Recording`; see `RobotIdentifier.residuals`."""
-        if isinstance(cutoff, str) and cutoff == "fit":
-            cutoff = self.plan.cutoff
-        elif cutoff is None:
-            cutoff = np.inf
-        else:
-            cutoff = check_cutoff(cutoff, check_dt(self.plan.dt), "cutoff")
-        lowpass = _lowpass.design(self.plan.dt or 1.0, cutoff)
-        check_length(recording.segments, lowpass, cutoff)
+        (found,) = self.residuals_behind(recording, [cutoff])
+        return found
+
+    def residuals_behind(self, recording, cutoffs):
+        """Torque residuals on a `Recording` behind several low-passes, a list."""
+        # Torques are predicted once for all of them.
+        lowpasses = []
+        for cutoff in cutoffs:
+            if isinstance(cutoff, str) and cutoff == "fit":
+                cutoff = self.plan.cutoff
+            elif cutoff is None:
+                cutoff = np.inf
+            else:
+                cutoff = check_cutoff(cutoff, check_dt(self.plan.dt), "cutoff")
+            lowpasses.append(_lowpass.design(self.plan.dt or 1.0, cutoff))
+            check_length(recording.segments, lowpasses[-1], cutoff)
         recording = self._on_clock(recording)
         smoother = self.smoother(recording.inputs, recording.groups)
         states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
@@ -610,12 +618,13 @@ class IdentifiedRobot(SimulatesTorques):
                 theta=self.load,
                 rest=rest,
             )
-            return compare(made, lowpass, self.theta_)
+            return compare(made, lowpasses, self.theta_)
 
         found = compared(None)
-        if not (found.weight > 0).all():
+        if not all((one.weight > 0).all() for one in found):
             # Weighted rows have the columns of the fit; rows at rest are predicted.
-            found = found.filled(compared(rest))
+            pairs = zip(found, compared(rest))
+            found = [one.filled(other) for one, other in pairs]
         return found
 
     def measured(self, recording):
@@ -625,7 +634,8 @@ class IdentifiedRobot(SimulatesTorques):
         plan = replace(self.plan, effects=(), repeats=False)
         recording = as_driven(recording, self.plan)
         made = segments(recording, states, plan, self.features_)
-        return compare(made, plan.lowpass, None)
+        (found,) = compare(made, [plan.lowpass], None)
+        return found
 
     def step(self, q, v, a, t=None, signals=None):
         """Predict the torques of the next state of a running robot.
@@ -996,9 +1006,10 @@ class IdentifiedRobot(SimulatesTorques):
 
     # -- answers --------------------------------------------------------------------
 
-    def torques(self, asked):
+    def torques(self, asked, n_jobs=1):
         """Torques (n, nv) that are predicted for a `Query`."""
-        return np.concatenate([one.predict(self.theta_) for one in self._rows(asked)])
+        known = self.theta_, n_jobs
+        return np.concatenate([one.predict(*known) for one in self._rows(asked)])
 
     def _rows(self, asked):
         """Return the `RegressorRows` of each segment of a `Query`."""
@@ -1173,7 +1184,7 @@ class IdentifiedRobot(SimulatesTorques):
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.ask(np.asarray(recording.inputs[rows]), t=t, signals=own)
             asked, y = asked.noiseless(self.plan), np.asarray(recording.tau[rows])
-            known = y - self.torques(asked), y, asked.states
+            known = y - self.torques(asked, n_jobs), y, asked.states
             found.append(noise_facts(*known, *band, n_jobs))
         return found
 

@@ -140,9 +140,8 @@ def test_the_site_of_one_body_is_exact():
     usual = _bodies.Site.of_scale(DESCRIBED)
     along = np.zeros(10)
     along[3] = 1.0
-    site, _ = _bodies._matched(
-        usual.precision + precision * np.outer(along, along), product * along, usual
-    )
+    seen = usual.precision + precision * np.outer(along, along)
+    (site,), _ = _bodies._matched(seen[None], product * along[None], [usual])
     covariance = np.linalg.inv(site.precision + precision * np.outer(along, along))
     found = covariance @ (site.right + product * along)
     assert found[3] == pytest.approx(mean, rel=1e-3)

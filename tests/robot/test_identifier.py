@@ -372,6 +372,31 @@ def test_residuals_are_filtered_torques_against_filtered_predictions(
     assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
 
 
+def test_torques_are_predicted_once_for_several_low_passes(
+    identified, simulated, monkeypatch
+):
+    robot, asked = identified.robot_, []
+    recording = simulated.select(0)
+    cutoffs = "fit", 15.0, None
+    one_by_one = [robot.residuals_of(recording, cutoff=c) for c in cutoffs]
+    alone = _equations.RegressorRows.predict
+
+    def predict(rows, *known):
+        asked.append(rows)
+        return alone(rows, *known)
+
+    monkeypatch.setattr(_equations.RegressorRows, "predict", predict)
+    for cutoff in cutoffs:
+        robot.residuals_of(recording, cutoff=cutoff)
+    each = len(asked) / len(cutoffs)
+    asked.clear()
+    found = robot.residuals_behind(recording, cutoffs)
+    assert len(asked) == each
+    for own, other in zip(found, one_by_one, strict=True):
+        for name in ("index", "torque", "predicted", "weight"):
+            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
+
+
 def test_torque_noise_that_is_given(simulated, identified):
     rows = slice(0, 3000)
     fit = simulated.q[rows], simulated.tau[rows]

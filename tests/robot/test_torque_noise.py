@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.robot import _torque_noise
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.robot import _equations, _torque_noise
 from sklearn_vbjfa.robot._torque_noise import filtered_noise, held_rows, noise_facts
 
 DT, CUTOFF = 0.005, 4.0
@@ -119,6 +121,28 @@ def test_joints_are_looked_at_by_several_threads(monkeypatch):
     monkeypatch.setattr(_torque_noise, "held_rows", seen_by)
     found = noise_facts(*given, n_jobs=2)
     assert len(threads) == 2
+    for name in ("hold", "scales", "gap"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
+
+
+def test_residuals_of_a_long_recording_are_made_in_parallel(monkeypatch):
+    pytest.importorskip("pinocchio")
+    recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    robot = robot.fit(recording.q, recording.tau).robot_
+    (expected,) = robot.noise_facts(recording)
+    monkeypatch.setattr(_equations, "_SPAN_ROWS", 300)
+    threads = set()
+
+    def predicted(*known):
+        threads.add(threading.get_ident())
+        return alone(*known)
+
+    alone = _equations._plain_torques
+    monkeypatch.setattr(_equations, "_plain_torques", predicted)
+    (found,) = robot.noise_facts(recording, n_jobs=2)
+    assert threads
+    assert threading.get_ident() not in threads
     for name in ("hold", "scales", "gap"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
 

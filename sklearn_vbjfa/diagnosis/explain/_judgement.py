@@ -324,7 +324,18 @@ def judge(models, found, split, near, whole, commanded):
     rows, rest = kept.stretches, kept.untouched(whole)
 
     three = models.declared, models.plain, completed
-    each = {one: _numbered(_residuals(one, rest), rows) for one in dict.fromkeys(three)}
+    wide_cutoff = _wide(completed.cutoff_, dt)
+    bands = ["fit", wide_cutoff] if np.isfinite(wide_cutoff) else ["fit"]
+    each, rms, roots, of_all = {}, {}, {}, None
+    for one in dict.fromkeys(three):
+        behind = one.robot_.residuals_behind(rest, bands)
+        each[one] = _numbered(behind[0], rows)
+        # Of the wide band, as large as a long recording, only sums are kept.
+        for part in (_numbered(own, rows) for own in behind[1:]):
+            if of_all is None:
+                of_all = Spectra(part, dt, completed.cutoff_, wide_cutoff)
+            rms[one], roots[one] = part.rms(), of_all.of(part)
+        del behind
     before, plain, after = (each[one] for one in three)
     step = model.view.step
     added = added_effects(completed, len(found.effects))
@@ -346,18 +357,8 @@ def judge(models, found, split, near, whole, commanded):
     intervals = error_intervals((before, after), searched, spread, step)
     beyond = error_intervals((plain, after), (of_plain, of_completed), spread, step)
     intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
-    wide_cutoff = _wide(completed.cutoff_, dt)
-    wide = None
-    told = ()
-    if np.isfinite(wide_cutoff):
-        rms, roots, of_all = {}, {}, None
-        # One at a time, as those of long recordings are large.
-        for one in dict.fromkeys(three):
-            part = _numbered(_residuals(one, rest, cutoff=wide_cutoff), rows)
-            if of_all is None:
-                of_all = Spectra(part, dt, completed.cutoff_, wide_cutoff)
-            rms[one], roots[one] = part.rms(), of_all.of(part)
-            del part
+    told, wide = (), None
+    if of_all is not None:
         told = of_all.curves(roots[models.declared], roots[completed])
         wide = tuple(rms[one] for one in three)
     # Rows in which a joint moves throughout have its largest weight.
@@ -411,9 +412,9 @@ def _looked_at(view, split):
     return seen if seen < there else 0
 
 
-def _residuals(model, part, **band):
+def _residuals(model, part):
     """Residuals of a model on some recorded rows."""
-    return model.robot_.residuals_of(part, **band)
+    return model.robot_.residuals_of(part)
 
 
 def _numbered(part, slices):

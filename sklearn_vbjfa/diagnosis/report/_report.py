@@ -1,6 +1,7 @@
 """The report of a search for effects: verdict first, then the evidence."""
 
 import dataclasses
+import functools
 import math
 import numbers
 
@@ -110,9 +111,11 @@ class Report:
         )
 
     def __str__(self):
-        return _render.plain_text(self._sections())
+        return _render.plain_text(self._sections)
 
+    @functools.cached_property
     def _sections(self):
+        # A command prints some of them and writes all to a page.
         return sections(self.outcome, self._verdict)
 
     def to_dict(self):
@@ -154,7 +157,7 @@ class Report:
         str
             Tables and lists.
         """
-        return _render.markdown(self._sections())
+        return _render.markdown(self._sections)
 
     def to_html(self):
         """Return the report as one self-contained page.
@@ -164,10 +167,10 @@ class Report:
         str
             HTML with its style and pictures inside; nothing is loaded from elsewhere.
         """
-        return _render.page(self._sections())
+        return _render.page(self._sections)
 
     def _repr_html_(self):
-        return _render.fragment(self._sections())
+        return _render.fragment(self._sections)
 
 
 def _json(value):

@@ -9,12 +9,13 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import Hidden
-from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report import (
+    _report,
     judge,
     plain_text,
     sections,
 )
+from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.search import SMALL
 from sklearn_vbjfa.effects import (
     Coulomb,
@@ -101,6 +102,19 @@ def test_a_terminal_has_verdict_table_effects_and_what_to_do_next():
     assert len(many) == len(few) + 6
     one = make_outcome(effects=effects[:1], channels=())
     assert len(str(Report(one)).splitlines()) <= 16
+
+
+def test_sections_are_made_once_for_all_formats(monkeypatch):
+    made = []
+
+    def counted(*known):
+        made.append(known)
+        return sections(*known)
+
+    monkeypatch.setattr(_report, "sections", counted)
+    report = Report(make_outcome())
+    assert all([str(report), report.to_html(), report.to_markdown()])
+    assert len(made) == 1
 
 
 def test_every_format_shows_the_same_sections(outcome):

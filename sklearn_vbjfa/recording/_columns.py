@@ -19,6 +19,7 @@ from sklearn_vbjfa.recording._table import quoted
 # A column is another channel under a new name if this share of its variance is that
 # channel's, but for a factor and an offset: the rest is noise and quantisation.
 _COPY = 0.95
+_COPIED = "under another name"
 # One that nobody asked for is left out at this share already: references and currents
 # follow the motion, with a lag and an error of their own. (A slow signal has half of a
 # slow position by chance, in a short recording.)
@@ -201,10 +202,7 @@ def fault(values, recording, share=_COPY):
         return ""
     amount = f"{100 * explained:.3g} % of its variance"
     if explained >= _COPY:
-        return (
-            f"is the {channel} under another name: {amount} but for a factor and an "
-            "offset"
-        )
+        return f"is the {channel} {_COPIED}: {amount} but for a factor and an offset"
     return (
         f"follows the {channel}, which has {amount}, as a reference or a current does; "
         "ask for it by name if it is neither"
@@ -289,7 +287,8 @@ def _is_clock(values, recording):
 
 def _finding(name, reason):
     return ChannelFinding(
-        kind="unusable_signal",
+        # What is known already is not left out.
+        kind="copied_signal" if _COPIED in reason else "unusable_signal",
         joints=(),
         severity="warning",
         message=f"The column {name!r} is not used as a signal: it {reason}.",

@@ -295,6 +295,11 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
     )
     found = f"; found {listed(table.columns)}" if missing else ""
+    if missing and not options and names and not asked.mapping:
+        options = _by_place(table, asked, names)
+        if options:
+            parts.insert(0, "its joints are not those of the robot")
+            found += "; if both have the same order"
     second = asked.needed[1]
     offer = (
         "; rename them in the header, or give "
@@ -303,6 +308,28 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         else ""
     )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
+
+
+def _by_place(table, asked, names):
+    """Return the mapping of a known log whose joints have other names, or {}."""
+    fitted = by_preset(table, asked.preset, (), asked.told)
+    if len(fitted) != 1:
+        return {}
+    (layout,) = fitted.values()
+    mapping = {}
+    for kind in asked.needed:
+        own = [x.column for name, x in layout.roles.items() if kind_of(name) == kind]
+        if len(own) != len(names):
+            return {}
+        unit = _unit_to_add(table, _Family("", (), tuple(own)), kind)
+        mapping |= {f"{kind}{j + 1}": f"{x}{unit}" for j, x in enumerate(own)}
+    if "segment" in layout.roles:
+        mapping["segment"] = layout.roles["segment"].column
+    if layout.times:
+        mapping["t"] = layout.times[0].column
+    if any("," in x or "=" in x for x in mapping.values()):
+        return {}
+    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
 
 
 # What is missing, by the kinds that may be needed.

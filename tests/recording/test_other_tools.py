@@ -311,3 +311,35 @@ def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
     same(recording)
     assert set(recording.signals) == set(estimates)
     assert not said
+
+
+# -- joints that the robot calls otherwise ---------------------------------------------
+
+
+def test_a_known_log_of_joints_with_other_names_is_offered_by_their_places(
+    urdf, tmp_path
+):
+    columns, path = table(), tmp_path / "arm.csv"
+    new = {"timestamp": columns["t"], "episode_index": np.repeat([0, 1], N // 2)}
+    # Degrees, of a robot whose second joint turns as well.
+    urdf.write_text(ROBOT.replace("prismatic", "revolute"))
+    for j, name in enumerate(("pan", "tilt"), 1):
+        new[f"observation.state.{name}"] = 20 * columns[f"q{j}"]
+        new[f"action.{name}"] = 20 * columns[f"q{j}"] + 1.0
+    drive = {"urdf": urdf, "drive": "pd kp=20 kd=1"}
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new), **drive)
+    text = str(caught.value)
+    assert "its joints are not those of the robot" in text
+    assert "if both have the same order" in text
+    recording, _ = read(path, **drive, **caught.value.options)
+    assert recording.joint_names == ("shoulder", "lift")
+    assert len(recording.group_names) == 2
+    expected = np.radians(20 * np.column_stack([columns["q1"], columns["q2"]]))
+    np.testing.assert_allclose(recording.q, expected, atol=1e-8)
+    # Another number of joints is no order.
+    for gone in ("observation.state.tilt", "action.tilt"):
+        del new[gone]
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new), **drive)
+    assert "same order" not in str(caught.value)

@@ -19,11 +19,12 @@ from sklearn_vbjfa.recording._table import quoted
 # A column is another channel under a new name if this share of its variance is that
 # channel's, but for a factor and an offset: the rest is noise and quantisation.
 _COPY = 0.95
-_COPIED = "under another name"
 # One that nobody asked for is left out at this share already: references and currents
 # follow the motion, with a lag and an error of their own. (A slow signal has half of a
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
+# What the first is called.
+_COPIED = "under another name"
 # Units of a clock: seconds, their thousandths to billionths, minutes, hours.
 _CLOCKS = (1.0, 1e3, 1e6, 1e9, 1 / 60, 1 / 3600)
 # What quartz deviates at most from another one.

@@ -565,6 +565,9 @@ def _remedy(error, argv):
     options, content = (getattr(error, name, "") for name in ("options", "content"))
     if not options:
         return f"a file with {content}" if content else ""
+    if "drive" in options:
+        # It has gains of its own.
+        options = {**options, "gains": None}
     words, changed = [], {spelled(key): value for key, value in options.items()}
     given = iter(sys.argv[1:] if argv is None else argv)
     for word in given:

@@ -102,7 +102,7 @@ def report_doubts(report):
         if one.status in _NO_ANSWER:
             texts.setdefault(one.text, []).append(one.joint)
     names = outcome.joint_names
-    joints = [f"{x} ({words.joint_list(names, own, 1)})" for x, own in texts.items()]
+    joints = [f"{x} ({words.joint_list(names, own, 0)})" for x, own in texts.items()]
     # What the recording itself is doubted for comes first, what is left out last.
     doubted = [one for one in outcome.channels if one.severity != "warning"]
     others = [one for one in outcome.channels if one.severity == "warning"]

@@ -109,9 +109,6 @@ def blaming(source, gains=None):
     except (ValueError, ProjectionError) as error:
         refused = ValueError(f"{source}: {getattr(error, 'reason', error)}")
         refused.options = dict(getattr(error, "options", {}))
-        if "drive" in refused.options:
-            # It has gains of its own.
-            refused.options["gains"] = None
         signs = refused.options.get("gains")
         if isinstance(signs, tuple) and gains is not None:
             refused.options["gains"] = tuple(a * b for a, b in zip(signs, gains))

@@ -140,7 +140,9 @@ def degrees(model, names, q, signals):
         f"The positions look like degrees: {names[j]} runs from {q[:, j].min():.4g} to "
         f"{q[:, j].max():.4g}, {beyond[0][j]:.3g} rad more than it can, and read as "
         f"degrees the squared torque errors change by the factor "
-        f"{np.exp(-better):.2g}; multiply the positions of revolute joints by pi/180.",
+        f'{np.exp(-better):.2g}; say so by the mapping "q=q{{i}} [deg]", with the '
+        "names of your columns (columns=, or --columns), or multiply the positions of "
+        "revolute joints by pi/180.",
     )
     return [found], scaled
 

@@ -12,8 +12,10 @@ import numpy as np
 
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._layout import (
+    ESTIMATES,
     TIME_NAMES,
     TIME_UNITS,
+    TURNS,
     Layout,
     MappingRefused,
     by_mapping,
@@ -152,8 +154,15 @@ def _named(layout: Layout) -> Layout:
 
 def _matched(layout: Layout, kind, names, drive=None):
     """Return the columns of a kind by joint and by number, two dicts of roles."""
+    found = _matched_as(layout, spellings(kind, drive), names)
+    if not found and kind == "tau" and drive is None:
+        found = _matched_as(layout, ESTIMATES, names)
+    return found
+
+
+def _matched_as(layout, spelled, names):
+    """Return the columns with one of some names by joint and by number, or ()."""
     by_joint, by_number = {}, {}
-    spelled = spellings(kind, drive)
     begin = "|".join(spelled)
     for name, role in layout.roles.items():
         match = re.fullmatch(rf"(?:{begin})[_.\[(]?(.*?)[\])]?", name, re.IGNORECASE)
@@ -286,6 +295,11 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         table, names, needed, asked.mapping, timed=not no_time, gained=asked.gained
     )
     found = f"; found {listed(table.columns)}" if missing else ""
+    if missing and not options and names and not asked.mapping:
+        options = _by_place(table, asked, names)
+        if options:
+            parts.insert(0, "its joints are not those of the robot")
+            found += "; if both have the same order"
     second = asked.needed[1]
     offer = (
         "; rename them in the header, or give "
@@ -294,6 +308,28 @@ def _all_missing(table, layout, asked, names, missing, no_time):
         else ""
     )
     return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}{offer}.", options)
+
+
+def _by_place(table, asked, names):
+    """Return the mapping of a known log whose joints have other names, or {}."""
+    fitted = by_preset(table, asked.preset, (), asked.told)
+    if len(fitted) != 1:
+        return {}
+    (layout,) = fitted.values()
+    mapping = {}
+    for kind in asked.needed:
+        own = [x.column for name, x in layout.roles.items() if kind_of(name) == kind]
+        if len(own) != len(names):
+            return {}
+        unit = _unit_to_add(table, _Family("", (), tuple(own)), kind)
+        mapping |= {f"{kind}{j + 1}": f"{x}{unit}" for j, x in enumerate(own)}
+    if "segment" in layout.roles:
+        mapping["segment"] = layout.roles["segment"].column
+    if layout.times:
+        mapping["t"] = layout.times[0].column
+    if any("," in x or "=" in x for x in mapping.values()):
+        return {}
+    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
 
 
 # What is missing, by the kinds that may be needed.
@@ -383,6 +419,8 @@ UNSIGNED = "current signed=no"
 _TORQUE = {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "force"}
 # A name must have a word that says it by itself.
 _ENOUGH = 2
+# Positions beyond two turns, but not beyond these, are degrees and no counts.
+_MANY_DEGREES = 720.0
 # A clock that steps by this or more [s] is in another unit.
 _SLOWEST, _FASTEST = 1.0, 2e-5
 
@@ -408,7 +446,7 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         if kind != "t":
             if best.get(kind) is None:
                 return {}
-            mapping[kind] = best[kind].pattern + _unit_before_number(best[kind], kind)
+            mapping[kind] = best[kind].pattern + _unit_to_add(table, best[kind], kind)
             numbered = best[kind].keys if "{i}" in best[kind].pattern else None
     options = {}
     if "tau" in needed:
@@ -439,6 +477,18 @@ def _suggestion(table: Table, joints, needed, given, *, timed, gained):
         options["joint_names"] = chosen
     columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
     return {"columns": columns, **options}
+
+
+def _unit_to_add(table, family, kind):
+    """Return the unit of columns that is not read from their names, " [deg]"."""
+    found = _unit_before_number(family, kind)
+    if found or kind != "q":
+        return found
+    own = [table.columns[x] for x in family.columns]
+    named = [split_last_part(split_unit(x)[0], kind)[1] for x in family.columns]
+    named += [split_unit(x)[1] for x in family.columns]
+    most = max(float(np.abs(x).max()) for x in own)
+    return " [deg]" if not any(named) and TURNS < most <= _MANY_DEGREES else ""
 
 
 def _unit_before_number(family, kind):

@@ -23,6 +23,8 @@ _COPY = 0.95
 # follow the motion, with a lag and an error of their own. (A slow signal has half of a
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
+# What the first is called.
+_COPIED = "under another name"
 # Units of a clock: seconds, their thousandths to billionths, minutes, hours.
 _CLOCKS = (1.0, 1e3, 1e6, 1e9, 1 / 60, 1 / 3600)
 # What quartz deviates at most from another one.
@@ -201,10 +203,7 @@ def fault(values, recording, share=_COPY):
         return ""
     amount = f"{100 * explained:.3g} % of its variance"
     if explained >= _COPY:
-        return (
-            f"is the {channel} under another name: {amount} but for a factor and an "
-            "offset"
-        )
+        return f"is the {channel} {_COPIED}: {amount} but for a factor and an offset"
     return (
         f"follows the {channel}, which has {amount}, as a reference or a current does; "
         "ask for it by name if it is neither"
@@ -289,7 +288,8 @@ def _is_clock(values, recording):
 
 def _finding(name, reason):
     return ChannelFinding(
-        kind="unusable_signal",
+        # What is known already is not left out.
+        kind="copied_signal" if _COPIED in reason else "unusable_signal",
         joints=(),
         severity="warning",
         message=f"The column {name!r} is not used as a signal: it {reason}.",

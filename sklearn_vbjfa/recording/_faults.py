@@ -57,6 +57,9 @@ _DROPOUT_RUN = 3
 _DROPOUT_STEP, _LEAST_DROPOUT = 4.0, 0.05
 # ... in at least this many places both are.
 _DROPOUT_RUNS = 3
+# A torque is stuck if it keeps a value for this many samples, and repeats itself no
+# more often than this in the others.
+_STUCK_RUN, _STUCK_REPEATS = 50, 0.1
 # Clipped samples are a doubt from this share of a torque's: on simulated arms, 0.3 % of
 # them raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %. A
 # tenth of a per cent of dropouts doubles an error.
@@ -148,6 +151,9 @@ def inspect_samples(names, q, tau, dt, parts, rows, revolute):
     coarse = []
     for j in np.flatnonzero(~still & ~constant):
         lost_torque, bad = _dropouts(names[j], j, tau[:, j], dt, moving, parts, lost)
+        if not (lost_torque or held[1, j]):
+            moves = _moving(q[:, [j]], parts) & ~lost
+            lost_torque, bad = _stuck(names[j], j, tau[:, j], dt, moves, parts)
         finding, clipped = _clipped(names[j], j, tau[:, j], moving & ~bad, parts)
         rough = _coarse(names[j], j, tau[:, j], moving, parts, held[1, j])
         # A coarse torque stays on its highest value as on any other.
@@ -658,6 +664,34 @@ def _dropouts(name, j, x, dt, moving, parts, lost):
         f"the robot moves ({_percent(share)} of its samples, up to "
         f"{max(lengths) * dt:.3g} s): the drive's readings were lost. Remove these "
         "rows, or record again.",
+    )
+    return [finding], bad
+
+
+def _stuck(name, j, x, dt, moves, parts):
+    """Find torques that stay at one value for long while their joint moves (n,)."""
+    bad = np.zeros(x.shape, dtype=bool)
+    repeats = np.zeros(x.shape, dtype=bool)
+    for part in parts:
+        repeats[part.start + 1 : part.stop] = np.diff(x[part]) == 0
+    ends = x.min(), x.max()
+    longest = 0
+    for part in parts:
+        for a, b in zip(*runs((repeats & moves)[part])):
+            # The highest and the lowest value are those of a limit.
+            if b - a + 2 >= _STUCK_RUN and x[part.start + b] not in ends:
+                bad[part.start + a - 1 : part.start + b + 1] = True
+                longest = max(longest, b - a + 2)
+    # What repeats elsewhere as well is coarse.
+    if not bad.any() or repeats[~bad].mean() > _STUCK_REPEATS:
+        return [], np.zeros(x.shape, dtype=bool)
+    finding = ChannelFinding(
+        "torque_dropouts",
+        (int(j),),
+        "doubt",
+        f"The torque of {name} stays at {x[bad][0]:.4g} while the joint moves "
+        f"({_percent(bad.mean())} of its samples, up to {longest * dt:.3g} s): the "
+        "drive's readings were lost. Remove these rows, or record again.",
     )
     return [finding], bad
 

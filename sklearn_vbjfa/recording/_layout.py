@@ -136,6 +136,10 @@ def split_last_part(name: str, kind: str) -> tuple[str, str]:
     return match[1], match[2]
 
 
+# Positions beyond two turns are hardly those of a robot in radians.
+TURNS = 4 * np.pi
+
+
 # -- mappings --------------------------------------------------------------------------
 
 KINDS = ("q", "tau", "v", "a")
@@ -156,6 +160,8 @@ _TOLD = {
     "kp": ("p_gain",),
     "kd": ("d_gain",),
 }
+# A motor's own estimate of its torque, where there is no other.
+ESTIMATES = ("tau_est", "tauest")
 # Names beside its own that a velocity has in logs of commands.
 _SPEEDS = ("dq", "qdot")
 # What a command has the unit of.

@@ -6,6 +6,7 @@ the user to check. Columns are called by their places, from 1.
 
 import numpy as np
 
+from sklearn_vbjfa.recording._layout import TURNS
 from sklearn_vbjfa.recording._sampling import prediction_errors
 from sklearn_vbjfa.recording._table import RecordingRefused, Table
 
@@ -14,8 +15,6 @@ _STRAIGHT = 0.02
 # A block is the derivative of another, or the same, if the squared correlation with its
 # integral, or with it, is above this in the middle of the joints.
 _DERIVATIVE, _SAME = 0.9, 0.98
-# Positions beyond two turns are hardly radians.
-_TURNS = 4 * np.pi
 # Rows that are looked at.
 _ROWS = 20_000
 
@@ -51,7 +50,7 @@ def refusal(table: Table, asked, names):
     mapping |= {kind: _range(*block) for kind, block in found.items()}
     first, number = found["q"]
     places = [str(first + j) for j in range(number)]
-    if max(np.abs(table.columns[x]).max() for x in places) > _TURNS:
+    if max(np.abs(table.columns[x]).max() for x in places) > TURNS:
         mapping["q"] += " [deg]"
     columns = ",".join(f"{kind}={place}" for kind, place in mapping.items())
     options = {"columns": columns}

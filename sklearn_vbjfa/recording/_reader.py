@@ -57,8 +57,6 @@ _LARGEST = 1e12
 _DT_TOLERANCE = 0.01
 # Files of which a note is told that are named; more are counted.
 _NAMED = 3
-# Positions beyond two turns are hardly those of a robot in radians.
-_TURNS = 4 * np.pi
 # Units of torque; a motor is recorded in others.
 _TORQUES = ("N m", "N")
 
@@ -228,9 +226,10 @@ def read_recording(
         drive=parse_drive(drive) if isinstance(drive, str) else drive,
     )
     if asked.drive is not None and gains is not None:
-        raise ValueError(
+        raise RecordingRefused(
             "gains are factors of columns of torques, and a drive has its own: leave "
-            "gains out (command line: --gain), or the drive."
+            "gains out (command line: --gain), or the drive.",
+            {"gains": None},
         )
     if stored and asked.drive is not None:
         raise ValueError(
@@ -669,7 +668,7 @@ def _in_one_unit(found, asked):
 def _check_radians(table: Table, layout, q, units):
     """Ask for the unit of a log that has none, where it is not radians."""
     most = float(np.abs(q).max())
-    if layout.question and most > _TURNS and not any(units):
+    if layout.question and most > _layout.TURNS and not any(units):
         raise RecordingRefused(
             f"{table.path}: positions go up to {most:.4g}, which are not radians: "
             f"{layout.question}",
@@ -884,6 +883,10 @@ def _say_what_was_taken(
             for kind in (*asked.told, "v")
             if found[kind] and not found[kind][0].column.lower().startswith(kind)
         ]
+    if asked.drive is None and not layout.what and not asked.mapping:
+        own = found["tau"]
+        if own and own[0].column.lower().startswith(_layout.ESTIMATES):
+            said.append(f"tau = {_ends(own)}, which the motors estimate")
     if not layout.what and converted:
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said and not layout.what:

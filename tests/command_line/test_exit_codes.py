@@ -233,6 +233,14 @@ def test_signals_that_nobody_asks_for_are_no_doubt(here, capsys):
     assert run(capsys, "close-loop", *argv)[0] == 0
 
 
+def test_the_motion_under_another_name_is_no_doubt(here, capsys):
+    speeds = {f"arm_{j}.vel": np.gradient(columns()[f"q{j}"], DT) for j in (1, 2)}
+    source = write(columns() | speeds)
+    code, out, err = run(capsys, "close-loop", source, "--urdf", "arm.urdf")
+    assert (code, err) == (0, [])
+    assert "Channel: The column 'arm_1.vel' is not used as a signal." in out
+
+
 def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
     source = write(columns())
     for command in ("close-loop", "identify", "simulate"):

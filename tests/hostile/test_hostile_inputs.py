@@ -219,7 +219,13 @@ def test_hostile_input(case, runner, clean, tmp_path):
     if case.expect == "same":
         assert verdict(out / "report.json") == clean, outcome.out + told
     if case.message:
-        assert re.search(case.message, outcome.err), told
+        # The page has the notes.
+        report = json.loads((out / "report.json").read_text(encoding="utf-8"))
+        warned = report["provenance"]["warnings"]
+        # What descriptions have no place for is no note on the file.
+        noted = [f"note: {x}" for x in warned if not x.startswith("identified.")]
+        noted += [x["message"] for x in report["channels"]]
+        assert re.search(case.message, "\n".join([outcome.err, *noted])), told
 
 
 # -- files and folders that change during a run ----------------------------------------

@@ -255,6 +255,22 @@ def test_torques_that_drop_to_zero_are_no_friction(arm):
     assert 4 <= times <= 7
 
 
+def test_torques_that_stay_at_a_value_are_no_friction(arm):
+    tau = arm[0].tau.copy()
+    tau[1500:2300, 3] = tau[1500, 3]
+    message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
+    assert f"stays at {tau[1500, 3]:.4g} while the joint moves" in message
+    longest = float(message.split("up to ")[1].split(" s)")[0])
+    # Without the time that the joint is at rest.
+    assert 0.25 <= longest <= 4.0
+    # A joint may well have one torque where it is at rest, such as with its brake on.
+    q = arm[0].q.copy()
+    q[1500:2300, 3] = q[1500, 3]
+    q[2300:, 3] += q[1500, 3] - q[2300, 3]
+    found = inspect(arm, q=q, tau=tau)
+    assert "torque_dropouts" not in {one.kind for one in found}
+
+
 def test_torques_that_pass_zero_slowly_or_are_off_do_not_drop_out(arm):
     coarse = np.round(arm[0].tau / (0.02 * arm[0].tau.std(axis=0)))
     dead = np.where(np.abs(coarse) < 4, 0.0, coarse - 4 * np.sign(coarse))

@@ -476,8 +476,9 @@ def test_bad_files_of_commands(tmp_path):
     path = write(tmp_path / "a.csv", columns())
     with pytest.raises(ValueError, match=r"a\.csv: PDDrive: kp is missing: give kp="):
         read(path, drive="pd")
-    with pytest.raises(ValueError, match="leave gains out"):
+    with pytest.raises(RecordingRefused, match="leave gains out") as caught:
         read(path, drive=TEXT, gains=(1.0, 1.0))
+    assert caught.value.options == {"gains": None}
     own = columns(q_des_1=np.ones(N))
     with pytest.raises(ValueError, match="'q_desired1' and 'q_des_1' could both be"):
         read(write(tmp_path / "b.csv", own), drive=TEXT)
@@ -492,3 +493,36 @@ def test_bad_files_of_commands(tmp_path):
     np.savez(tmp_path / "e.npz", t=t, q=q, q_desired=aim, kp=np.ones(3), kd=1.0)
     with pytest.raises(ValueError, match=r"kp has the shape \(3,\); expected one"):
         read(tmp_path / "e.npz", drive="pd")
+
+
+LEGGED = [f"{leg}_{motor}_joint" for leg in LEGS for motor in MOTORS]
+
+
+@pytest.mark.parametrize(
+    ("joints", "given", "offered"),
+    [
+        (
+            LEGGED,
+            (20, 20, 40.5),
+            " By words of their names: kp=hip:20,thigh:20,calf:40.5.",
+        ),
+        # Nothing tells them apart by a word, or they are no whole number of legs.
+        (LEGGED, (20, 20), ""),
+        (LEGGED[:5], (20, 20, 40), ""),
+        (["j1", "j2", "j3", "j4"], (1, 2), ""),
+    ],
+)
+def test_gains_of_one_leg_are_offered_for_all(joints, given, offered, tmp_path):
+    own = columns(q="q{}", nv=len(joints))
+    for j, joint in enumerate(joints):
+        for kind in ("q", "q_desired"):
+            own[f"{kind}_{joint}"] = own.pop(f"{kind}{j + 1}")
+    path = write(tmp_path / "legs.csv", own)
+    text = f"pd kp={','.join(map(str, given))} kd=1"
+    with pytest.raises(ValueError, match="kp must be one finite number or") as caught:
+        read(path, joint_names=joints, drive=text)
+    assert str(caught.value).endswith(f"].{offered}")
+    if offered:
+        words = offered.split("kp=")[1].rstrip(".")
+        recording, _ = read(path, joint_names=joints, drive=f"pd kp={words} kd=1")
+        assert recording.nv == len(joints)

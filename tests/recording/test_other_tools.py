@@ -250,3 +250,96 @@ def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
         found.append(read_recording(path, gains=[2.0]).tau[:, 0])
     for tau in found:
         np.testing.assert_allclose(tau, 2.0 * (3 + np.cos(t)), rtol=1e-12)
+
+
+# -- units that no name says -----------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("size", "offered"),
+    [(0.5, ""), (90.0, " [deg]"), (4000.0, "")],
+    ids=["radians", "degrees", "counts"],
+)
+def test_positions_beyond_two_turns_are_offered_in_degrees(size, offered, tmp_path):
+    columns, path = table(), tmp_path / "arm.csv"
+    new = {"t": columns["t"]}
+    for j in (1, 2):
+        swing = columns[f"q{j}"] / np.abs(columns[f"q{j}"]).max()
+        new[f"left_joint{j}.pos"] = size * swing
+        new[f"left_joint{j}.effort"] = columns[f"tau{j}"]
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new))
+    options = caught.value.options
+    assert options["columns"] == (
+        f"q=left_joint{{i}}.pos{offered},tau=left_joint{{i}}.effort"
+    )
+    recording, _ = read(path, **options)
+    factor = np.pi / 180 if offered else 1.0
+    assert np.abs(recording.q).max() == pytest.approx(factor * size)
+
+
+def test_a_unit_in_the_names_is_not_said_twice(tmp_path):
+    columns, path = table(), tmp_path / "arm.csv"
+    new = {"t": columns["t"]}
+    for j in (1, 2):
+        new[f"axis{j} pos [deg]"] = 90 * columns[f"q{j}"]
+        new[f"axis{j} effort"] = columns[f"tau{j}"]
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new))
+    assert caught.value.options["columns"].count("deg") <= 1
+    recording, _ = read(path, **caught.value.options)
+    np.testing.assert_allclose(
+        recording.q[:, 0], np.radians(90 * columns["q1"]), atol=1e-8
+    )
+
+
+# -- torques that the motors estimate --------------------------------------------------
+
+
+def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
+    columns = table()
+    own = {x: columns[x] for x in ("t", "q1", "q2")}
+    estimates = {f"tau_est{j}": columns[f"tau{j}"] for j in (1, 2)}
+    recording, said = read(write(tmp_path / "a.csv", own | estimates))
+    same(recording)
+    (note,) = said
+    assert "tau = tau_est1 ... tau_est2, which the motors estimate" in note
+    # Beside torques it is a signal.
+    wrong = {name: 2 * x for name, x in estimates.items()}
+    measured = {f"tau{j}": columns[f"tau{j}"] for j in (1, 2)}
+    recording, said = read(write(tmp_path / "b.csv", own | wrong | measured))
+    same(recording)
+    assert set(recording.signals) == set(estimates)
+    assert not said
+
+
+# -- joints that the robot calls otherwise ---------------------------------------------
+
+
+def test_a_known_log_of_joints_with_other_names_is_offered_by_their_places(
+    urdf, tmp_path
+):
+    columns, path = table(), tmp_path / "arm.csv"
+    new = {"timestamp": columns["t"], "episode_index": np.repeat([0, 1], N // 2)}
+    # Degrees, of a robot whose second joint turns as well.
+    urdf.write_text(ROBOT.replace("prismatic", "revolute"))
+    for j, name in enumerate(("pan", "tilt"), 1):
+        new[f"observation.state.{name}"] = 20 * columns[f"q{j}"]
+        new[f"action.{name}"] = 20 * columns[f"q{j}"] + 1.0
+    drive = {"urdf": urdf, "drive": "pd kp=20 kd=1"}
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new), **drive)
+    text = str(caught.value)
+    assert "its joints are not those of the robot" in text
+    assert "if both have the same order" in text
+    recording, _ = read(path, **drive, **caught.value.options)
+    assert recording.joint_names == ("shoulder", "lift")
+    assert len(recording.group_names) == 2
+    expected = np.radians(20 * np.column_stack([columns["q1"], columns["q2"]]))
+    np.testing.assert_allclose(recording.q, expected, atol=1e-8)
+    # Another number of joints is no order.
+    for gone in ("observation.state.tilt", "action.tilt"):
+        del new[gone]
+    with pytest.raises(RecordingRefused) as caught:
+        read_recording(write(path, new), **drive)
+    assert "same order" not in str(caught.value)

@@ -17,6 +17,8 @@ from sklearn_vbjfa.robot._ranges import held_text
 
 # A share below this is hardly worth an effect.
 _LITTLE = 0.1
+# Channels of which a terminal names what is wrong.
+_CHANNELS = 2
 # Characters that a terminal has for what to record, and for what an effect is called.
 _ADVICE, _LABEL = 40, 34
 # Fewer signals are named if they explain this share of what more explain.
@@ -137,7 +139,9 @@ def to_do(outcome, verdict):
         if message != first
     ]
     record, expected = recordings(outcome), next_sentences(outcome)
-    shown = [f"Channel: {message}" for message in short]
+    shown = [f"Channel: {message}" for message in short[:_CHANNELS]]
+    if len(short) > _CHANNELS:
+        shown.append(f"Channel: {len(short) - _CHANNELS} more (page).")
     shown += [f"To correct: {mend}."] if mend else []
     if record:
         shown.append(f"Record next: {words.first_of(_recordings(outcome, most=0))}.")

@@ -257,7 +257,8 @@ def test_what_to_do_about_a_channel_is_not_cut_off():
     assert f"Channel: {message}" in " ".join(text.split())
     # Of a warning a terminal has the first clause.
     many = " ".join(str(Report(make_outcome(channels=(finding(message),) * 3))).split())
-    assert many.count("very wrong. Channel: The torque of joint 1") == 2
+    assert many.count("very wrong. Channel: The torque of joint 1") == 1
+    assert "very wrong. Channel: 1 more (page)." in many
     assert "multiply" not in many
 
 

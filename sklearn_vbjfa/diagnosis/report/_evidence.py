@@ -214,7 +214,7 @@ def commands_alone(outcome, verdict):
         f"one by {after} (mean of the joints); a robot that is where it is told to be "
         f"is off by {told}."
     )
-    short = f"Simulated from commands alone, positions are off by {before} before, "
+    short = f"From commands alone, positions are off by {before} before, "
     return Section(
         heading=heading,
         sentences=(sentence, *failed),

@@ -17,7 +17,7 @@ _NAMED = 2
 # The error of predicting the mean of the held-out torque and no more.
 _MEAN_TORQUE = 1.0
 # Joints that a terminal has room for; of more, so many that gain most and that lose.
-_ROWS, _FIRST, _LAST = 8, 4, 2
+_ROWS, _FIRST, _LAST = 8, 3, 2
 # Bars end at this many times the error of the middle joint, or one would flatten all.
 _FAR = 8.0
 _COLOURS = {

@@ -955,7 +955,9 @@ def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     assert [x for x in effect["rivals"] if x in {"signal: gain", "signal: temperature"}]
     assert report["settings"]["signals"] == ["temperature", "gain"]
     said = " ".join(capsys.readouterr().out.split())
-    assert "'fixed' is not used as a signal" in said
+    # A terminal names two channels, the page all.
+    assert said.count("is not used as a signal.") == 2
+    assert re.search(r"Channel: \d more \(page\)\.", said)
     messages = " ".join(one["message"] for one in report["channels"])
     for reason in (
         "'fixed' is not used as a signal: it is constant",

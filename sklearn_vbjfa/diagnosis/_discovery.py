@@ -1,5 +1,6 @@
 """The discovery loop: residual, effect, refit, and the error on held-out data."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -490,7 +491,16 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None and drive.of_positions:
             # No channel reads its torques, and values that were found beside what its
             # simulation goes without are not those of the robot that is simulated.
-            library = [one for one in library if not unfollowed(one)]
+            left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
+            library = [one for one in library if one.name not in left]
+            if left and not isinstance(self.effects, str):
+                said = "; ".join(f"{name} ({why})" for name, why in left.items())
+                warnings.warn(
+                    f"Under a {type(drive).__name__} these effects are not looked for: "
+                    f"{said}.",
+                    UserWarning,
+                    stacklevel=4,
+                )
         return library
 
     def _recording(self, model, X, y, groups, sample_weight, t):

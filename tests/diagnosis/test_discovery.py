@@ -842,8 +842,6 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)
     left_out = r"not looked for: jerk \(.*; torque_filter \("
     with pytest.warns(UserWarning, match=left_out):
-        UserWarning, match=r"not looked for: jerk \(.*; torque_filter \("
-    ):
         made.fit_recording(told)
     assert made.effects_ + made.perhaps_ == ()
     assert max(made.unexplained_, key=lambda one: one.rms).joint == 1

@@ -66,14 +66,9 @@ def jump(dry, inertia, damping, stiffness, cutoff):
 
 def _of_effects(robot, source):
     """Torques (n, nv) of the effects of a fitted robot along its motion."""
-    recording, coefs = source.recording, robot.split(robot.theta_)
-    known = recording, source.states.own, robot.plan, robot.features_
-    torque = np.zeros((recording.n_samples, recording.nv))
-    for part, rows in zip(recording.segments, regressor_rows(*known, theta=robot.load)):
-        for (effect, columns), coef in zip(rows.columns, coefs):
-            which = slice(None) if effect.whole_robot else effect.joint
-            torque[part, which] += columns[slice(None)] @ coef
-    return torque
+    known = source.recording, source.states.own, robot.plan, robot.features_
+    made = regressor_rows(*known, theta=robot.load)
+    return np.concatenate([rows.effects(robot.theta_) for rows in made])
 
 
 def _jumps_of(torques, robot, source):

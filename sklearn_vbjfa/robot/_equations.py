@@ -361,14 +361,24 @@ class RegressorRows:
         if not alone:
             made = run(_plain_torques, tasks, n_jobs)
         for rows, own in zip(spans, made):
-            out, at = torque[rows], 0
-            out[...] = own
-            for effect, columns in self._columns:
-                stop = at + columns.shape[-1]
-                which = slice(None) if effect.whole_robot else effect.joint
-                out[:, which] += columns[rows] @ coefs[at:stop]
-                at = stop
+            torque[rows] = own
+            self._add_effects(torque[rows], rows, coefs)
         return self._read(torque, np.arange(self.n_joints))
+
+    def effects(self, theta):
+        """Torques (n, nv) of the effects alone, before the channels' gains."""
+        torque = np.zeros((self._states.shape[0], self.n_joints))
+        self._add_effects(torque, slice(None), theta[self.n_rigid :])
+        return torque
+
+    def _add_effects(self, torque, rows, coefs):
+        """Add the torques of the effects in some rows to those of the bodies."""
+        at = 0
+        for effect, columns in self._columns:
+            stop = at + columns.shape[-1]
+            which = slice(None) if effect.whole_robot else effect.joint
+            torque[:, which] += columns[rows] @ coefs[at:stop]
+            at = stop
 
     def blocks(self):
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""

@@ -344,7 +344,7 @@ def judge(models, found, split, near, whole, commanded):
     of_plain, of_completed = (_numbered(one, seen) for one in fit.residuals())
     of_declared = of_plain
     if models.declared is not models.plain:
-        own = _numbered(_residuals(models.declared, near.searched(whole)), seen)
+        own = _numbered(models.declared.robot_.residuals_of(near.searched(whole)), seen)
         of_declared = replace(own, weight=of_plain.weight)
     searched = of_declared, of_completed
     fitted = of_plain
@@ -367,7 +367,7 @@ def judge(models, found, split, near, whole, commanded):
     cutoff = min(completed.cutoff_, 0.5 / dt)
     price = None
     if completed.projector_ is not None:
-        free = _residuals(without_constraints(completed), rest)
+        free = without_constraints(completed).robot_.residuals_of(rest)
         of_free = fit.residuals_of(completed.theta_unconstrained_)
         price = price_of(
             completed,
@@ -410,11 +410,6 @@ def _looked_at(view, split):
     there = sum(part.stop - part.start for part in split.searched_parts)
     seen = view.states.shape[0]
     return seen if seen < there else 0
-
-
-def _residuals(model, part):
-    """Residuals of a model on some recorded rows."""
-    return model.robot_.residuals_of(part)
 
 
 def _numbered(part, slices):

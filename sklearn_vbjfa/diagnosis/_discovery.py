@@ -170,7 +170,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     stationary residual has nearly independent values with its spectrum as their
     variance [1]_: slow noise takes the evidence of slow effects and leaves fast ones
     theirs. The spectrum is estimated in bands of half an octave, of what is left beside
-    more effects than will be named.
+    more effects than will be named. Where weights by it lead farther from least squares
+    than chance does, the model is wrong in some frequencies [5]_, and they follow a
+    smaller power of it.
 
     The coefficients of a candidate (a joint and an effect) are normal with a common
     scale, its torque over that of the joint. The scale has a half-Cauchy prior [2]_ and
@@ -233,6 +235,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
        Bayesian models", AISTATS 2003, equation 18, for a single column.
     .. [4] H. Chipman, "Bayesian variable selection with related predictors", Canadian
        Journal of Statistics 24(1), 1996. :doi:`10.2307/3315687`
+    .. [5] J. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978.
+       :doi:`10.2307/1913827`
 
     Examples
     --------

@@ -15,7 +15,6 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.diagnosis.search._moments import Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
-    Base,
     Family,
     Fit,
     Member,
@@ -249,7 +248,7 @@ class _Deviations:
         y = problem.y.copy()
         y[j] = problem.cosines(rows, [j])[0]
         self._mirrors.add(group)
-        base = Base(problem.with_torques(y), regression.base.density)
+        base = regression.base.on(problem.with_torques(y))
         return spectrum_of(Fit(base, regression.members), self.settings)
 
     def _told(self, regression, i, group, near, log_odds):

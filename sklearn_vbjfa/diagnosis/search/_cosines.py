@@ -116,9 +116,17 @@ class Spectrum:
             log_prior -= 0.5 * float(((bend @ smooth) ** 2).sum())
         return cls(variance=variance, log_prior=log_prior)
 
-    def weights(self, fill):
-        """Weights by band (nv, n_bands); those of a bridged recording count less."""
-        return fill[:, None] / self.variance
+    def weights(self, cosines, share=1.0):
+        """Weights by band (nv, n_bands), by a power of it; see `spectrum_of`."""
+        # Those of a bridged recording count less. Their mean, weighted by the spectrum,
+        # is that of all of it.
+        heard = np.isfinite(self.variance)
+        whole = np.where(heard, self.variance, 1.0)
+        inverse = whole**-share
+        count = np.diff(cosines.edges)
+        mean = (inverse * whole) @ count / count.sum()
+        own = cosines.fill[:, None] * inverse / mean[:, None]
+        return np.where(heard, own, 0.0)
 
 
 def _bends(octave):

@@ -10,7 +10,6 @@ from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
-    Base,
     Family,
     Fit,
     Problem,
@@ -381,7 +380,8 @@ class Path:
         fit = spectrum_of(fit, self.settings)
         whole, found = fit.log_evidence(), []
         for i, (member, groups) in enumerate(zip(fit.members, fit.own_groups())):
-            rest = spectrum_of(fit.without(i), self.settings)
+            share = fit.base.share
+            rest = spectrum_of(fit.without(i), self.settings, share=share)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])
             excess = self._excess(fit, i, fit)
@@ -484,7 +484,7 @@ class Path:
         if not self.held_out(new).worth(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
-        if member.effect.in_model and not self._settles(new):
+        if not self._settles(new):
             return fit
         self.steps.append(step)
         self._moved(member.joints)
@@ -527,17 +527,21 @@ class Path:
         return fit
 
     def _settles(self, fit):
-        """Whether the last member of a fit is probable once the robot is corrected."""
+        """Whether a fit stands once the robot is corrected and its load made anew."""
         # What its first derivative promises need not hold: a gain that is hidden looks
-        # like whatever the joint lacks.
+        # like whatever the joint lacks. And what takes the place of bodies takes the
+        # load from friction that depends on it.
+        last = len(fit.members) - 1
+        loaded = [i for i, m in enumerate(fit.members) if "load" in m.effect.depends]
+        if not (loaded or fit.members[last].effect.in_model):
+            return True
         before = self.view, self.problem, self.motion
         for _ in range(_TURNS):
             fit = self._anew(fit)
-            sure = self.log_odds(fit)[-1] > self.least
+            sure = (self.log_odds(fit)[[*loaded, last]] > self.least).all()
             if not sure:
                 break
-        last = fit.members[-1]
-        natural = last.effect.natural(fit.coefficients(len(fit.members) - 1))
+        natural = fit.members[last].effect.natural(fit.coefficients(last))
         self.view, self.problem, self.motion = before
         return sure and natural
 
@@ -767,7 +771,7 @@ class Path:
         self.view = before.corrected(tuple(effects))
         if self.view is not before:
             self.problem = Problem(self.view, self.problem.cosines)
-            base = Base(self.problem, base.density)
+            base = base.on(self.problem)
             plain = [m for m in members if not m.effect.in_model]
             theta = Fit(base, plain).theta
         self.motion = self.view.motion(

@@ -159,19 +159,29 @@ def _lower(L, right, turned=False):
 class Base:
     """The declared columns under given weights, and what families are beside it."""
 
-    # density (nv, n_bands): weights of the cosines of each band; log_prior: logarithm
-    # of the prior density of the spectrum that they are from; L (r, r): lower Cholesky
-    # factor of the Gram matrix; t (r,): L^-1 times the products with the torques.
+    # density (nv, n_bands): weights of the cosines of each band; spectrum: what they
+    # are from, a power `share` of it (see `Spectrum.weights`), or None; L (r, r): lower
+    # Cholesky factor of the Gram matrix; t (r,): L^-1 times the products with the
+    # torques.
 
-    def __init__(self, problem, density, log_prior=0.0):
+    def __init__(self, problem, density, spectrum=None, share=1.0):
         self.problem, self.density = problem, density
-        self.log_prior = log_prior
+        self.spectrum, self.share = spectrum, share
         G = np.tensordot(density, problem.gram, 2)
         # Of each column itself: weights make some of them a thousand times the others.
         G += np.diag(_RIDGE * np.maximum(np.diagonal(G), 1.0))
         self.L = linalg.cholesky(G, lower=True)
         self.t = self.solved(np.tensordot(density, problem.right, 2))
         self._known = WeakKeyDictionary()
+
+    @property
+    def log_prior(self):
+        """Logarithm of the prior density of the spectrum, but for a constant."""
+        return 0.0 if self.spectrum is None else self.spectrum.log_prior
+
+    def on(self, problem):
+        """Return the same weights on other equations."""
+        return Base(problem, self.density, self.spectrum, self.share)
 
     @functools.cached_property
     def weights(self):
@@ -182,6 +192,23 @@ class Base:
     def inverse(self):
         """Inverse of the Gram matrix, (r, r)."""
         return linalg.cho_solve((self.L, True), np.eye(self.L.shape[0]))
+
+    def promised_less(self, columns):
+        """How much less than the variance of a score the weights promise of it."""
+        # columns: cosines (nv, n) that the score is the product with. One where the
+        # weights are the inverse of the spectrum.
+        power = columns**2 * self.weights
+        if self.spectrum is None:
+            return 1.0
+        inverse = self.spectrum.weights(self.problem.cosines)
+        own = power * self.weights
+        rest = np.divide(
+            own,
+            inverse[:, self.problem.cosines.band],
+            out=np.zeros_like(own),
+            where=own > 0,
+        )
+        return rest.sum() / power.sum()
 
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
@@ -422,7 +449,8 @@ class Fit:
             return own, own[: max(own.size // _SLOW, 1)]
 
         power, slow = powers(view.spans.sums(products)[view.span_order])
-        usual, freedom = float(max(1.0, slow.mean(), power.mean())), np.inf
+        usual, freedom = max(1.0, slow.mean(), power.mean()), np.inf
+        usual = float(max(usual, base.promised_less(left)))
         if view.repetition:
             # What is not modelled comes again with each phase, and there are few, of
             # which the fit that leaves the noise has taken as many as its parameters.
@@ -549,8 +577,12 @@ def rescaled(fit, scale):
 
 def declared_alone(view):
     """Fit the declared columns, joints weighted as in the fit of the robot."""
-    problem = Problem(view)
-    return Fit(_flat(problem, view.precision * problem.cosines.fill))
+    return Fit(declared_weights(Problem(view)))
+
+
+def declared_weights(problem):
+    """Make the base under the weights of the joints in the fit of the robot."""
+    return _flat(problem, problem.view.precision * problem.cosines.fill)
 
 
 def _flat(problem, weights):
@@ -559,16 +591,58 @@ def _flat(problem, weights):
     return Base(problem, np.repeat(weights[:, None], bands, axis=1))
 
 
-def spectrum_of(fit, settings, rounds=3):
+# Powers of the spectrum that weights may follow, from all of it to none.
+_SHARES = (1.0, 0.75, 0.5, 0.25, 0.0)
+
+
+def spectrum_of(fit, settings, rounds=3, share=None):
     """Return a fit under weights by the spectrum of its residual."""
+    # Such weights are best where the model is right. Where it is not, frequencies in
+    # which it is wrong can decide everything. So they follow the largest power `share`
+    # (None: found) of the spectrum with which no joint's torque differs from that by
+    # plain weights more than by chance (after J. Hausman, Econometrica 46(6), 1978, doi
+    # 10.2307/1913827).
+    if share is not None:
+        return _following(fit, settings, rounds, share)
+    problem = fit.problem
+    plain = weighed(Fit(declared_weights(problem), fit.members))
+    most = _by_chance(plain.base, _spectrum(plain, settings), settings.chance)
+    for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
+        found = _following(start, settings, rounds, share)
+        away = ((found.residual - plain.residual) ** 2).sum(axis=1)
+        if (away <= most)[problem.heard].all():
+            break
+    return found
+
+
+def _following(fit, settings, rounds, share):
+    """Return a fit under weights by a power of the spectrum of its residual."""
     problem = fit.problem
     for _ in range(rounds):
-        power, freedom = fit.powers()
-        cosines = problem.cosines
-        spectrum = Spectrum.of(power, freedom, cosines.octave, settings.smoothness)
-        density = spectrum.weights(cosines.fill)
-        fit = Fit(Base(problem, density, spectrum.log_prior), fit.members)
+        spectrum = _spectrum(fit, settings)
+        weights = spectrum.weights(problem.cosines, share)
+        fit = Fit(Base(problem, weights, spectrum, share), fit.members)
     return fit
+
+
+def _spectrum(fit, settings):
+    """Spectrum of the residual of a fit."""
+    power, freedom = fit.powers()
+    octave = fit.problem.cosines.octave
+    return Spectrum.of(power, freedom, octave, settings.smoothness)
+
+
+def _by_chance(plain, spectrum, chance):
+    """How far (nv,) right weights lead from plain ones by chance, a square sum."""
+    # They scatter less than plain ones, from which they differ by less than these do:
+    # the mean of that, and so many deviations.
+    problem, inverse = plain.problem, spectrum.weights(plain.problem.cosines)
+    power = np.zeros(inverse.shape)
+    np.divide(plain.density**2, inverse, out=power, where=inverse > 0)
+    scatter = plain.inverse @ np.tensordot(power, problem.gram, 2) @ plain.inverse
+    own = problem.gram.sum(axis=1) @ scatter
+    deviation = np.sqrt(2.0 * np.einsum("jpq,jqp->j", own, own))
+    return np.einsum("jpp->j", own) + chance * deviation
 
 
 def weighed(fit):

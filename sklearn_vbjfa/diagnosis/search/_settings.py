@@ -34,8 +34,9 @@ class SearchSettings:
         logarithmic slope from one band of frequency to the next. It says how much of a
         slow residual is expected from faster ones.
     chance : float, default=1.645
-        Standard errors by which a name must lower the error of stretches of time that
-        were not fitted.
+        Standard errors within which something is chance: by more of them a name must
+        lower the error of stretches of time that were not fitted, and weights by the
+        spectrum may not lead farther from least squares.
     worth : float, default=0.02
         Share of the squared error on stretches that were not fitted that a name saves.
     known : float, default=3.0

@@ -111,7 +111,7 @@ def made(x, smoothness=1.0):
     power = np.bincount(cosines.band, own[0] ** 2, bands)[None]
     freedom = np.bincount(cosines.band, minlength=bands)[None].astype(float)
     spectrum = Spectrum.of(power, freedom, cosines.octave, smoothness)
-    return cosines, 1.0 / spectrum.weights(np.ones(1))[0][cosines.band]
+    return cosines, 1.0 / spectrum.weights(cosines)[0][cosines.band]
 
 
 def assert_known(cosines, ratio):
@@ -156,7 +156,8 @@ def test_a_band_of_few_cosines_follows_its_neighbours():
 def test_joints_that_are_not_heard_have_no_weight():
     power = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
     spectrum = Spectrum.of(power, np.full((2, 3), 9.0), np.arange(3.0), 1.0)
-    weights = spectrum.weights(np.array([0.5, 1.0]))
+    cosines = SimpleNamespace(fill=np.array([0.5, 1.0]), edges=np.arange(4))
+    weights = spectrum.weights(cosines)
     assert_array_equal(weights[1], 0.0)
     assert_allclose(weights[0], 0.5 / spectrum.variance[0])
 
@@ -180,3 +181,19 @@ def test_a_crooked_spectrum_is_less_probable():
     ]
     assert found[0] == pytest.approx(0.0, abs=1e-6)
     assert found[1] < -1.0
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
+def test_weights_follow_a_power_of_it_and_are_as_large_together(share):
+    """Of a joint of which half is missing they are half, of an unheard one none."""
+    cosines = Cosines(view(nv=3, missing=range(0, 200, 2)))
+    count = np.diff(cosines.edges)
+    variance = np.random.default_rng(0).uniform(0.1, 9.0, size=(3, count.size))
+    variance[2] = np.inf
+    weights = Spectrum(variance=variance, log_prior=0.0).weights(cosines, share)
+    assert not weights[2].any()
+    follows = weights[:2] * variance[:2] ** share
+    assert_allclose(follows, follows[:, :1] * np.ones(count.size), rtol=1e-12)
+    # What they say of noise with that spectrum, in the mean of all cosines.
+    mean = (weights[:2] * variance[:2]) @ count / count.sum()
+    assert_allclose(mean, [0.5, 1.0], rtol=1e-12)

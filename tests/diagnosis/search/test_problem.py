@@ -7,13 +7,21 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.fft import dct
+from scipy.signal import lfilter
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import Family, Fit, Member, Problem, spectrum_of
+from sklearn_vbjfa.diagnosis.search import (
+    Family,
+    Fit,
+    Member,
+    Problem,
+    Spectrum,
+    spectrum_of,
+)
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
-from sklearn_vbjfa.diagnosis.search._problem import Base
+from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance
 from sklearn_vbjfa.effects import (
     Coulomb,
     Drift,
@@ -77,7 +85,7 @@ MEMBERS = (
 
 def of(members, seed=0, loud=1.0):
     made, weights = problem(seed, loud)
-    return Fit(Base(made, weights, log_prior=-1.5), members)
+    return Fit(Base(made, weights), members)
 
 
 def dense(fit):
@@ -199,7 +207,7 @@ def test_without_what_corrects_the_robot_its_corrections_are_undone():
     made, weights = problem()
     columns = MEMBERS[2].columns[:, :, 0, 0]
     made = Made(made.Z, made.y + 0.3 * columns, made.heard)
-    expected = Fit(Base(made, weights, log_prior=-1.5), MEMBERS[:2])
+    expected = Fit(Base(made, weights), MEMBERS[:2])
     rest = fit.without(2)
     assert_allclose(rest.theta, expected.theta, rtol=1e-8)
     assert_allclose(rest.residual, expected.residual, atol=1e-8)
@@ -413,3 +421,74 @@ def test_a_view_without_joints_that_are_heard_has_nothing_to_find():
     now = search(TORQUE, ["coulomb"])
     object.__setattr__(now, "view", view)
     assert now.run().findings == ()
+
+
+# -- weights that follow the spectrum as far as the model is right
+
+
+def coloured(share):
+    """Weights by a power of a spectrum of two joints, and its variances (NV, N)."""
+    made, _ = problem()
+    variance = np.full((NV, N), np.inf)
+    variance[:2] = np.geomspace(50.0, 0.02, N) * np.array([[1.0], [3.0]])
+    spectrum = Spectrum(variance=variance, log_prior=0.0)
+    base = Base(made, spectrum.weights(made.cosines, share), spectrum, share)
+    return base, np.where(np.isfinite(variance), variance, 0.0)
+
+
+@pytest.mark.parametrize("share", [1.0, 0.5, 0.0])
+def test_weights_promise_less_of_slow_scores_than_these_scatter(share):
+    """All of the spectrum promises what there is."""
+    base, variance = coloured(share)
+    rng = np.random.default_rng(3)
+    columns = rng.normal(size=(NV, N)) / np.arange(1, N + 1)
+    noise = np.sqrt(variance) * rng.normal(size=(20000, NV, N))
+    scores = np.einsum("sjn,jn->s", noise, columns * base.weights)
+    promised = (columns**2 * base.weights).sum()
+    found = base.promised_less(columns)
+    assert found == pytest.approx(np.mean(scores**2) / promised, rel=0.05)
+    assert found == pytest.approx(1.0) if share == 1.0 else found > 2.0
+
+
+def test_right_weights_lead_less_far_from_plain_ones_than_these_scatter():
+    base, variance = coloured(1.0)
+    made, rng = base.problem, np.random.default_rng(4)
+    mean = variance.mean(axis=1, keepdims=True)
+    plain = Base(made, np.where(variance > 0, 1.0 / np.maximum(mean, 1e-9), 0.0))
+    noise = np.sqrt(variance) * rng.normal(size=(2000, NV, N))
+    made = [made.with_torques(own) for own in noise]
+    thetas = np.array([[Fit(b.on(own)).theta for b in (plain, base)] for own in made])
+    apart = thetas[:, 0] - thetas[:, 1]
+    scatter, away = (
+        ((base.problem.Z @ x.T) ** 2).sum(axis=1)[:2] for x in (thetas[:, 0], apart)
+    )
+    for chance in (0.0, 1.645):
+        most = _by_chance(plain, base.spectrum, chance)[:2]
+        expected = scatter.mean(axis=1) + chance * scatter.std(axis=1)
+        assert_allclose(most, expected, rtol=0.1)
+    assert (away.mean(axis=1) < scatter.mean(axis=1)).all()
+    assert ((away.T > most).mean(axis=0) < 0.1).all()
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("late", [0, 8])
+def test_a_model_that_is_wrong_in_fast_motion_is_not_fitted_to_that_alone(late, seed):
+    """Friction that comes late agrees with the model in slow motion only."""
+    recording = record("Y", seed=seed, duration=40.0)
+    torque = recording.torque(joint_1=lambda r: 2.0 * np.sign(r.v[:, 0]))
+    torque = np.vstack([torque[:late], torque[: torque.shape[0] - late]])
+    white = np.random.default_rng(seed).normal(size=2000)
+    slow = lfilter([np.sqrt(1 - 0.98**2)], [1, -0.98], white)
+    robot = recording.robot(friction=("viscous", "coulomb"))
+    path = search(torque + 0.3 * slow[:, None], [], recording, robot).path()
+    plain = path.begin()
+    found = spectrum_of(plain, SearchSettings())
+    whole = spectrum_of(plain, SearchSettings(), share=1.0)
+    at = list(robot.parameter_names_).index("joint_1:coulomb")
+    value, by_all = ((path.view.back @ fit.theta)[at] for fit in (found, whole))
+    if late:
+        assert found.base.share <= 0.5
+        assert by_all + 0.6 < value < 2.0
+    else:
+        assert found.base.share >= 0.75
+        assert value == pytest.approx(2.0, abs=0.05)

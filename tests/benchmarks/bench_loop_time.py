@@ -165,9 +165,11 @@ def measure(case, repeat=1, **settings):
         loop = EffectDiscovery(identifier, random_state=0, **settings)
         inspected = []
 
-        def timed(*given, inspected=inspected, inspects=_discovery.inspect_channels):
+        inspects = _discovery.inspect_channels
+
+        def timed(*given, inspected=inspected, inspects=inspects, **known):
             begun = time.perf_counter()
-            found = inspects(*given)
+            found = inspects(*given, **known)
             inspected.append(time.perf_counter() - begun)
             return found
 

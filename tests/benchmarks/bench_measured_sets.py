@@ -136,8 +136,7 @@ def partial_least_squares(base, train, test):
     robot = base.robot_
     pieces = robot.pieces(*train)
     counts = sorted({int(c) for c in np.geomspace(1, _rank(pieces), 8)})
-    grid = {"n_components": counts}
-    settings["regressor"] = clone(settings["regressor"]).set_params(param_grid=grid)
+    settings["regressor"] = clone(settings["regressor"]).set_params(components=counts)
     model = clone(base).set_params(**settings)
     found = model.estimated(pieces, robot.plan)
     return collect_residuals(robot.pieces(*test), found.theta).normalised_error()

@@ -63,7 +63,7 @@ STAGES = ("states", "features", "statistics", "fit", "projection", "other")
 CALLS = (
     ("states", StateEstimator, ("fit", "transform", "split_transform")),
     ("states", SplineStates, ("__getitem__", "derivative")),
-    ("features", RigidBodyFeatures, ("matrices", "entries", "completed")),
+    ("features", RigidBodyFeatures, ("matrices", "entries")),
     ("statistics", Lowpass, ("__call__",)),
     ("statistics", BlockFilter, ("add",)),
     ("statistics", _identifier, ("accumulate",)),

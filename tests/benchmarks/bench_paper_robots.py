@@ -49,7 +49,8 @@ from sklearn_vbjfa.datasets import (
     simulate_tracking,
 )
 from sklearn_vbjfa.physical import ProjectionError
-from sklearn_vbjfa.robot import JointMoments, _identifier
+from sklearn_vbjfa.robot import JointMoments
+from sklearn_vbjfa.robot import _fit as course
 from sklearn_vbjfa.robot._states import SplineStates
 
 FRICTION = ("viscous",)
@@ -66,9 +67,9 @@ CALLS = (
     ("features", RigidBodyFeatures, ("matrices", "entries")),
     ("statistics", Lowpass, ("__call__",)),
     ("statistics", BlockFilter, ("add",)),
-    ("statistics", _identifier, ("accumulate",)),
+    ("statistics", course, ("accumulate",)),
     ("statistics", JointMoments, ("__add__",)),
-    ("fit", _identifier, ("estimate",)),
+    ("fit", course, ("estimate",)),
     ("projection", PhysicalProjector, ("fit", "transform")),
 )
 

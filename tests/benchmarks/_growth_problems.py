@@ -333,11 +333,11 @@ class DiscoveryTask:
         return time.process_time() - started
 
     def error(self):
-        """Relative error of the friction that was found; one if it was not named."""
-        for effect in self.model.effects_:
-            if (effect.name, effect.joint) == ("coulomb", 0):
-                return float(abs(effect.parameters["Fc"] / self.size - 1.0))
-        return 1.0
+        """Relative error of the friction that was found, with the plain terms."""
+        robot = self.model.identifier_
+        names = [name.partition(":")[2] for name in robot.parameter_names_]
+        found = robot.theta_[names.index("coulomb")]
+        return float(abs(found / self.size - 1.0))
 
 
 def _robot_task(method, n_joints):

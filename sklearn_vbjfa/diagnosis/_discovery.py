@@ -495,7 +495,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if drive is not None and drive.of_positions:
             # No channel reads its torques, and values that were found beside what its
             # simulation goes without are not those of the robot that is simulated.
-            left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
+            reasons = {one.name: unfollowed(one) for one in library}
+            left = {name: why for name, why in reasons.items() if why}
             library = [one for one in library if one.name not in left]
             if left and not isinstance(self.effects, str):
                 said = "; ".join(f"{name} ({why})" for name, why in left.items())

@@ -128,6 +128,11 @@ class Spectrum:
         own = cosines.fill[:, None] * inverse / mean[:, None]
         return np.where(heard, own, 0.0)
 
+    def noise(self, cosines):
+        """Variance by band (nv, n_bands) of weighted cosines; zero where none count."""
+        weights = self.weights(cosines)
+        return np.divide(1.0, weights, out=np.zeros(weights.shape), where=weights > 0)
+
 
 def _bends(octave):
     """Second differences of values at unequal places, (n - 2, n)."""

@@ -378,9 +378,8 @@ class Path:
         """Posterior log odds of each member, with the spectrum that each model has."""
         # What is slow may be noise: without an effect the spectrum takes its place.
         fit = spectrum_of(fit, self.settings)
-        whole, found = fit.log_evidence(), []
+        whole, share, found = fit.log_evidence(), fit.base.share, []
         for i, (member, groups) in enumerate(zip(fit.members, fit.own_groups())):
-            share = fit.base.share
             rest = spectrum_of(fit.without(i), self.settings, share=share)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])

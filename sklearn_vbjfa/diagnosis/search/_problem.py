@@ -197,18 +197,11 @@ class Base:
         """How much less than the variance of a score the weights promise of it."""
         # columns: cosines (nv, n) that the score is the product with. One where the
         # weights are the inverse of the spectrum.
-        power = columns**2 * self.weights
         if self.spectrum is None:
             return 1.0
-        inverse = self.spectrum.weights(self.problem.cosines)
-        own = power * self.weights
-        rest = np.divide(
-            own,
-            inverse[:, self.problem.cosines.band],
-            out=np.zeros_like(own),
-            where=own > 0,
-        )
-        return rest.sum() / power.sum()
+        cosines, power = self.problem.cosines, columns**2 * self.weights
+        noise = self.spectrum.noise(cosines)[:, cosines.band]
+        return (power * self.weights * noise).sum() / power.sum()
 
     def solved(self, right):
         """L^-1 times a right-hand side (r, ...)."""
@@ -636,9 +629,8 @@ def _by_chance(plain, spectrum, chance):
     """How far (nv,) right weights lead from plain ones by chance, a square sum."""
     # They scatter less than plain ones, from which they differ by less than these do:
     # the mean of that, and so many deviations.
-    problem, inverse = plain.problem, spectrum.weights(plain.problem.cosines)
-    power = np.zeros(inverse.shape)
-    np.divide(plain.density**2, inverse, out=power, where=inverse > 0)
+    problem = plain.problem
+    power = plain.density**2 * spectrum.noise(problem.cosines)
     scatter = plain.inverse @ np.tensordot(power, problem.gram, 2) @ plain.inverse
     own = problem.gram.sum(axis=1) @ scatter
     deviation = np.sqrt(2.0 * np.einsum("jpq,jqp->j", own, own))

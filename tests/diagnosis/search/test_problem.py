@@ -35,6 +35,7 @@ from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring, vie
 
 NV, N, R = 3, 60, 4
 ZERO = JointZero(1, 0.3)
+SPECTRUM = Spectrum(variance=np.ones((NV, N)), log_prior=-1.5)
 
 
 class Made(Problem):
@@ -85,7 +86,7 @@ MEMBERS = (
 
 def of(members, seed=0, loud=1.0):
     made, weights = problem(seed, loud)
-    return Fit(Base(made, weights), members)
+    return Fit(Base(made, weights, SPECTRUM), members)
 
 
 def dense(fit):
@@ -207,7 +208,7 @@ def test_without_what_corrects_the_robot_its_corrections_are_undone():
     made, weights = problem()
     columns = MEMBERS[2].columns[:, :, 0, 0]
     made = Made(made.Z, made.y + 0.3 * columns, made.heard)
-    expected = Fit(Base(made, weights), MEMBERS[:2])
+    expected = Fit(Base(made, weights, SPECTRUM), MEMBERS[:2])
     rest = fit.without(2)
     assert_allclose(rest.theta, expected.theta, rtol=1e-8)
     assert_allclose(rest.residual, expected.residual, atol=1e-8)

@@ -138,7 +138,7 @@ class Effect(TransformerMixin, BaseEstimator):
     mjcf : tuple of (str, str, ...)
         What of it an MJCF file has: "constant", "spring", "ref" or "tendons", each with
         the coefficients that go there.
-    in_files : tuple of {"urdf", "mjcf", "usd"}
+    in_files : tuple of {"urdf", "mjcf"}
         Files that have all of it in another way.
     no_place, no_urdf, no_mjcf : str
         Why files have no place for the rest of it, either of them, URDF or MJCF;

@@ -226,7 +226,7 @@ class BaseTilt(ModelEffect):
         "degrees"
     )
     no_urdf = "the base of the file is level"
-    in_files = ("mjcf", "usd")
+    in_files = ("mjcf",)
     mjcf_note = "The base is not level: gravity is turned in its frame."
     subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
@@ -329,7 +329,6 @@ class JointZero(ModelEffect):
     told = "{joint}: the encoder's zero is off by {zero} {unit}"
     no_urdf = "zeros of the file are those of the description"
     mjcf = (("ref", "zero"),)
-    in_files = ("usd",)
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
@@ -406,7 +405,7 @@ class JointAxis(ModelEffect):
         "{joint}: the axis is turned by {about_x} degrees about the {first} and "
         "{about_y} degrees about the {second} of its frame"
     )
-    in_files = ("urdf", "mjcf", "usd")
+    in_files = ("urdf", "mjcf")
     subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (

@@ -32,7 +32,6 @@ _MODULES = {
         "nominal_parameters",
         "solid_bodies",
     ),
-    "_usd": ("write_usd",),
     "_urdf": ("check_possible", "write_identified", "write_urdf"),
 }
 __all__ = ["load_model"]

@@ -5,7 +5,7 @@ identified robot is none of these is left out of a file, and is listed in it and
 is returned, with the size of its torque: nothing is dropped or clipped in silence.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -14,13 +14,11 @@ from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
-from sklearn_vbjfa.model._usd import write_usd
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
 # Why effects have no place that say nothing of it.
 _OWN = "an effect of the user's own"
 _NO_PART = "it is not part of the description"
-_NO_PLACE_IN_USD = "joints of PhysX have armature, dry and viscous friction only"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,46 +79,6 @@ def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
         followers=following_joints(
             robot.effects, robot.coefficients, robot.joint_names
         ),
-        servo=servo,
-    )
-    return tuple(account.left)
-
-
-def to_usd(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
-    """Write a `TorqueModel` as USD; see `to_mjcf`."""
-    check_possible(robot.model, min_eigenvalues, "a USD file")
-    followers = following_joints(robot.effects, robot.coefficients, robot.joint_names)
-    if followers:
-        raise ValueError(
-            f"{', '.join(one.name for one in followers)} of the description follow(s) "
-            "another joint, which is not written as USD: use to_mjcf or to_urdf."
-        )
-    account = _Account(robot, powers)
-    nv = robot.n_joints
-    dynamics = replace(
-        JointDynamics.none(nv),
-        damping=account.passive("viscous"),
-        frictionloss=account.passive("coulomb"),
-        armature=account.passive("rotor_inertia"),
-    )
-    account.leave_column("offset", account.total("offset"), _NO_PLACE_IN_USD)
-    for effect, coef in account.uses:
-        if effect.joint_parameter or "usd" in effect.in_files:
-            continue
-        if effect.in_model:
-            coef = effect.values - effect.idle
-        why = effect.no_place or (effect.in_model and effect.no_urdf)
-        account.leave_effect(effect, coef, why or _NO_PLACE_IN_USD)
-    told = [
-        "An identified robot: positions are what the encoders read, the base is held.",
-        *filter(None, notes),
-    ]
-    write_usd(
-        path,
-        robot.model,
-        robot.bodies,
-        dynamics,
-        note=_note(told, account.left),
         servo=servo,
     )
     return tuple(account.left)

@@ -1500,62 +1500,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         drive = self._drive_of_files(drive)
         return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
 
-    def to_usd(self, path, sample=None, random_state=0, *, drive=None):
-        """Write the identified robot as USD, for Isaac Sim.
-
-        An articulation of UsdPhysics without shapes, whose base is held: bodies with
-        their masses, centres of mass and principal moments, revolute and prismatic
-        joints with their limits. Rotor inertia, viscous and Coulomb friction are the
-        attributes ``armature``, ``viscousFrictionCoefficient``,
-        ``staticFrictionEffort`` and ``dynamicFrictionEffort`` of
-        ``PhysxJointAxisAPI``, which Isaac Sim 5.0 and newer read. Gains and the limit
-        of a `PDDrive` are ``stiffness``, ``damping`` and ``maxForce`` of the joint's
-        drive. Angles are in degrees, as USD has them.
-
-        Parameters
-        ----------
-        path : str or os.PathLike
-            File to write, ``.usda`` for text, ``.usd`` or ``.usdc``.
-        sample : int, default=None
-            Row of `sample` to write in place of `theta_`; the file says which.
-        random_state : int, RandomState or None, default=0
-            Seed of the sample, as for `sample`.
-        drive : PDDrive, default=None
-            Drive of the motors, by default the identifier's; as in `to_mjcf`.
-
-        Returns
-        -------
-        tuple of LeftOut
-            What the file does not have, in its comment as well; the delay of a drive
-            among it, which Isaac Lab has in the actuator's configuration.
-
-        Raises
-        ------
-        ValueError
-            If the parameters are not physically consistent, a joint is helical, or
-            joints follow others.
-        ImportError
-            Without the package ``usd-core`` (``pip install usd-core``).
-
-        See Also
-        --------
-        to_mjcf : The same for MuJoCo, with springs and couplings.
-
-        Examples
-        --------
-        >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import load_demo_recording
-        >>> recording = load_demo_recording()
-        >>> friction = ("viscous", "coulomb", "rotor_inertia")
-        >>> robot = RobotIdentifier(
-        ...     recording.urdf, dt=recording.dt, friction=friction
-        ... ).fit(recording.q, recording.tau, groups=recording.groups)
-        >>> robot.to_usd("identified.usda")  # doctest: +SKIP
-        ()
-        """
-        drive = self._drive_of_files(drive)
-        return self.robot_.to_usd(path, sample, random_state, drive=drive)
-
     def _drive_of_files(self, drive):
         """Return the `PDDrive` with gains that is written into files, or None."""
         drive = self.drive if drive is None else drive

@@ -51,7 +51,7 @@ from sklearn_vbjfa.robot._equations import (
     segments,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
-from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf, to_usd
+from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
 from sklearn_vbjfa.robot._from_commands import follow
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
@@ -830,44 +830,6 @@ class IdentifiedRobot(SimulatesTorques):
         """
         robot, which = self._sampled(sample, random_state)
         return to_mjcf(
-            path,
-            robot.torque_model(),
-            robot.min_eigenvalues_,
-            self.powers,
-            [which, note_of_units(self.gains_), note_of_masses(self)],
-            robot._servo(drive),
-        )
-
-    def to_usd(self, path, sample=None, random_state=0, *, drive=None):
-        """Write the identified robot as USD, for Isaac Sim.
-
-        The file is that of `RobotIdentifier.to_usd`.
-
-        Parameters
-        ----------
-        path : str or os.PathLike
-            File to write, ``.usda`` for text, ``.usd`` or ``.usdc``.
-        sample : int, default=None
-            Row of `sample` in place of the identified parameters.
-        random_state : int, RandomState or None, default=0
-            Seed of the sample, which the file states.
-        drive : PDDrive, default=None
-            Drive of all motors, with its gains.
-
-        Returns
-        -------
-        tuple of LeftOut
-            What the file does not have; see `RobotIdentifier.to_usd`.
-
-        Raises
-        ------
-        ValueError
-            If the parameters are not physically consistent, or gains are missing.
-        ImportError
-            Without the package ``usd-core``.
-        """
-        robot, which = self._sampled(sample, random_state)
-        return to_usd(
             path,
             robot.torque_model(),
             robot.min_eigenvalues_,

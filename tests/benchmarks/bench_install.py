@@ -19,7 +19,7 @@ from _report import ROOT, add_root_to_path, parser, publish, rst_table
 add_root_to_path()
 # What is installed is what the package imports.
 ENTERS = ("sklearn_vbjfa.__main__",)
-EXTRAS = ("plot", "fast", "parquet", "bags", "excel", "mujoco", "usd", "dask")
+EXTRAS = ("plot", "fast", "parquet", "bags", "excel", "mujoco", "dask")
 # Packages of fewer megabytes are one row.
 SMALL = 5.0
 # Sizes of the distributions of an environment in MB: what their files take.

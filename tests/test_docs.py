@@ -274,7 +274,7 @@ def test_the_readme_is_short_and_says_what_it_is_first():
     assert len(lines) < 150
     first = "\n".join(lines[:15])
     for words in (
-        "Python 3.10 or later",
+        "Python 3.11 or later",
         "BSD 3-Clause",
         "demo-report.html",
         "Version",

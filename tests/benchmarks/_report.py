@@ -50,7 +50,7 @@ def environment():
             versions.append(f"{name} {importlib.metadata.version(name)}")
         except importlib.metadata.PackageNotFoundError:
             continue
-    today = datetime.datetime.now(datetime.timezone.utc).date().isoformat()
+    today = datetime.datetime.now(datetime.UTC).date().isoformat()
     return f"{today}; {', '.join(versions)}; {os.cpu_count()} CPUs, not idle otherwise"
 
 

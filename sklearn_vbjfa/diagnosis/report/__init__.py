@@ -15,7 +15,6 @@ _MODULES = {
         "torque_figures",
     ),
     "_limits": ("contradiction", "delay_sentence", "gain_doubts"),
-    "_mathml": ("mathml",),
     "_pictures": (
         "HEIGHT",
         "WIDTH",
@@ -29,6 +28,7 @@ _MODULES = {
         "Section",
         "Table",
         "figure",
+        "mathml",
         "page",
         "plain_text",
         "style",

@@ -1,6 +1,5 @@
 """What findings rest on: pictures, parameters, steps, settings, provenance."""
 
-import html
 import importlib.metadata
 import inspect
 import math
@@ -13,7 +12,6 @@ from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._findings import anchors
 from sklearn_vbjfa.diagnosis.report._limits import band_sentences
-from sklearn_vbjfa.diagnosis.report._mathml import mathml
 from sklearn_vbjfa.diagnosis.report._pictures import (
     About,
     Figure,
@@ -124,7 +122,7 @@ def about_effect(effect):
     """Return what an effect is, an `About`: formula, docstring, source, page."""
     told = [*explanation(type(effect)), _shown_by(effect), source_of(type(effect))]
     return About(
-        formula=_typeset(effect.formula),
+        formula=added_torque(effect.formula) if effect.formula else "",
         paragraphs=tuple(words.without_markup(one) for one in told if one),
         link=documentation_of(effect.name),
     )
@@ -155,16 +153,6 @@ def source_of(kind):
 def added_torque(formula):
     """Write a formula of an effect, LaTeX, as what it adds to the torque."""
     return rf"\Delta\tau = {formula}"
-
-
-def _typeset(formula):
-    """Typeset what an effect adds; one's own effect may have none, or any LaTeX."""
-    if not formula:
-        return ""
-    try:
-        return mathml(added_torque(formula))
-    except ValueError:
-        return f"<code>{html.escape(added_torque(formula))}</code>"
 
 
 def documentation_of(name):

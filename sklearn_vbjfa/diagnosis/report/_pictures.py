@@ -56,7 +56,7 @@ class Chart:
 class About:
     """What an effect is."""
 
-    formula: str  # what it adds to the torque, as MathML; empty where none is given
+    formula: str  # what it adds to the torque, LaTeX; empty where none is given
     paragraphs: tuple  # in words
     link: str  # address of its page; empty for none
 

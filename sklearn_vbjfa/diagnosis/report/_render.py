@@ -5,6 +5,8 @@ is in ``_report.py``. Text, Markdown and pages show what it returns; a page draw
 the template that it names, ``templates/section.html.j2`` if it has no look of its own.
 """
 
+import contextlib
+import html
 import importlib.resources
 import re
 import textwrap
@@ -241,7 +243,26 @@ def _template(name, package=None):
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
+    environment.filters["mathml"] = mathml
     return environment.get_template(name)
+
+
+def mathml(formula):
+    """Convert LaTeX to MathML; LaTeX that cannot be converted is shown as it is."""
+    from latex2mathml import converter
+
+    # The converter sets upright words by letters, no space around "sin", and passes
+    # markup through.
+    text = re.sub(r"\\mathrm(?=\{)", r"\\text", formula).replace(r"\_", "_")
+    text = re.sub(r" \\(sin|cos|tanh)(?! )", r"\\,\\\1", text)
+    text = re.sub(r" \\(sin|cos|tanh) ", r"\\,\\\1\\,", text)
+    if not re.search("[<>&]", formula):
+        # Its exceptions have no base of their own.
+        with contextlib.suppress(Exception):
+            # A line may break between formulas, not inside of one.
+            parts = re.split(r"\\q?quad(?![A-Za-z])", text)
+            return " ".join(converter.convert(part) for part in parts if part.strip())
+    return f"<code>{html.escape(formula)}</code>"
 
 
 def _page_value(value):

@@ -5,7 +5,6 @@ import sys
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from sklearn_vbjfa._core._progress import Progress
     from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
     from sklearn_vbjfa.model._loading import load_model
     from sklearn_vbjfa.physical import PhysicalProjector
@@ -37,7 +36,6 @@ __all__ = [
     "NoiseCovariance",
     "ParameterRange",
     "PhysicalProjector",
-    "Progress",
     "Ranges",
     "RigidBodyFeatures",
     "RobotIdentifier",
@@ -53,7 +51,6 @@ __all__ = [
 # Where each name is. It is imported when it is first asked for: a program is at work at
 # once, and can be stopped while the rest is loaded.
 _MODULES = {
-    "_core._progress": ("Progress",),
     "diagnosis._discovery": ("EffectDiscovery",),
     "model._loading": ("load_model",),
     "physical": ("PhysicalProjector",),

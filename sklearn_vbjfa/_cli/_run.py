@@ -42,14 +42,14 @@ class Done:
 def run(arguments):
     """Run the command that arguments name."""
     # A command sets its doubts before it prints: the reader of its output may leave.
-    from sklearn_vbjfa._core._progress import telling
+    from sklearn_vbjfa._core._progress import show_progress
 
     module, _, name = arguments.run.partition(":")
     command = getattr(importlib.import_module(f"sklearn_vbjfa._cli.{module}"), name)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
-        telling(verbose=not getattr(arguments, "quiet", False)),
+        show_progress(verbose=not getattr(arguments, "quiet", False)),
     ):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))

@@ -219,7 +219,7 @@ def optimise(problem, starts, fine, inside):
     # `inside` of the limits, which it may exceed by a trace: see `shrunk`. Returns its
     # coordinates and the motion that it was improved from.
     most = len(starts) + _ROUNDS - 1 + _MORE_ROUNDS
-    with stage("improving", most, "rounds", at_most=True) as step:
+    with stage("improving", most, "rounds") as step:
         return _optimised(problem, starts, fine, inside, step)
 
 

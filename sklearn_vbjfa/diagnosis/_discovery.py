@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core._progress import stage, telling
+from sklearn_vbjfa._core._progress import show_progress, stage
 from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
@@ -93,8 +93,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Seed of the order in which blocks of time are left out for `ceiling_`; None
         counts as 0. Neither search nor intervals are random. Recorded in the report.
     verbose : int, default=0
-        Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
-        line every ten seconds (:ref:`progress <progress>`). 0 is silent.
+        If not 0, show :ref:`progress bars <progress>` on terminals.
 
     Attributes
     ----------
@@ -293,8 +292,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         sample_weight=None,
         t=None,
         signals=None,
-        *,
-        progress=None,
     ):
         """Close the loop.
 
@@ -318,9 +315,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             (`effects.Signal`). Columns of a data frame X that are not a channel of a
             joint are candidates as well; of these, the report names those that cannot
             be used.
-        progress : callable, default=None
-            Called with a `Progress` when a stage begins or goes on; what it raises
-            ends the fit.
 
         Returns
         -------
@@ -343,11 +337,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             told, signals = drive.taken(whole.tau, signals)
             whole = drive.driven(replace(whole, signals=told))
         beside = columns_beside(X, self.joint_names_)
-        given = signals, beside, _names(whole, groups), progress
-        return self._fit(model, whole, library, *given)
+        return self._fit(model, whole, library, signals, beside, _names(whole, groups))
 
     @one_blas_thread()
-    def fit_recording(self, recording, signals=None, *, progress=None):
+    def fit_recording(self, recording, signals=None):
         """Close the loop on a recording as it is.
 
         Parameters
@@ -357,8 +350,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             `PDDrive.driven` made of them. One that `read_recording` has ``stored`` may
             be larger than memory, unless there is a `drive`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            As for `fit`.
-        progress : callable, default=None
             As for `fit`.
 
         Returns
@@ -382,10 +373,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             if drive is not None and drive.of_positions:
                 known |= {"v": recording.v, "signals": recording.signals}
             whole = replace(whole, **known)
-        given = signals, OfferedSignals(), names, progress
-        return self._fit(model, whole, library, *given)
+        return self._fit(model, whole, library, signals, OfferedSignals(), names)
 
-    def _fit(self, model, whole, library, signals, beside, names, progress):
+    def _fit(self, model, whole, library, signals, beside, names):
         """Close the loop on a checked recording, with what was recorded beside it."""
         declared = check_effects(self.identifier.effects, model.nv)
         offered = signals if isinstance(signals, OfferedSignals) else beside
@@ -403,7 +393,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         told = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)
-        with telling(self.verbose, progress):
+        with show_progress(self.verbose):
             outcome = self._close(model, whole, told, offered, library, unusable, names)
         return self._set(outcome)
 

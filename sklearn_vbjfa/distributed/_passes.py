@@ -21,7 +21,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._moments import from_data
-from sklearn_vbjfa._core._progress import counted, telling
+from sklearn_vbjfa._core._progress import counted, show_progress
 from sklearn_vbjfa.diagnosis import EffectDiscovery
 from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
@@ -71,7 +71,7 @@ _AT_ONCE = 8
 _FAN_IN = 8
 
 
-def fit_recordings(estimator, source, *, on_bad_files="raise", progress=None):
+def fit_recordings(estimator, source, *, on_bad_files="raise"):
     """Identify a robot, or close the loop, from recordings in files, with Dask.
 
     The result is that of the estimator's `fit` on all recordings in memory, one group
@@ -89,9 +89,6 @@ def fit_recordings(estimator, source, *, on_bad_files="raise", progress=None):
         What becomes of files that cannot be read, or have another sample period or
         number of joints. ``"warn"`` leaves them out; a file that does not exist is an
         error all the same.
-    progress : callable, default=None
-        Function that is called with a :class:`~sklearn_vbjfa.Progress` whenever a stage
-        begins or goes on; `verbose` of the estimator shows the same.
 
     Returns
     -------
@@ -157,7 +154,7 @@ def fit_recordings(estimator, source, *, on_bad_files="raise", progress=None):
             f"{type(estimator).__name__}."
         )
     taken = _Taken(bad={} if on_bad_files == "warn" else None, copies=again)
-    with telling(estimator.verbose, progress):
+    with show_progress(estimator.verbose):
         return fit(estimator, sources, taken, dask)
 
 

@@ -7,7 +7,7 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._progress import telling
+from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
     OfferedSignals,
@@ -256,8 +256,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         alone, and whose bodies in the description have the same mass and principal
         inertias; none with `gains` or a `regressor` of one's own. None: no joints.
     verbose : int, default=0
-        Whether stages that last are shown on stderr: a bar on terminals, elsewhere a
-        line every ten seconds (:ref:`progress <progress>`). 0 is silent.
+        If not 0, show :ref:`progress bars <progress>` on terminals.
 
     Attributes
     ----------
@@ -462,8 +461,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         t=None,
         signals=None,
         reference=None,
-        *,
-        progress=None,
     ):
         """Identify the robot.
 
@@ -497,9 +494,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             ``v_desired``, ``tau_ff``, ``kp``, ``kd``, ``supply``.
         reference : array-like of shape (n_samples, nv), default=None
             Commanded positions [rad or m], for `controller`.
-        progress : callable, default=None
-            Called with a `Progress` when a stage begins or goes on; what it raises
-            ends the fit.
 
         Returns
         -------
@@ -526,7 +520,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
-        with telling(self.verbose, progress):
+        with show_progress(self.verbose):
             return self._fit(recording, reference)._of_a_size()
 
     def fit_recording(self, recording, reference=None):

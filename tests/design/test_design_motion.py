@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._core._progress import telling
 from sklearn_vbjfa.design import (
     MotionLimits,
     design_motion,
@@ -377,15 +376,7 @@ def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
             sizes[span] = 0.5
     problem = replace(problem, coefficients=sizes)
     t = problem.times(160)
-    heard = []
-    with telling(tell=heard.append):
-        found, _ = optimise(problem, [z], t, 0.98)
-    # How many rounds there will be at most is known from the first on.
-    counts = [(one.done, one.total, one.at_most) for one in heard]
-    assert counts[0] == (0, 1 + 6 + 4, True)
-    assert 3 <= counts[-1][0] <= 11
-    assert "rounds" in heard[-1].told
-    assert "at most" in heard[-1].times
+    found, _ = optimise(problem, [z], t, 0.98)
     kept = shrunk(problem, found, t, 0.98)
     assert np.linalg.norm(kept[:, :-1]) > 0.95 * np.linalg.norm(found[:, :-1])
     states = problem.curve.states(kept, problem.curve.basis(t))

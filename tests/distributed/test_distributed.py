@@ -139,16 +139,6 @@ def test_files_are_the_recordings_in_memory(recording, folder, settings):
     assert found.predict(recording.q[:50]).shape == (50, 6)
 
 
-def test_passes_over_files_are_told(recording, folder):
-    told = []
-    fit_recordings(robot(recording), folder, progress=told.append)
-    fit_recordings(loop(recording), folder, progress=told.append)
-    stages = [now.stage for now in told if now.unit == "files" and now.done]
-    passes_ = ["lengths", "spectra", "speeds", "equations", "noise", "reading"]
-    assert list(dict.fromkeys(stages)) == passes_
-    assert {now.total for now in told if now.unit == "files"} == {3}
-
-
 def test_a_list_of_files_in_any_order(recording, folder):
     files = sorted(folder.iterdir())[::-1]
     assert_same(fit_recordings(robot(recording), files), in_memory(recording))

@@ -11,7 +11,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa._core._progress import stage, telling
 from sklearn_vbjfa.diagnosis.search import _path
 from sklearn_vbjfa.effects import Effect
 from tests.diagnosis._recordings import named, record
@@ -109,16 +108,6 @@ def test_most_effects(limit):
     torque = CLEAN.torque(joint_2=coulomb(1.0), joint_1=spring(4.0))
     now = search(torque, ["coulomb", "spring"], max_effects=limit).run()
     assert len(now.effects) == limit
-
-
-def test_progress_is_told():
-    said = []
-    torque = CLEAN.torque(joint_2=coulomb(1.0))
-    with telling(tell=lambda now: said.append(now.stage)), stage("search"):
-        search(torque, ["coulomb"]).run()
-    assert "search, round 1" in said
-    assert "search, round 1, joint 1 of 2, 0 effects" in said
-    assert "search, round 1, joint 2 of 2, 1 effect" in said
 
 
 def test_the_search_draws_nothing():

@@ -1,23 +1,19 @@
-"""Freeze what the package computes, and compare two states of its code.
+"""Freeze the results of the package, and compare two states of its code.
 
-For a change of the code's shape that should not change a number::
+For changes that must not change a number::
 
     python tests/benchmarks/compare_states.py freeze one.json --checkout FOLDER
     python tests/benchmarks/compare_states.py freeze two.json
     python tests/benchmarks/compare_states.py compare one.json two.json
 
-Only public names are used, so that the script of one state runs on another: the
-checkout at FOLDER, by default this one. Each way into the package runs in a process of
-its own, on one thread with one kernel of the linear algebra; its processor time and
-peak memory are stored beside. Measured sets are looked for in the folder that
---data-home or the environment variable SKLEARN_VBJFA_DATA names, and left out where
-they are not found; nothing is downloaded.
+The script of one state runs on another: only public names are used, and features that
+one of the states lacks are left out. Each part runs in a process on one thread.
+Measured sets are read from the folder that --data-home or SKLEARN_VBJFA_DATA names.
 
-Predicted torques are compared over their own size; parameters in the norm of the second
-moments that they were fitted to, since single entries near zero mean nothing; names,
-names of files and exit codes to the letter; reports, tables, descriptions and printed
-text to the letter but for their numbers, which may differ in the seventh digit;
-everything else as whole arrays. Exit status 1 at a difference.
+Torques and arrays are compared relative to their norm, parameters in the norm of the
+second moments that they were fitted to, names, file names and exit codes exactly, and
+numbers in files to six digits. Sentences are not compared. Figures that only one state
+has are listed and do not count as differences. Exit status 1 at a difference.
 """
 
 import os
@@ -28,37 +24,28 @@ if __name__ == "__main__":
     os.environ.setdefault("OPENBLAS_CORETYPE", "Haswell")
 
 import argparse
+import csv
 import functools
+import inspect
 import json
 import math
-import re
 import resource
 import subprocess
 import sys
 import tempfile
+import time
 import warnings
 from pathlib import Path
 
 import numpy as np
 
 import sklearn_vbjfa
-from sklearn_vbjfa import (
-    EffectDiscovery,
-    JFARegressor,
-    RobotIdentifier,
-    StateEstimator,
-    VBJFARegressor,
-    datasets,
-    effects,
-    load_identified,
-    simulation,
-)
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, datasets, effects
+from sklearn_vbjfa.robot import PDDrive
 
 HERE = Path(__file__).resolve()
-TOLERANCE = 1e-9
-# Of numbers in texts: as good as six digits.
-DIGITS = 1e-6
-NUMBER = re.compile(r"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?")
+TOLERANCE, DIGITS = 1e-9, 1e-6
+PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 # Name -> settings of the identifier, names of the recordings, seconds in use.
 SETS = {
     "demo": ({"friction": ("viscous", "coulomb")}, (), np.inf),
@@ -70,11 +57,23 @@ FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
 FITTED += ("torque_noise_", "input_noise_torque_", "output_noise_", "cutoff_")
 FITTED += ("standstill_",)
 FOUND = ("error_before_", "error_plain_", "error_after_", "torque_spread_")
-FOUND += ("projection_price_", "ceiling_")
+# Names that changed, old -> new.
+RENAMED = {"perhaps": "possible", "projection_price": "consistency_cost"}
+LABELS = {"name", "joint", "effect", "parameter", "unit", "link"}
+
+# -- figures of estimators -------------------------------------------------------------
+
+
+def timed(found, step, function, *given, **settings):
+    """Call a function and note its processor seconds."""
+    started = time.process_time()
+    result = function(*given, **settings)
+    found[f"seconds|{step}"] = time.process_time() - started
+    return result
 
 
 def public_arrays(model):
-    """Return name -> array of the numeric public attributes of a fitted estimator."""
+    """Numeric public attributes of a fitted estimator by name."""
     found = {}
     for name, value in sorted(vars(model).items()):
         if name.endswith("_") and not name.startswith("_") and value is not None:
@@ -87,8 +86,136 @@ def public_arrays(model):
     return found
 
 
-def load(name, data_home):
-    """Return positions, torques and groups in use, and the identifier."""
+def described(found):
+    """Classes and shape parameters of effects."""
+    shapes = [(type(e).__name__, *sorted(e.get_params().items())) for e in found]
+    return [json.dumps(x, default=lambda v: np.asarray(v).tolist()) for x in shapes]
+
+
+def fitted_robot(robot, q, groups=None):
+    """Figures of a fitted identifier."""
+    found = {x: getattr(robot, x) for x in FITTED if hasattr(robot, x)}
+    found["theta|parameters"] = robot.theta_
+    found["theta|unconstrained"] = getattr(robot, "theta_unconstrained_", robot.theta_)
+    estimator = getattr(robot, "estimator_", None)
+    found["metric"] = getattr(estimator, "metric_", None)
+    found["torque"] = robot.predict(q, groups=groups)
+    found["names"] = robot.parameter_names_
+    found["units"] = robot.parameter_units_
+    found["effects"] = described(robot.effects_)
+    gains = getattr(robot, "gains_", None)
+    if gains is not None:
+        found |= {"gain": gains.gain, "gain, std": gains.std}
+    return found | exported(robot, q, groups)
+
+
+def exported(robot, q, groups):
+    """Numbers of a robot that is saved, and written as URDF and MJCF."""
+    found = {}
+    robot.save("robot.json")
+    again = sklearn_vbjfa.load_identified("robot.json")
+    found["saved, torque"] = again.predict(q, groups=groups)
+    for kind, read in READERS.items():
+        path = f"robot.{kind}"
+        try:
+            getattr(robot, {"urdf": "to_urdf", "xml": "to_mjcf"}[kind])(path)
+        except ValueError:
+            found[f"{kind}, refused"] = True
+            continue
+        found |= {f"{kind}, {key}": value for key, value in read(path).items()}
+    return found
+
+
+def read_urdf(path):
+    """Numbers of a URDF."""
+    import pinocchio as pin
+
+    model = pin.buildModelFromUrdf(str(path))
+    found = {
+        "bodies": np.array([x.toDynamicParameters() for x in model.inertias[1:]]),
+        "places": np.array([np.ravel(x.homogeneous) for x in model.jointPlacements]),
+        "names": list(model.names),
+    }
+    for name in ("damping", "friction", "armature"):
+        found[name] = np.array(getattr(model, name))
+    data, states = model.createData(), np.random.default_rng(0)
+    states = states.normal(size=(5, 3, model.nv))
+    return found | {"torque": np.array([pin.rnea(model, data, *x) for x in states])}
+
+
+def read_mjcf(path):
+    """Numbers of an MJCF, as MuJoCo compiles it."""
+    import mujoco
+
+    model = mujoco.MjModel.from_xml_path(str(path))
+    names = ("body_mass", "body_pos", "jnt_axis", "jnt_range", "actuator_gainprm")
+    names += ("dof_armature", "dof_damping", "dof_frictionloss", "qpos_spring")
+    found = {name: np.array(getattr(model, name)) for name in names}
+    found["gravity"] = np.array(model.opt.gravity)
+    found["names"] = [model.joint(i).name for i in range(model.njnt)]
+    data, torques = mujoco.MjData(model), []
+    states = np.random.default_rng(0).normal(size=(5, 3, model.nv))
+    for data.qpos[:], data.qvel[:], data.qacc[:] in states:
+        mujoco.mj_inverse(model, data)
+        torques.append(data.qfrc_inverse.copy())
+    return found | {"torque": np.array(torques)}
+
+
+READERS = {"urdf": read_urdf, "xml": read_mjcf}
+
+
+def search_figures(identifier, q, tau, groups, **settings):
+    """Figures of a fit, and of a search that starts with it."""
+    found = {}
+    timed(found, "fit", identifier.fit, q, tau, groups=groups)
+    found |= fitted_robot(identifier, q, groups)
+    if "ceiling" in inspect.signature(EffectDiscovery).parameters:
+        settings["ceiling"] = False
+    search = EffectDiscovery(identifier, random_state=0, **settings)
+    timed(found, "search", search.fit, q, tau, groups=groups)
+    for kind in ("effects", "possible"):
+        own = getattr(search, f"{kind}_", None)
+        own = search.perhaps_ if own is None else own
+        found[f"search, {kind}"] = [f"{e.name} {e.joint}" for e in own]
+        found[f"search, {kind}, log odds"] = [e.log_odds for e in own]
+        found[f"search, {kind}, values"] = flat([e.parameters for e in own])
+    found |= {f"search, {key}": getattr(search, key) for key in FOUND}
+    figures = fitted_robot(search.identifier_, q, groups)
+    found |= {f"search, {key}": value for key, value in figures.items()}
+    if hasattr(search.report_, "to_dict"):
+        found["search, file|report"] = flat(search.report_.to_dict())
+    return found
+
+
+# -- parts -----------------------------------------------------------------------------
+
+
+def tables(data_home):
+    """Posteriors of the regressors on tables."""
+    found = {}
+    for seed in range(3):
+        data = datasets.make_noisy_regression(400, n_irrelevant=10, random_state=seed)
+        vbjfa = sklearn_vbjfa.VBJFARegressor
+        known = {"latent": "correlated", "input_noise": data.input_noise_covariance}
+        models = {
+            "jfa": sklearn_vbjfa.JFARegressor(),
+            "paper": vbjfa(latent="independent", prior="paper"),
+            "independent": vbjfa(latent="independent"),
+            "default": vbjfa(),
+            "exact": vbjfa(latent="correlated", input_noise=0.0),
+            "known": vbjfa(**known),
+        }
+        for name, model in models.items():
+            timed(found, f"{name} {seed}", model.fit, data.X, data.y)
+            figures = public_arrays(model) | {"torque": model.predict(data.X_test)}
+            found |= {f"{name} {seed}, {k}": v for k, v in figures.items()}
+    recording = datasets.load_demo_recording()
+    states = sklearn_vbjfa.StateEstimator(dt=recording.dt).fit(recording.q)
+    return found | {"states": states.transform(recording.q)}
+
+
+def recorded(name, data_home):
+    """Figures of a fit and of a search on one recording."""
     settings, names, seconds = SETS[name]
     if name == "demo":
         recording = datasets.load_demo_recording()
@@ -98,169 +225,80 @@ def load(name, data_home):
     if names:
         recording = recording.select(*names)
     rows = recording.t - recording.t[0] < seconds
-    identifier = RobotIdentifier(
-        recording.robot_model(),
-        dt=recording.dt,
-        **{"friction": ("viscous",), **settings},
+    given = recording.q[rows], recording.tau[rows], recording.groups[rows]
+    settings = {"friction": ("viscous",), **settings}
+    model = recording.robot_model()
+    robot = RobotIdentifier(model, dt=recording.dt, **settings)
+    found = search_figures(robot, *given)
+    if name == "demo":
+        paper = {"latent": "independent", "prior": "paper", "query": "noiseless"}
+        paper = sklearn_vbjfa.VBJFARegressor(**paper)
+        settings |= {"input_noise": None, "regressor": paper}
+        robot = RobotIdentifier(model, dt=recording.dt, **settings)
+        robot.fit(given[0], given[1], groups=given[2])
+        figures = fitted_robot(robot, given[0], given[2])
+        found |= {f"paper, {key}": value for key, value in figures.items()}
+    return found
+
+
+def go2(data_home):
+    """Figures of a quadruped: late torques, and commands with its drive."""
+    recording = datasets.fetch_unitree_go2(
+        data_home=data_home, download_if_missing=False
     )
-    return recording.q[rows], recording.tau[rows], recording.groups[rows], identifier
+    runs = [recording.select(k) for k in range(3)]
+    q, tau = [x.q[2:] for x in runs], [x.tau[:-2] for x in runs]
+    groups = np.repeat(np.arange(3), [len(x) for x in q])
+    q, tau = np.concatenate(q), np.concatenate(tau)
+    settings = {"dt": recording.dt, "friction": PLAIN, "cutoff": 10.0}
+    found, model = {}, recording.robot_model()
+    for bodies in ("prior", "free"):
+        robot = RobotIdentifier(model, bodies=bodies, **settings)
+        timed(found, f"torques, {bodies}", robot.fit, q, tau, groups=groups)
+        figures = fitted_robot(robot, q, groups)
+        found |= {f"torques, {bodies}, {key}": x for key, x in figures.items()}
+    robot = RobotIdentifier(model, drive=PDDrive(), **settings)
+    timed(found, "commands", getattr(robot, "fit_recording", robot.fit), runs[0])
+    figures = fitted_robot(robot, runs[0].q)
+    return found | {f"commands, {key}": value for key, value in figures.items()}
 
 
-def fitted_robot(identifier, q, groups=None, t=None):
-    """Figures of a fitted identifier."""
-    found = {name: np.asarray(getattr(identifier, name)) for name in FITTED}
-    found["theta|parameters"] = identifier.theta_
-    found["theta|unconstrained"] = identifier.theta_unconstrained_
-    found["metric"] = identifier.estimator_.metric_
-    found["torque"] = identifier.predict(q, groups=groups, t=t)
-    found["names"] = np.array(identifier.parameter_names_)
-    found["units"] = np.array(identifier.parameter_units_)
-    if identifier.gains_ is not None:
-        found["gain"] = identifier.gains_.gain
-        found["gain, std"] = identifier.gains_.std
-    return found
-
-
-def described(effect):
-    """Describe an effect, with its shape."""
-    shape = {k: np.asarray(v).tolist() for k, v in effect.get_params().items()}
-    return f"{type(effect).__name__} {json.dumps(shape, sort_keys=True, default=str)}"
-
-
-def closed_loop(name, data_home):
-    """Figures of a fit and of a search on one recording."""
-    q, tau, groups, identifier = load(name, data_home)
-    found = fitted_robot(identifier.fit(q, tau, groups=groups), q, groups)
-    search = EffectDiscovery(identifier, random_state=0).fit(q, tau, groups=groups)
-    for kind in ("effects", "perhaps"):
-        own = getattr(search, f"{kind}_")
-        found[f"search, {kind}"] = np.array([f"{e.name} {e.joint}" for e in own])
-        found[f"search, {kind}, log odds"] = np.array([e.log_odds for e in own])
-    found |= {f"search, {key}": np.asarray(getattr(search, key)) for key in FOUND}
-    figures = fitted_robot(search.identifier_, q, groups)
-    found |= {f"search, {key}": value for key, value in figures.items()}
-    found["search, shapes"] = "\n".join(map(described, search.identifier_.effects_))
-    found["search, report"] = str(search.report_)
-    found["search, report.json"] = json.dumps(search.report_.to_dict(), indent=1)
-    return found
-
-
-def head(data_home):
-    """Figures of the paper's head in simulation."""
-    recording = datasets.make_closed_loop_recording(
-        "head", duration=10.0, n_recordings=2, random_state=0
-    )
-    paper = VBJFARegressor(latent="independent", prior="paper", query="noiseless")
-    methods = {
-        "default": {},
-        "paper": {"input_noise": None, "regressor": paper},
-        "robust": {"block_noise": True},
-    }
-    found = {}
-    for name, settings in methods.items():
-        identifier = RobotIdentifier(
-            recording.robot_model(),
-            dt=recording.dt,
-            friction=("viscous", "coulomb"),
-            **settings,
-        )
-        identifier.fit(recording.q, recording.tau, groups=recording.groups)
-        figures = fitted_robot(identifier, recording.q, recording.groups)
-        if name == "paper":
-            regressor = identifier.estimator_.regressor_
-            figures.update(
-                {f"posterior, {k}": v for k, v in public_arrays(regressor).items()}
-            )
-        found.update({f"{name}, {k}": v for k, v in figures.items()})
-    return found
-
-
-def tables(data_home):
-    """Posteriors of the regressors on tables."""
-    found = {}
-    for seed in range(3):
-        data = datasets.make_noisy_regression(400, n_irrelevant=10, random_state=seed)
-        known = {"latent": "correlated", "input_noise": data.input_noise_covariance}
-        models = {
-            "jfa": JFARegressor(),
-            "paper": VBJFARegressor(latent="independent", prior="paper"),
-            "independent": VBJFARegressor(latent="independent"),
-            "default": VBJFARegressor(),
-            "exact": VBJFARegressor(latent="correlated", input_noise=0.0),
-            "known": VBJFARegressor(**known),
-        }
-        for name, model in models.items():
-            model.fit(data.X, data.y)
-            figures = public_arrays(model) | {"torque": model.predict(data.X_test)}
-            found.update({f"{name} {seed}, {k}": v for k, v in figures.items()})
-    recording = datasets.load_demo_recording()
-    states = StateEstimator(dt=recording.dt).fit(recording.q)
-    found["states"] = states.transform(recording.q)
-    return found
-
-
-def robots(data_home):
-    """Figures of an identifier: bodies, corrections, gains, simulation, files, parts.
-
-    The robot has two joints and a recording of 8 s in two parts, with a base that is
-    tilted, a joint that is not zeroed, and a gain.
-    """
+def identifiers(data_home):
+    """Figures of an identifier with bodies, geometry, gains, and output error."""
     Path("arm.urdf").write_text(ARM)
     made = {"duration": 8.0, "dt": 0.01, "n_recordings": 2, "random_state": 0}
-    plain = datasets.make_robot_recording("arm.urdf", **made)
-    moved = datasets.make_robot_recording(
-        "arm.urdf", base_tilt=(0.05, 0.0), joint_zero={1: 0.05}, **made
-    )
-    scaled = datasets.make_robot_recording("arm.urdf", torque_gain={1: 1.3}, **made)
-    geometry = (effects.BaseTilt(), effects.JointZero(1))
+    make = functools.partial(datasets.make_robot_recording, "arm.urdf", **made)
+    plain, scaled = make(), make(torque_gain={1: 1.3})
+    moved = make(base_tilt=(0.05, 0.0), joint_zero={1: 0.05})
     payload = effects.Payload(joint=1, instant=8.0, centre=(0.1, 0.0, 0.0))
-    # under its name in states before drives
-    controller = getattr(simulation, "PositionController", None)
-    controller = controller or sklearn_vbjfa.robot.PDDrive
+    followed = {"criterion": "simulation", "controller": PDDrive(100.0, 5.0)}
     # Name -> recording, settings.
     cases = {
         "prior": (plain, {}),
         "free": (plain, {"bodies": "free"}),
         "fixed": (plain, {"bodies": "fixed"}),
         "no projection": (plain, {"projector": None}),
-        "geometry": (moved, {"effects": geometry}),
+        "geometry": (moved, {"effects": (effects.BaseTilt(), effects.JointZero(1))}),
         "gain": (scaled, {"effects": (effects.TorqueGain(1),)}),
         "gains": (scaled, {"gains": "unknown"}),
         "known mass": (scaled, {"gains": "unknown", "known_masses": {"lower": 2.0}}),
         "payload": (plain, {"effects": (payload,)}),
         "stribeck": (plain, {"effects": (effects.Stribeck(0), effects.Ripple(1))}),
         "output error": (plain, {"criterion": "simulation", "window": 0.3}),
-        "controller": (
-            plain,
-            {
-                "criterion": "simulation",
-                "controller": controller(100.0, 5.0),
-            },
-        ),
+        "controller": (plain, followed),
     }
     found = {}
     for name, (recording, settings) in cases.items():
         q, tau, groups = recording.q, recording.tau, recording.groups
-        robot = RobotIdentifier(
-            "arm.urdf", dt=0.01, **{"friction": ("viscous", "coulomb"), **settings}
-        )
+        settings = {"friction": ("viscous", "coulomb"), **settings}
+        robot = RobotIdentifier("arm.urdf", dt=0.01, **settings)
         fitting = {"groups": groups}
         if name == "controller":
-            # what this controller would have followed
+            # the reference that this controller would have followed
             speed = recording.states[:, 2:4]
             fitting["reference"] = q + (tau + 5.0 * speed) / 100.0
-        robot.fit(q, tau, **fitting)
+        timed(found, name, robot.fit, q, tau, **fitting)
         figures = fitted_robot(robot, q, groups)
-        figures["effects"] = "\n".join(map(described, robot.effects_))
-        for write in ("save", "to_urdf", "to_mjcf"):
-            try:
-                getattr(robot, write)("robot")
-            except ValueError as refusal:
-                Path("robot").write_text(str(refusal))
-            figures[f"file, {write}"] = Path("robot").read_text()
-            if write == "save":
-                again = load_identified("robot")
-                figures["torque, read back"] = again.predict(q, groups=groups)
         found |= {f"{name}, {key}": value for key, value in figures.items()}
     first = plain.groups == plain.groups[0]
     robot = RobotIdentifier("arm.urdf", dt=0.01, cutoff=8.0, standstill=0.01)
@@ -271,43 +309,91 @@ def robots(data_home):
     return found | {f"in parts, {key}": value for key, value in figures.items()}
 
 
+def whole_robot(data_home):
+    """Figures of six joints with friction, geometry, and gains that the model lacks."""
+    Path("six.urdf").write_text(SIX)
+    recording = datasets.make_robot_recording(
+        "six.urdf",
+        duration=20.0,
+        dt=0.01,
+        n_recordings=2,
+        undeclared={"spring": (1, 8.0)},
+        base_tilt=(0.05, 0.02),
+        joint_zero={3: 0.06},
+        torque_gain={2: 1.15},
+        random_state=0,
+    )
+    given = recording.q, recording.tau, recording.groups
+    robot = RobotIdentifier("six.urdf", dt=0.01, friction=("viscous", "coulomb"))
+    names = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "spring")
+    found = search_figures(robot, *given, effects=list(names + ("stribeck", "offset")))
+    held = (effects.BaseTilt(), effects.JointZero(3), effects.TorqueGain(2))
+    robot = RobotIdentifier("six.urdf", dt=0.01, friction=PLAIN, effects=held)
+    timed(found, "geometry", robot.fit, given[0], given[1], groups=given[2])
+    figures = fitted_robot(robot, given[0], given[2])
+    return found | {f"geometry, {key}": value for key, value in figures.items()}
+
+
 LINK = """
-<link name="{name}"><inertial><origin xyz="{centre} 0 0"/><mass value="{mass}"/>
+<link name="{name}"><inertial><origin xyz="{centre} 0 {up}"/><mass value="{mass}"/>
   <inertia ixx="0.01" iyy="0.05" izz="0.05" ixy="0" ixz="0" iyz="0"/>
 </inertial></link>
 <joint name="{joint}" type="revolute"><parent link="{parent}"/><child link="{name}"/>
-  <origin xyz="{origin} 0 0"/><axis xyz="0 1 0"/>
+  <origin xyz="{origin} 0 {up}"/><axis xyz="{axis}"/>
   <limit lower="-3" upper="3" effort="100" velocity="10"/>
 </joint>"""
-UPPER = {"name": "upper", "joint": "shoulder", "parent": "base", "origin": 0}
-LOWER = {"name": "lower", "joint": "elbow", "parent": "upper", "origin": 0.4}
-ARM = (
-    '<robot name="arm"><link name="base"/>'
-    + LINK.format(**UPPER, centre=0.2, mass=3)
-    + LINK.format(**LOWER, centre=0.15, mass=2)
-    + "</robot>"
+
+
+def urdf(*links):
+    """Return a robot of links (name, joint, origin, centre, mass, axis, up)."""
+    keys = ("name", "joint", "origin", "centre", "mass", "axis", "up")
+    text, parent = '<robot name="arm"><link name="base"/>', "base"
+    for link in links:
+        text += LINK.format(**dict(zip(keys, link)), parent=parent)
+        parent = link[0]
+    return text + "</robot>"
+
+
+ARM = urdf(
+    ("upper", "shoulder", 0, 0.2, 3, "0 1 0", 0),
+    ("lower", "elbow", 0.4, 0.15, 2, "0 1 0", 0),
 )
-# What is typed, in this order, in one folder; {data} are the measured sets.
+SIX = urdf(
+    ("l1", "j1", 0, 0.03, 4, "0 0 1", 0.2),
+    ("l2", "j2", 0, 0.2, 7, "0 1 0", 0.02),
+    ("l3", "j3", 0.4, 0.18, 4, "0 1 0", -0.03),
+    ("l4", "j4", 0.35, 0.05, 2, "1 0 0", 0.02),
+    ("l5", "j5", 0.1, 0.06, 1.5, "0 1 0", 0.03),
+    ("l6", "j6", 0.08, 0.05, 1, "1 0 0", 0.04),
+)
+
+# -- the command line ------------------------------------------------------------------
+
+LAW = "pd kp=100,100 kd=5,5"
+# Typed in this order in one folder, each as words.
 COMMANDS = (
     "",
-    "--version --verbose",
     "effects",
     "datasets",
-    "close-loop arm.csv --urdf arm.urdf --effects spring,ripple,stribeck --out report",
-    "close-loop a.csv b.csv --urdf arm.urdf --effects none --no-ceiling --out two",
+    "close-loop arm.csv --urdf arm.urdf --effects spring,ripple,stribeck --out report "
+    "--ranges ranges.json",
+    "close-loop a.csv b.csv --urdf arm.urdf --effects none --out two",
     "close-loop arm.csv --urdf arm.urdf --effects none --gain unknown "
-    "--known-mass lower=2 --no-ceiling --out gains",
+    "--known-mass lower=2 --out gains",
+    "close-loop commands.csv --urdf arm.urdf --effects spring,stribeck --out driven "
+    "--drive LAW",
     "inspect arm.csv --urdf arm.urdf",
     "inspect gap.csv --urdf arm.urdf",
+    "inspect commands.csv --urdf arm.urdf --drive LAW",
     "identify arm.csv --urdf arm.urdf",
     "identify a.csv b.csv --urdf arm.urdf --bodies free",
     "simulate arm.csv --urdf arm.urdf --window 0.5 --out simulated",
     "simulate b.csv --model report/identified.json --window 0.3 --out again",
     "design --urdf arm.urdf --duration 4 --acceleration 3 --out motion.csv",
     "design --report report --duration 4 --acceleration 3 --out next.csv",
-    # with a doubt, or refused
-    "close-loop unit.csv --urdf arm.urdf --effects none --no-ceiling --out unit",
-    "close-loop rest.csv --urdf arm.urdf --effects none --no-ceiling --out rest",
+    # with a warning, or refused
+    "close-loop unit.csv --urdf arm.urdf --effects none --out unit",
+    "close-loop rest.csv --urdf arm.urdf --effects none --out rest",
     "close-loop missing.csv --urdf arm.urdf",
     "close-loop arm.csv --urdf missing.urdf",
     "close-loop arm.csv --urdf arm.urdf --effects unheard",
@@ -331,12 +417,16 @@ def write_tables():
         undeclared={"spring": (0, 4.0)},
         random_state=0,
     )
-    columns = np.column_stack([recording.t, recording.q, recording.tau])
+    q, tau = recording.q, recording.tau
+    columns = np.column_stack([recording.t, q, tau])
     half = len(columns) // 2
-    still, constant, unit = columns.copy(), columns.copy(), columns.copy()
+    still, constant, unit, commands = (columns.copy() for _ in range(4))
     still[:, 2] = 0.3
     constant[:, 3:] = 0.5
     unit[:, 3] *= 100.0
+    # commands of the law, logged two samples before they act
+    wanted = q + (tau + 5.0 * recording.states[:, 2:4]) / 100.0
+    commands[:, 3:] = np.concatenate([wanted[2:], wanted[-1:], wanted[-1:]])
     written = {
         "arm": columns,
         "a": columns[:half],
@@ -345,74 +435,123 @@ def write_tables():
         "rest": still,
         "constant": constant,
         "unit": unit,
+        "commands": commands,
+        "other": columns,
     }
+    headers = {"other": "a,b,c,d,e", "commands": "t,q1,q2,q_desired1,q_desired2"}
     for name, table in written.items():
-        header = "t,q1,q2,tau1,tau2"
+        header = headers.get(name, "t,q1,q2,tau1,tau2")
         options = {"fmt": "%.9g", "delimiter": ",", "comments": ""}
         np.savetxt(f"{name}.csv", table, header=header, **options)
-    np.savetxt("other.csv", columns, header="a,b,c,d,e", **options)
+
+
+def run(words):
+    """Run the package as a command."""
+    return subprocess.run(
+        [sys.executable, "-m", "sklearn_vbjfa", *words], capture_output=True, text=True
+    )
+
+
+def typed(command, options):
+    """Return the words of a command as this state spells them."""
+    words = [LAW if word == "LAW" else word for word in command.split()]
+    asked = options.get(command.partition(" ")[0], "")
+    if "--no-ceiling" in asked:
+        words.append("--no-ceiling")
+    if command.startswith("identify ") and "--no-search" in asked:
+        words.append("--no-search")
+    if "--gain" in words and "unknown" not in asked:
+        words[words.index("--gain") + 1] = "currents"
+    return words
 
 
 def command_line(data_home):
-    """Exit codes, what is printed, and the files of some commands."""
+    """Exit codes of commands, names and numbers of their files."""
     write_tables()
     found, seen = {}, set(Path().rglob("*"))
+    options = {x: run([x, "--help"]).stdout for x in ("close-loop", "identify")}
     for command in COMMANDS:
-        run = subprocess.run(
-            [sys.executable, "-m", "sklearn_vbjfa", *command.split()],
-            capture_output=True,
-            text=True,
-            # What is shown of the progress hangs on the clock.
-            env={**os.environ, "TQDM_DISABLE": "1"},
-        )
         title = f"'{command}'"
-        found[f"{title}, exit code"] = np.array(run.returncode)
-        found[f"{title}, printed"] = run.stdout
-        found[f"{title}, said"] = run.stderr
+        before = resource.getrusage(resource.RUSAGE_CHILDREN)
+        found[f"{title}, exit code"] = run(typed(command, options)).returncode
+        after = resource.getrusage(resource.RUSAGE_CHILDREN)
+        seconds = [x.ru_utime + x.ru_stime for x in (before, after)]
+        found[f"seconds|{title}"] = seconds[1] - seconds[0]
         new = sorted(path for path in Path().rglob("*") if path not in seen)
         seen.update(new)
-        found[f"{title}, files"] = np.array([path.as_posix() for path in new])
+        found[f"{title}, files"] = [path.as_posix() for path in new]
         for path in new:
-            if path.suffix in {".json", ".csv", ".urdf", ".xml"}:
-                found[f"{title}, {path}"] = path.read_text()
+            found |= {f"{title}, file|{path}{k}": v for k, v in numbers(path).items()}
     return found
 
 
-PARTS = {"tables": tables, "head": head, "robots": robots}
-PARTS |= {name: functools.partial(closed_loop, name) for name in SETS}
-PARTS |= {"command line": command_line}
+def numbers(path):
+    """Numbers of a file by key; none of the saved model, which has no fixed format."""
+    kind = path.suffix[1:]
+    if kind in READERS:
+        return {f", {key}": value for key, value in READERS[kind](path).items()}
+    if kind == "json" and path.name != "identified.json":
+        return {"": flat(json.loads(path.read_text()))}
+    if kind == "csv":
+        with path.open(newline="") as file:
+            return {"": flat(list(csv.DictReader(file)))}
+    return {}
+
+
+def flat(value, key=""):
+    """Numbers and labels of nested dicts and lists, by path."""
+    if isinstance(value, dict):
+        parts = [(f"{key}/{RENAMED.get(k, k)}", x) for k, x in value.items()]
+    elif isinstance(value, (list, tuple, np.ndarray)):
+        parts = [(f"{key}/{k}", x) for k, x in enumerate(value)]
+    else:
+        try:
+            return {key: float(value)}
+        except (TypeError, ValueError):
+            return {key: value} if key.rpartition("/")[2] in LABELS else {}
+    return {k: x for name, part in parts for k, x in flat(part, name).items()}
+
+
+PARTS = {"tables": tables, "identifiers": identifiers, "whole robot": whole_robot}
+PARTS |= {name: functools.partial(recorded, name) for name in SETS}
+PARTS |= {"go2": go2, "command line": command_line}
+
+# -- freezing and comparing ------------------------------------------------------------
 
 
 def run_part(name, path, checkout, data_home):
-    """Store what one part finds, from a folder of its own."""
+    """Store the figures of one part, computed in a temporary folder."""
     package = Path(sklearn_vbjfa.__file__).parents[1]
     if not package.samefile(checkout):
         raise SystemExit(f"the package is that of {package}, not of {checkout}")
     path = os.path.abspath(path)
     with tempfile.TemporaryDirectory() as folder:
         # Several files are one recording, which has the name of their folder.
-        own = Path(folder) / "recordings"
-        own.mkdir()
-        os.chdir(own)
+        work = Path(folder) / "recordings"
+        work.mkdir()
+        os.chdir(work)
         with warnings.catch_warnings():
-            # convergence and doubts are compared, not wanted
             warnings.simplefilter("ignore")
             try:
                 figures = PARTS[name](data_home)
             except OSError as missing:
-                if name not in SETS:
+                if name not in (*SETS, "go2"):
                     raise
                 print(f"{name}: left out, {missing}", flush=True)
                 return
-    figures = {k: v if isinstance(v, str) else v.tolist() for k, v in figures.items()}
+    figures = {
+        key: value if isinstance(value, dict) else np.asarray(value).tolist()
+        for key, value in figures.items()
+        if value is not None
+    }
     usage = [resource.getrusage(who) for who in (0, resource.RUSAGE_CHILDREN)]
-    own = {
+    part = {
         "seconds": round(sum(u.ru_utime + u.ru_stime for u in usage), 1),
         "megabytes": round(max(u.ru_maxrss for u in usage) / 1024),
         "figures": figures,
     }
-    Path(path).write_text(json.dumps(own))
-    print("{}: {seconds} s, {megabytes} MB".format(name, **own), flush=True)
+    Path(path).write_text(json.dumps(part))
+    print("{}: {seconds} s, {megabytes} MB".format(name, **part), flush=True)
 
 
 def freeze(path, checkout, data_home, names):
@@ -423,19 +562,31 @@ def freeze(path, checkout, data_home, names):
     with tempfile.TemporaryDirectory() as folder:
         part = Path(folder) / "part.json"
         for name in names:
-            subprocess.run(
+            done = subprocess.run(
                 [sys.executable, HERE, "part", part, "--only", name, *options],
-                env=os.environ | {"PYTHONPATH": checkout},
-                check=True,
+                env=os.environ | {"PYTHONPATH": checkout, "TQDM_DISABLE": "1"},
             )
-            if part.exists():
+            if done.returncode:
+                print(f"{name}: failed", flush=True)
+            elif part.exists():
                 stored[name] = json.loads(part.read_text())
                 part.unlink()
-    Path(path).write_text(json.dumps(stored))
+            Path(path).write_text(json.dumps(stored))
 
 
-def difference(one, other, metric):
+def same(one, other):
+    """Whether two entries of a file are equal to six digits."""
+    if not (isinstance(one, float) and isinstance(other, float)):
+        return one == other
+    close = math.isclose(one, other, rel_tol=DIGITS, abs_tol=1e-12)
+    return close or (math.isnan(one) and math.isnan(other))
+
+
+def difference(one, other, metric=None):
     """Relative difference of two arrays; infinity where they do not match."""
+    if isinstance(one, dict):
+        common = one.keys() & other.keys()
+        return 0.0 if all(same(one[k], other[k]) for k in common) else np.inf
     one, other = np.asarray(one), np.asarray(other)
     if one.shape != other.shape:
         return np.inf
@@ -453,57 +604,38 @@ def difference(one, other, metric):
     return float(np.linalg.norm(change) / norm if norm else most)
 
 
-def same_line(one, other):
-    """Whether two lines are equal but for the last digits of their numbers."""
-    if one == other:
-        return True
-    if NUMBER.split(one) != NUMBER.split(other):
-        return False
-    pairs = zip(NUMBER.findall(one), NUMBER.findall(other))
-    # what is zero but for rounding has no digits
-    close = {"rel_tol": DIGITS, "abs_tol": 1e-12}
-    return all(math.isclose(float(a), float(b), **close) for a, b in pairs)
-
-
-def differing_lines(one, other):
-    """Return the lines, in pairs, at which two texts differ."""
-    lines = one.splitlines(), other.splitlines()
-    if len(lines[0]) != len(lines[1]):
-        counts = [(f"{len(lines[0])} lines", f"{len(lines[1])} lines")]
-        only = [[x for x in a if x not in set(b)] for a, b in (lines, lines[::-1])]
-        return counts + [(x, None) for x in only[0]] + [(None, x) for x in only[1]]
-    return [(a, b) for a, b in zip(*lines) if not same_line(a, b)]
-
-
 def differences(one, two):
-    """Return what differs between the figures of a part, name -> how."""
+    """Return the differences between figures that both states have, name -> text."""
     found = {}
-    for key in sorted(one.keys() | two.keys()):
-        if key not in one or key not in two:
-            found[key] = "only in the first" if key in one else "only in the second"
-        elif isinstance(one[key], str) or isinstance(two[key], str):
-            changed = differing_lines(str(one[key]), str(two[key]))
-            if changed:
-                shown = [f"\n  - {a}\n  + {b}" for a, b in changed[:3]]
-                found[key] = f"{len(changed)} line(s)" + "".join(shown)
-        else:
-            metric = None
-            if "theta|" in key:
-                metric = np.asarray(one[key.split("theta|")[0] + "metric"])
-            apart = difference(one[key], two[key], metric)
-            if not apart <= TOLERANCE:
-                found[key] = f"{apart:.2e}" if np.isfinite(apart) else "differs"
+    for key in sorted(one.keys() & two.keys()):
+        if key.startswith("seconds|"):
+            continue
+        metric = None
+        if "theta|" in key and key.split("theta|")[0] + "metric" in one:
+            metric = np.asarray(one[key.split("theta|")[0] + "metric"])
+        apart = difference(one[key], two[key], metric)
+        if not apart <= (DIGITS if "file|" in key else TOLERANCE):
+            found[key] = f"{apart:.2e}" if np.isfinite(apart) else shown(one, two, key)
     return found
 
 
+def shown(one, two, key):
+    """Describe a difference that has no size."""
+    one, two = one[key], two[key]
+    if isinstance(one, dict):
+        changed = [k for k in one if k in two and not same(one[k], two[k])]
+        first = [f"{k} {one[k]} -> {two[k]}" for k in changed[:3]]
+        return f"{len(changed)} of {len(one)} numbers: {'; '.join(first)}"
+    return "{} -> {}".format(*(str(x)[:200] for x in (one, two)))
+
+
 def compare(path, other):
-    """Print what differs between two files; return whether anything does."""
+    """Print the differences between two files; return whether there are any."""
     one, two = (json.loads(Path(file).read_text()) for file in (path, other))
     different = False
-    for name in one.keys() | two.keys():
-        if name not in one or name not in two:
-            print(f"{name}: only in {path if name in one else other}")
-            different = True
+    for name in one.keys() ^ two.keys():
+        print(f"{name}: only in {path if name in one else other}")
+        different = True
     for name in (name for name in PARTS if name in one and name in two):
         parts = one[name], two[name]
         figures = [part["figures"] for part in parts]
@@ -511,8 +643,15 @@ def compare(path, other):
         for key, how in found.items():
             print(f"{name}: {key}: {how}")
         different |= bool(found)
+        common = figures[0].keys() & figures[1].keys()
+        for which, own in zip(("first", "second"), figures):
+            if lacking := sorted(own.keys() - common):
+                print(f"{name}: only in the {which}: {', '.join(lacking)}")
+        for key in sorted(key for key in common if key.startswith("seconds|")):
+            cost = [f"{x[key]:.2f} s" for x in figures]
+            print(f"{name}: {key[8:]}: {' -> '.join(cost)}")
         cost = [f"{p['seconds']} s and {p['megabytes']} MB" for p in parts]
-        n = len(figures[0].keys() | figures[1].keys())
+        n = sum(not key.startswith("seconds|") for key in common)
         print(f"{name}: {n - len(found)} of {n} equal; {' -> '.join(cost)}")
     return different
 
@@ -521,26 +660,16 @@ def main(argv=None):
     """Freeze, or compare."""
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     actions = arguments.add_subparsers(dest="action", required=True)
-    for name, does in (
-        ("freeze", "store the figures of one state"),
-        ("part", "store those of one part, which is named; freeze calls it"),
-    ):
-        action = actions.add_parser(name, help=does)
+    # "part" is what "freeze" starts
+    for name in ("freeze", "part"):
+        action = actions.add_parser(name)
         action.add_argument("path", metavar="FILE")
-        action.add_argument(
-            "--checkout",
-            type=os.path.abspath,
-            default=str(HERE.parents[2]),
-            metavar="FOLDER",
-        )
-        action.add_argument(
-            "--data-home",
-            type=os.path.abspath,
-            default=os.environ.get("SKLEARN_VBJFA_DATA"),
-            metavar="FOLDER",
-        )
+        here = str(HERE.parents[2])
+        action.add_argument("--checkout", type=os.path.abspath, default=here)
+        data = os.environ.get("SKLEARN_VBJFA_DATA")
+        action.add_argument("--data-home", type=os.path.abspath, default=data)
         action.add_argument("--only", choices=PARTS, action="append")
-    action = actions.add_parser("compare", help="print what differs")
+    action = actions.add_parser("compare")
     action.add_argument("path", metavar="FILE")
     action.add_argument("other", metavar="OTHER")
     arguments = arguments.parse_args(argv)

@@ -450,11 +450,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 "identifier must be a RobotIdentifier, the declared model; got "
                 f"{type(self.identifier).__name__}."
             )
-        if self.identifier.period is not None:
-            raise ValueError(
-                "identifier must have period=None: averaged periods leave no blocks of "
-                f"time to judge by; got period={self.identifier.period!r}."
-            )
         if self.identifier.criterion != "torque":
             raise ValueError(
                 'identifier must have criterion="torque", as the search looks at what '

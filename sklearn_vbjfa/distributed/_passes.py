@@ -44,6 +44,7 @@ from sklearn_vbjfa.regression import (
     fit_moments,
 )
 from sklearn_vbjfa.robot._equations import accumulate, segments
+from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._parallel import run_elsewhere
@@ -52,7 +53,6 @@ from sklearn_vbjfa.robot._plan import (
     make_plan,
     n_fastest,
     smooth,
-    takes_moments,
 )
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
@@ -105,7 +105,7 @@ def fit_recordings(estimator, source, *, on_bad_files="raise"):
         If a file cannot be read or has another sample period or number of joints, if
         all have with ``on_bad_files="warn"``, if a file changes while the passes over
         the files go on, or if settings of an identifier need more than second moments
-        (effects, `period`, `block_noise`, other regressors).
+        (effects, other regressors).
 
     Warns
     -----
@@ -404,18 +404,14 @@ def _sources(source):
 def _check_settings(identifier):
     asked = {
         "effects": len(identifier.effects_) > 0,
-        "period": identifier.period is not None,
-        "block_noise or regressor": not takes_moments(
-            identifier.regressor, identifier.block_noise
-        ),
+        "regressor": not from_moments(identifier.regressor),
     }
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
         raise ValueError(
             f"fit_recordings does not support {', '.join(refused)}: the workers return "
             "second moments of the rigid bodies and their friction only. Use "
-            "effects=(), period=None, block_noise=False and a VBJFARegressor or "
-            "JFARegressor, or fit in memory."
+            "effects=() and a VBJFARegressor or JFARegressor, or fit in memory."
         )
 
 

@@ -196,11 +196,6 @@ def check_drive(settings):
             "drive has gains of its own, and cannot be combined with gains: leave "
             "gains=None."
         )
-    if settings.period is not None:
-        raise ValueError(
-            "drive cannot be combined with period: leave period=None; motion that "
-            "repeats is found."
-        )
 
 
 def delay_of(drive, declared):

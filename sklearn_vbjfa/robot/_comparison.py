@@ -104,7 +104,7 @@ def methods(n_parameters):
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=_BLOCKS)
     lasso = LassoCV(cv=_BLOCKS, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
     alone = {"regressor": None, "bodies": "free", "alike": None}
-    plain = {"projector": None, "block_noise": False, "alike": None}
+    plain = {"projector": None, "alike": None}
     return {
         OURS: {**alone, "projector": "default"},
         "VB + description": {
@@ -155,11 +155,6 @@ def compare_methods(identifier, train, test, *, names=None, of_both=False):
     # train, test: (X, y, groups); names: by default all; of_both: whether errors are
     # over the torque's deviation in both parts, as in a report, and not in each.
     # Returns a `MethodResult` each, and the fitted identifier of the first method.
-    if identifier.period is not None:
-        raise ValueError(
-            "Methods are compared on recordings as they are: identifier must have "
-            f"period=None; got {identifier.period!r}."
-        )
     base = clone(identifier)
     X, y, groups = train
     own = {"dt": base.dt, "joint_names": base.load().joint_names_}

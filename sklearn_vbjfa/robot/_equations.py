@@ -84,10 +84,6 @@ class Equations:
         )
         return replace(found, ranges=self.ranges)
 
-    def reweighted(self, factor):
-        """Return the same equations with weights multiplied by factors (n, nv)."""
-        return replace(self, weight=self.weight * factor)
-
     def zeroed(self, entries):
         """Return the same equations with entries (nv, p), bool, set to zero."""
         instruments = self.instruments
@@ -731,7 +727,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
             torque=recording.tau[part],
             weight=weight[part],
             standstill=plan.standstill,
-            edge=edge_rows(part.stop - part.start, plan.smoother),
+            edge=edge_rows(part.stop - part.start, plan.state_estimator),
             feedback=recording.feedback,
             number=first + i,
         )
@@ -748,7 +744,7 @@ def numbered(recording, plan):
     centres = [plan.lowpass.centres(n) for n in sizes]
     lengths, clock = [own.size for own in centres], recording.clock()
     # A mean period holds each phase once.
-    if clock is None or plan.repeats or not sum(lengths):
+    if clock is None or not sum(lengths):
         return Numbering.of(lengths)
     repetition = find_repetition(recording.q, clock, recording.segments)
     if not repetition:

@@ -16,7 +16,7 @@ from sklearn_vbjfa.regression import (
 )
 from sklearn_vbjfa.robot._bodies import around, as_described, little_learned
 from sklearn_vbjfa.robot._features import nominal_followers
-from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter, sum_moments
+from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 
 # Largest weight of a joint's equations in units of its mean squared torque: no robot is
 # modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
@@ -27,8 +27,6 @@ _FINEST = 1e8
 IDENTIFIABLE = 1e-9
 # ... and so does a parameter with more than this share in such directions.
 LOST = 1e-6
-# Rows of a block of constant noise: 2.5 periods of the cut-off.
-_BLOCK_ROWS = 10
 # Student's t has a deviation from three degrees of freedom on.
 _LEAST_FREEDOM = 3.0
 
@@ -55,8 +53,6 @@ class Estimate:
     # the diagonal where nothing tells a parameter, None if the regressor has none
     covariance: np.ndarray | None = None
     projector: object = None
-    # (n, nv) or None: relative precision of each row's noise, piece by piece
-    block_factors: list | None = None
     bodies: object = None  # what the description added, where bodies have a prior
     # (p,): factors by which residuals correlated in time widen the deviations
     wider: np.ndarray | None = None
@@ -138,18 +134,13 @@ def estimate(
     *,
     joint_weights="auto",
     rows=(),
-    block_noise=False,
     forward=None,
 ):
     """Estimate one parameter vector from the equations of all joints; not projected."""
     # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
-    # the equations themselves, if the regressor or `block_noise` (noise that differs
-    # between blocks of time) needs them; forward: (regressor, rows, weights) -> keyword
-    # arguments of its `fit`.
+    # the equations themselves, if the regressor needs them; forward: (regressor, rows,
+    # weights) -> keyword arguments of its `fit`.
     regressor = default_regressor() if regressor is None else clone(regressor)
-    factors = None
-    if block_noise:
-        factors, rows, moments = _weigh_blocks(rows)
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
     if from_moments(regressor):
@@ -168,7 +159,6 @@ def estimate(
         input_noise=noise,
         moments=moments.in_stretches(),
         regressor=regressor,
-        block_factors=factors,
         wider=wider,
         pooled=pooled,
     )
@@ -248,19 +238,6 @@ def beside_description(found, description, bodies="prior"):
         covariance=covariance,
         bodies=replace(posterior, noise=noise),
     )
-
-
-def _weigh_blocks(rows):
-    """Weight rows by the precision of their blocks: factors, equations, moments."""
-    blocks, first = [], 0
-    for one in rows:
-        block = first + np.arange(one.tau.shape[0]) // _BLOCK_ROWS
-        first = int(block[-1]) + 1
-        blocks.append(block)
-    factors = block_precisions(rows, blocks)
-    weighed = [one.reweighted(factor) for one, factor in zip(rows, factors)]
-    total = sum_moments(map(reweighted_moments, rows, factors))
-    return factors, weighed, total
 
 
 def resolve_weights(joint_weights, moments):
@@ -582,59 +559,3 @@ def noise_weights(moments, max_iter=30, tol=1e-6):
         if change.size == 0 or change.max() < tol:
             break
     return 1.0 / variance
-
-
-# Degrees of freedom of Student's t; the customary value for robust regression without
-# tuning (Lange, Little and Taylor, 1989).
-_STUDENT_FREEDOM = 4.0
-
-
-def block_precisions(pieces, blocks, max_iter=20, tol=1e-3):
-    """Relative precision of each joint's noise in each block of time, by EM."""
-    # Residuals are Gaussian with a precision of their own in every block, Gamma(nu/2,
-    # nu/2) times the joint's: a multivariate Student t. Model errors (stiction,
-    # transients) are confined to intervals of time, which are then down-weighted.
-    # Parameters are fitted by weighted least squares in between. blocks: block number
-    # (n,) of each row of each piece; returns weight factors (n, nv), near one, for each
-    # piece.
-    n_blocks = 1 + max(int(block.max()) for block in blocks)
-    nv = pieces[0].tau.shape[1]
-    nu = _STUDENT_FREEDOM
-    factor = np.ones((n_blocks, nv))
-    count = sum(_by_block(one.weight, b, n_blocks) for one, b in zip(pieces, blocks))
-    for _ in range(max_iter):
-        moments = _sum_moments(pieces, blocks, factor)
-        weight = noise_weights(moments)
-        theta = least_squares(
-            np.einsum("j,jik->ik", weight, moments.G), weight @ moments.g
-        )
-        squares = sum(
-            _by_block(one.weight * (one.tau - one.Phi @ theta) ** 2, b, n_blocks)
-            for one, b in zip(pieces, blocks)
-        )
-        scaled = squares * weight
-        new = (nu + count) / (nu + scaled)
-        new = np.where(count > 0, new, 1.0)
-        change = np.abs(new / factor - 1).max()
-        factor = new
-        if change < tol:
-            break
-    return [factor[b] for b in blocks]
-
-
-def _by_block(values, block, n_blocks):
-    out = np.zeros((n_blocks, values.shape[1]))
-    np.add.at(out, block, values)
-    return out
-
-
-def _sum_moments(pieces, blocks, factor):
-    return sum_moments(
-        reweighted_moments(replace(one, difference=None, blocks=None), factor[block])
-        for one, block in zip(pieces, blocks)
-    )
-
-
-def reweighted_moments(one, factor):
-    """Moments of equations with weights times (n, nv); the number of rows is kept."""
-    return replace(one.reweighted(factor).moments(), n=one.weight.sum(axis=0))

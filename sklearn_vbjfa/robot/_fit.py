@@ -36,6 +36,7 @@ from sklearn_vbjfa.robot._estimate import (
     PlainEstimate,
     beside_description,
     estimate,
+    from_moments,
     identifiable,
     plain_estimate,
     project,
@@ -50,7 +51,7 @@ from sklearn_vbjfa.robot._gains import (
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._output_error import refine
-from sklearn_vbjfa.robot._plan import needs_load, takes_moments
+from sklearn_vbjfa.robot._plan import needs_load
 from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import check_count
@@ -191,7 +192,6 @@ class Recipe:
 
     regressor: object = None
     joint_weights: object = "auto"
-    block_noise: bool = False
     projector: object = "default"
     bodies: str = "free"
     description: object = None  # that bodies are near, a `Description`
@@ -209,7 +209,6 @@ class Recipe:
             self.regressor,
             joint_weights=self.joint_weights,
             rows=[one.zeroed(zeros) for one in rows],
-            block_noise=self.block_noise,
         )
         if self.description is not None:
             found = beside_description(found, self.description, self.bodies)
@@ -221,7 +220,7 @@ class Recipe:
 
     def of_equations(self, robot, pieces, made=()):
         """Fit a robot to equations, which may be a stream."""
-        if takes_moments(self.regressor, self.block_noise):
+        if from_moments(self.regressor):
             moments = sum_moments(one.moments() for one in pieces)
             return self.of_moments(robot, moments, made=made)
         rows = list(pieces)
@@ -231,7 +230,7 @@ class Recipe:
     def of_source(self, robot, source):
         """Fit a robot to its recording, in parallel where second moments suffice."""
         made = source.segments(robot)
-        if takes_moments(self.regressor, self.block_noise):
+        if from_moments(self.regressor):
             return self.of_moments(robot, source.moments(made, robot.plan), made=made)
         if has_fit_parameter(self.regressor, "instruments"):
             pieces = source.instrumented(robot)

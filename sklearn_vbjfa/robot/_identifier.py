@@ -37,7 +37,6 @@ from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._output_error import check_criterion
-from sklearn_vbjfa.robot._periods import measure_periods
 from sklearn_vbjfa.robot._plan import (
     Plan,
     check_effects,
@@ -181,24 +180,16 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         recordings. None masks nothing.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations, see `JointTorqueRegressor`.
-    block_noise : bool, default=False
-        Whether intervals of time in which the model fails are down-weighted, see
-        `JointTorqueRegressor`.
     input_noise : "auto" or None, default="auto"
         ``"auto"``: given positions, the noise of the regressor is measured by
         computing it from the even and the odd samples separately, whose white encoder
         noise is independent; a regressor that accepts a noise covariance (the default
         one) corrects for it. None treats the regressor as exact.
-    period : float, default=None
-        Period [s] of a motion that repeats from the first row of every recording on: a
-        whole number of samples, at least two periods. The even and the odd periods
-        are averaged separately and the mean period is fitted. Unlike even and odd
-        samples, they share no noise of any colour.
     torque_noise : float or array-like of shape (nv,), default=None
         Standard deviation of the white noise of one torque sample [N m or N], for
         `noise_floor_`. None measures it in the fitted torques, above the band of the
         low-pass. Interpolation attenuates noise: for interpolated rows, give the
-        `torque_noise` of the recording. With `period` it is always measured.
+        `torque_noise` of the recording.
     n_jobs : int, default=None
         Number of recordings, or pieces of them, processed in parallel, in threads
         unless a `joblib.parallel_config` says otherwise; None is one, -1 all
@@ -325,8 +316,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         spectrum above the band of the fit, extrapolated into it. nan where it cannot
         be determined: nothing lies above the band, the spectrum there resembles no
         smooth noise spectrum, or it still rises towards the band and the residual
-        between the motion's band and the cut-off is not its continuation. With
-        `period` it is measured between periods, in the band.
+        between the motion's band and the cut-off is not its continuation.
     input_noise_torque_ : ndarray of shape (nv,)
         Input noise component of the floor [N m or N].
     output_noise_ : ndarray of shape (nv,)
@@ -410,9 +400,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         state_cutoff="auto",
         standstill="auto",
         joint_weights="auto",
-        block_noise=False,
         input_noise="auto",
-        period=None,
         torque_noise=None,
         n_jobs=None,
         forgetting=1.0,
@@ -436,9 +424,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.state_cutoff = state_cutoff
         self.standstill = standstill
         self.joint_weights = joint_weights
-        self.block_noise = block_noise
         self.input_noise = input_noise
-        self.period = period
         self.torque_noise = torque_noise
         self.n_jobs = n_jobs
         self.forgetting = forgetting
@@ -551,13 +537,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         given = recording.tau, self.dt, self.joint_names_
         self._feedback = recording.feedback
         reference = check_reference(self.controller, reference, *given)
-        periods = measure_periods(self, recording, self.effects_)
-        plan, recording, states = self._prepare(recording, periods)
+        plan, recording, states = self._prepare(recording)
         noise = given_noise(
             self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
         )
-        if periods is not None:
-            noise = periods.filtered_torque_noise(plan.lowpass)
         robot = self._robot_of(plan, noise, recording.signals)
         source = Source(
             recording=recording,
@@ -570,7 +553,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             source = with_signs(recipe, robot, source, before)
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
-        if periods is None and self.torque_noise is None:
+        if self.torque_noise is None:
             clock = plan.clock(recording)
             facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
             fit = self._with_noise(fit, facts)
@@ -592,7 +575,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""
-        names = "regressor", "joint_weights", "block_noise", "projector", "bodies"
+        names = "regressor", "joint_weights", "projector", "bodies"
         return Recipe(
             gains=self._found_gains,
             masses=self._masses,
@@ -857,16 +840,14 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
         check_time_stamps(t, self.dt, parts)
 
-    def _prepare(self, recording, periods):
+    def _prepare(self, recording):
         """Return the plan of the fit, the recording to fit, and its states."""
         estimator = None
         if recording.states is None:
             source = recording.q, recording.groups
-            if periods is not None:
-                source = periods.both_starts()
             estimator = fit_states(check_dt(self.dt), self.state_cutoff, *source)
         halves = self.input_noise is not None
-        states, facts = observe(recording, estimator, periods, halves, self.n_jobs)
+        states, facts = observe(recording, estimator, halves, self.n_jobs)
         if estimator is not None:
             travel = facts.highest - facts.lowest
             check_speed(self.dt, facts.fast(), travel, self.features_.model_)
@@ -882,13 +863,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             facts,
         )
         plan = plan.set_to(recording)
-        if periods is None:
-            check_length(recording.segments, plan.lowpass, plan.cutoff)
-            return plan, recording, states
-        return (
-            replace(plan, repeats=True),
-            *periods.extended(recording, states, plan.lowpass.half),
-        )
+        check_length(recording.segments, plan.lowpass, plan.cutoff)
+        return plan, recording, states
 
     # -- from a fit to attributes ----------------------------------------------------
 
@@ -904,7 +880,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             fit.robot.plan.lowpass,
             regressor=None if self.regressor is None else clone(self.regressor),
             joint_weights=self.joint_weights,
-            block_noise=self.block_noise,
             dt=self.dt,
             cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
         )
@@ -948,7 +923,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ------
         ValueError
             If X does not hold states, settings need more than second moments (effects,
-            `period`, `block_noise`, other regressors), `standstill` is ``"auto"``
+            other regressors), `standstill` is ``"auto"``
             without a previous fit, or there are fewer equations than parameters to
             refit.
         """

@@ -109,10 +109,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         length is lost at each end of a recording.
     decimation : int, default=None
         Decimation factor; None keeps four filtered samples per period of the cut-off.
-    block_noise : bool, default=False
-        Whether the noise of each joint may differ between blocks of time (ten
-        filtered rows, 2.5 periods of the cut-off): a Student t with four degrees of
-        freedom down-weights intervals in which the model fails.
 
     Attributes
     ----------
@@ -128,8 +124,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         Weights of the joints.
     n_rows_ : ndarray of shape (nv,)
         Number of equations of each joint.
-    block_factors_ : list of ndarray of shape (n_rows, nv) or None
-        Relative precision of each row's noise, piece by piece of the recording.
     parameter_names_ : tuple of str or None
         Names of the parameters, such as "joint_1:m", from those of the columns of
         `RigidBodyFeatures`; None if X has no such names.
@@ -196,7 +190,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         dt=None,
         cutoff=None,
         decimation=None,
-        block_noise=False,
     ):
         self.regressor = regressor
         self.projector = projector
@@ -204,7 +197,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self.dt = dt
         self.cutoff = cutoff
         self.decimation = decimation
-        self.block_noise = block_noise
 
     def __sklearn_tags__(self):
         """Tags of a regressor with one or several outputs."""
@@ -326,7 +318,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             regressor,
             joint_weights=self.joint_weights,
             rows=pieces,
-            block_noise=self.block_noise,
             forward=forward,
         )
 
@@ -350,7 +341,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         self.n_rows_ = found.moments.n_rows
         self.metric_, self.input_noise_ = found.metric, found.input_noise
         self.statistics_ = replace(found.moments, blocks=None, recordings=None)
-        self.regressor_, self.block_factors_ = found.regressor, found.block_factors
+        self.regressor_ = found.regressor
 
     def _project(self, theta):
         self.projector_ = None

@@ -10,9 +10,9 @@ from scipy.linalg import blas
 
 from sklearn_vbjfa.effects import declared_columns
 from sklearn_vbjfa.robot._equations import RegressorRows
+from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._features import refuse_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, joint_moments
-from sklearn_vbjfa.robot._plan import takes_moments
 from sklearn_vbjfa.robot._ranges import SignalRanges
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 
@@ -171,16 +171,14 @@ def check_online(identifier, effects):
         )
     asked = {
         "effects": len(effects) > 0,
-        "period": identifier.period is not None,
-        "block_noise": bool(identifier.block_noise),
-        "regressor": not takes_moments(identifier.regressor, identifier.block_noise),
+        "regressor": not from_moments(identifier.regressor),
     }
     refused = [name for name, is_asked in asked.items() if is_asked]
     if refused:
         raise ValueError(
             f"partial_fit does not support {', '.join(refused)}: it keeps second "
-            "moments of the rigid bodies and their friction only. Use effects=(), "
-            "period=None, block_noise=False and a VBJFARegressor or JFARegressor."
+            "moments of the rigid bodies and their friction only. Use effects=() "
+            "and a VBJFARegressor or JFARegressor."
         )
 
 

@@ -255,11 +255,6 @@ def check_criterion(settings):
         raise ValueError(
             "criterion='simulation' needs the sample period: give dt in seconds."
         )
-    if settings.period is not None:
-        raise ValueError(
-            "criterion='simulation' simulates recordings as they are, and cannot take "
-            "the mean of their periods: set period to None."
-        )
 
 
 def _check_window(window):

@@ -14,7 +14,6 @@ from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Effect, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import Shelf, check_cutoff, check_dt
-from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import (
     RecordingStates,
@@ -56,8 +55,6 @@ class Plan:
     effects: tuple = ()  # effects that add columns to the regressor
     # whether the regressor accepts a measured covariance of the input noise
     corrects_noise: bool = False
-    # whether rows are periods continued at both ends, which need no edge mask
-    repeats: bool = False
     # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
     fastest_period: np.ndarray | None = None
     # first and last time of the rows [s], if effects need the clock
@@ -71,11 +68,6 @@ class Plan:
     # (nv,): half of the jump that an acceleration makes when its joint turns round, see
     # `corners` [rad/s^2 or m/s^2]; None where it is not known
     corners: np.ndarray | None = None
-
-    @property
-    def smoother(self):
-        """State estimator that is one-sided at the ends; None for periods."""
-        return None if self.repeats else self.state_estimator
 
     def clock(self, recording):
         """Return the time of each row [s]; stamped only if effects need it."""
@@ -153,11 +145,6 @@ def corrects_noise(regressor):
         getattr(regressor, "latent", None) == "correlated"
         and regressor.input_noise is None
     )
-
-
-def takes_moments(regressor, block_noise):
-    """Whether a fit needs second moments only."""
-    return from_moments(regressor) and not block_noise
 
 
 # -- effects ---------------------------------------------------------------------------
@@ -265,18 +252,13 @@ def _fastest_period(facts, accelerations):
     return np.divide(2 * np.pi * fast, strong, out=out, where=strong > 0)
 
 
-def observe(recording, estimator, periods, halves, n_jobs):
+def observe(recording, estimator, halves, n_jobs):
     """Estimate the states of a recording, and the statistics of its motion."""
-    # estimator: None if states are given; periods: `PeriodAverages` that replace the
-    # recording by its mean period, or None; halves: also from even and odd samples, or
-    # periods. Returns `RecordingStates` and `MotionFacts`.
-    if periods is not None:
-        states = periods.mean_states(estimator, halves)
-    elif estimator is None:
-        states = RecordingStates.of_rows(recording.segments, recording.states)
-    else:
+    # estimator: None if states are given; halves: also from even and odd samples.
+    if estimator is not None:
         keep = n_fastest(recording.n_samples)
         return smooth(recording, estimator, halves, keep, n_jobs)
+    states = RecordingStates.of_rows(recording.segments, recording.states)
     whole = states.own[0] if len(states.own) == 1 else np.concatenate(states.own)
     q, v, a = np.split(whole, 3, axis=1)
     facts = MotionFacts.of(q, v, n_fastest(whole.shape[0]))

@@ -613,7 +613,7 @@ class IdentifiedRobot(SimulatesTorques):
             made = segments(
                 recording,
                 states,
-                replace(self.held_plan, repeats=False),
+                self.held_plan,
                 self.features_,
                 theta=self.load,
                 rest=rest,
@@ -631,7 +631,7 @@ class IdentifiedRobot(SimulatesTorques):
         """Torques of a `Recording` behind the low-pass of the fit, none predicted."""
         smoother = self.smoother(recording.inputs, recording.groups)
         states = RecordingStates.of(recording, smoother)
-        plan = replace(self.plan, effects=(), repeats=False)
+        plan = replace(self.plan, effects=())
         recording = as_driven(recording, self.plan)
         made = segments(recording, states, plan, self.features_)
         (found,) = compare(made, [plan.lowpass], None)
@@ -1105,7 +1105,7 @@ class IdentifiedRobot(SimulatesTorques):
         """
         if states is None:
             states = self.query(recording.inputs, recording.groups)[0]
-        plan = replace(self.plan, repeats=False, tangents=True)
+        plan = replace(self.plan, tangents=True)
         made = RecordingStates.of_rows(recording.segments, states)
         made = segments(recording, made, plan, self.features_, theta=self.load)
         return joined(equations(made, plan.lowpass))

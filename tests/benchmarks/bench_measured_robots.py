@@ -111,13 +111,13 @@ def _fit(identifier, part, **settings):
     return clone(identifier).set_params(**settings).fit(*part[:2], groups=part[2])
 
 
-def _rows(results, suffix=""):
+def _rows(results):
     rows = []
     for result in results:
         percent = 100 * result.error
         finite = percent[np.isfinite(percent)]
         mean = finite.mean() if finite.size else np.nan
-        rows.append([result.name + suffix, *fixed(percent), *fixed([mean])])
+        rows.append([result.name, *fixed(percent), *fixed([mean])])
     return rows
 
 
@@ -125,12 +125,9 @@ def measure(name, data_home, names=None):
     """Report of one set: list of paragraphs, and the rows of the summary."""
     recording, protocol, identifier, (train, test) = load(name, data_home)
     results, base = compare_methods(identifier, train, test, names=names)
-    blocks, _ = compare_methods(
-        clone(identifier).set_params(block_noise=True), train, test, names=[OURS]
-    )
     joints = base.joint_names_
     headers = ["error [%]", *(f"j{j + 1}" for j in range(len(joints))), "mean"]
-    rows = _rows(results) + _rows(blocks, ", block_noise=True")
+    rows = _rows(results)
     if name == "ur5":
         reference = [*fixed(_REFERENCE_UR5), *fixed([np.mean(_REFERENCE_UR5)])]
         rows.append(["WLS, reference", *reference])
@@ -171,7 +168,6 @@ def measure(name, data_home, names=None):
     summary = [
         name,
         *fixed([100 * by_name[OURS], 100 * by_name.get("WLS", np.nan)]),
-        *fixed([100 * np.nanmean(blocks[0].error)]),
         f"{smallest:.1e}",
         f"{100 * change:+.1f}",
     ]
@@ -240,7 +236,6 @@ def main(argv=None):
             "mean error [%]",
             OURS,
             "WLS",
-            "with block_noise",
             "smallest eigenvalue",
             "projection's effect [%]",
         ],

@@ -91,7 +91,6 @@ def test_measured_robots_on_the_demo(monkeypatch):
     monkeypatch.setattr(bench, "load", short)
     paragraphs, summary = bench.measure("demo", None, [bench.OURS, "VB"])
     text = "\n\n".join(paragraphs)
-    assert "VB + projection, block_noise=True" in text
     assert "Smallest pseudo-inertia eigenvalue" in text
     assert summary[0] == "demo"
     # 5 % of torque noise, less behind the low-pass, and 8 s to learn from.

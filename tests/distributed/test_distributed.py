@@ -305,9 +305,7 @@ def test_an_estimator_of_another_kind_is_refused(recording, folder):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"period": 1.0}, "does not support period"),
-        ({"regressor": Ridge()}, "does not support block_noise or regressor"),
-        ({"block_noise": True}, "does not support block_noise or regressor"),
+        ({"regressor": Ridge()}, "does not support regressor"),
         ({"dt": 0.02}, r"npz: its dt is 0\.01 s but dt = 0\.02 s"),
     ],
 )

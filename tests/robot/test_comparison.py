@@ -157,11 +157,3 @@ def test_the_settings_name_every_family():
     # all but ours leave the parameters as estimated
     projected = [n for n, settings in chosen.items() if settings["projector"]]
     assert projected == [OURS, "VB + description"]
-
-
-def test_averaged_periods_are_refused(simulated, parts):
-    identifier = RobotIdentifier(
-        simulated.urdf, dt=simulated.dt, period=1.0, friction=("viscous",)
-    )
-    with pytest.raises(ValueError, match=r"period=None; got 1\.0"):
-        compare_methods(identifier, *parts)

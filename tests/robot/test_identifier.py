@@ -327,20 +327,6 @@ def test_sample_weight_zero_leaves_out(identified, simulated):
     assert far.sum() > 500
 
 
-def test_block_noise_resists_a_stretch_that_the_model_misses(simulated, new_motion):
-    tau = simulated.tau.copy()
-    tau[400:550] += 2 * simulated.tau.std(axis=0)
-    error = [
-        squared_error(
-            identify(simulated, tau, block_noise=on),
-            new_motion.states,
-            new_motion.tau_clean,
-        ).mean()
-        for on in (False, True)
-    ]
-    assert error[1] < 0.3 * error[0]
-
-
 # -- residuals
 
 

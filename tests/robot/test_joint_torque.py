@@ -414,52 +414,6 @@ def test_without_a_projector_theta_is_a_copy(rng):
     assert model.theta_ is not model.theta_unconstrained_
 
 
-# -- noise by blocks of time
-
-
-@pytest.mark.parametrize("regressor", [LinearRegression(), None], ids=["ols", "vb"])
-def test_block_noise_discounts_a_stretch_that_the_model_misses(rng, regressor):
-    Phi, tau, theta = joint_equations(rng, n=1000, noise=0.1)
-    # one joint sticks for a tenth of the time
-    tau[300:400, 1] -= 0.8 * (Phi[300:400, 1] @ theta)
-    plain, robust = (
-        JointTorqueRegressor(regressor, block_noise=on).fit(wide(Phi), tau)
-        for on in (False, True)
-    )
-    error = [np.linalg.norm((m.theta_ - theta) / theta) for m in (plain, robust)]
-    assert error[1] < 0.5 * error[0]
-    assert plain.block_factors_ is None
-    factor = np.concatenate(robust.block_factors_)
-    assert factor.shape == (1000, 3)
-    stuck = np.zeros((1000, 3), dtype=bool)
-    stuck[300:400, 1] = True
-    assert factor[stuck].max() < 0.1 * np.median(factor[~stuck])
-    assert factor[~stuck].min() > 0.2
-
-
-def test_block_noise_leaves_even_noise_alone(rng):
-    Phi, tau, _ = joint_equations(rng, n=2000, noise=NOISE)
-    plain = fitted(Phi, tau)
-    robust = fitted(Phi, tau, block_noise=True)
-    # Ten rows a block, four degrees of freedom: weights scatter by some 40 %, which
-    # moves an estimate by a fraction of its deviation.
-    deviation = np.sqrt(np.diag(np.linalg.inv(plain.metric_)))
-    assert np.all(np.abs(robust.theta_ - plain.theta_) < 1.5 * deviation)
-
-
-def test_block_noise_behind_the_filter_and_across_recordings(rng):
-    Phi, tau, theta = joint_equations(rng, n=1200, noise=0.1)
-    tau[600:750] += 20.0
-    groups = np.repeat([0, 1], 600)
-    settings = {"dt": 0.01, "cutoff": 20.0, "fit": {"groups": groups}}
-    error = []
-    for on in (False, True):
-        model = fitted(Phi, tau, block_noise=on, **settings)
-        error.append(np.linalg.norm((model.theta_ - theta) / theta))
-    assert error[1] < 0.5 * error[0]
-    assert len(model.block_factors_) == 2
-
-
 # -- shapes and errors
 
 

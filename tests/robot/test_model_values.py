@@ -443,7 +443,6 @@ def test_signs_of_standstill_masks_and_filters_do_not_hinder():
     "given",
     [
         {"regressor": LinearRegression()},
-        {"block_noise": True},
         {"input_noise": None},
         {"joint_weights": [1.0, 2.0, 0.5]},
         {"friction": ("viscous", "coulomb", "offset")},
@@ -459,36 +458,6 @@ def test_settings_of_the_fit_do_not_hinder(given):
     assert np.all(std < 0.05)
     there = measured(ARM, ELSEWHERE, TRUTH, VISCOUS[:3])
     assert np.abs(robot.predict(ELSEWHERE) - there).max() < 0.02 * np.abs(there).max()
-
-
-def test_values_of_a_motion_that_repeats():
-    period = 4.0
-    t = np.arange(0.0, 4 * period - 0.5 * DT, DT)
-    rng = np.random.default_rng(0)
-    w = 2 * np.pi / period * np.arange(1, 5)[:, None]
-    phase = rng.uniform(0, 2 * np.pi, size=(4, 3))
-    wave = (w * t)[:, :, None] + phase[:, None]
-    size = (0.5 / np.arange(1, 5))[:, None, None]
-    parts = (
-        np.sin(wave),
-        w[:, :, None] * np.cos(wave),
-        -((w**2)[:, :, None]) * np.sin(wave),
-    )
-    states = np.hstack([(size * x).sum(axis=0) for x in parts])
-    tau = torques(ARM, TRUTH, states, 0.1)
-    q = states[:, :3] + 2e-5 * rng.normal(size=(t.size, 3))
-    robot = RobotIdentifier(
-        ARM,
-        dt=DT,
-        period=period,
-        effects=idle(TRUTH),
-        projector=None,
-        friction=("viscous",),
-    ).fit(q, tau)
-    expected = np.concatenate([e.values for e in TRUTH])
-    std = own(robot, robot.theta_std_)
-    assert np.all(np.abs(values(robot) - expected) < 4 * std)
-    assert np.all(std < 0.05)
 
 
 # -- what no recording shows, and what is implausible

@@ -190,8 +190,6 @@ def test_what_is_no_weight_is_refused(recording, forgetting):
     ("settings", "name"),
     [
         ({"effects": (Ripple(joint=1),)}, "effects"),
-        ({"period": 1.0}, "period"),
-        ({"block_noise": True}, "block_noise"),
         ({"regressor": Ridge()}, "regressor"),
     ],
 )

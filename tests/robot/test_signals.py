@@ -186,12 +186,6 @@ def test_signals_have_names(signals):
         fitted(signals={3: WARM})
 
 
-def test_a_mean_period_knows_no_signals():
-    periodic = robot(EFFECT, period=1.0)
-    with pytest.raises(ValueError, match=r"signal change\(s\) with time"):
-        periodic.fit(ARM.q, TAU, groups=ARM.groups, signals=GIVEN)
-
-
 def test_what_varies_steadily_or_with_a_period_is_accepted():
     for values in (
         WARM,

@@ -79,13 +79,12 @@ def test_size_for_white_residuals():
     assert_allclose(np.mean(ratio, axis=0), 1.02, atol=0.08)
 
 
-@pytest.mark.parametrize("settings", [{}, {"block_noise": True}])
-def test_slow_residuals_count(settings):
+def test_slow_residuals_count():
     ratio = []
     for seed in range(8):
         widths = []
         for rho in (0.0, 0.9):
-            robot = fitted(*pendulum(seed, rho), **settings)
+            robot = fitted(*pendulum(seed, rho))
             widths.append(robot.theta_std_[robot.identifiable_])
         ratio.append(widths[1] / widths[0])
     # sqrt(19) for a signal that is slow beside the noise

@@ -191,7 +191,7 @@ def _amount(identifier, recording, parts):
     if recording.states is None:
         known = recording.q, recording.groups
         estimator = fit_states(identifier.dt, identifier.state_cutoff, *known)
-    states, facts = observe(recording, estimator, None, False, identifier.n_jobs)
+    states, facts = observe(recording, estimator, False, identifier.n_jobs)
     limit = resolve_standstill(identifier.standstill, facts.fast())
     cutoff = resolve_cutoff(
         identifier.cutoff,

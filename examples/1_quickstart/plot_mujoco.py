@@ -32,7 +32,7 @@ fitted, kept = recording.groups == 0, recording.groups == 1
 declared = RobotIdentifier(
     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
 )
-loop = EffectDiscovery(declared, ceiling=False, random_state=0)
+loop = EffectDiscovery(declared, random_state=0)
 loop.fit(recording.q[fitted], recording.tau[fitted])
 models = {"declared": loop.declared_, "completed": loop.identifier_}
 for effect in loop.effects_:

@@ -48,7 +48,7 @@ groups = recording.groups
 # would have the same torques: it is named as a rival. Values and intervals are in
 # radians here, the report has them in degrees and says what to do.
 
-loop = EffectDiscovery(declared, ceiling=False, random_state=0)
+loop = EffectDiscovery(declared, random_state=0)
 loop.fit(*data, groups=groups)
 
 truth = {"roll": roll, "pitch": pitch, "gain": gain}
@@ -70,7 +70,7 @@ print(told[told.index("## Effects that were") : told.index("## What to do next")
 
 plain = [effect.name for effect in resolve() if not effect.in_model]
 print(f"left out: {sorted(set(available()) - set(plain))}")
-misled = EffectDiscovery(declared, effects=plain, ceiling=False, random_state=0)
+misled = EffectDiscovery(declared, effects=plain, random_state=0)
 misled.fit(*data, groups=groups)
 for effect in misled.effects_:
     print(f"{effect.joint_name}: {effect.name} {effect.rivals or ''}")

@@ -93,7 +93,7 @@ EFFECTS += ("offset", "spring", "counterbalance", "ripple")
 def search(*recordings):
     """Close the loop on recordings."""
     robot = RobotIdentifier(model, dt=DT, friction=("viscous", "coulomb"))
-    loop = EffectDiscovery(robot, effects=EFFECTS, ceiling=False, random_state=0)
+    loop = EffectDiscovery(robot, effects=EFFECTS, random_state=0)
     q, tau = (np.concatenate(parts) for parts in zip(*recordings))
     groups = np.repeat(np.arange(len(recordings)), [len(q) for q, _ in recordings])
     loop.fit(q, tau, groups=groups)

@@ -169,12 +169,6 @@ _ARGUMENTS = {
     },
     "--effects": {"metavar": "NAMES"},
     "--seed": {"type": int, "default": 0},
-    "--no-ceiling": {
-        "dest": "ceiling",
-        "action": "store_false",
-        "help": "do not measure what functions of any form would explain of what "
-        "remains; saves some seconds",
-    },
     "--ranges": {
         "metavar": "FILE",
         "help": "file for the ranges of armature, damping, friction and all else that "
@@ -282,7 +276,7 @@ _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
-        f"{_IDENTIFIED} --effects --seed --no-ceiling --workers --quiet",
+        f"{_IDENTIFIED} --effects --seed --workers --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
@@ -291,8 +285,7 @@ _COMMANDS = {
                 "help": "effects to look for, by default all; see the command effects",
             },
             "--seed": {
-                "help": "order in which blocks of time are left out for the ceiling; "
-                "nothing else is random"
+                "help": "recorded in the report; nothing of the search is random"
             },
         },
         "help": "find what the model of your robot lacks",

@@ -47,7 +47,6 @@ def run(arguments, folder):
             recording,
             str(taken.urdf),
             effects=library,
-            ceiling=arguments.ceiling,
             seed=seed,
             torque_noise=recording.torque_noise,
             signals=signals,
@@ -124,7 +123,6 @@ def close(
     alike="auto",
     effects="all",
     cutoff="auto",
-    ceiling=True,
     seed=0,
     torque_noise=None,
     gains=None,
@@ -150,9 +148,7 @@ def close(
         drive=drive,
         n_jobs=-1,
     )
-    loop = EffectDiscovery(
-        identifier, effects=effects, ceiling=ceiling, random_state=seed
-    )
+    loop = EffectDiscovery(identifier, effects=effects, random_state=seed)
     if recording.stored or drive is not None:
         # The report calls recordings after their files.
         return loop.fit_recording(recording, signals)

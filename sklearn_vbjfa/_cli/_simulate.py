@@ -338,9 +338,7 @@ def _robots(recording, urdf, library, known, settings):
         if robot.drive is None:
             recording = replace(recording, t=known["t"])
         return {"simulated": robot.fit_inspected(recording)}
-    loop = _close_loop.close(
-        recording, urdf, effects=library, ceiling=False, **known, **settings
-    )
+    loop = _close_loop.close(recording, urdf, effects=library, **known, **settings)
     robots = {"declared": loop.declared_}
     if loop.added_:
         robots["four plain terms"] = loop.plain_

@@ -79,19 +79,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     alpha : float, default=0.05
         Share of recordings with nothing missing in which an effect may be named: an
         effect is named from a posterior probability of ``1 - alpha`` on. Also the
-        level, over all joints, of `ceiling_` and of recordings that contradict each
-        other.
+        level of recordings that contradict each other.
     max_effects : int or None, default=None
         Maximum number of effects to add.
     settings : SearchSettings or None, default=None
         Further numbers that decide, see `sklearn_vbjfa.diagnosis.SearchSettings`; None
         takes its defaults.
-    ceiling : bool, default=True
-        Whether to measure what functions of any form would explain of the residual of
-        joints that stay above their noise floor, see `ceiling_`.
     random_state : int, RandomState instance or None, default=None
-        Seed of the order in which blocks of time are left out for `ceiling_`; None
-        counts as 0. Neither search nor intervals are random. Recorded in the report.
+        Recorded in the report. Neither search nor intervals are random.
     verbose : int, default=0
         If not 0, show :ref:`progress bars <progress>` on terminals.
 
@@ -128,14 +123,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     unexplained_ : tuple of Unexplained
         Joints whose residual stays above the noise floor, how much of the torque that
         is, and the signals it varies with.
-    ceiling_ : ndarray of shape (nv, 3)
-        Share of the squared residual of the completed model, in the search part, that
-        a flexible function explains of a joint's own speed and load; of its own state
-        and history; of the states and loads of all joints. It is what repeats, on other
-        blocks of time and, where there are several, on other recordings;
-        ``report_.outcome.ceiling`` has both. Zero where it is no more than chance, nan
-        for joints that are not in `unexplained_` or hardly move, and with
-        ``ceiling=False``.
     hidden_ : tuple of Hidden
         Effects that this robot or this recording cannot show.
     identifier_ : RobotIdentifier
@@ -269,7 +256,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         alpha=0.05,
         max_effects=None,
         settings=None,
-        ceiling=True,
         random_state=None,
         verbose=0,
     ):
@@ -279,7 +265,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.alpha = alpha
         self.max_effects = max_effects
         self.settings = settings
-        self.ceiling = ceiling
         self.random_state = random_state
         self.verbose = verbose
 
@@ -616,9 +601,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if outcome.projection is not None:
             self.projection_price_ = outcome.projection.price
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
-        self.ceiling_ = np.full((len(outcome.joint_names), 3), np.nan)
-        for one in outcome.ceiling:
-            self.ceiling_[one.joint] = one.share
         self.report_ = Report(outcome)
         return self
 

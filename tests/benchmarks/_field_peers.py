@@ -171,7 +171,7 @@ def identified(case, part, peer):
         more, lines = {"regressor": regressor, "projector": None}, lines + 2
     robot = declared(model, case, part, **more)
     if peer == SEARCH:
-        robot, lines = EffectDiscovery(robot, random_state=0, ceiling=False), lines + 1
+        robot, lines = EffectDiscovery(robot, random_state=0), lines + 1
     robot = fit(robot, part)
     held_out = case.held_out
     predicted = robot.predict(held_out["q"], groups=held_out["groups"])

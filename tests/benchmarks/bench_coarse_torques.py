@@ -64,7 +64,7 @@ def run(task):
     model, q, tau = record(task["joints"], task["step"], task["seed"])
     declared = DECLARED[task["seed"] % len(DECLARED)]
     identifier = RobotIdentifier(model, dt=DT, friction=declared)
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.perf_counter()
     result = {**task, "declared": declared, "names": [], "error": "", "status": ""}
     try:

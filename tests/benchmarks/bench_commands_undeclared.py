@@ -85,7 +85,7 @@ def fitted_by(way, case):
     recording = commands.recording_of(case["described"], gains, case["fitted"])
     if way != COMPLETED:
         return robot.fit_recording(recording), ()
-    loop = EffectDiscovery(robot, random_state=0, ceiling=False)
+    loop = EffectDiscovery(robot, random_state=0)
     loop.fit_recording(recording)
     return loop.identifier_, loop.effects_
 

@@ -71,7 +71,7 @@ def identifier(whole):
 
 def loop(whole):
     """Return the loop, with springs as its only effects."""
-    return EffectDiscovery(identifier(whole), effects=["spring"], ceiling=False)
+    return EffectDiscovery(identifier(whole), effects=["spring"])
 
 
 def dying(function, marker):

@@ -131,7 +131,7 @@ def judge(truth, effects):
 def close_loop(robot, executions, dt, **settings):
     """Look for effects in recordings of a robot."""
     identifier = RobotIdentifier(robot.nominal, dt=dt, friction=robot.declared)
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         return loop.fit(

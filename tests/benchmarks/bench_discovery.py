@@ -79,7 +79,7 @@ def judge(recording):
     identifier = RobotIdentifier(
         recording.model, dt=recording.dt, friction=recording.declared
     )
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -396,7 +396,7 @@ def judge(kind, joints, seed, with_effect, **settings):
         "size": made.size,
     }
     identifier = RobotIdentifier(made.model, dt=made.dt, friction=DECLARED[joints])
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     started = time.process_time()
     try:
         with warnings.catch_warnings():

@@ -117,7 +117,7 @@ class GivenModel:
 
 def complete(identifier, part, effects="all"):
     """Search the training part for effects, then fit all of it with them."""
-    loop = EffectDiscovery(identifier, effects=effects, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, effects=effects, random_state=0)
     loop.fit(*part[:2], groups=part[2])
     found = loop.identifier_.effects
     completed = clone(identifier).set_params(effects=found)

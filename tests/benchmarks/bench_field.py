@@ -341,7 +341,7 @@ def by_the_board(data_home):
         )
         named = "nothing"
         if name == SEARCH:
-            robot = EffectDiscovery(robot, random_state=0, ceiling=False)
+            robot = EffectDiscovery(robot, random_state=0)
         robot.fit(parts[0].q, parts[0].tau)
         if name == SEARCH:
             named = names_of(robot.effects_, recording.joint_names)

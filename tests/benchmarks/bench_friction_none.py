@@ -71,7 +71,7 @@ def recording_of(case):
 def judge(recording):
     """Close the loop on a recording with no declared friction; a dict of results."""
     identifier = RobotIdentifier(recording.robot_model(), dt=recording.dt, friction=())
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

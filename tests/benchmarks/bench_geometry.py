@@ -228,7 +228,7 @@ def floor_of(recording):
     """Error on the held-out part with all that is wrong put right, (nv,)."""
     model, q, tau = recording.put_right()
     identifier = RobotIdentifier(model, dt=recording.dt, friction=FRICTION)
-    loop = EffectDiscovery(identifier, effects=[], ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, effects=[], random_state=0)
     loop.fit(q, tau, groups=recording.groups)
     return loop.error_before_
 
@@ -281,7 +281,7 @@ def run(task, simulation=None, **settings):
 
 def _run_loop(recording, settings):
     identifier = RobotIdentifier(recording.model, dt=recording.dt, friction=FRICTION)
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     signals = _taken_signals(loop.fit, recording.signals)
     started = time.process_time()
     loop.fit(recording.q, recording.tau, groups=recording.groups, **signals)

@@ -65,9 +65,7 @@ def timed(identifier, q, tau, groups, effects):
     processor, seconds : float
         Processor time and time [s].
     """
-    loop = EffectDiscovery(
-        clone(identifier), effects=effects, ceiling=False, random_state=0
-    )
+    loop = EffectDiscovery(clone(identifier), effects=effects, random_state=0)
     started, used = time.perf_counter(), time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -184,7 +184,6 @@ def close(identifier, model, q, tau, groups, **settings):
     """Close the loop; return what was named and the errors, as plain numbers."""
     loop = EffectDiscovery(
         clone(identifier).set_params(model=model),
-        ceiling=False,
         random_state=0,
         **settings,
     )

@@ -32,7 +32,7 @@ REAL = {
 # Refusals that are followed at most.
 PATIENCE = 4
 # A report without the search: what counts is how the data get in.
-QUICK = ("--effects", "none", "--no-ceiling", "--cutoff", "10")
+QUICK = ("--effects", "none", "--cutoff", "10")
 
 
 def attempt(argv):

@@ -15,15 +15,13 @@ Data, all at 200 Hz, seeds as given:
 
 All effects of the library are looked for. The time is that of ``EffectDiscovery.fit``
 alone, in a process that has fitted a short recording before, the smallest of
-``--repeat``, with and without the ceiling where the loop has one (`ceiling`). Beside it
+``--repeat``. Beside it
 stand the processor time, which a busy machine leaves as it is, and how much of the time
 the check of the channels took, which looks for swapped and misplaced ones where a model
-fits poorly. Targets on two cores: 10 s for six joints without the ceiling, 30 s with
-it, 60 s for 60 joints.
+fits poorly. Targets on two cores: 10 s for six joints, 60 s for 60 joints.
 """
 
 import functools
-import inspect
 import sys
 import time
 import warnings
@@ -43,8 +41,7 @@ DT = 0.005
 SEED = 0
 NOISE = 0.03
 STRANGE = 5.0
-TARGETS = {"without": 10.0, "with": 30.0}
-MANY_TARGET = 60.0
+TARGET, MANY_TARGET = 10.0, 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,14 +136,6 @@ CASES = {
 }
 
 
-def ceilings():
-    """Return (label, settings) of the loop without and with the ceiling."""
-    known = inspect.signature(EffectDiscovery).parameters
-    if "ceiling" not in known:
-        return [("without", {})]
-    return [("without", {"ceiling": False}), ("with", {"ceiling": True})]
-
-
 def measure(case, repeat=1, **settings):
     """Return the loop, its time, its processor time and that of the channels [s].
 
@@ -185,13 +174,12 @@ def measure(case, repeat=1, **settings):
     return loop, *min(times)
 
 
-def row(name, label, case, loop, seconds, processor, channels):
+def row(name, case, loop, seconds, processor, channels):
     """Row of the table."""
     nv = case.q.shape[1]
-    target = TARGETS[label] if nv <= 6 else MANY_TARGET
+    target = TARGET if nv <= 6 else MANY_TARGET
     return [
         name,
-        label,
         nv,
         f"{len(case.q) * DT:.0f}",
         len(loop.effects_),
@@ -207,7 +195,6 @@ def row(name, label, case, loop, seconds, processor, channels):
 
 HEADERS = [
     "robot",
-    "ceiling",
     "joints",
     "recording [s]",
     "effects found",
@@ -232,11 +219,9 @@ def main(argv=None):
     rows = []
     for name in arguments.cases:
         case = CASES[name]()
-        for label, settings in ceilings():
-            found = measure(case, arguments.repeat, **settings)
-            rows.append(row(name, label, case, *found))
-            print(" | ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
-    publish("loop_time", rst_table(rows, HEADERS, n_labels=2), write=arguments.write)
+        rows.append(row(name, case, *measure(case, arguments.repeat)))
+        print(" | ".join(map(str, rows[-1])), file=sys.stderr, flush=True)
+    publish("loop_time", rst_table(rows, HEADERS, n_labels=1), write=arguments.write)
 
 
 if __name__ == "__main__":

@@ -161,7 +161,7 @@ def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
     dict
         ``errors``: method -> errors of the joints; effects, failures and times.
     """
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     started = time.perf_counter()
     loop.fit(q, tau, groups)
     seconds = time.perf_counter() - started

@@ -37,7 +37,7 @@ def judge(name, label, fitted, judged, search, data_home=None):
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **effects)
+        loop = EffectDiscovery(identifier, random_state=0, **effects)
         loop.fit(fit.q, fit.tau, groups=fit.groups)
         left = loop.identifier_.residuals(unseen.q, unseen.tau, groups=unseen.groups)
     promised = loop.report_.outcome.next_recording

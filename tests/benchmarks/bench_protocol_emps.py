@@ -80,7 +80,7 @@ def fit_models(recording, **settings):
         cutoff=CUTOFF,
         standstill=None,
     )
-    loop = EffectDiscovery(robot, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(robot, random_state=0, **settings)
     loop.fit(recording.q, recording.tau)
     models = {
         "RobotIdentifier, whole recording": robot.fit(recording.q, recording.tau),

@@ -159,7 +159,7 @@ def judge(recording, identifier, scale, label, fitted, judged, **settings):
     """
     fit, unseen = recording.select(*fitted), recording.select(*judged)
     started = time.perf_counter()
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     loop.fit(fit.q, fit.tau, groups=fit.groups)
     seconds = time.perf_counter() - started
     declared = clone(identifier).fit(fit.q, fit.tau, groups=fit.groups)

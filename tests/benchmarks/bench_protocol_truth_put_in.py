@@ -277,7 +277,7 @@ def close(case, identifier, **settings):
         Arguments of `EffectDiscovery`.
     """
     robot = clone(identifier).set_params(model=case.model)
-    loop = EffectDiscovery(robot, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(robot, random_state=0, **settings)
     started = time.perf_counter()
     try:
         loop.fit(case.q, case.tau, groups=case.groups, **_taken(loop.fit, case.signals))

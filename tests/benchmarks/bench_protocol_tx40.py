@@ -49,7 +49,7 @@ def fit_loop(recording, **settings):
     robot = RobotIdentifier(
         recording.robot_model(), dt=recording.dt, friction=FRICTION, cutoff=CUTOFF
     )
-    loop = EffectDiscovery(robot, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(robot, random_state=0, **settings)
     return loop.fit(recording.q[FITTED], recording.tau[FITTED])
 
 

@@ -203,7 +203,7 @@ def judge(name, seed):
     row = ROWS[name]
     model, q, tau, groups, truth, joint = recording(row, seed)
     identifier = RobotIdentifier(model, dt=DT, friction=PLAIN)
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

@@ -196,7 +196,7 @@ def fit(recording, identifier, rows, **settings):
     """
     part = recording.q[rows], recording.tau[rows], recording.groups[rows]
     started = time.perf_counter()
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     loop.fit(*part)
     return Fits(
         declared=clone(identifier).fit(part[0], part[1], groups=part[2]),

@@ -188,7 +188,7 @@ def run(task, simulation=None, **settings):
     identifier = RobotIdentifier(
         recording.model, dt=recording.dt, friction=recording.declared
     )
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

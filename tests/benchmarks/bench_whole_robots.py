@@ -145,7 +145,7 @@ def run(task, duration=30.0, **settings):
     robot = whole_robot(task["seed"], duration)
     declared = STARTS[task["start"]]
     identifier = RobotIdentifier(robot.model, dt=robot.dt, friction=declared)
-    loop = EffectDiscovery(identifier, ceiling=False, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0, **settings)
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)

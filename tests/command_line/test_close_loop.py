@@ -224,7 +224,7 @@ def test_what_mujoco_has_no_place_for_is_said(good, urdf, recording, capsys):
         random_state=1,
     )
     write_csv(good, made)
-    options = ["--effects", "load_friction", "--no-ceiling"]
+    options = ["--effects", "load_friction"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     assert "only identified.json has every effect" in capsys.readouterr().out
     report = json.loads(Path("arm-report/report.json").read_text(encoding="utf-8"))
@@ -322,7 +322,7 @@ def test_undetermined_parameters_have_no_deviation(tmp_path):
 
 
 def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
-    options = ["--effects", "none", "--no-ceiling", "--out", "shared"]
+    options = ["--effects", "none", "--out", "shared"]
     command = ["close-loop", "arm.csv", "--urdf", str(urdf), *options]
     assert main([*command, "--alike", "shoulder,elbow"]) == 0
     page = Path("shared/report.html").read_text(encoding="utf-8")
@@ -353,9 +353,6 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == ("coulomb", "spring")
     assert seen["identifier__cutoff"] is None
     assert seen["random_state"] == 7
-    assert seen["ceiling"] is True
-    main(["close-loop", str(good), "--urdf", str(urdf), "--no-ceiling"])
-    assert seen["ceiling"] is False
     main(["close-loop", str(good), "--urdf", str(urdf), "--cutoff", "8"])
     assert seen["identifier__cutoff"] == 8.0
     assert seen["effects"] == "all"
@@ -374,7 +371,7 @@ def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
         random_state=2,
     )
     write_csv(tmp_path / "arm.csv", arm)
-    options = ["--effects", "base_tilt,torque_gain", "--no-ceiling", "--out", "out"]
+    options = ["--effects", "base_tilt,torque_gain", "--out", "out"]
     assert main(["close-loop", "arm.csv", "--urdf", arm.urdf, *options]) == 0
     text = " ".join(capsys.readouterr().out.split())
     assert "the base is not level: gravity is turned by roll" in text
@@ -426,7 +423,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     path.write_text(re.sub(r"<inertial>.*?</inertial>", "", URDF, flags=re.DOTALL))
     gains = np.array([2.0, 0.8])
     source = write_csv(tmp_path / "amperes.csv", recording, tau=recording.tau * gains)
-    options = ["--gain", "unknown", "--effects", "spring", "--no-ceiling"]
+    options = ["--gain", "unknown", "--effects", "spring"]
     options += ["--known-mass", "lower=2", "--out", str(tmp_path / "out")]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -939,7 +936,7 @@ def warm(urdf, tmp_path_factory):
 
 def closed(warm, urdf, out, *more, code=0):
     argv = ["close-loop", str(warm), "--urdf", str(urdf), "--out", str(out)]
-    argv += ["--effects", "offset,signal,drift", "--no-ceiling", *more]
+    argv += ["--effects", "offset,signal,drift", *more]
     assert main(argv) == code
     return json.loads((out / "report.json").read_text(encoding="utf-8"))
 

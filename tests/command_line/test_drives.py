@@ -29,7 +29,7 @@ GAINS = [
     for name, both in (("p", KP), ("d", KD))
     for joint, gain in zip(("shoulder", "elbow"), both)
 ]
-FEW = ("--effects", "spring", "--no-ceiling", "--quiet")
+FEW = ("--effects", "spring", "--quiet")
 
 
 @pytest.fixture(scope="module")

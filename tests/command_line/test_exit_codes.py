@@ -30,7 +30,7 @@ WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
 HAND = URDF.replace("</robot>", LINK.format(**WRIST, centre=0.1, mass=1) + "</robot>")
 # Options that keep the runs short.
 SHORT = {
-    "close-loop": ("--effects", "none", "--no-ceiling", "--out", "out"),
+    "close-loop": ("--effects", "none", "--out", "out"),
     "simulate": ("--window", "0.3", "--out", "out"),
 }
 
@@ -304,9 +304,7 @@ def test_the_last_line_is_brief_where_a_page_has_it_whole():
 def report():
     """Report of a recording without fault."""
     arm = load_demo_recording()
-    loop = close(
-        arm, arm.urdf, friction=("viscous", "coulomb"), effects=(), ceiling=False
-    )
+    loop = close(arm, arm.urdf, friction=("viscous", "coulomb"), effects=())
     assert report_doubts(loop.report_) == []
     return loop.report_
 

@@ -49,7 +49,7 @@ def run(folder, monkeypatch, tmp_path, capsys):
 
 
 def test_the_orientation_is_that_of_the_loop(run, tmp_path):
-    argv = ["--effects", "spring", "--no-ceiling"]
+    argv = ["--effects", "spring"]
     after = {}
     for name, more in (("level", []), ("side", GIVEN)):
         code, out, _ = run("close-loop", *argv, *more, "--out", name)

@@ -70,7 +70,7 @@ def test_the_declared_model_is_as_wrong_as_in_close_loop(folder, capsys):
     (folder / "arm.csv").write_text(text)
     recording = read_recording("arm.csv", urdf="arm.urdf")
     identifier = RobotIdentifier("arm.urdf", dt=recording.dt)
-    loop = EffectDiscovery(identifier, effects=[], ceiling=False)
+    loop = EffectDiscovery(identifier, effects=[])
     loop.fit_recording(recording)
     _, out, _ = identify(capsys, "arm.csv", "--urdf", "arm.urdf")
     error = rows_of(out)["VB + description"][0]

@@ -83,7 +83,7 @@ def run(capsys, *argv):
 
 def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
     path = write(PLAIN)
-    argv = ["close-loop", table, "--urdf", path, "--effects", "spring", "--no-ceiling"]
+    argv = ["close-loop", table, "--urdf", path, "--effects", "spring"]
     code, out, err = run(capsys, *argv)
     assert code == 0
     assert err == ""
@@ -122,7 +122,7 @@ def test_held_joints_of_mjcf(write, table, capsys):
     assert "--joints" in err
     joints = ["--joints", "shoulder,elbow"]
     argv = ["close-loop", table, "--urdf", path, *joints, "--effects", "spring"]
-    code, out, _ = run(capsys, *argv, "--no-ceiling")
+    code, out, _ = run(capsys, *argv)
     assert code == 0
     assert "held at zero" not in out
     page = Path("swing-report/report.html").read_text(encoding="utf-8")
@@ -159,7 +159,7 @@ def test_a_follower_needs_no_columns(write, tmp_path, capsys):
     assert code == 0
     said = "follow other joints, without columns: grip_2"
     assert said in out.splitlines()
-    argv = ["close-loop", source, "--urdf", path, "--effects", "spring", "--no-ceiling"]
+    argv = ["close-loop", source, "--urdf", path, "--effects", "spring"]
     code, out, _ = run(capsys, *argv)
     # The column of the follower, which nobody asks for, is no signal, and no doubt.
     assert code == 0

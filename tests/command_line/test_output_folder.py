@@ -14,7 +14,7 @@ from tests.hostile._case import URDF, clean_text
 
 pytest.importorskip("pinocchio")
 
-QUICK = ("--effects", "none", "--no-ceiling", "--cutoff", "8", "--quiet")
+QUICK = ("--effects", "none", "--cutoff", "8", "--quiet")
 
 
 @pytest.fixture

@@ -21,7 +21,7 @@ from tests.command_line.test_close_loop import FILES, URDF, write_csv
 
 COMMANDS = ("close-loop", "identify", "inspect")
 # Options that keep the runs short.
-SHORT = {"close-loop": ("--effects", "spring", "--no-ceiling")}
+SHORT = {"close-loop": ("--effects", "spring")}
 
 
 @pytest.fixture(scope="module")

@@ -183,7 +183,7 @@ def test_a_saved_robot_is_simulated_over_all_rows(
 
 
 def test_what_close_loop_writes_is_read(good, urdf, capsys):
-    options = ["--effects", "spring", "--no-ceiling"]
+    options = ["--effects", "spring"]
     assert main(["close-loop", str(good), "--urdf", str(urdf), *options]) == 0
     capsys.readouterr()
     text = run(capsys, good, "--model", "arm-report/identified.json")

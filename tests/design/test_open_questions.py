@@ -40,7 +40,7 @@ def loop(path):
     tau += 0.05 * rng.normal(size=tau.shape)
     robot = RobotIdentifier(path, dt=DT, friction=("viscous",))
     found = EffectDiscovery(
-        robot, effects=("spring", "coulomb", "offset"), ceiling=False, random_state=0
+        robot, effects=("spring", "coulomb", "offset"), random_state=0
     )
     return found.fit(q + 1e-5 * rng.normal(size=q.shape), tau)
 

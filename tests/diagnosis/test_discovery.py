@@ -836,7 +836,9 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     drive = drives.PDDrive(drives.KP, drives.KD, delay=0.0)
     recording = drive.driven(told)
     robot = RobotIdentifier(drives.ARM, dt=drives.DT)
-    asked = {"effects": ["jerk", "torque_filter", "delay"], "ceiling": False}
+    asked = {
+        "effects": ["jerk", "torque_filter", "delay"],
+    }
     measured = EffectDiscovery(robot, **asked).fit(recording.states, recording.tau)
     assert [one.joint for one in measured.effects_] == [1]
     made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)

@@ -29,9 +29,7 @@ def discover(truth, recording=ARM, effects=LIBRARY, declared=(), model=None, **t
     robot = recording.robot(effects=declared)
     if model is not None:
         robot.set_params(model=model)
-    return faulty.discover(
-        faulty.torque(**torque), effects=list(effects), robot=robot, ceiling=False
-    )
+    return faulty.discover(faulty.torque(**torque), effects=list(effects), robot=robot)
 
 
 TRUTHS = {
@@ -113,7 +111,7 @@ def test_a_free_base_that_was_held_askew(tmp_path):
     # A base that leans has gravity turned the other way.
     assert_allclose(told.effects_[0].values, [-lean, 0.0], atol=np.deg2rad(0.2))
     declared = RobotIdentifier(path, dt=recording.dt)
-    loop = EffectDiscovery(declared, ceiling=False, random_state=0).fit(*data)
+    loop = EffectDiscovery(declared, random_state=0).fit(*data)
     assert named(loop) == [("base_tilt", 0)]
     assert_allclose(loop.effects_[0].parameters["roll"], -lean, atol=np.deg2rad(0.2))
 
@@ -184,15 +182,11 @@ def test_a_robot_without_gravity_has_no_tilt_to_find():
     states = np.hstack([ARM.q, ARM.v, ARM.a])
     weightless = replace(ARM, load=inverse_dynamics(model, states))
     robot = ARM.robot().set_params(model=model)
-    loop = weightless.discover(
-        weightless.torque(), effects=list(LIBRARY), robot=robot, ceiling=False
-    )
+    loop = weightless.discover(weightless.torque(), effects=list(LIBRARY), robot=robot)
     assert named(loop) == []
     declared = ARM.robot(effects=[BaseTilt()]).set_params(model=model)
     with pytest.raises(ValueError, match="the robot description has no gravity"):
-        weightless.discover(
-            weightless.torque(), effects=["offset"], robot=declared, ceiling=False
-        )
+        weightless.discover(weightless.torque(), effects=["offset"], robot=declared)
 
 
 def test_what_does_not_show_is_hidden():
@@ -220,9 +214,9 @@ def test_the_tilt_of_a_robot_of_two_branches_is_one():
         random_state=1,
     )
     robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",))
-    loop = EffectDiscovery(
-        robot, effects=["base_tilt", "offset"], ceiling=False, random_state=0
-    ).fit(recording.q, recording.tau)
+    loop = EffectDiscovery(robot, effects=["base_tilt", "offset"], random_state=0).fit(
+        recording.q, recording.tau
+    )
     assert [e.name for e in loop.effects_] == ["base_tilt"]
     (tilt,) = loop.effects_
     assert (tilt.joint, tilt.scope) == (0, "robot")

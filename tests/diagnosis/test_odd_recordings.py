@@ -80,7 +80,7 @@ def test_coarse_torques_are_told_and_name_nothing(step):
     coarse = size * np.round(tau / size)
     for friction in ((), ("coulomb",), ("viscous", "coulomb", "rotor_inertia")):
         robot = RobotIdentifier(MODEL, dt=DT, friction=friction)
-        loop = EffectDiscovery(robot, effects=PLAIN, ceiling=False).fit(q, coarse)
+        loop = EffectDiscovery(robot, effects=PLAIN).fit(q, coarse)
         if step < 0.2:
             assert named(loop) == [("spring", 1)]
             continue

@@ -49,7 +49,7 @@ def recorded(seed, undeclared=None, disturbance=0.05):
 
 def closed(q, tau, groups=None):
     robot = RobotIdentifier(MODEL, dt=DT, friction=PLAIN)
-    return EffectDiscovery(robot, ceiling=False).fit(q, tau, groups=groups)
+    return EffectDiscovery(robot).fit(q, tau, groups=groups)
 
 
 # With blocks of time in place of phases each of these has names.

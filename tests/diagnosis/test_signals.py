@@ -29,7 +29,7 @@ def heated(temperature):
 
 
 def close(torque, signals, effects=LIBRARY, recording=ONE, X=None, **given):
-    given = {"random_state": 0, "ceiling": False, **given}
+    given = {"random_state": 0, **given}
     loop = EffectDiscovery(recording.robot(), effects=effects, **given)
     X = recording.position if X is None else X
     return loop.fit(X, torque, signals=signals)
@@ -280,7 +280,7 @@ def test_a_declared_signal_goes_through_the_loop():
     declared = Signal(joint=0, signal="temperature", reference=35.0)
     robot = ONE.robot(friction=("viscous", "coulomb"), effects=(declared,))
     torque = heated(CYCLES) + 4.0 * np.c_[0 * SHARE, ONE.q[:, 1]]
-    loop = EffectDiscovery(robot, effects=["spring", "offset"], ceiling=False)
+    loop = EffectDiscovery(robot, effects=["spring", "offset"])
     loop.fit(ONE.position, torque, signals={"temperature": CYCLES})
     assert named(loop) == [("spring", 1)]
     assert loop.identifier_.theta_[-3] == pytest.approx(-FRICTION * FALL / 20, rel=0.1)

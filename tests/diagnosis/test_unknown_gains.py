@@ -51,7 +51,7 @@ def close(recording, masses, effects, declared=(PAYLOAD,)):
         cutoff=None,
         friction=("viscous",),
     )
-    loop = EffectDiscovery(robot, effects=effects, ceiling=False, random_state=0)
+    loop = EffectDiscovery(robot, effects=effects, random_state=0)
     return loop.fit(X, y)
 
 

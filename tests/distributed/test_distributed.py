@@ -178,7 +178,7 @@ def test_a_worker_that_dies_changes_nothing(
 
 def loop(recording):
     """Return a loop that looks for one effect on each joint."""
-    return EffectDiscovery(robot(recording), effects=["spring"], ceiling=False)
+    return EffectDiscovery(robot(recording), effects=["spring"])
 
 
 def sprung(recording):
@@ -273,7 +273,7 @@ def command(recording, tmp_path, monkeypatch):
 
 
 def test_the_command_shares_its_work_out(command, capsys):
-    short = ["--effects", "spring", "--no-ceiling"]
+    short = ["--effects", "spring"]
     found = {}
     for name, more in (("alone", []), ("shared", ["--workers", "1"])):
         assert main([*command, *short, *more, "--out", name]) == 0

@@ -216,7 +216,7 @@ def test_formats_may_be_mixed(two, made):
 @pytest.mark.parametrize("command", ["inspect", "close-loop", "identify", "simulate"])
 def test_every_command_that_reads_joins(command, two, made, tmp_path, capsys):
     more = {
-        "close-loop": ["--effects", "none", "--no-ceiling", "--out", tmp_path / "out"],
+        "close-loop": ["--effects", "none", "--out", tmp_path / "out"],
         "simulate": ["--window", "0.3", "--out", tmp_path / "out"],
     }
     files = [two / "positions.csv", two / "efforts.csv"]

@@ -201,7 +201,6 @@ def test_a_search_finds_what_is_missing_beside_a_follower(path, recorded, motion
     loop = EffectDiscovery(
         RobotIdentifier(str(path), dt=DT, friction=("viscous",)),
         effects=["ripple", "spring"],
-        ceiling=False,
     ).fit(q, tau)
     found = [(one.name, one.joint) for one in loop.effects_]
     assert found == [("spring", 1)]

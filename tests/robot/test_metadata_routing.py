@@ -384,9 +384,7 @@ def test_cross_validation_of_the_identifier_without_routing(recording):
 
 def test_metadata_reach_a_discovery(recording, weight, routing):
     q, tau, groups = recording.q, recording.tau, recording.groups
-    loop = EffectDiscovery(
-        identifier(recording), effects=["coulomb"], max_effects=1, ceiling=False
-    )
+    loop = EffectDiscovery(identifier(recording), effects=["coulomb"], max_effects=1)
     loop.set_fit_request(groups=True, sample_weight=True, t=True)
     loop.set_score_request(groups=True, sample_weight=False, t=True)
     t = recording.t + 10.0 * groups

@@ -306,7 +306,6 @@ def test_what_a_discovery_found(simulated, tmp_path):
     loop = EffectDiscovery(
         RobotIdentifier(simulated.urdf, dt=DT, friction=("viscous",)),
         effects=["spring", "drift"],
-        ceiling=False,
         random_state=0,
     )
     with warnings.catch_warnings():

@@ -71,7 +71,7 @@ def test_the_loop_is_closed_on_sizes():
     )
     drive = CurrentDrive(1.0, signed=False)
     robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
-    loop = EffectDiscovery(robot, random_state=0, ceiling=False)
+    loop = EffectDiscovery(robot, random_state=0)
     loop.fit(recording.q, np.abs(recording.tau))
     assert [(e.name, e.joint) for e in loop.effects_] == [("load_friction", 1)]
 

@@ -4,14 +4,6 @@ from sklearn_vbjfa import _lazily
 
 # Nothing of it is for users but what `EffectDiscovery` hands on.
 _MODULES = {
-    "_ceiling": (
-        "Ceiling",
-        "Map",
-        "Signals",
-        "Stretches",
-        "ceilings",
-        "since_reversal",
-    ),
     "_commands_alone": ("CommandsAlone", "commands_alone"),
     "_contradictions": (
         "Contradiction",
@@ -33,11 +25,9 @@ _MODULES = {
         "time_line",
     ),
     "_evidence": (
-        "Comparison",
         "Dependence",
         "SMALLEST_GAIN",
         "Whitening",
-        "compare",
         "dependences",
         "motion_signals",
         "p_value",

@@ -16,24 +16,6 @@ from sklearn_vbjfa.diagnosis.search._blocks import Bridge, fit_memory
 SMALLEST_GAIN = 0.02
 
 
-@dataclass(frozen=True, kw_only=True)
-class Comparison:
-    """Paired comparison of two models by blocks of time."""
-
-    gain: float  # share of the squared out-of-sample error that the second model saves
-    gain_std: float  # from the scatter between blocks
-    # how likely the blocks would favour the second model so much if it were no better,
-    # see `p_value`; 1 for a model that is worse in the sum of the blocks, or that saves
-    # too little to be named
-    p_value: float
-    n_blocks: int  # in which the models differ
-    helped: float  # share of those in which the second is better
-
-    def significant(self, level, smallest=SMALLEST_GAIN):
-        """Whether the second model is better, beyond chance and worth its name."""
-        return self.p_value < level and self.gain >= smallest
-
-
 def p_value(before, after):
     """One-sided test over blocks that the second errors are the smaller ones."""
     # Wilcoxon's signed ranks keep a few difficult blocks from deciding, but with a
@@ -50,29 +32,6 @@ def p_value(before, after):
     t = ratio.mean() / error if error > 0 else np.copysign(np.inf, ratio.mean())
     mean = special.stdtr(ratio.size - 1, -t)
     return float(min(1.0, 2 * np.fmin(ranks, mean)))
-
-
-def compare(before, after, white=None):
-    """Compare squared errors (n_blocks,) of two models."""
-    # `white` is the same pair in rows from which the residual's memory is taken out,
-    # see `Whitening`; blocks of these are independent, and the p-value is theirs.
-    difference = before - after
-    changed = difference != 0
-    count = int(changed.sum())
-    total = before.sum()
-    if count == 0 or total == 0:
-        return Comparison(gain=0.0, gain_std=0.0, p_value=1.0, n_blocks=0, helped=0.0)
-    judged = (before, after) if white is None else white
-    left = judged[0] - judged[1]
-    better = difference.sum() > 0 and left.sum() > 0
-    used = left != 0
-    return Comparison(
-        gain=float(difference.sum() / total),
-        gain_std=float(difference.std() * np.sqrt(difference.size) / total),
-        p_value=p_value(judged[0][used], judged[1][used]) if better else 1.0,
-        n_blocks=count,
-        helped=float((difference > 0).sum() / count),
-    )
 
 
 # -- rows without their memory ---------------------------------------------------------
@@ -196,11 +155,13 @@ def _step_function(residual, weight, bins, view):
         rows = blocks.fold == k
         coef = np.linalg.lstsq(A[~rows], y[~rows], rcond=1e-10)[0]
         left[rows] -= A[rows] @ coef
-    white = blocks.sums(y**2), blocks.sums(left**2)
-    return (
-        float((before - after).sum() / before.sum()),
-        compare(before, after, white).p_value,
-    )
+    gain = float((before - after).sum() / before.sum())
+    # Blocks without the residual's memory are independent: the p-value is theirs.
+    first, second = blocks.sums(y**2), blocks.sums(left**2)
+    used = first != second
+    if (first - second).sum() <= 0:
+        return gain, 1.0
+    return gain, p_value(first[used], second[used])
 
 
 def motion_signals(motion, names):

@@ -10,7 +10,6 @@ import sklearn
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.explain._ceiling import ceilings
 from sklearn_vbjfa.diagnosis.explain._commands_alone import CommandsAlone
 from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Contradictions,
@@ -159,9 +158,6 @@ class Outcome:
     perhaps: tuple
     rounds: tuple  # the path of the search
     unexplained: tuple  # joints that stay above their noise floor
-    # what functions of any form explain on joints above their floor; empty if not asked
-    # for
-    ceiling: tuple
     hidden: tuple  # effects that could not be looked for
     channels: tuple  # what is wrong with channels of the recording
     joint_names: tuple
@@ -202,7 +198,7 @@ class Outcome:
     # masses of the model that is handed over, and which of them are known
     bodies: tuple = ()
     # residuals and signals for pictures; "seconds" is the time in the held-out part,
-    # its recordings joined [s]; "maps" has a `Map` of some joints, "effects" an
+    # its recordings joined [s]; "effects" has an
     # `EffectCurves` or None of each effect, "friction" and "spectra" the curves of the
     # joints, "line" the `TimeLine`, "positions" that of the positions from commands
     # alone, or None
@@ -242,7 +238,6 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         wide = np.array(judgement.wide or np.full((3, spread.size), np.nan)) / spread
         relative_floor = floor / spread
     rest = unexplained(search.model, names, spread, floor, decided)
-    ceiling, maps = _ceiling(search.model, rest, names, asked)
     parts = Parts.of(final)
     left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
     effects = tuple(_effects(search, final, names, prismatic, float(whole.t[-1])))
@@ -260,7 +255,6 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         perhaps=tuple(effect for effect in effects if effect.doubt),
         rounds=tuple(_rounds(search, names)),
         unexplained=rest,
-        ceiling=ceiling,
         hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
@@ -295,7 +289,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
             parts, spread, float(asked["alpha"]), search.settings
         ),
         next_recording=next_recording(left_out, after, relative_floor),
-        curves=_curves(models, final, judgement, maps, effects, whole),
+        curves=_curves(models, final, judgement, effects, whole),
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
@@ -505,15 +499,7 @@ def _settings(search, judgement, asked):
     }
 
 
-def _ceiling(model, rest, names, asked):
-    """Return what functions of any form explain of the rest, and their maps."""
-    if not asked["ceiling"]:
-        return (), {}
-    joints = [u.joint for u in rest]
-    return ceilings(model, joints, names, asked["alpha"], asked["random_state"])
-
-
-def _curves(models, final, judgement, maps, effects, whole):
+def _curves(models, final, judgement, effects, whole):
     """Residuals of the held-out part with their signals, thinned for pictures."""
     before, after = judgement.before, judgement.after
     m = before.torque.shape[0]
@@ -529,7 +515,6 @@ def _curves(models, final, judgement, maps, effects, whole):
         "after": after.residual[rows],
         "weight": before.weight[rows],
         "torque": before.torque[rows],
-        "maps": maps,
         "effects": tuple(
             own
             for own, effect in zip(effect_curves(final), effects)

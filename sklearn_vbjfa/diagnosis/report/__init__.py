@@ -20,7 +20,6 @@ _MODULES = {
         "WIDTH",
         "effect_figure",
         "line_figure",
-        "map_picture",
         "packed",
         "ticks",
     ),

@@ -1,8 +1,6 @@
 """What was found, what it asks for, and what is still open."""
 
-import math
 import re
-from dataclasses import dataclass
 
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.diagnosis.report import _words as words
@@ -11,23 +9,13 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     is_measured,
     next_sentences,
 )
-from sklearn_vbjfa.diagnosis.report._pictures import map_picture
 from sklearn_vbjfa.diagnosis.report._render import Section, listed, table_of
 from sklearn_vbjfa.robot._ranges import held_text
 
-# A share below this is hardly worth an effect.
-_LITTLE = 0.1
 # Channels of which a terminal names what is wrong.
 _CHANNELS = 2
 # Characters that a terminal has for what to record, and for what an effect is called.
 _ADVICE, _LABEL = 40, 34
-# Fewer signals are named if they explain this share of what more explain.
-_MOST = 0.8
-_FORMS = (
-    "a function of speed and load",
-    "a function of its own state and history",
-    "the motion of other joints",
-)
 _NO_PERIOD = "a motion that does not repeat (design makes one)"
 _WHERE = {"position": "positions", "speed": "speeds", "load": "loads"}
 # A speed below this share of the fastest is that of a reversal.
@@ -274,22 +262,15 @@ def unexplained(outcome, verdict):
         if not first.floor > 0:
             share += ", noise floor unknown"
         sentences.append(f"{joints}: {share}; {_of_the_rest(outcome, group)}")
-    pictures = _maps(outcome)
     return Section(
         heading="Unexplained",
         sentences=tuple(sentences),
-        note=_ceiling_note(outcome),
-        template="unexplained",
-        drawn={"pictures": pictures} if pictures else None,
     )
 
 
 def _of_the_rest(outcome, group):
     """Say what is known of the rest of some joints."""
-    alike = [remains(outcome, u.joint) for u in group]
     first = group[0]
-    if alike[0] is not None:
-        return _statement(alike, first.floor)
     signals = [
         f"{words.signal_label(s.signal, outcome.joint_names, first.joint)} "
         f"({words.whole_percent(s.share)})"
@@ -306,127 +287,9 @@ def _unexplained_groups(outcome, unexplained):
     """Put joints together of which the same is said, but for sizes."""
     groups = {}
     for u in unexplained:
-        found = remains(outcome, u.joint)
-        if found is None:
-            said = u.joint if u.signals else None
-        else:
-            said = u.joint if found.kind == "form" else (found.kind, found.share > 0)
+        said = u.joint if u.signals else None
         groups.setdefault((u.floor > 0, said), []).append(u)
     return groups.values()
-
-
-def _ceiling_note(outcome):
-    """Say what a share of what remains is, for a page."""
-    if not outcome.ceiling:
-        return ""
-    on = "blocks of time that they were not fitted to"
-    if not all(math.isnan(c.across[-1]) for c in outcome.ceiling):
-        on += ", and on other recordings within the speeds and loads fitted"
-    return (
-        "What remains is the squared residual of the completed model in the search "
-        f"part; shares are what boosted trees explain of it on {on}."
-    )
-
-
-def _maps(outcome):
-    """Draw what remains over speed and load, of joints of which these explain it."""
-    found = []
-    for joint, drawn in outcome.curves.get("maps", {}).items():
-        if _has_picture(remains(outcome, joint)):
-            picture = map_picture(drawn)
-            unit = outcome.torque_units[joint]
-            speed = "m/s" if unit == "N" else "rad/s"
-            found.append(
-                (
-                    words.joint_label(outcome.joint_names, joint),
-                    f"full colour: +-{words.number(picture.limit, 2)} {unit}",
-                    f"speed {_range(drawn.speed)} {speed}",
-                    f"load {_range(drawn.load)} {unit}",
-                    picture,
-                )
-            )
-    return tuple(found)
-
-
-def _range(ends):
-    return " to ".join(words.number(end, 2) for end in ends)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Remains:
-    """What remains of a joint's residual."""
-
-    # whether a function explains it, one does within a recording only, or none does
-    kind: str
-    source: int  # fewest signals that do, as an index of a `Ceiling`'s shares
-    share: float  # share of the squared residual that they explain
-
-
-def remains(outcome, joint):
-    """Return what remains of a joint above its floor; None if it is not known."""
-    own = next((c for c in outcome.ceiling if c.joint == joint), None)
-    if own is None or math.isnan(own.share[-1]):
-        # Too short to be judged.
-        return None
-    kind, shares = "form", own.share
-    if shares[-1] < _LITTLE:
-        again = not math.isnan(own.across[-1]) and own.within[-1] >= _LITTLE
-        kind = "recording" if again else "nothing"
-        shares = own.within if again else shares
-    source = next(k for k, x in enumerate(shares) if x >= _MOST * shares[-1])
-    return Remains(kind=kind, source=source, share=shares[source])
-
-
-def _has_picture(found):
-    """Whether a map over speed and load shows what remains."""
-    return found is not None and found.kind == "form" and found.source == 0
-
-
-def _statement(alike, floor):
-    """Say in a sentence what remains."""
-    # alike: `Remains` of joints of which the same is said; one alone if it is a form.
-    # floor: noise floor of one of them, nan if unknown.
-    first = alike[0]
-    if first.kind == "form":
-        return (
-            f"{_FORMS[first.source]} explains {words.whole_percent(first.share)} of "
-            "what remains: no effect of the library has that form"
-        )
-    shares = sorted(found.share for found in alike)
-    if first.kind == "recording":
-        ends = dict.fromkeys(words.whole_percent(x) for x in (shares[0], shares[-1]))
-        return (
-            f"{' to '.join(ends)} of what remains repeats within a recording, nothing "
-            "in the next one: temperature, or what else changed in between"
-        )
-    repeats = "does not repeat" if shares[-1] == 0 else "hardly repeats"
-    if floor > 0:
-        return f"what remains {repeats}: temperature, unmeasured load, or noise"
-    return f"what remains {repeats}; whether it is noise is not known"
-
-
-def remains_of_joint(outcome, joint, text):
-    """Return the statement on a joint, `text` for one that has no ceiling."""
-    found = remains(outcome, joint)
-    if found is None:
-        return text
-    floor = next(u.floor for u in outcome.unexplained if u.joint == joint)
-    return _statement([found], floor)
-
-
-def _record_again(outcome):
-    """Return what to record where what remains does not repeat, joints by advice."""
-    advice = words.record_for_signal("time")
-    found = [u.joint for u in outcome.unexplained if _changes(outcome, u)]
-    return {advice: found} if found else {}
-
-
-def _changes(outcome, rest):
-    """Whether what remains of a joint is there, and changes with time."""
-    found = remains(outcome, rest.joint)
-    if found is None or found.kind == "form":
-        return False
-    return found.kind == "recording" or rest.floor > 0
 
 
 # -- what to record ---------------------------------------------------------------
@@ -440,7 +303,6 @@ def recordings(outcome):
 def _recordings(outcome, most):
     """Say what to record next, with the names of so many joints; a list."""
     wanted = dict.fromkeys([_NO_PERIOD] if outcome.repeated else [], ())
-    wanted |= _record_again(outcome)
     for rest in outcome.unexplained:
         for signal in rest.signals:
             advice = words.record_for_signal(signal.signal)

@@ -1,4 +1,4 @@
-"""Pictures of a page as paths: charts with axes, and maps.
+"""Pictures of a page as paths: charts with axes.
 
 A picture is a frame that a page stretches to the room there is; texts stand beside it.
 The numbers of a chart go along in 16 bits each, for the library that zooms: from them a
@@ -24,7 +24,6 @@ _MOST, _REACH = (0.01, 0.99), 0.5
 # Powers of ten that a spectrum shows.
 _DECADES = 6.0
 # Shades of either sign in a map.
-_SHADES = 6
 # Largest 16-bit number; the smallest stands for nothing.
 _FULL = 32767
 
@@ -35,7 +34,6 @@ class Shape:
 
     kind: str
     path: str
-    opacity: float | None = None  # None for that of the style sheet
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -337,50 +335,6 @@ def _chart(frame, title, x_label, y_label, shapes):
         y_ticks=frame.y_ticks(),
         shapes=tuple(shape for shape in shapes if shape.path),
     )
-
-
-# -- maps -------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class MapPicture:
-    """Two maps, each in a frame; load rises upwards."""
-
-    # of each shade: "up" or "down"
-    measured: tuple
-    function: tuple
-    limit: float  # torque that has the full colour [N m or N]
-
-
-def map_picture(drawn):
-    """Draw a residual over speed and load beside the function that explains it."""
-    sizes = np.abs(drawn.measured[np.isfinite(drawn.measured)])
-    # A few cells with little in them would leave the others pale.
-    limit = float(np.quantile(sizes, 0.95)) if sizes.size else 0.0
-    limit = limit if limit > 0 else 1.0
-    return MapPicture(
-        measured=_shades(drawn.measured / limit),
-        function=_shades(drawn.function / limit),
-        limit=limit,
-    )
-
-
-def _shades(values):
-    """Cells of like values (n_loads, n_speeds) as one path for each shade."""
-    height, width = HEIGHT / values.shape[0], WIDTH / values.shape[1]
-    shade = np.ceil(np.clip(np.abs(values), 0, 1) * _SHADES)
-    found = []
-    for name, sign in (("up", 1), ("down", -1)):
-        for k in range(1, _SHADES + 1):
-            cells = np.argwhere((shade == k) & (np.sign(values) == sign))
-            path = "".join(
-                f"M{column * width:.1f} {HEIGHT - (row + 1) * height:.1f}"
-                f"h{width:.1f}v{height:.1f}h-{width:.1f}z"
-                for row, column in cells
-            )
-            if path:
-                found.append(Shape(kind=name, path=path, opacity=k / _SHADES))
-    return tuple(found)
 
 
 # -- axes -------------------------------------------------------------------------

@@ -6,7 +6,6 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._findings import remains_of_joint
 from sklearn_vbjfa.diagnosis.report._limits import contradiction, doubts, interval_text
 from sklearn_vbjfa.diagnosis.report._render import Section, Table
 
@@ -46,7 +45,6 @@ class JointVerdict:
     status: str
     n_effects: int  # accepted ones
     text: str  # the same in words
-    remains: str  # what is known of what remains, in a sentence
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +103,6 @@ def _judge_joint(outcome, j):
         status=status,
         n_effects=sum(_belongs(e, j) for e in outcome.effects),
         text=text,
-        remains=remains_of_joint(outcome, j, text),
     )
 
 

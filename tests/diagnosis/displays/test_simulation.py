@@ -39,9 +39,7 @@ def fixture_loop(recording):
     robot = RobotIdentifier(
         recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
     )
-    loop = EffectDiscovery(
-        robot, effects=["spring"], ceiling=False, random_state=0, alpha=0.9
-    )
+    loop = EffectDiscovery(robot, effects=["spring"], random_state=0, alpha=0.9)
     return loop.fit(recording.q, recording.tau)
 
 

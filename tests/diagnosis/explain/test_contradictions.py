@@ -255,7 +255,7 @@ def test_recordings_of_one_motion_are_left_out_together():
 
     def expected(*recordings):
         rows = np.isin(groups, recordings)
-        loop = EffectDiscovery(robot, effects=[], ceiling=False)
+        loop = EffectDiscovery(robot, effects=[])
         loop.fit(q[rows], tau[rows], groups=groups[rows])
         return loop.report_.outcome.next_recording
 

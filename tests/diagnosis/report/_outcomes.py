@@ -135,7 +135,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             )
             for j in unexplained
         ),
-        "ceiling": (),
         "hidden": tuple(
             Hidden(
                 name=name,

@@ -249,6 +249,6 @@ def test_alpha_is_the_share_of_recordings_that_get_a_name_they_should_not(memory
             keep = np.exp(-0.02 / memory)
             noise = lfilter([np.sqrt(1 - keep**2)], [1.0, -keep], noise, axis=0)
         torque = recording.torque() + noise
-        wrong += bool(recording.discover(torque, ceiling=False).effects_)
+        wrong += bool(recording.discover(torque).effects_)
     # Six or more of 40 come up in less than 2 % of the cases at 5 %.
     assert wrong <= 5

@@ -129,7 +129,6 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     loop = EffectDiscovery(
         robot,
         effects=["coulomb", "spring", "coupling"],
-        ceiling=False,
         random_state=0,
     ).fit(recording.q, recording.tau)
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
@@ -149,7 +148,7 @@ def test_a_branch_is_told_its_own_commands(two_arms):
     kp = 20.0 + np.arange(8)
     told = {"q_desired": recording.q + recording.tau / kp}
     driven = clone(robot).set_params(drive=PDDrive(kp, 0.0, delay=0.0))
-    loop = EffectDiscovery(driven, effects=["spring"], ceiling=False, random_state=0)
+    loop = EffectDiscovery(driven, effects=["spring"], random_state=0)
     loop.fit_recording(replace(recording, v=None, signals=told))
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
 
@@ -160,7 +159,7 @@ def test_signals_are_those_of_all_branches(two_arms):
     tau = recording.tau.copy()
     tau[:, 3] += 6.0 * tool * np.gradient(recording.q[:, 3], recording.dt)
     library = ["spring", "offset", "coulomb", "signal"]
-    loop = EffectDiscovery(robot, effects=library, ceiling=False)
+    loop = EffectDiscovery(robot, effects=library)
     loop.fit(recording.q, tau, signals={"tool": tool, "other": np.sin(recording.t)})
     assert ("signal", 3) in {(e.name, e.joint) for e in loop.effects_}
     (found,) = (e for e in loop.effects_ if e.name == "signal")
@@ -171,7 +170,7 @@ def test_signals_are_those_of_all_branches(two_arms):
 def test_what_is_hidden_is_told_by_the_robots_joints(two_arms):
     recording, robot = two_arms
     library = ["rotor_inertia", "offset", "coulomb", "joint_zero"]
-    loop = EffectDiscovery(robot, effects=library, ceiling=False)
+    loop = EffectDiscovery(robot, effects=library)
     loop.fit(recording.q, recording.tau)
     told = [(h.name, h.joint) for h in loop.hidden_]
     assert [joint for _, joint in told] == sorted(joint for _, joint in told)

@@ -31,7 +31,7 @@ def own(kind, columns, width=1):
 
 
 def close(library, torque=TORQUE, **given):
-    return ARM.discover(torque, library, ceiling=False, **given)
+    return ARM.discover(torque, library, **given)
 
 
 @pytest.fixture(scope="module")

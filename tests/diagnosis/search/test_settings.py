@@ -18,7 +18,7 @@ NAMES = [field.name for field in fields(SearchSettings)]
 
 
 def close(**given):
-    return ARM.discover(TORQUE, ["spring", "ripple"], ceiling=False, **given)
+    return ARM.discover(TORQUE, ["spring", "ripple"], **given)
 
 
 @pytest.fixture(scope="module")
@@ -92,7 +92,7 @@ def test_half_the_expected_effects_are_half_the_odds(usual):
 
 def test_twice_the_candidates_are_half_the_odds(usual):
     library = ["spring", "ripple", "coupling", "backlash"]
-    more = ARM.discover(TORQUE, library, ceiling=False)
+    more = ARM.discover(TORQUE, library)
     few, many = (
         loop.report_.outcome.settings["n_candidates"] for loop in (usual, more)
     )

@@ -131,5 +131,5 @@ def effects_of(robot, position, torque, labels):
     from sklearn_vbjfa import EffectDiscovery
 
     names = ["coulomb", "offset", "rotor_inertia", "stribeck", "spring", "presliding"]
-    loop = EffectDiscovery(robot, effects=names, ceiling=False)
+    loop = EffectDiscovery(robot, effects=names)
     return loop.fit(position, torque, groups=labels)

@@ -155,9 +155,10 @@ if missing:
         for stage in ("development", "confirmation")
     ]
     print(
-        f"not here: {', '.join(missing)}; get them with `python -m sklearn_vbjfa "
-        f"identify --data NAME`, or name their folder in SKLEARN_VBJFA_DATA. Shown for "
-        f"them: {' and '.join(map(str, tables))}, declared with viscous friction alone."
+        f"not here: {', '.join(missing)}; get them with the loaders of "
+        f"sklearn_vbjfa.datasets, or name their folder in SKLEARN_VBJFA_DATA. Shown "
+        f"for them: {' and '.join(map(str, tables))}, declared with viscous friction "
+        "alone."
     )
     # Above the script in a checkout (no __file__ where the gallery is built), or here.
     for folder in (*Path(sys.argv[0]).resolve().parents, Path.cwd()):

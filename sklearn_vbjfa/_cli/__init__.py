@@ -31,7 +31,6 @@ from sklearn_vbjfa._cli._run import (
 # What commands and tests need of the others; `main` and `program` are for users.
 _MODULES = {
     "_close_loop": ("close", "left_out_lines", "report_doubts", "write_parameters"),
-    "_identify": ("method_doubts",),
     "_input": (
         "check_folder",
         "check_overwriting",
@@ -201,15 +200,6 @@ _ARGUMENTS = {
         "metavar": "S",
         "help": "length of a window [s], by default 1",
     },
-    "--data": {
-        "metavar": "NAME",
-        "help": "demo (default) or a measured set; see the command datasets",
-    },
-    "--data-home": {
-        "metavar": "DIR",
-        "help": "folder of the measured sets, by default scikit-learn's data folder; "
-        "missing files are downloaded to it",
-    },
     "--report": {
         "metavar": "FOLDER",
         "help": "folder that close-loop wrote: what its report.json left open is what "
@@ -296,7 +286,7 @@ _COMMANDS = {
         "identified.json, which the command simulate reads.",
     },
     "inspect": {
-        "run": "_identify:inspect",
+        "run": "_inspect:inspect",
         "arguments": f"recording --urdf {_READ} --signals --quiet",
         "own": _REQUIRED,
         "help": "say what a recording is, what is wrong with it and what it can show",
@@ -365,20 +355,7 @@ _COMMANDS = {
         "what the report left open. Writes the motion as CSV (t, then q_, v_ and a_ of "
         "each joint, in SI units) and a page beside it. Takes a minute or two.",
     },
-    "identify": {
-        "run": "_identify:identify",
-        "arguments": f"recording --urdf --data --data-home {_READ} --friction --bodies "
-        "--alike --cutoff --ranges --quiet",
-        "own": {"recording": {"nargs": "*"}},
-        "help": "identify a recording and compare methods on its held-out part",
-        "description": "Identify a recording and compare the torque errors of fifteen "
-        "methods on the part of it that was held out: of your own recording the one "
-        "that close-loop holds out. Without RECORDING, the one that comes with the "
-        "package, or a measured set. Nothing is written but the file of "
-        "--ranges, of what is not held out.",
-    },
-    "effects": {"run": "_identify:list_effects", "help": "list the library of effects"},
-    "datasets": {"run": "_identify:list_datasets", "help": "list the measured sets"},
+    "effects": {"run": "_inspect:list_effects", "help": "list the library of effects"},
 }
 
 

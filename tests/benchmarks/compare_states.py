@@ -374,7 +374,6 @@ LAW = "pd kp=100,100 kd=5,5"
 COMMANDS = (
     "",
     "effects",
-    "datasets",
     "close-loop arm.csv --urdf arm.urdf --effects spring,ripple,stribeck --out report "
     "--ranges ranges.json",
     "close-loop a.csv b.csv --urdf arm.urdf --effects none --out two",
@@ -385,8 +384,6 @@ COMMANDS = (
     "inspect arm.csv --urdf arm.urdf",
     "inspect gap.csv --urdf arm.urdf",
     "inspect commands.csv --urdf arm.urdf --drive LAW",
-    "identify arm.csv --urdf arm.urdf",
-    "identify a.csv b.csv --urdf arm.urdf --bodies free",
     "simulate arm.csv --urdf arm.urdf --window 0.5 --out simulated",
     "simulate b.csv --model report/identified.json --window 0.3 --out again",
     "design --urdf arm.urdf --duration 4 --acceleration 3 --out motion.csv",
@@ -400,7 +397,6 @@ COMMANDS = (
     "close-loop arm.csv --urdf arm.urdf --out .",
     "close-loop arm.csv",
     "inspect other.csv --urdf arm.urdf",
-    "identify constant.csv --urdf arm.urdf",
     "simulate arm.csv --urdf arm.urdf --window 100",
     "design --urdf arm.urdf --duration -1",
     "no-command",
@@ -420,9 +416,8 @@ def write_tables():
     q, tau = recording.q, recording.tau
     columns = np.column_stack([recording.t, q, tau])
     half = len(columns) // 2
-    still, constant, unit, commands = (columns.copy() for _ in range(4))
+    still, unit, commands = (columns.copy() for _ in range(3))
     still[:, 2] = 0.3
-    constant[:, 3:] = 0.5
     unit[:, 3] *= 100.0
     # commands of the law, logged two samples before they act
     wanted = q + (tau + 5.0 * recording.states[:, 2:4]) / 100.0
@@ -433,7 +428,6 @@ def write_tables():
         "b": columns[half:],
         "gap": np.delete(columns, np.s_[700:800], axis=0),
         "rest": still,
-        "constant": constant,
         "unit": unit,
         "commands": commands,
         "other": columns,

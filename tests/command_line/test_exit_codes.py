@@ -11,21 +11,18 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from sklearn.linear_model import RidgeCV
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa._cli import EPILOG, exit_line, main
 from sklearn_vbjfa._cli._close_loop import close, report_doubts
-from sklearn_vbjfa._cli._identify import method_doubts
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.robot import _comparison
 from tests._quick import checkered
 from tests.command_line.test_close_loop import LINK
 from tests.hostile._case import DT, URDF, N, cells, columns
 
-COMMANDS = ("close-loop", "inspect", "identify", "simulate")
+COMMANDS = ("close-loop", "inspect", "simulate")
 WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
 HAND = URDF.replace("</robot>", LINK.format(**WRIST, centre=0.1, mass=1) + "</robot>")
 # Options that keep the runs short.
@@ -128,7 +125,6 @@ RECORDINGS = {
                 3,
                 r"no samples that count \(joint 2 \(elbow\)\); elbow never",
             ),
-            "identify": (3, "no error of elbow; "),
         },
     ),
     "a gap": (
@@ -243,7 +239,7 @@ def test_the_motion_under_another_name_is_no_doubt(here, capsys):
 
 def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
     source = write(columns())
-    for command in ("close-loop", "identify", "simulate"):
+    for command in ("close-loop", "simulate"):
         argv = (source, "--urdf", "arm.urdf", "--cutoff", "0.05")
         code, out, (line,) = run(capsys, command, *argv)
         assert (code, out) == (2, "")
@@ -309,33 +305,6 @@ def report():
     return loop.report_
 
 
-def test_a_method_that_fails(here, capsys, monkeypatch):
-    source = write(columns())
-
-    def wrong(self, X, y, sample_weight=None):
-        raise ValueError("It does not converge.")
-
-    monkeypatch.setattr(RidgeCV, "fit", wrong)
-    code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
-    assert code == 3
-    assert "ridge failed: It does not converge." in out.splitlines()
-    assert err == ["note: exit code 3: ridge failed: It does not converge"]
-
-
-def test_bodies_that_cannot_be(monkeypatch):
-    fine = _comparison.MethodResult(
-        name="VB",
-        error=np.array([0.1, 0.2]),
-        train_error=np.zeros(2),
-        min_eigenvalue=1.0,
-        n_inconsistent=0,
-    )
-    names = ("shoulder", "elbow")
-    assert method_doubts([fine, replace(fine, n_inconsistent=2)], names) == []
-    (doubt,) = method_doubts([replace(fine, n_inconsistent=2)], names)
-    assert doubt == "2 bodies are not physically consistent"
-
-
 def test_a_simulation_goes_without_an_effect(here, capsys):
     table = columns()
     q, tau = (np.column_stack([table[f"{x}{j}"] for j in (1, 2)]) for x in ("q", "tau"))
@@ -382,7 +351,7 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
 
 
 def test_lists_are_never_in_doubt(capsys):
-    assert [main([name]) for name in ("effects", "datasets")] == [0, 0]
+    assert main(["effects"]) == 0
     assert "exit code" not in capsys.readouterr().err
 
 
@@ -430,7 +399,7 @@ def test_the_line_names_three_doubts():
     assert exit_line([*"abcde"]) == "exit code 3: a; b; c; and 2 more"
 
 
-@pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects", "datasets"])
+@pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects"])
 def test_help_tells_them(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])

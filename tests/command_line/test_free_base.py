@@ -86,7 +86,6 @@ def test_refuses_what_is_no_orientation(run, text, said):
 @pytest.mark.parametrize(
     ("argv", "said"),
     [
-        (["identify", *GIVEN], "--base-orientation needs a RECORDING"),
         (["simulate", *GIVEN], "--base-orientation needs a RECORDING"),
         (
             ["simulate", "a.csv", "--model", "a.json", *GIVEN],

@@ -187,7 +187,7 @@ def test_what_has_done_its_work_ends_in_peace(monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("argv", "stream", "code", "said"),
     [
-        (["datasets"], "stdout", 2, "the standard output: No space left on device"),
+        (["effects"], "stdout", 2, "the standard output: No space left on device"),
         (["inspect", "none.csv", "--urdf", "none.urdf"], "stderr", 2, ""),
     ],
 )

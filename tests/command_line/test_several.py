@@ -19,7 +19,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.recording import _reader
 from tests.command_line.test_close_loop import FILES, URDF, write_csv
 
-COMMANDS = ("close-loop", "identify", "inspect")
+COMMANDS = ("close-loop", "inspect")
 # Options that keep the runs short.
 SHORT = {"close-loop": ("--effects", "spring")}
 
@@ -103,16 +103,11 @@ def test_they_are_as_good_as_segments_of_one_file(here, motions, capsys):
     assert one["provenance"]["file"] == "one.csv"
 
 
-@pytest.mark.parametrize("command", ["identify", "inspect"])
-def test_other_commands(command, here, capsys):
-    code, out, err = run(capsys, command, *RUNS)
+def test_inspection_of_several(here, capsys):
+    code, out, err = run(capsys, "inspect", *RUNS)
     assert (code, err) == (0, [])
     assert "3 recordings" in out.splitlines()[0]
-    told = {
-        "identify": "s in 3 stretches, those of close-loop",
-        "inspect": "a 8 s, b 8 s, c 8 s",
-    }
-    assert told[command] in out
+    assert "a 8 s, b 8 s, c 8 s" in out
     # Nothing is written.
     assert {path.name for path in here.iterdir()} == {"arm.urdf", "runs"}
 
@@ -121,9 +116,6 @@ def test_recordings_may_stand_behind_options(here, capsys):
     argv = ["inspect", "runs/a.csv", "--urdf", "arm.urdf", "runs/b.csv"]
     assert main(argv) == 0
     assert "a 8 s, b 8 s" in capsys.readouterr().out
-    argv = ["identify", "--urdf", "arm.urdf", "runs/a.csv", "--friction", "none"]
-    assert main([*argv, "runs/b.csv", "runs/c.csv"]) == 0
-    assert "s in 3 stretches, those of close-loop" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(
@@ -131,8 +123,14 @@ def test_recordings_may_stand_behind_options(here, capsys):
     [
         (["inspect", "a.csv", "--urdf", "a.urdf", "b.csv", "--fast"], "--fast. "),
         (["effects", "runs/a.csv"], "runs/a.csv. sklearn-vbjfa effects --help lists"),
-        (["identify", "a.csv", "--out", "x"], "--out; --out belongs to close-loop, "),
-        (["identify", "a.csv", "--colums", "q=a"], "--colums (close to it: --columns)"),
+        (
+            ["inspect", "a.csv", "--urdf", "a.urdf", "--out", "x"],
+            "--out; --out belongs to close-loop, ",
+        ),
+        (
+            ["inspect", "a.csv", "--urdf", "a", "--colums", "q=a"],
+            "--colums (close to it: --columns)",
+        ),
         (["--seed=3"], "--seed=3; --seed belongs to close-loop"),
     ],
 )

@@ -213,7 +213,7 @@ def test_formats_may_be_mixed(two, made):
     assert_same(read(two, made)[0], made)
 
 
-@pytest.mark.parametrize("command", ["inspect", "close-loop", "identify", "simulate"])
+@pytest.mark.parametrize("command", ["inspect", "close-loop", "simulate"])
 def test_every_command_that_reads_joins(command, two, made, tmp_path, capsys):
     more = {
         "close-loop": ["--effects", "none", "--out", tmp_path / "out"],

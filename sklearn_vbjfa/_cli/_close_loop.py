@@ -35,10 +35,7 @@ def run(arguments, folder):
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
     ranges = _input.ranges_file(arguments)
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    seed, taken = (
-        _input.seed(arguments.seed),
-        _input.taken(arguments, folder, stored=True),
-    )
+    seed, taken = _input.seed(arguments.seed), _input.taken(arguments, folder)
     recording = taken.recording
     taken.check(settings)
     signals = taken.signals(arguments.signals)
@@ -50,6 +47,7 @@ def run(arguments, folder):
             seed=seed,
             torque_noise=recording.torque_noise,
             signals=signals,
+            several=_input.is_several(arguments),
             **settings,
         )
     # Who names the joints knows the others.
@@ -130,9 +128,11 @@ def close(
     signals=None,
     t=None,
     drive=None,
+    several=False,
 ):
     """Find what a model of a recording lacks, as a fitted `EffectDiscovery`."""
-    # signals: by name, or those offered; drive: what the recording was read with.
+    # signals: by name, or those offered; drive: what the recording was read with;
+    # several: whether it is of several files.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
     identifier = RobotIdentifier(
@@ -149,7 +149,7 @@ def close(
         n_jobs=-1,
     )
     loop = EffectDiscovery(identifier, effects=effects, random_state=seed)
-    if recording.stored or drive is not None:
+    if several or drive is not None:
         # The report calls recordings after their files.
         return loop.fit_recording(recording, signals)
     return loop.fit(recording.q, recording.tau, recording.groups, t=t, signals=signals)

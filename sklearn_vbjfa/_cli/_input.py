@@ -129,16 +129,15 @@ class Taken:
         return lines
 
 
-def taken(arguments, folder, *, assumed=None, stored=False):
+def taken(arguments, folder, *, assumed=None):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
-    # assumed: gains of the channels where none are given; stored: whether several files
-    # are kept on disk.
+    # assumed: gains of the channels where none are given.
     urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
     known = gains(arguments.gain)
     if arguments.drive is not None:
         assumed = None
     urdf, held = robot(urdf, joints, folder, arguments.base_orientation)
-    recording = read(arguments, urdf, joints, known or assumed, stored=stored)
+    recording = read(arguments, urdf, joints, known or assumed)
     urdf, held = _hold_others(urdf, recording, held, folder)
     source = named(sources(arguments.recording))
     return Taken(
@@ -365,16 +364,22 @@ def _parser_messages(said):
             said += dict.fromkeys(errors)
 
 
-def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
+def is_several(arguments):
+    """Whether a recording is in several files."""
+    from sklearn_vbjfa.recording import tables_in
+
+    files = sources(arguments.recording)
+    return len(files) > 1 or len(tables_in(files[0])) > 1
+
+
+def read(arguments, urdf, joints, gains, *, identified=True):
     """Read a recording that is long enough."""
-    # identified: whether gains that are unknown can be identified; stored: whether
-    # several files are kept on disk.
+    # identified: whether gains that are unknown can be identified.
     from sklearn_vbjfa.datasets import read_recording
-    from sklearn_vbjfa.recording import RecordingRefused, tables_in
+    from sklearn_vbjfa.recording import RecordingRefused
 
     files = sources(arguments.recording)
     source = named(files)
-    several = len(files) > 1 or len(tables_in(files[0])) > 1
     try:
         recording = read_recording(
             files[0] if len(files) == 1 else files,
@@ -387,7 +392,6 @@ def read(arguments, urdf, joints, gains, *, identified=True, stored=False):
             gains=gains,
             time_unit=arguments.time_unit,
             on_bad_files="warn",
-            stored=stored and several and arguments.drive is None,
             drive=drive(arguments.drive),
             join=bool(arguments.join),
         )

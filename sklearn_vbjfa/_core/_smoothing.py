@@ -298,7 +298,7 @@ def _basis(step, first, last, order):
 class Spline:
     """Smoothed samples of one signal, as spline coefficients."""
 
-    # (n_intervals + 5,): coefficients, about `offset`; `StoredRows` as well
+    # (n_intervals + 5,): coefficients, about `offset`
     coef: np.ndarray
     offset: float
     per_knot: int  # rows of the recording between knots
@@ -315,7 +315,7 @@ class Spline:
         first = min(max(low // per, 0), n_intervals - 1)
         last = min(max(high // per, 0), n_intervals - 1)
         windows = np.empty((last - first + 1, _WIDTH))
-        coef = np.asarray(self.coef[first : last + _WIDTH])
+        coef = self.coef[first : last + _WIDTH]
         for j in range(_WIDTH):
             windows[:, j] = coef[j : j + len(windows)]
         values = (windows @ self._table(0, per - 1, order).T).ravel()

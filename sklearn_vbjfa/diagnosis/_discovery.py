@@ -34,7 +34,6 @@ from sklearn_vbjfa.recording import (
     columns_beside,
     commands_among,
     find_repetition,
-    in_memory,
     positions_in_order,
     survey,
     take_arrays,
@@ -332,8 +331,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         ----------
         recording : Recording
             Of the identifier's robot; of a `drive`, its channels or what
-            `PDDrive.driven` made of them. One that `read_recording` has ``stored`` may
-            be larger than memory, unless there is a `drive`.
+            `PDDrive.driven` made of them.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             As for `fit`.
 
@@ -346,18 +344,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         model = load_model(self.identifier.model)
         names = tuple(map(str, recording.group_names))
         if self.identifier.drive is not None:
-            recording = self.identifier.drive.driven(in_memory(recording))
-        if recording.stored:
-            whole = self._stored(model, recording)
-        else:
-            known = recording.groups, recording.weight, None
-            whole = self._recording(model, recording.inputs, recording.tau, *known)
-            known = {"command": recording.command, "feedback": recording.feedback}
-            known["torque_units"] = recording.torque_units
-            drive = self.identifier.drive
-            if drive is not None and drive.of_positions:
-                known |= {"v": recording.v, "signals": recording.signals}
-            whole = replace(whole, **known)
+            recording = self.identifier.drive.driven(recording)
+        known = recording.groups, recording.weight, None
+        whole = self._recording(model, recording.inputs, recording.tau, *known)
+        known = {"command": recording.command, "feedback": recording.feedback}
+        known["torque_units"] = recording.torque_units
+        drive = self.identifier.drive
+        if drive is not None and drive.of_positions:
+            known |= {"v": recording.v, "signals": recording.signals}
+        whole = replace(whole, **known)
         return self._fit(model, whole, library, signals, OfferedSignals(), names)
 
     def _fit(self, model, whole, library, signals, beside, names):
@@ -406,7 +401,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 repetition = find_repetition(commands, whole.t, whole.segments)
         near = split.narrowed(*self._seen(part, split.searched_motion))
         known = {"begins": begins, "repetition": repetition}
-        seen = in_memory(part if near is split else near.searched(whole))
+        seen = part if near is split else near.searched(whole)
         with stage("search"):
             given = {"origin": near.origin, **known}
             found = self._search(seen, silent, given, library)
@@ -492,17 +487,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_widths(names, X, y)
         return take_arrays(X, y, groups, weight, clock, dt=dt, joint_names=names)
 
-    def _stored(self, model, recording):
-        """Give a recording whose rows are not in memory weights and a clock."""
-        self.joint_names_ = names = joint_names(model)
-        validate_data(self, recording.q, skip_check_array=True)
-        check_widths(names, recording.q, recording.tau)
-        shape, dt = recording.tau.shape, check_dt(self.identifier.dt)
-        weight = check_weight(recording.weight, shape, stored=True)
-        known = {"dt": dt, "joint_names": names, "weight": weight}
-        whole = replace(recording, t=None, signals={}, **known)
-        return replace(whole, t=whole.clock())
-
     def _check_channels(self, model, whole):
         """Reject faulty channels; return findings, and joints to leave out."""
         if whole.states is not None:
@@ -573,10 +557,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if isinstance(self.identifier.standstill, str):
             band["standstill"] = self.judged_.standstill_
         rows, pieces = self._seen(whole, moving)
-        seen = in_memory(whole) if rows.size == whole.n_samples else None
-        if seen is None:
+        seen = whole
+        if rows.size < whole.n_samples:
             seen = take_rows(whole, rows, pieces)
-        origin = np.asarray(whole.groups[rows])
+        origin = whole.groups[rows]
         given = {"origin": origin, "all_samples": True, **known}
         view = RecordingView(self.plain_, seen, silent, **given)
         effects = tuned_on(view, found.effects, found.settings)

@@ -27,6 +27,7 @@ from sklearn_vbjfa.model import DoubtWarning, joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
     OfferedSignals,
+    as_one,
     check_dt,
     check_on_bad_files,
     expanded,
@@ -35,7 +36,6 @@ from sklearn_vbjfa.recording import (
     recordings_in,
     said_of_bad,
     said_of_copies,
-    store,
     without_repeats,
 )
 from sklearn_vbjfa.regression import (
@@ -282,7 +282,7 @@ def _close_loop(discovery, sources, taken, dask):
                 yield found
         taken.check()
 
-    whole = store(recordings())
+    whole = as_one(list(recordings()))
     taken.say()
     with workers():
         offered = OfferedSignals(columns=whole.signals)

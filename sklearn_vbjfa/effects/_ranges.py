@@ -209,17 +209,6 @@ class RangeFacts:
             farthest=_farthest(effect, quantity, far, keep),
         )
 
-    def merge(self, other, keep):
-        """Merge with those of other recordings."""
-        far = np.concatenate([self.farthest, other.farthest])
-        return replace(
-            self,
-            n=self.n + other.n,
-            n_far=self.n_far + other.n_far,
-            beyond=self.beyond or other.beyond,
-            farthest=_farthest(self.effect, self.quantity, far, keep),
-        )
-
     def said(self, holds):
         """Return the `OutsideRange`, None of a motion inside."""
         # holds: whether predictions hold the effect within its range.

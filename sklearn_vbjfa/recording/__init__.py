@@ -58,14 +58,12 @@ _MODULES = {
     ),
     "_recording": (
         "Recording",
+        "as_one",
         "check_clock",
         "check_cutoff",
         "check_dt",
         "contiguous_groups",
-        "in_memory",
         "labels_of",
-        "on_disk",
-        "store",
         "take_arrays",
         "take_rows",
     ),
@@ -81,7 +79,6 @@ _MODULES = {
         "prediction_errors",
         "resample_uniform",
     ),
-    "_stored": ("Shelf", "StoredRows", "pieces", "put_together"),
     "_table": ("RecordingRefused", "listed", "quoted"),
     "formats": ("expanded", "recordings_in", "tables_in"),
 }

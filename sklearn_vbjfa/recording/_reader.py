@@ -37,7 +37,7 @@ from sklearn_vbjfa.recording._layout import (
     unit_of,
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
-from sklearn_vbjfa.recording._recording import Recording, _check_dt, on_disk
+from sklearn_vbjfa.recording._recording import Recording, _check_dt
 from sklearn_vbjfa.recording._sampling import (
     SAME_DT,
     check_given,
@@ -46,7 +46,6 @@ from sklearn_vbjfa.recording._sampling import (
     on_grid,
     on_one_grid,
 )
-from sklearn_vbjfa.recording._stored import Shelf
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
@@ -74,7 +73,6 @@ def read_recording(
     gains: str | tuple[float, ...] | None = None,
     time_unit: str | None = None,
     on_bad_files: str = "raise",
-    stored: bool = False,
     drive: str | Drive | None = None,
     join: bool = False,
 ) -> Recording:
@@ -132,10 +130,6 @@ def read_recording(
         do not go with most of the others. ``"warn"`` leaves them out; a file that does
         not exist is an error all the same, and so are two files of which none is the
         odd one.
-    stored : bool, default=False
-        Whether positions, velocities and torques are kept in temporary files, as large
-        as they, for recordings that are larger than memory: slices of them are read
-        when ``numpy.asarray`` asks for them. Time stamps are multiples of `dt`.
     drive : Drive or str, default=None
         What the robot follows, where no torque was measured: a `PDDrive`, or a text
         such as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
@@ -170,8 +164,7 @@ def read_recording(
         If a package is missing that the format needs (PACKAGES),
         or `urdf` without Pinocchio.
     OSError
-        If the file cannot be read, or the temporary folder has no room for what is
-        `stored`: no fault of a file, which none is left out for.
+        If the file cannot be read.
     ValueError
         If the file is damaged, not what its ending says, or written to while it is
         read, the number of columns is wrong, two columns could be meant, a value is not
@@ -231,11 +224,6 @@ def read_recording(
             "gains out (command line: --gain), or the drive.",
             {"gains": None},
         )
-    if stored and asked.drive is not None:
-        raise ValueError(
-            "stored does not go with a drive, which makes torques in memory: leave one "
-            "of the two out."
-        )
     gains = _checked_gains(gains)
     if time_unit is not None and time_unit not in TIME_UNITS:
         raise ValueError(
@@ -252,7 +240,7 @@ def read_recording(
     if len(paths) > 1:
         is_one = False
     bad = None if is_one or on_bad_files == "raise" else {}
-    files = _read_files(paths, given, bad, stored)
+    files = _read_files(paths, given, bad)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:
         recording, notes = files[0].recording, _said(files)
@@ -277,11 +265,10 @@ if read_recording.__doc__:  # not if Python leaves docstrings out
     ).replace("PACKAGES", formats.PACKAGES)
 
 
-def _read_files(paths, given, bad, stored):
+def _read_files(paths, given, bad):
     """Read files one by one; those that cannot be read go to `bad` with the reason."""
-    # given: arguments of `_read_file`; bad: dict of errors by path, None to raise them;
-    # stored: whether what was read is kept on disk.
-    files, shelf = [], Shelf()
+    # given: arguments of `_read_file`; bad: dict of errors by path, None to raise them.
+    files = []
     for one in counted(paths, "reading", "files"):
         try:
             file = _read_file(one, *given)
@@ -299,9 +286,6 @@ def _read_files(paths, given, bad, stored):
             else:
                 raise
         else:
-            # A disk without room is no fault of the file.
-            if stored:
-                file = replace(file, recording=on_disk(file.recording, shelf))
             files.append(file)
     if bad and not files:
         first = next(iter(bad.values()))

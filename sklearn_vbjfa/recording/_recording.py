@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sklearn_vbjfa.recording._stored import Shelf, StoredRows, pieces, put_together
-
 if TYPE_CHECKING:
     import pinocchio as pin
 
@@ -19,17 +17,13 @@ def contiguous_groups(groups, n_samples):
     # None as labels is one recording.
     if groups is None:
         return [slice(0, n_samples)]
-    labels = groups if isinstance(groups, StoredRows) else np.asarray(groups)
+    labels = np.asarray(groups)
     if labels.shape != (n_samples,):
         raise ValueError(
             f"groups must hold one label per row, shape ({n_samples},); got shape "
             f"{labels.shape}."
         )
-    found = [np.empty(0, dtype=int)]
-    for some in pieces(max(n_samples - 1, 0)):
-        own = np.asarray(labels[some.start : some.stop + 1])
-        found.append(some.start + np.flatnonzero(own[1:] != own[:-1]) + 1)
-    borders = np.concatenate(found)
+    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
     starts = np.r_[0, borders]
     stops = np.r_[borders, n_samples]
     return [slice(int(a), int(b)) for a, b in zip(starts, stops)]
@@ -52,8 +46,6 @@ def check_clock(t, n_samples, dt):
     """Return the time of each row [s]; multiples of `dt` if none is given."""
     if t is None:
         return None if dt is None else np.arange(n_samples) * check_dt(dt)
-    if isinstance(t, StoredRows):
-        return t
     time = np.asarray(t, dtype=float)
     if time.shape != (n_samples,):
         raise ValueError(
@@ -228,10 +220,7 @@ class Recording:
                     f"{key} must have one entry for each of the {nv} columns of q, "
                     f"got {len(getattr(self, key))}: {getattr(self, key)}."
                 )
-        if self.stored:
-            # What is stored was checked before.
-            return
-        _check_groups(np.asarray(self.groups), n_samples, self.group_names)
+        _check_groups(self.groups, n_samples, self.group_names)
         if self.t is None:
             return
         back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
@@ -240,11 +229,6 @@ class Recording:
                 "t must not decrease inside a recording, it does after row "
                 f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
             )
-
-    @property
-    def stored(self) -> bool:
-        """Whether rows are read when they are looked at, see `store`."""
-        return isinstance(self.q, StoredRows)
 
     @property
     def n_samples(self) -> int:
@@ -284,8 +268,6 @@ class Recording:
         ValueError
             If the stamps do not rise over all recordings.
         """
-        if self.stored and not (stamped and self.t is not None):
-            return StoredRows.clock(self.n_samples, check_dt(self.dt))
         return check_clock(self.t if stamped else None, self.n_samples, self.dt)
 
     def __repr__(self) -> str:
@@ -394,14 +376,13 @@ def take_arrays(
     nv = len(joint_names)
     segments = contiguous_groups(groups, X.shape[0])
     lengths = [rows.stop - rows.start for rows in segments]
-    stored = isinstance(X, StoredRows)
     return Recording(
         name="",
         q=X[:, :nv],
         tau=y,
-        t=t if t is None or stored else np.asarray(t, dtype=float),
+        t=None if t is None else np.asarray(t, dtype=float),
         dt=dt,
-        groups=labels_of(lengths, stored=stored),
+        groups=labels_of(lengths),
         group_names=tuple(str(k) for k in range(len(segments))),
         joint_names=tuple(joint_names),
         position_units=nv * ("",),
@@ -414,70 +395,33 @@ def take_arrays(
     )
 
 
-def labels_of(lengths, *, stored):
+def labels_of(lengths):
     """Labels 0, 1, ... of the rows of recordings of some lengths."""
-    if not stored:
-        return np.repeat(np.arange(len(lengths)), lengths)
-    return put_together([StoredRows.constant(k, (n,)) for k, n in enumerate(lengths)])
+    return np.repeat(np.arange(len(lengths)), lengths)
 
 
-def on_disk(recording, shelf):
-    """Return a recording whose rows are on a shelf, read when they are looked at."""
-    # Time stamps are left behind, and of the signals those with one column stay.
-    lengths = [part.stop - part.start for part in recording.segments]
+def as_one(recordings):
+    """Join recordings of a robot, with the signals that all of them have."""
+    lengths = [part.stop - part.start for one in recordings for part in one.segments]
+
+    def together(values):
+        return np.concatenate(list(values))
+
     return replace(
-        recording,
-        q=shelf.put(recording.q),
-        tau=shelf.put(recording.tau),
-        v=None if recording.v is None else shelf.put(recording.v),
+        recordings[0],
+        q=together(one.q for one in recordings),
+        tau=together(one.tau for one in recordings),
         t=None,
-        groups=labels_of(lengths, stored=True),
-        signals={
-            name: x if x.ndim == 1 else shelf.put(x)
-            for name, x in recording.signals.items()
-        },
-    )
-
-
-def store(recordings):
-    """Put recordings on disk, one by one; return one of `StoredRows` of them all."""
-    # What files have: positions, torques, and of the signals those with one column that
-    # all of them have.
-    shelf = Shelf()
-    parts = [on_disk(one, shelf) for one in recordings]
-    lengths = [p.stop - p.start for one in parts for p in one.segments]
-    first = parts[0].signals.items()
-    shared = [
-        name
-        for name, x in first
-        if x.ndim == 1 and all(name in one.signals for one in parts)
-    ]
-    return replace(
-        parts[0],
-        q=put_together([one.q for one in parts]),
-        tau=put_together([one.tau for one in parts]),
         v=None,
         states=None,
         weight=None,
-        groups=labels_of(lengths, stored=True),
+        groups=labels_of(lengths),
         group_names=tuple(str(k + 1) for k in range(len(lengths))),
         signals={
-            name: np.concatenate([one.signals[name] for one in parts])
-            for name in shared
+            name: together(one.signals[name] for one in recordings)
+            for name, x in recordings[0].signals.items()
+            if x.ndim == 1 and all(name in one.signals for one in recordings)
         },
-    )
-
-
-def in_memory(recording):
-    """Return a recording whose rows are in memory."""
-    if not recording.stored:
-        return recording
-    names = ("q", "tau", "v", "groups", "t", "weight")
-    columns = {name: getattr(recording, name) for name in names}
-    return replace(
-        recording,
-        **{k: None if x is None else np.array(x) for k, x in columns.items()},
-        signals={name: np.asarray(x) for name, x in recording.signals.items()},
     )
 
 
@@ -505,17 +449,16 @@ def take_rows(recording, rows, groups):
 
 
 def _take_slices(recording, slices, groups):
-    """Make a recording of slices of the rows of another, views where it is stored."""
+    """Make a recording of slices of the rows of another."""
 
     def take(x):
-        return None if x is None else put_together([x[own] for own in slices])
+        return None if x is None else np.concatenate([x[own] for own in slices])
 
     lengths = [own.stop - own.start for own in slices]
-    groups = [StoredRows.constant(*own) for own in zip(groups, zip(lengths))]
     taken = take_arrays(
         take(recording.inputs),
         take(recording.tau),
-        put_together(groups),
+        np.repeat(list(groups), lengths),
         take(recording.weight),
         take(recording.t),
         dt=recording.dt,
@@ -537,10 +480,8 @@ def _check_dt(dt: Any) -> None:
         raise ValueError(f"dt must be a positive number of seconds, got {dt!r}.")
 
 
-def _finite_array(name: str, values: Any) -> np.ndarray | StoredRows:
+def _finite_array(name: str, values: Any) -> np.ndarray:
     """Return a numeric array, rejecting NaN and infinity."""
-    if isinstance(values, StoredRows):
-        return values
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
         raise ValueError(
             f"{name} must be a numeric ndarray, got {type(values).__name__}"

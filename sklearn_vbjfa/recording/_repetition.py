@@ -5,8 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.recording._stored import pieces
-
 # Rows are looked at every so many seconds, and fewer than this many of them.
 _STEP, _MOST = 0.04, 20_000
 # Velocities repeat if they differ by less than this share of their power, and have
@@ -85,13 +83,9 @@ def commands_among(signals, q):
     found = []
     used = [x for x in signals.values() if np.isfinite(x).all() and np.ptp(x) > 0]
     if used:
-        # Positions may be more than fit into memory.
-        rows, x = list(pieces(len(q))), np.column_stack(used)
-        mean = sum(np.asarray(q[own]).sum(axis=0) for own in rows) / len(q)
-        size, both, x = 0.0, 0.0, x - x.mean(axis=0)
-        for own in rows:
-            away = np.asarray(q[own]) - mean
-            size, both = size + (away**2).sum(axis=0), both + x[own].T @ away
+        x = np.column_stack(used)
+        x, away = x - x.mean(axis=0), q - q.mean(axis=0)
+        size, both = (away**2).sum(axis=0), x.T @ away
         with np.errstate(divide="ignore", invalid="ignore"):
             alike = both / np.linalg.norm(x, axis=0)[:, None] / np.sqrt(size)
         follows = (np.abs(alike) > _FOLLOWS).any(axis=1)
@@ -103,7 +97,7 @@ def find_repetition(q, t, parts):
     """Look for motion that repeats in positions (n, nv); false if nothing does."""
     # q: measured, or commanded ones, at times t (n,) [s]; parts: slices of the
     # recordings.
-    seconds = np.array([np.ptp(np.asarray(t[part])) for part in parts])
+    seconds = np.array([np.ptp(t[part]) for part in parts])
     rows = sum(part.stop - part.start for part in parts)
     step = max(_STEP, seconds.sum() / _MOST, seconds.sum() / max(rows, 1))
     speeds = [_speeds(q[part], t[part], step) for part in parts]
@@ -138,7 +132,6 @@ def _speeds(q, t, step):
     """Mean velocities (m, nv) in intervals of a length."""
     if len(q) < 2:
         return np.zeros((0, q.shape[1]))
-    q, t = np.asarray(q), np.asarray(t)
     edges = np.arange(t[0], t[-1], step)
     return np.diff([np.interp(edges, t, x) for x in q.T], axis=1).T / step
 

@@ -19,7 +19,6 @@ import numpy as np
 
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import check_dt, labels_of
-from sklearn_vbjfa.recording._stored import Shelf, StoredRows, put_together
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -454,17 +453,16 @@ def _channels_of(one):
 def _fields(pieces: Sequence[_Piece], dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
     columns = {
-        key: put_together([piece.channels[key] for piece in pieces])
+        key: np.concatenate([piece.channels[key] for piece in pieces])
         for key in pieces[0].channels
     }
-    stored = isinstance(columns["q"], StoredRows)
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": put_together([piece.t for piece in pieces]),
+        "t": np.concatenate([piece.t for piece in pieces]),
         "dt": dt,
-        "groups": labels_of([len(x.t) for x in pieces], stored=stored),
+        "groups": labels_of([len(x.t) for x in pieces]),
         "group_names": tuple(piece.name for piece in pieces),
         "signals": columns,
     }
@@ -724,24 +722,18 @@ def on_one_grid(recordings, names, dt):
     """Concatenate files whose periods are nearly dt [s], and say which have another."""
     # names: of the recordings in them, one after the other. Returns the array fields of
     # a `Recording`, and the positions of the files that were interpolated.
-    pieces, names, moved, noise, shelf = [], iter(names), [], [], Shelf()
+    pieces, names, moved, noise = [], iter(names), [], []
     for k, one in enumerate(recordings):
         channels = _channels_of(one)
         tally = _Tally()
         for rows in one.segments:
             values = _rows_of(channels, rows)
             n = rows.stop - rows.start
-            t = StoredRows.clock(n, dt) if one.stored else dt * np.arange(n)
+            t = dt * np.arange(n)
             if abs(one.dt - dt) >= SAME_DT * dt:
                 own = one.dt * np.arange(n)
-                values = {key: np.asarray(x) for key, x in values.items()}
                 tally.off_grid.append((own, values["tau"]))
                 t, values = interpolate(own, values, dt)
-                if one.stored:
-                    values = {
-                        key: shelf.put(x) if x.ndim > 1 else x
-                        for key, x in values.items()
-                    }
             pieces.append(_Piece(next(names), t, values))
         if tally.off_grid:
             moved.append(k)

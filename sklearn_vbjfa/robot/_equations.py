@@ -8,7 +8,6 @@ result is bit-for-bit the same on one processor and on many.
 """
 
 import functools
-import threading
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,7 +27,6 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
-from sklearn_vbjfa.recording import StoredRows
 from sklearn_vbjfa.recording._repetition import find_repetition
 from sklearn_vbjfa.robot._joint_moments import (
     MomentSums,
@@ -50,8 +48,6 @@ _BLOCK_ROWS = 256
 CHUNK_BYTES = 8 << 20
 # Memory for rows of the regressor while loads are computed.
 _LOAD_BYTES = 64 << 20
-# Segments of a stored recording whose effects' columns are in memory together.
-_SEGMENTS = 4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -397,8 +393,6 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     # Returns a list of `RegressorRows`.
     if not plan.effects:
         return [RegressorRows(features, own, rest=rest) for own in states]
-    if recording.stored:
-        return _rows_in_turn(recording, states, plan, features, theta, rest)
     # Effects need all recordings together (time, largest speeds).
     # The samples of a signal are next to each other, as effects take them.
     whole = np.empty((recording.n_samples, 3 * recording.nv), order="F")
@@ -418,62 +412,6 @@ def regressor_rows(recording, states, plan, features, *, theta=None, rest=None):
     )
     # Splines are a third of the states of all rows, which end here.
     return [rows.part(*both) for both in zip(recording.segments, states)]
-
-
-def _rows_in_turn(recording, states, plan, features, theta, rest):
-    """Return the `regressor_rows` of a stored recording, made a segment at a time."""
-    clock, parts, nv = plan.clock(recording), recording.segments, recording.nv
-
-    def made(k):
-        part = parts[k]
-        n = part.stop - part.start
-        # Positions and torques are not looked at.
-        nothing = np.broadcast_to(0.0, (n, nv))
-        alone = replace(
-            recording,
-            q=nothing,
-            tau=nothing,
-            groups=np.zeros(n, dtype=int),
-            group_names=("0",),
-            weight=None,
-            t=np.asarray(clock[part]),
-            signals={name: x[part] for name, x in recording.signals.items()},
-        )
-        own = {"theta": theta, "rest": rest}
-        return regressor_rows(alone, [states[k]], plan, features, **own)[0].columns
-
-    latest, found = _Latest(made), []
-    for k, part in enumerate(parts):
-        columns = []
-        for i, effect in enumerate(plan.effects):
-            width = (nv,) if effect.whole_robot else ()
-            shape = (part.stop - part.start, *width, len(effect.coefficients))
-            read = functools.partial(latest.rows, k, i)
-            columns.append((effect, StoredRows(read, shape)))
-        found.append(RegressorRows(features, states[k], columns, rest))
-    return found
-
-
-class _Latest:
-    """Columns of effects of the segments that were asked for last."""
-
-    def __init__(self, make):
-        self._make, self._kept, self._locks = make, {}, {}
-        self._lock = threading.Lock()
-
-    def rows(self, k, i, start, stop):
-        """Rows of the columns of effect `i` in segment `k`."""
-        with self._lock:
-            own = self._locks.setdefault(k, threading.Lock())
-        with own:
-            columns = self._kept.get(k)
-            if columns is None:
-                columns = [values for _, values in self._make(k)]
-                with self._lock:
-                    self._kept[k] = columns
-                    while len(self._kept) > _SEGMENTS:
-                        self._kept.pop(next(iter(self._kept)))
-        return columns[i][start:stop]
 
 
 def motion_of(recording, states, plan, features, *, theta=None, rest=None):

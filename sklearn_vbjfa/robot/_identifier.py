@@ -17,7 +17,6 @@ from sklearn_vbjfa.recording import (
     check_useful,
     columns_beside,
     contiguous_groups,
-    in_memory,
     levels,
     positions_in_order,
     signals_for,
@@ -818,17 +817,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
                 f"{', '.join(recording.joint_names)} and {recording.dt} s."
             )
         validate_data(self, X, skip_check_array=True)
-        # A clock that is counted needs no check.
-        t = None if recording.stored else recording.t
-        self._check_rows(X, recording.groups, t, recording.segments)
+        self._check_rows(X, recording.groups, recording.t, recording.segments)
         if self.drive is not None:
-            recording = self.drive.driven(in_memory(recording))
+            recording = self.drive.driven(recording)
         offered = OfferedSignals(columns=recording.signals)
         used = signals_for(self.effects_, None, offered, recording.n_samples)
         weight = recording.weight
         if weight is not None and used.keys() == recording.signals.keys():
             return recording
-        weight = check_weight(weight, recording.tau.shape, stored=recording.stored)
+        weight = check_weight(weight, recording.tau.shape)
         return replace(recording, signals=used, weight=weight)
 
     def _check_rows(self, X, groups, t, parts):

@@ -13,7 +13,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Effect, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import Shelf, check_cutoff, check_dt
+from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import (
     RecordingStates,
@@ -287,18 +287,12 @@ def smooth(recording, estimator, halves, keep, n_jobs):
     done = run(smooth_with_facts, tasks, n_jobs)
     done = iter(counted(done, "states", "rows", rows))
     own, both, facts = [], ([], []), None
-    shelf = Shelf() if recording.stored else None
-
-    def kept(several):
-        one = SplineStates.of_joints(several)
-        return one if shelf is None else one.on(shelf)
-
     for _ in parts:
         splines, apart, several = zip(*itertools.islice(done, len(shares)))
-        own.append(kept(splines))
+        own.append(SplineStates.of_joints(splines))
         if halves:
             for k, half in enumerate(both):
-                half.append(kept([one[k] for one in apart]))
+                half.append(SplineStates.of_joints([one[k] for one in apart]))
         # The fastest rows of each are merged at once: those of all would be many.
         one = MotionFacts.of_joints(several)
         facts = one if facts is None else facts.merge(one, keep)

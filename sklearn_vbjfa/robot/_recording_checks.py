@@ -6,7 +6,6 @@ import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
-    StoredRows,
     at_rest,
     nothing_moves,
     position_jumps,
@@ -183,11 +182,8 @@ def check_count(stats, standstill, n_parameters):
         )
 
 
-def check_weight(sample_weight, shape, *, stored=False):
+def check_weight(sample_weight, shape):
     """Return validated weights for torques of this shape (n, nv); ones for None."""
-    # stored: whether the rows of the recording are, see `StoredRows`.
-    if stored:
-        return sample_weight or StoredRows.constant(1.0, shape)
     if sample_weight is None:
         # A number for each value of a long recording would be as large as that.
         return np.broadcast_to(1.0, shape)

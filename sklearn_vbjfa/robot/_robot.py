@@ -36,7 +36,6 @@ from sklearn_vbjfa.recording._recording import (
     check_cutoff,
     check_dt,
     take_arrays,
-    take_rows,
 )
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
@@ -988,19 +987,13 @@ class IdentifiedRobot(SimulatesTorques):
 
     def outside(self, asked):
         """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
-        return self._outside(self._judged(asked, n_farthest(len(asked.states))))
-
-    def _judged(self, asked, keep):
-        """Judge a `Query` by the range of each effect, see `range_facts`."""
         wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
         load = any(name == "load" for name, _ in wanted)
         signals = asked.signals(self.features_, self.inertial() if load else None)
         counts = asked.counts(self.plan.standstill)
         judged = {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
-        return range_facts(self.effect_ranges_, judged, keep)
-
-    def _outside(self, facts):
-        """Find where motion leaves what was fitted."""
+        keep = n_farthest(len(asked.states))
+        facts = range_facts(self.effect_ranges_, judged, keep)
         held = [one is not None for one in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
         return outside(facts, held)
@@ -1142,38 +1135,17 @@ class IdentifiedRobot(SimulatesTorques):
             return []
         found, recording = [], as_driven(recording, self.plan)
         for rows in map(rows_looked_at, recording.segments):
-            t = None if clock is None else np.asarray(clock[rows])
+            t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
-            asked = self.ask(np.asarray(recording.inputs[rows]), t=t, signals=own)
-            asked, y = asked.noiseless(self.plan), np.asarray(recording.tau[rows])
+            asked = self.ask(recording.inputs[rows], t=t, signals=own)
+            asked, y = asked.noiseless(self.plan), recording.tau[rows]
             known = y - self.torques(asked, n_jobs), y, asked.states
             found.append(noise_facts(*known, *band, n_jobs))
         return found
 
     def outside_of(self, recording):
         """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
-        if not recording.stored:
-            return self.outside(self.ask_of(recording))
-        keep, facts = n_farthest(recording.n_samples), None
-        for k in range(len(recording.segments)):
-            own = self._judged(self.ask_of(_alone(recording, k)), keep)
-            facts = own if facts is None else _merged(facts, own, keep)
-        return self._outside(facts)
-
-
-def _merged(facts, others, keep):
-    """Merge the facts of ranges of two recordings, see `range_facts`."""
-    return [
-        tuple(one.merge(other, keep) for one, other in zip(*several))
-        for several in zip(facts, others)
-    ]
-
-
-def _alone(recording, k):
-    """Return one recording of several, in memory."""
-    part = recording.segments[k]
-    rows = np.arange(part.start, part.stop)
-    return take_rows(recording, rows, np.zeros(rows.size, dtype=int))
+        return self.outside(self.ask_of(recording))
 
 
 def _note_of_gravity(gravity):

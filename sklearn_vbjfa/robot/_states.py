@@ -1,7 +1,6 @@
 """From joint positions to states: smoothed positions, velocities, accelerations."""
 
-from dataclasses import dataclass, replace
-from itertools import pairwise
+from dataclasses import dataclass
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -9,7 +8,6 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa.recording import (
-    StoredRows,
     check_cutoff,
     check_dt,
     contiguous_groups,
@@ -111,17 +109,14 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         self : object
             Fitted transformer.
         """
-        return self._look_at(validate_data(self, X, dtype=np.float64), groups)
-
-    def _look_at(self, X, groups):
-        """Choose the cut-offs by positions (n, nv) that were checked."""
+        X = validate_data(self, X, dtype=np.float64)
         dt, self.n_features_in_ = check_dt(self.dt), X.shape[1]
         parts = contiguous_groups(groups, X.shape[0])
         longest = max(part.stop - part.start for part in parts)
         moving, spectra = None, None
         if longest >= SAMPLES_FOR_NOISE:
             segments = [X[part] for part in parts]
-            travel = [np.ptp(np.asarray(x), axis=0) for x in segments]
+            travel = [np.ptp(x, axis=0) for x in segments]
             moving = np.any(np.array(travel) > 0, axis=0)
             spectra = _smoothing.acceleration_spectra(segments, dt)
         return self._choose(longest, moving, spectra)
@@ -363,14 +358,6 @@ class SplineStates:
         splines = [spline for states in several for spline in states._splines]
         return cls(splines, several[0].shape[0])
 
-    def on(self, shelf):
-        """Return the same states, whose coefficients are on a shelf."""
-        coef = shelf.put(np.concatenate([spline.coef for spline in self._splines]))
-        edges = np.cumsum([0, *(spline.coef.size for spline in self._splines)])
-        kept = [coef[a:b] for a, b in pairwise(edges.tolist())]
-        splines = [replace(one, coef=own) for one, own in zip(self._splines, kept)]
-        return SplineStates(splines, self.shape[0])
-
     def __getitem__(self, rows):
         """States [q | v | a] of a slice of rows, (n, 3 * nv)."""
         start, stop, _ = rows.indices(self.shape[0])
@@ -429,7 +416,7 @@ def smooth_segment(x, start, estimator, *, halves):
     """Fit splines to the positions (n, nv) of a segment that begins at row `start`."""
     # Returns its `SplineStates`, and with `halves` those of the even and of the odd
     # samples, or else None.
-    x, n, both = np.asarray(x), x.shape[0], None
+    n, both = x.shape[0], None
     if halves:
         splines = estimator._half_splines(x, start)
         both = tuple(SplineStates(half, n) for half in splines)
@@ -439,8 +426,6 @@ def smooth_segment(x, start, estimator, *, halves):
 def fit_states(dt, cutoff, X, groups):
     """Fit a state estimator for identification, with slightly raised cut-offs."""
     estimator = StateEstimator(dt, cutoff=cutoff)
-    if isinstance(X, StoredRows):
-        return lighter(estimator._look_at(X, groups))
     return lighter(estimator.fit(X, groups=groups))
 
 

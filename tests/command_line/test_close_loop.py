@@ -7,7 +7,6 @@ import re
 import signal
 import subprocess
 import sys
-import tempfile
 import threading
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -23,9 +22,7 @@ from sklearn_vbjfa._cli._close_loop import left_out_lines, write_parameters
 from sklearn_vbjfa._cli._run import STOPS
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.model import load_model
-from sklearn_vbjfa.recording import _reader, on_disk
 from sklearn_vbjfa.robot import Departure, LeftOut
-from tests.recording.test_stored import room_for
 
 pinocchio = pytest.importorskip("pinocchio")
 
@@ -645,23 +642,6 @@ def stop(argv, when, number):
     finally:
         process.kill()
     return process.returncode, err
-
-
-def test_a_full_disk_is_named_and_not_a_file(
-    good, urdf, recording, monkeypatch, capsys
-):
-    def crowded(recording, shelf):
-        # The folder of the report has room.
-        with room_for(recording.q.nbytes - 1):
-            return on_disk(recording, shelf)
-
-    other = write_csv(good.parent / "other.csv", recording, tau=1.01 * recording.tau)
-    monkeypatch.setattr(_reader, "on_disk", crowded)
-    line = refusal(capsys, good, other, "--urdf", urdf)
-    folder = tempfile.gettempdir()
-    assert line.startswith(f"sklearn-vbjfa: {folder}: File too large, where 0.048 MB")
-    assert "let the environment variable TMPDIR name a folder with room" in line
-    assert not list(good.parent.glob("*report*"))
 
 
 @pytest.mark.skipif(os.name == "nt", reason="signals of POSIX")

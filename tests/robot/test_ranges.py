@@ -13,9 +13,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.effects import n_farthest, outside
-from sklearn_vbjfa.recording import Shelf, on_disk, take_arrays
-from sklearn_vbjfa.robot import SignalRanges, _robot
+from sklearn_vbjfa.robot import SignalRanges
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 MODEL = arm("ZYX")
@@ -420,24 +418,6 @@ def test_the_order_of_rows_of_a_range_does_not_matter():
     one = robot(SPRING, **EXACT).fit(STATES, TORQUE)
     other = robot(SPRING, **EXACT).fit(STATES[rows], TORQUE[rows])
     assert_allclose(numbers(one), numbers(other), rtol=1e-6)
-
-
-def test_recordings_in_files_are_judged_one_by_one(fitted, monkeypatch):
-    groups = np.repeat([0, 1, 2], [300, 900, len(Q) - 1200])
-    known = {"dt": DT, "joint_names": fitted.joint_names_}
-    whole = take_arrays(2.0 * Q, TORQUE, groups, **known)
-    expected = fitted.robot_.outside_of(whole)
-    assert {one.quantity for one in expected} == {"position", "speed"}
-    merged, n = [], n_farthest(len(Q))
-    monkeypatch.setattr(
-        _robot,
-        "outside",
-        lambda facts, held: merged.append(facts) or outside(facts, held),
-    )
-    assert fitted.robot_.outside_of(on_disk(whole, Shelf())) == expected
-    # No more of the rows is kept than outliers may be.
-    sizes = [one.farthest.size for several in merged[0] for one in several]
-    assert 0 < max(sizes) <= n < 0.01 * len(Q)
 
 
 def test_the_unit_of_the_torque_does_not_matter_to_what_is_outside():

@@ -9,11 +9,7 @@ import numpy as np
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._thinned import counted_rows, even_weight
 from sklearn_vbjfa.recording import (
-    Shelf,
-    StoredRows,
     contiguous_groups,
-    pieces,
-    put_together,
     take_rows,
 )
 from sklearn_vbjfa.robot._equations import derivative
@@ -78,7 +74,7 @@ class Split:
     @property
     def searched_motion(self):
         """Which joints move in the rows that are searched, (n_searched, nv)."""
-        return put_together([self.amount.moving[own] for own in self.searched_parts])
+        return np.concatenate([self.amount.moving[own] for own in self.searched_parts])
 
     def untouched(self, recording):
         """Return the held-out rows of a recording, as a recording."""
@@ -139,7 +135,7 @@ class Split:
 class Amount:
     """How much of each joint's motion rows hold."""
 
-    moving: np.ndarray  # (n, nv), or `StoredRows`: which joints move
+    moving: np.ndarray  # (n, nv): which joints move
     half: int  # rows that the low-pass takes at either end
     need: float  # moving rows behind it that a verdict needs
 
@@ -201,14 +197,12 @@ def _amount(identifier, recording, parts):
         identifier.drive,
     )
     band = min(cutoff, 0.5 / dt)
-    shelf, moving = Shelf(), []
-    for part, own in zip(parts, states.own):
-        moves = np.empty((part.stop - part.start, recording.nv), dtype=bool)
-        for rows in pieces(len(moves)):
-            moves[rows] = np.abs(derivative(own, rows, 1)) > np.maximum(limit, 0.0)
-        moving.append(shelf.put(moves) if recording.stored else moves)
+    moving = [
+        np.abs(derivative(own, slice(None), 1)) > np.maximum(limit, 0.0)
+        for own in states.own
+    ]
     return Amount(
-        moving=put_together(moving),
+        moving=np.concatenate(moving),
         half=_lowpass.design(dt, cutoff).half,
         need=FEWEST_VALUES / (2.0 * band * dt),
     )
@@ -231,11 +225,9 @@ def _best_count(amount, parts, share):
     moving, length = amount.moving, amount.length
     total, weight = counted_rows(moving), even_weight(moving)
     if not total.any():
-        weight = StoredRows.constant(1.0, weight.shape)
+        weight = np.ones(weight.shape)
     more = amount.length_of_more
-    most = [
-        _most_stretches(np.asarray(weight[part]), share, length, more) for part in parts
-    ]
+    most = [_most_stretches(weight[part], share, length, more) for part in parts]
     wanted = _STRETCHES if len(parts) == 1 else 1
     can = _LARGEST * total > amount.need
     best, chosen = (False, -1.0), None
@@ -302,9 +294,9 @@ def _place(weight, parts, counts, share, length, more):
         if k in whole:
             found = [(0, n)]
         elif count == 1 and len(parts) > 1:
-            found = _ends(np.asarray(weight[part]), share, length, more)
+            found = _ends(weight[part], share, length, more)
         elif count:
-            cells = _cells(np.asarray(weight[part]), count, share)
+            cells = _cells(weight[part], count, share)
             found = [(min(border, stop - length), stop) for _, border, stop in cells]
         elif len(parts) == 1:
             # Too short for a verdict; the fit says what is missing.

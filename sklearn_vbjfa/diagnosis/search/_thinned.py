@@ -10,8 +10,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.recording import StoredRows, pieces
-
 # Most samples that are looked at, and of more than that the fewest for each filtered
 # row (of which there are four in a period of the cut-off).
 _SAMPLES, _PER_ROW = 50_000, 5
@@ -77,7 +75,7 @@ def stretches(parts, moving, lowpass):
             parts, key=lambda p: (p.stop - p.start, *counted_rows(moving[p]))
         ):
             due += share * (part.stop - part.start)
-            found = _within(part, np.asarray(weight[part]), int(due), length)
+            found = _within(part, weight[part], int(due), length)
             due -= sum(one.stop - one.start for one in found)
             kept += found
         kept.sort(key=lambda one: one.start)
@@ -87,25 +85,12 @@ def stretches(parts, moving, lowpass):
 
 def counted_rows(moving):
     """Count the rows (n, nv) in which each joint moves, (nv,)."""
-    # Not all at once, which may be on disk.
-    some = (np.sum(moving[rows], axis=0) for rows in pieces(len(moving)))
-    return sum(some, np.zeros(moving.shape[1], dtype=int))
+    return np.sum(moving, axis=0, dtype=int)
 
 
 def even_weight(moving):
     """Motion in each row, all joints counting the same, however little they do."""
-    # (n,): an array, or `StoredRows` as `moving` is.
-    total = np.maximum(counted_rows(moving), 1)
-
-    def read(start, stop):
-        weight = np.empty(stop - start)
-        for rows in pieces(stop - start):
-            some = moving[start + rows.start : start + rows.stop]
-            weight[rows] = (some / total).sum(axis=1)
-        return weight
-
-    weight = StoredRows(read, (len(moving),))
-    return weight if isinstance(moving, StoredRows) else np.asarray(weight)
+    return (moving / np.maximum(counted_rows(moving), 1)).sum(axis=1)
 
 
 def _within(part, weight, most, length):

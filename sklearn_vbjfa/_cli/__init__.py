@@ -175,11 +175,6 @@ _ARGUMENTS = {
         "domain randomisation; by default none",
     },
     "--out": {"metavar": "DIR"},
-    "--workers": {
-        "metavar": "N",
-        "help": "share the work of the fits out to so many processes, or to the Dask "
-        "scheduler at an address such as tcp://host:8786",
-    },
     "--quiet": {
         "action": "store_true",
         "help": "do not show what takes its time",
@@ -266,7 +261,7 @@ _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
-        f"{_IDENTIFIED} --effects --seed --workers --quiet",
+        f"{_IDENTIFIED} --effects --seed --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},

@@ -39,7 +39,7 @@ def run(arguments, folder):
     recording = taken.recording
     taken.check(settings)
     signals = taken.signals(arguments.signals)
-    with _input.workers(arguments.workers), blaming(source, taken.gains):
+    with blaming(source, taken.gains):
         loop = close(
             recording,
             str(taken.urdf),

@@ -667,21 +667,6 @@ def seed(number):
     return number
 
 
-def workers(where):
-    """Return a context in which fits are shared out, as --workers asks."""
-    if where is None:
-        return contextlib.nullcontext()
-    from sklearn_vbjfa.distributed import workers
-
-    if where.lstrip("-").isdigit():
-        where = int(where)
-        if where < 1:
-            raise Refused(
-                f"--workers must be at least one process; got {where}", {"workers": "2"}
-            )
-    return workers(where)
-
-
 def default_folder(paths, what="report"):
     """Folder for the files of a run if none is named."""
     # It is called after the recording, or after the folder that holds several.

@@ -1,7 +1,7 @@
 """How time and memory of the loop grow with the length of a recording and the joints.
 
 Run ``python tests/benchmarks/bench_long_recordings.py [--cases NAME ...] [--quick]
-[--files] [--out FILE] [--write]``.
+[--out FILE] [--write]``.
 
 Data, simulated without the code of the library (``_undeclared_robots.py``), seed 0:
 
@@ -23,15 +23,10 @@ on, or of joints, from 7 on: what any recording costs shows in the smallest.
 Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
 ``--write`` draws the picture of the guide as well (``docs/images/long_recordings.py``).
 
-``--files`` is another table, of recordings that lie in many files: the same arm and
-motion, which goes on from file to file (npz), for 1 and 2 hours in files of 5 minutes
-and 10 hours in files of 30. ``fit_recordings`` closes the loop on the folder, without
-a cluster. Target: whatever their number, the memory of 30 minutes, 2 GB.
-
 With ``--out`` figures go to a file of JSON lines, with the peak memory after each
 stage; the table has all cases of the file, and what it holds is not run again. One case
 alone, and the table with those before it:
-``--files --cases "7 joints, 10 h in 20 files" --out FILE --write``.
+``--cases "7 joints, 30 min" --out FILE --write``.
 A gigabyte is 1e9 bytes.
 """
 
@@ -53,7 +48,6 @@ from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_rob
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis import _discovery
-from sklearn_vbjfa.distributed import fit_recordings
 
 PICTURE = ROOT / "docs" / "images" / "long_recordings.py"
 DT = 0.001
@@ -72,15 +66,7 @@ JOINTS = {f"{sum(arms)} joints": sum(arms) for arms in ARMS}
 CASES = {name: ((7,), m * 60_000) for name, m in LENGTHS.items()}
 CASES |= {name: (arms, MANY_ROWS) for name, arms in zip(JOINTS, ARMS, strict=True)}
 QUICK = {"2 joints, 40 s": ((2,), 40_000), "4 joints, 40 s": ((2, 2), 40_000)}
-# Files and the minutes of each.
-FILES = {"1 h": (12, 5), "2 h": (24, 5), "10 h": (20, 30)}
-FILES = {
-    f"7 joints, {name} in {count} files": ((7,), minutes * 60_000, count)
-    for name, (count, minutes) in FILES.items()
-}
-QUICK_FILES = {"2 joints, 40 s in 2 files": ((2,), 20_000, 2)}
 TARGETS = {"7 joints, 30 min": (120.0, 2.0), "23 joints": (60.0, np.inf)}
-TARGETS |= dict.fromkeys(FILES, (np.nan, 2.0))
 # Functions that the loop calls, by the name of their stage.
 STAGES = {
     "channels": "inspect_channels",
@@ -178,20 +164,14 @@ def peak_gigabytes():
     return peak * (1 if sys.platform == "darwin" else 1024) / 1e9
 
 
-def make(arms, rows, path, count=0):
-    """Write a file, or so many into a folder."""
-    if not count:
-        q, tau = recording(arms, rows)
-        np.savez(path, q=q, tau=tau)
-        return
-    Path(path).mkdir(exist_ok=True)
-    for k in range(count):
-        q, tau = recording(arms, rows, k * rows)
-        np.savez(Path(path, f"{k:03d}.npz"), q=q, tau=tau, dt=DT)
+def make(arms, rows, path):
+    """Write a file."""
+    q, tau = recording(arms, rows)
+    np.savez(path, q=q, tau=tau)
 
 
 def run_here(arms, path):
-    """Figures of the loop on a file, or the files of a folder, in this process."""
+    """Figures of the loop on a file, in this process."""
     started, used = time.perf_counter(), time.process_time()
     declared = {"friction": ("viscous", "coulomb"), "n_jobs": 2}
     identifier = RobotIdentifier(robot(arms), dt=DT, **declared)
@@ -200,11 +180,8 @@ def run_here(arms, path):
     timed = {name: stages.timed(stage) for stage, name in STAGES.items()}
     with warnings.catch_warnings(), mock.patch.multiple(_discovery, **timed):
         warnings.simplefilter("ignore", UserWarning)
-        if Path(path).is_dir():
-            fit_recordings(loop, path)
-        else:
-            with np.load(path) as file:
-                loop.fit(file["q"], file["tau"])
+        with np.load(path) as file:
+            loop.fit(file["q"], file["tau"])
     found = stages.done()
     text = str(loop.report_)
     return {
@@ -222,10 +199,10 @@ def run_here(arms, path):
     }
 
 
-def measure(name, arms, rows, folder, count=0):
+def measure(name, arms, rows, folder):
     """Figures of the loop in a process of its own, the data made in another one."""
-    path = Path(folder, "files" if count else "recording.npz")
-    given = {"arms": arms, "rows": rows, "path": str(path), "count": count}
+    path = Path(folder, "recording.npz")
+    given = {"arms": arms, "rows": rows, "path": str(path)}
     given = json.dumps(given)
     for what in ("--make", "--run"):
         command = [sys.executable, __file__, what, given]
@@ -291,15 +268,12 @@ def row(name, rows, figures):
 def report(cases, chosen, ledger):
     """Table of the cases that a ledger has, the chosen ones run if it lacks them."""
     for task in ledger.missing([{"case": name} for name in chosen]):
-        arms, n, *count = cases[task["case"]]
+        arms, n = cases[task["case"]]
         with tempfile.TemporaryDirectory() as folder:
-            ledger.add(task | measure(task["case"], arms, n, folder, *count))
+            ledger.add(task | measure(task["case"], arms, n, folder))
         print(json.dumps(ledger.results[-1]), file=sys.stderr, flush=True)
     found = {one["case"]: one for one in ledger.of([{"case": name} for name in cases])}
-    rows = [
-        row(name, cases[name][1] * sum(cases[name][2:] or [1]), figures)
-        for name, figures in found.items()
-    ]
+    rows = [row(name, cases[name][1], figures) for name, figures in found.items()]
     return "\n\n".join([rst_table(rows, HEADERS), *growth(found)])
 
 
@@ -309,9 +283,6 @@ def main(argv=None):
     arguments.add_argument("--cases", nargs="+", help="names of the table")
     arguments.add_argument(
         "--quick", action="store_true", help="small robots for 40 s, as a smoke test"
-    )
-    arguments.add_argument(
-        "--files", action="store_true", help="the table of recordings in many files"
     )
     arguments.add_argument("--out", help="file of figures, to run the cases in pieces")
     arguments.add_argument("--make", help="for the script itself")
@@ -326,9 +297,6 @@ def main(argv=None):
         return
     cases, name = (QUICK if arguments.quick else CASES), "long_recordings"
     command = "python tests/benchmarks/bench_long_recordings.py"
-    if arguments.files:
-        cases, name = (QUICK_FILES if arguments.quick else FILES), "recordings_in_files"
-        command += " --files"
     ledger = Ledger(arguments.out, ("case",))
     text = report(cases, arguments.cases or list(cases), ledger)
     states = ledger.states([{"case": name} for name in cases])

@@ -98,21 +98,6 @@ def test_long_recordings_of_small_robots():
     assert "to the power" not in text
 
 
-def test_recordings_in_files_of_small_robots(tmp_path):
-    cases = bench_long_recordings.QUICK_FILES
-    ledger = Ledger(tmp_path / "figures", ("case",))
-    text = bench_long_recordings.report(cases, list(cases), ledger)
-    assert "stribeck" in text
-    # rows of all files
-    assert "40000" in text
-    # what is there is not run again, and stands in the table
-    again = Ledger(tmp_path / "figures", ("case",))
-    assert bench_long_recordings.report(cases, [], again) == text
-    (figures,) = again.results
-    assert 0.1 < figures["gigabytes"] < 5.0
-    assert max(figures["peaks"].values()) <= figures["gigabytes"]
-
-
 def test_growth_is_that_of_a_power_and_is_drawn(monkeypatch):
     cases, lengths = bench_long_recordings.CASES, bench_long_recordings.LENGTHS
     ledger = Ledger(None, ("case",))

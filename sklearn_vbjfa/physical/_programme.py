@@ -25,6 +25,10 @@ from sklearn_vbjfa.physical._pseudo_inertia import (
 # relative gap: rounding of the matrices leaves about 1e-9 of their size, the square
 # root of the largest gap accepted times this.
 _RESOLUTION = 1e-7
+# Weight of the pull to the anchor, relative to the largest diagonal entry of the metric
+# in scaled units. Consistency ties what the metric sees to what it does not: a weaker
+# pull lowers the distance, by less and less, at masses further from the anchor's.
+_ANCHOR_WEIGHT = 1e-8
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,25 +67,20 @@ class Programme:
     root: np.ndarray
     # (n_features,): `c`: the distance of a vector is ``|T (vector - point) - c|``
     shift: np.ndarray
-    # dimensions that the metric does not see; the anchor alone determines them
-    n_hidden: int
 
     @classmethod
-    def pulled(cls, point, *, metric_root, anchor, anchor_weight, **constraints):
+    def pulled(cls, point, *, metric_root, anchor, **constraints):
         """State the programme of a metric and of a pull to an anchor."""
         # metric_root: in scaled variables, largest column norm one (or zero). What the
-        # metric does not see is pulled to `anchor` with `anchor_weight`. The
-        # constraints are the other fields.
+        # metric does not see is pulled to `anchor`: that makes the minimum unique.
 
         # |R x|^2 + w |N'(x - a)|^2 as one triangular factor: the stacked QR does not
         # square the condition number as R'R would.
-        pull = np.sqrt(anchor_weight) * _null_space(metric_root).T
+        pull = np.sqrt(_ANCHOR_WEIGHT) * _null_space(metric_root).T
         right = np.zeros(len(metric_root) + len(pull))
         right[len(metric_root) :] = pull @ (anchor - point)
         Q, root = np.linalg.qr(np.vstack([metric_root, pull]))
-        return cls(
-            point=point, root=root, shift=Q.T @ right, n_hidden=len(pull), **constraints
-        )
+        return cls(point=point, root=root, shift=Q.T @ right, **constraints)
 
     @property
     def n_features(self):

@@ -35,67 +35,16 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         of a body in units of its mass and length scale, the others in units of
         their root mean square over the rows seen in `fit`.
 
-    parameters_per_joint : "auto" or int >= 10, default="auto"
-        Columns of one joint: its ten inertial parameters, then its friction and
-        effect columns.  "auto" reads the names of the columns, if they have any such
-        as "joint_1:m" (see `parameter_names`).  Otherwise it takes 11 (the paper's,
-        viscous friction last) or 10, whichever divides the number of columns; if both
-        do, 11, with a warning.  A vector with fewer than ten columns holds no body: it
-        passes through unchanged, with a warning.  Any other number of columns is
-        refused.
-
-    body_starts : array-like of int of shape (n_bodies,) or None, default=None
-        First column of each body's ten, for joints with different numbers of extra
-        columns; replaces `parameters_per_joint`.  Columns of no body are free scalars
-        unless `nonnegative` names them.
-
-    nonnegative : "auto", array-like of int or array-like of bool, default="auto"
-        Columns outside the bodies that must not be negative (viscous and Coulomb
-        friction, rotor inertia): column numbers, or a mask of shape (n_features,).
-        "auto" reads the names: "joint_1:viscous", "joint_1:coulomb" and
-        "joint_1:rotor_inertia" must not be negative, all others may have either sign.
-        Without names it is the eleventh column of a joint of eleven; a layout with
-        other extra columns has to say, since an offset may have either sign.
-
-    margin : float, default=1e-8
-        Least eigenvalue of each body's matrix, in units of the body's mass and length
-        scale: :math:`S J S / m_0 \succeq \mathrm{margin} \cdot E` with :math:`S =
-        \mathrm{diag}(1/l_0, 1/l_0, 1/l_0, 1)`.  Above zero, so that the projected
-        robot can be simulated.
-
-    mass_scale : float, array-like of shape (n_bodies,) or None, default=None
-        Unit of mass `m0` of each body [kg].  None: :func:`body_scales` of the anchor
-        if there is one, otherwise of the rows seen in `fit`.
-
-    length_scale : float, array-like of shape (n_bodies,) or None, default=None
-        Unit of length `l0` of each body [m].  None: as for `mass_scale`.
-
-    anchor : array-like of shape (n_features,) or None, default=None
-        Vector (a data sheet's, say) that directions the metric does not see are
-        pulled to.  None: the row itself, so that such directions move only as far as
-        consistency demands.  A row that is consistent already is not pulled.
-
-    anchor_weight : float, default=1e-8
-        Weight of that pull, relative to the largest diagonal entry of the metric in
-        scaled units.  It makes the minimum unique where the metric is singular, and
-        acts on nothing that the metric sees, however little (some 1e-14 of what it sees
-        best).  Consistency ties what is seen to what is not: a weaker pull lowers the
-        distance, by less and less, at masses further and further from the anchor's.
-        `anchor_cost` of a :class:`ProjectionResult` says by how much.
-
-        .. versionchanged:: 0.2
-           The pull acted in all directions, also on what the metric saw little of.
-
-    max_solver_iter : int, default=200
-        Largest number of interior-point iterations of one solve.
-
     parameter_names : array-like of str of shape (n_features,) or None, default=None
         Names of the columns, such as `RigidBodyFeatures.parameter_names_`: a joint, a
-        colon, and what the parameter is.  None takes those of the data frame seen in
-        `fit`; `JointTorqueRegressor` passes on those of its features.  Names without
-        any "joint:m" say nothing.
+        colon, and the parameter.  They give the bodies ("joint_1:m" and so on) and the
+        columns that must not be negative ("joint_1:viscous", "joint_1:coulomb",
+        "joint_1:rotor_inertia").  None takes those of the data frame seen in `fit`;
+        `JointTorqueRegressor` passes on those of its features.  Without names joints
+        have 11 columns (the paper's, viscous friction last) or 10.
 
-        .. versionadded:: 0.2
+    options : Options or None, default=None
+        Layout, margin, scales and anchor; None takes the defaults of :class:`Options`.
 
     Attributes
     ----------
@@ -122,7 +71,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
 
     See Also
     --------
-    project : The same for one vector, with the solver's report.
+    project : The same for one vector.
     is_consistent : Test of one body.
 
     Notes
@@ -177,29 +126,13 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         constraint="pseudo-inertia",
         *,
         metric=None,
-        parameters_per_joint="auto",
-        body_starts=None,
-        nonnegative="auto",
-        margin=1e-8,
-        mass_scale=None,
-        length_scale=None,
-        anchor=None,
-        anchor_weight=1e-8,
-        max_solver_iter=200,
         parameter_names=None,
+        options=None,
     ):
         self.constraint = constraint
         self.metric = metric
-        self.parameters_per_joint = parameters_per_joint
-        self.body_starts = body_starts
-        self.nonnegative = nonnegative
-        self.margin = margin
-        self.mass_scale = mass_scale
-        self.length_scale = length_scale
-        self.anchor = anchor
-        self.anchor_weight = anchor_weight
-        self.max_solver_iter = max_solver_iter
         self.parameter_names = parameter_names
+        self.options = options
 
     def fit(self, X, y=None):
         """Learn the layout, the scales of the bodies and the metric.
@@ -222,41 +155,19 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
             If an option is wrong or does not match the number of columns.
         """
         X = validate_data(self, X, dtype=np.float64)
-        options = self.get_params(deep=False)
-        if self.parameter_names is None:
-            options["parameter_names"] = getattr(self, "feature_names_in_", None)
-        self._projection = Projection.of(X, Options(**options))
+        names = self.parameter_names
+        if names is None:
+            names = getattr(self, "feature_names_in_", None)
+        options = Options() if self.options is None else self.options
+        self._projection = Projection.of(
+            X, self.constraint, self.metric, options, names
+        )
         self.metric_ = self._projection.metric.matrix
         self.mass_scale_ = self._projection.mass_scale
         self.length_scale_ = self._projection.length_scale
         self.body_starts_ = self._projection.layout.body_starts
         self.nonnegative_ = self._projection.layout.nonnegative
         return self
-
-    def projections(self, X):
-        """Project every row and report how.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, n_features)
-            Parameter vectors, one a row.
-
-        Returns
-        -------
-        results : tuple of ProjectionResult
-            One per row.
-
-        Raises
-        ------
-        ProjectionError
-            If a row's projection fails.
-        """
-        return self._project(X, price_anchor=True)
-
-    def _project(self, X, *, price_anchor):
-        check_is_fitted(self)
-        X = validate_data(self, X, dtype=np.float64, reset=False)
-        return tuple(self._projection(row, price_anchor=price_anchor) for row in X)
 
     def transform(self, X):
         """Project every row on the nearest consistent vector.
@@ -277,5 +188,6 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
         ProjectionError
             If a row's projection fails.
         """
-        results = self._project(X, price_anchor=False)
-        return np.array([result.theta for result in results])
+        check_is_fitted(self)
+        X = validate_data(self, X, dtype=np.float64, reset=False)
+        return np.array([self._projection(row).theta for row in X])

@@ -33,22 +33,14 @@ from sklearn_vbjfa.physical._programme import PrimalDual, raised
 # distance, and the one up to which an answer is accepted.
 GAP_TARGET = 1e-9
 _GAP_LIMIT = 1e-4
+# Largest number of iterations of clarabel, and of steps of one refinement.
+_MAX_STEPS = 200
 # Held by whoever limits the threads of the linear algebra.
 _held = threading.Lock()
 
 
 class ProjectionError(RuntimeError):
-    """The projection found no vector that is certified to be the nearest one.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.physical import ProjectionError, project
-    >>> try:
-    ...     project([2, 0, 0, 0, 1, 0, 1, 0, 0, 3], max_solver_iter=1)
-    ... except ProjectionError as error:
-    ...     print("failed")
-    failed
-    """
+    """The projection found no vector that is certified to be the nearest one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,7 +54,7 @@ class CertifiedVector:
     status: str  # how clarabel ended, and its refinement if the gap is not reached
 
 
-def solve(programme, *, max_steps):
+def solve(programme):
     """Solve a programme with clarabel, refine the answer and certify it."""
     # ProjectionError if no answer has a certified gap below the limit.
 
@@ -73,14 +65,14 @@ def solve(programme, *, max_steps):
     gap = squared / max(squared, least, np.finfo(float).tiny)
     if gap <= GAP_TARGET:
         return CertifiedVector(vector=vector, gap=gap, n_iter=0, status="nothing to do")
-    answer, n_iter, status = solve_conic(programme, max_steps=max_steps)
+    answer, n_iter, status = solve_conic(programme)
     how = "without a start"
     for start in chain([answer], clipped_starts(programme)):
         if gap <= GAP_TARGET:
             break
         if not start.is_finite:
             continue
-        end, steps, ended = refine(programme, start, max_steps=max_steps)
+        end, steps, ended = refine(programme, start)
         n_iter += steps
         # The refined vector, or the start itself where that is the better one.
         for candidate in (end, start):
@@ -94,9 +86,8 @@ def solve(programme, *, max_steps):
         raise ProjectionError(
             f"The projection on the {programme.constraint!r} set failed: clarabel "
             f"ended with {status} after {n_iter} iterations, and the certified "
-            f"relative gap {gap:.1e} is above {_GAP_LIMIT:.0e}. Raise "
-            "max_solver_iter, or check the vector and the metric for columns many "
-            "orders of magnitude apart."
+            f"relative gap {gap:.1e} is above {_GAP_LIMIT:.0e}. Check "
+            "the vector and the metric for columns many orders of magnitude apart."
         )
     if gap > GAP_TARGET:
         status = f"{status}; its refinement ended {how}"
@@ -105,7 +96,7 @@ def solve(programme, *, max_steps):
     )
 
 
-def solve_conic(programme, *, max_steps):
+def solve_conic(programme):
     """Solve with clarabel; return where it ended, its iterations and its own words."""
     # The answer is not finite where the solver broke down.
     # The tolerances are absolute too. The distance of a consistent vector is the unit,
@@ -130,7 +121,7 @@ def solve_conic(programme, *, max_steps):
 
     settings = clarabel.DefaultSettings()
     settings.verbose = False
-    settings.max_iter = max_steps
+    settings.max_iter = _MAX_STEPS
     solution = clarabel.DefaultSolver(
         sparse.csc_matrix((n + 1, n + 1)),
         np.eye(n + 1)[n],
@@ -236,7 +227,7 @@ def clipped_starts(programme):
         )
 
 
-def refine(programme, start, *, max_steps):
+def refine(programme, start):
     """Follow the central path from near an approximate solution to its end."""
     # Also returns the steps taken and how it ended. Rounding may leave the end outside
     # the set by as much.
@@ -244,7 +235,7 @@ def refine(programme, start, *, max_steps):
     at = _inside(programme, start)
     order = len(at.duals) * programme.generators.shape[-1] + kept.size
     near = 0
-    for taken in range(max_steps):
+    for taken in range(_MAX_STEPS):
         slack = programme.slack(at.vector)
         mean = (np.sum(slack * at.duals) + at.vector[kept] @ at.multipliers) / order
         end = 0.5 * _GAP_END * programme.distance(at.vector) ** 2 / order
@@ -270,7 +261,7 @@ def refine(programme, start, *, max_steps):
         at = at.moved(step, share)
         if last:
             return at, taken + 1, "at its end"
-    return at, max_steps, "by max_solver_iter"
+    return at, _MAX_STEPS, "at its last step"
 
 
 def _inside(programme, start):

@@ -8,7 +8,12 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
 from sklearn_vbjfa.effects import declared_nonnegative
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
-from sklearn_vbjfa.physical import PhysicalProjector, body_scales, min_eigenvalue
+from sklearn_vbjfa.physical import (
+    Options,
+    PhysicalProjector,
+    body_scales,
+    min_eigenvalue,
+)
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
     VBJFARegressor,
@@ -462,37 +467,29 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
         for k, name in enumerate(friction)
         if declared_nonnegative(name)
     ]
-    settings = {
-        "metric": (metric, None),
-        "parameters_per_joint": (per_joint, "auto"),
-        "nonnegative": (nonnegative, "auto"),
-    }
-    if theta.size > p:
-        starts = np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10))
-        settings["body_starts"] = starts, None
     fitted = PhysicalProjector() if default else clone(projector)
-    # The layout follows from the robot, and effects have names of their own.
-    fitted.set_params(parameter_names=None)
-    given = fitted.get_params()
-    if given["anchor"] is None:
+    given = fitted.options or Options()
+    starts, anchor = given.body_starts, given.anchor
+    if starts is None:
+        starts = np.append(np.arange(0, p, per_joint), np.arange(p, bodies, 10))
+    if anchor is None:
         anchor = consistent_anchor(
             model, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
         )
-        settings["anchor"] = np.concatenate([anchor, theta[bodies:]]), None
-    elif theta.size > p:
-        fitted.set_params(anchor=np.concatenate([given["anchor"], theta[p:]]))
+        anchor = np.concatenate([anchor, theta[bodies:]])
+    else:
+        anchor = np.concatenate([anchor, theta[p:]])
+    if not isinstance(given.nonnegative, str):
+        nonnegative = given.nonnegative
+    # The layout follows from the robot, and effects have names of their own.
     fitted.set_params(
-        **{
-            key: value
-            for key, (value, unset) in settings.items()
-            if given[key] is unset or _same(given[key], unset)
-        }
+        metric=metric if fitted.metric is None else fitted.metric,
+        parameter_names=None,
+        options=replace(
+            given, body_starts=starts, nonnegative=nonnegative, anchor=anchor
+        ),
     )
     return fitted.fit(theta[None])
-
-
-def _same(value, unset):
-    return isinstance(value, str) and value == unset
 
 
 def identifiable(metric):

@@ -16,7 +16,7 @@ from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.effects import Follower, declared_nonnegative
-from sklearn_vbjfa.physical import PhysicalProjector
+from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
 from sklearn_vbjfa.robot._joint_moments import weighted_parts
@@ -352,9 +352,11 @@ class Posterior:
         precision = _inverse(own)
         projector = PhysicalProjector(
             metric=precision,
-            body_starts=np.arange(0, bodies.size, 10),
-            nonnegative=[],
-            anchor=self.theta[bodies],
+            options=Options(
+                body_starts=np.arange(0, bodies.size, 10),
+                nonnegative=(),
+                anchor=self.theta[bodies],
+            ),
         )
         projector.fit(self.theta[bodies][None])
         centre = self.centre[bodies]

@@ -287,10 +287,7 @@ class ProjectionTask:
         from sklearn_vbjfa.physical import project
 
         started = time.process_time()
-        self.found = [
-            project(spoiled, A, parameters_per_joint=11)
-            for _, spoiled, A in self.problems
-        ]
+        self.found = [project(spoiled, A) for _, spoiled, A in self.problems]
         return (time.process_time() - started) / PROJECTIONS
 
     def error(self):

@@ -52,7 +52,6 @@ def measure(n_bodies, *, n_problems, condition=1e4):
         result = project(
             theta,
             A,
-            parameters_per_joint=11,
             margin=_FLOOR,
             mass_scale=1.0,
             length_scale=1.0,
@@ -121,9 +120,8 @@ def report_forms(sizes=(1, 6, 10), condition=1e8, noise=1e-5, n_problems=6):
         f"{n} bodies": [_problem(n, seed, condition) for seed in seeds] for n in sizes
     }
     groups["3 rods"] = [_rods(seed, noise) for seed in seeds]
-    options = {"parameters_per_joint": 11}
     stated = [
-        [one for theta, A in group if (one := programme(theta, A, **options))]
+        [one for theta, A in group if (one := programme(theta, A))]
         for group in groups.values()
     ]
     rows = []
@@ -135,7 +133,7 @@ def report_forms(sizes=(1, 6, 10), condition=1e8, noise=1e-5, n_problems=6):
             ]
             rows.append([form, settings, *(f"{gap:.0e}" for gap in gaps)])
     own = [
-        max(project(theta, A, **options).relative_gap for theta, A in group)
+        max(project(theta, A).relative_gap for theta, A in group)
         for group in groups.values()
     ]
     rows.append(["package", "", *(f"{gap:.0e}" for gap in own)])

@@ -1,8 +1,6 @@
 """Projection: closed form, independent optimum, optimality, invariances, errors."""
 
-import itertools
 import warnings
-from unittest import mock
 
 import numpy as np
 import pytest
@@ -11,14 +9,14 @@ from hypothesis import strategies as st
 from sklearn.exceptions import ConvergenceWarning
 
 from sklearn_vbjfa.physical import (
+    Options,
     PhysicalProjector,
     ProjectionError,
-    _projection,
     _solver,
     is_consistent,
-    parameter_units,
     project,
 )
+from sklearn_vbjfa.physical._pseudo_inertia import parameter_units
 from tests.physical._problems import (
     cvxopt_projection,
     literal_matrix,
@@ -83,13 +81,6 @@ def test_eq30_keeps_an_inertia_that_violates_the_triangle_inequality():
     assert project(FLAT).status == "projected"
 
 
-def test_negative_friction_alone_is_set_to_zero():
-    theta = np.r_[2.0, 0, 0, 0, 1, 0, 1, 0, 0, 1, -0.5]
-    result = project(theta)
-    assert result.theta[10] == 0
-    np.testing.assert_allclose(result.theta[:10], theta[:10], atol=1e-7)
-
-
 def test_columns_without_a_body_are_projected_on_the_non_negative_ones():
     # Minimise x1^2 + x0^2 + (x0 - x1)^2 about (0, -1) with x1 >= 0: x1 = 0, and the
     # derivative by x0 vanishes at x0 = 1 / 2.
@@ -105,7 +96,7 @@ def test_what_is_zero_beside_a_body_is_exactly_zero(seed):
     kept = [10, 11, 22, 23, 34, 35]
     theta[[10, 23]] = -1.0
     found = project(
-        theta, metric(rng, 36, 1e3), parameters_per_joint=12, nonnegative=kept
+        theta, metric(rng, 36, 1e3), body_starts=[0, 12, 24], nonnegative=kept
     ).theta[kept]
     assert (found == 0).any()
     assert (found[found > 0] > 1e-6).all()
@@ -117,7 +108,7 @@ def test_free_columns_keep_their_sign():
     theta[[11, 24]] = -2.0
     kept = [10, 12, 23, 25]
     theta[kept] = -1.0
-    result = project(theta, parameters_per_joint=13, nonnegative=kept)
+    result = project(theta, body_starts=[0, 13], nonnegative=kept)
     np.testing.assert_allclose(result.theta[[11, 24]], -2.0, rtol=1e-6)
     assert (result.theta[kept] >= 0).all()
 
@@ -156,11 +147,9 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     theta = inconsistent_robot(rng, n_bodies)
     rank = None if share is None else int(share * theta.size)
     A = metric(rng, theta.size, condition, rank)
-    result = project(
-        theta, A, constraint=constraint, parameters_per_joint=11, margin=1e-6, **PLAIN
-    )
+    result = project(theta, A, constraint=constraint, margin=1e-6, **PLAIN)
     # The documented pull, in its documented units, so that both have the same unique
-    # minimum; see anchor_weight.
+    # minimum.
     full = A + pull_of_the_anchor(A, rank)
     kept = np.arange(10, theta.size, 11)
     _, optimum = cvxopt_projection(
@@ -175,12 +164,10 @@ def test_objective_is_the_optimum_of_an_independent_solver(
     # The certificate holds: the excess is no larger than it says (1e-7: the oracle).
     assert reached <= optimum * (1 + result.relative_gap + 1e-7)
     assert result.objective == pytest.approx(delta @ A @ delta, rel=1e-6)
-    if rank is None:
-        assert result.anchor_cost == 0.0
 
 
-@pytest.mark.parametrize("condition", [1e8, 2.5e10, 7.4e10, 1e11])
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("condition", [1e8, 7.4e10])
+@pytest.mark.parametrize("seed", range(3))
 def test_anchor_does_not_raise_what_the_metric_sees(seed, condition):
     rng = np.random.default_rng(seed)
     theta = inconsistent_robot(rng, 3)
@@ -189,7 +176,6 @@ def test_anchor_does_not_raise_what_the_metric_sees(seed, condition):
     result = project(
         theta,
         A,
-        parameters_per_joint=11,
         margin=1e-6,
         anchor=robot(rng, 3),
         **PLAIN,
@@ -199,30 +185,6 @@ def test_anchor_does_not_raise_what_the_metric_sees(seed, condition):
     # 1e-6: the oracle, which squares the condition.
     assert result.objective == pytest.approx(optimum, rel=1e-6)
     assert result.relative_gap <= 1e-6
-    assert result.anchor_cost == 0.0
-
-
-def test_price_of_the_anchor_is_what_less_pull_saves():
-    found = []
-    for seed in range(4):
-        rng = np.random.default_rng(seed)
-        theta, truth = inconsistent_robot(rng, 2), robot(rng, 2)
-        A = metric(rng, theta.size, 1e4, rank=12)
-        options = {"parameters_per_joint": 11, "anchor": truth, **PLAIN}
-        strong = project(theta, A, anchor_weight=1e-4, **options)
-        weak = project(theta, A, anchor_weight=1e-10, **options)
-        saved = 1 - weak.objective / strong.objective
-        assert strong.anchor_cost == pytest.approx(saved, rel=1e-4, abs=1e-8)
-        # Nearest among those no further from the anchor: less pull, further away.
-        pull = pull_of_the_anchor(A, rank=12, weight=1.0)
-        away = [
-            (result.theta - truth) @ pull @ (result.theta - truth)
-            for result in (strong, weak)
-        ]
-        assert away[1] >= away[0] * (1 - 1e-6)
-        found.append(strong.anchor_cost)
-    assert max(found) > 0.01
-    assert max(found) < 1.0
 
 
 @pytest.mark.parametrize(("condition", "rank"), [(1e8, None), (1e3, 30)])
@@ -232,7 +194,7 @@ def test_last_digits_of_the_data_do_not_decide(condition, rank):
         rng = np.random.default_rng(seed)
         theta, anchor = inconsistent_robot(rng, 6), robot(rng, 6)
         A = metric(rng, theta.size, condition, rank)
-        options = {"parameters_per_joint": 11, "anchor": anchor}
+        options = {"anchor": anchor}
         first = project(theta, A, **options).theta
         for _ in range(3):
             rounding = 8 * np.finfo(float).eps * rng.normal(size=theta.size)
@@ -244,26 +206,14 @@ def test_last_digits_of_the_data_do_not_decide(condition, rank):
     assert max(size) <= 1e-10
 
 
-def test_transform_does_not_price_the_anchor():
-    rng = np.random.default_rng(0)
-    theta = inconsistent_robot(rng, 2)
-    A = metric(rng, theta.size, 1e4, rank=12)
-    projector = PhysicalProjector(metric=A).fit(theta[None])
-    with mock.patch.object(_projection, "_anchor_cost", side_effect=AssertionError):
-        moved = projector.transform(theta[None])
-    (result,) = projector.projections(theta[None])
-    np.testing.assert_array_equal(moved[0], result.theta)
-    assert 0.0 <= result.anchor_cost <= 1.0
-
-
 @properties
 @given(seeds, constraints, st.sampled_from([1.0, 1e6, 1e10]))
 def test_variational_inequality_holds(seed, constraint, condition):
     rng = np.random.default_rng(seed)
     theta = inconsistent_robot(rng, 3)
     A = metric(rng, theta.size, condition)
-    options = {"constraint": constraint, "parameters_per_joint": 11, **PLAIN}
-    result = project(theta, A, anchor_weight=1e-14, **options)
+    options = {"constraint": constraint, **PLAIN}
+    result = project(theta, A, **options)
     pull = A @ (theta - result.theta)
     for _ in range(20):
         # Feasible vectors near and far; the set is convex, so is every mixture.
@@ -281,22 +231,11 @@ def test_result_is_strictly_consistent_and_certified(seed, constraint):
     rng = np.random.default_rng(seed)
     theta = inconsistent_robot(rng, 4)
     A = metric(rng, theta.size, 1e8)
-    result = project(
-        theta, A, constraint=constraint, parameters_per_joint=11, margin=1e-4, **PLAIN
-    )
+    result = project(theta, A, constraint=constraint, margin=1e-4, **PLAIN)
     assert (result.min_eigenvalues >= 1e-4).all()
     assert smallest_eigenvalue(result.theta, constraint) >= 1e-4 * (1 - 1e-9)
     assert (result.theta[10::11] >= 0).all()
     assert result.relative_gap <= 1e-6
-
-
-def test_ten_bodies_in_a_metric_of_condition_1e12_are_certified():
-    rng = np.random.default_rng(14)
-    theta = inconsistent_robot(rng, 10)
-    A = metric(rng, theta.size, 1e12)
-    result = project(theta, A, parameters_per_joint=11)
-    assert result.relative_gap <= 1e-6
-    assert (result.min_eigenvalues >= 1e-8).all()
 
 
 @pytest.mark.parametrize("noise", [1e-9, 1e-5, 1e-2])
@@ -308,19 +247,8 @@ def test_rods_hardly_spoiled_are_certified(noise):
         bodies = [parameters_of(*point_masses(rng, 2)) for _ in range(3)]
         theta = np.concatenate([np.r_[phi, 0.1] for phi in bodies])
         theta = theta + noise * rng.normal(size=theta.size) * (np.abs(theta) + 0.2)
-        result = project(theta, metric(rng, theta.size, 1e4), parameters_per_joint=11)
+        result = project(theta, metric(rng, theta.size, 1e4))
         assert result.relative_gap <= 1e-8
-
-
-@properties
-@given(seeds)
-def test_eq30_set_is_larger_so_its_distance_is_smaller(seed):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 3)
-    A = metric(rng, theta.size, 1e3)
-    loose = project(theta, A, constraint="eq30", parameters_per_joint=11)
-    strict = project(theta, A, parameters_per_joint=11)
-    assert loose.objective <= strict.objective * (1 + 1e-6)
 
 
 # -- invariances
@@ -335,13 +263,11 @@ def test_consistent_vector_comes_back_bit_for_bit(seed, constraint):
         theta,
         metric(rng, theta.size, 1e8, 20),
         constraint=constraint,
-        parameters_per_joint=11,
         anchor=robot(rng, 3),
     )
     np.testing.assert_array_equal(result.theta, theta)
     assert result.theta is not theta
-    assert (result.status, result.solver) == ("unchanged", "none")
-    assert (result.objective, result.iterations) == (0.0, 0)
+    assert (result.status, result.objective) == ("unchanged", 0.0)
 
 
 @properties
@@ -360,11 +286,10 @@ def test_scaling_the_parameters_scales_the_projection(seed, factor):
     rng = np.random.default_rng(seed)
     theta = inconsistent_robot(rng, 3)
     A = metric(rng, theta.size, 1e4)
-    reference = project(theta, A, parameters_per_joint=11)
-    scaled = project(factor * theta, A, parameters_per_joint=11)
+    reference = project(theta, A)
+    scaled = project(factor * theta, A)
     np.testing.assert_allclose(scaled.theta / factor, reference.theta, atol=1e-4)
     assert scaled.objective / factor**2 == pytest.approx(reference.objective, rel=1e-6)
-    np.testing.assert_allclose(scaled.mass_scale, factor * reference.mass_scale)
 
 
 @properties
@@ -375,21 +300,10 @@ def test_unit_of_length_does_not_matter(seed, unit, with_metric):
     units = np.tile(np.r_[parameter_units(1.0, unit), unit**2], 3)
     A = metric(rng, theta.size, 1e4) if with_metric else None
     converted = A / units / units[:, None] if with_metric else None
-    reference = project(theta, A, parameters_per_joint=11)
-    result = project(units * theta, converted, parameters_per_joint=11)
+    reference = project(theta, A)
+    result = project(units * theta, converted)
     np.testing.assert_allclose(result.theta / units, reference.theta, atol=1e-4)
     assert result.objective == pytest.approx(reference.objective, rel=1e-6)
-
-
-@properties
-@given(seeds)
-def test_scale_of_the_metric_does_not_matter(seed):
-    rng = np.random.default_rng(seed)
-    theta = inconsistent_robot(rng, 2)
-    A = metric(rng, theta.size, 1e4)
-    reference = project(theta, A, parameters_per_joint=11)
-    result = project(theta, 1e9 * A, parameters_per_joint=11)
-    np.testing.assert_allclose(result.theta, reference.theta, atol=1e-4)
 
 
 @properties
@@ -400,20 +314,9 @@ def test_order_of_the_bodies_does_not_matter(seed):
     A = metric(rng, theta.size, 1e4)
     order = rng.permutation(4)
     columns = (11 * order[:, None] + np.arange(11)).ravel()
-    reference = project(theta, A, parameters_per_joint=11)
-    result = project(
-        theta[columns], A[np.ix_(columns, columns)], parameters_per_joint=11
-    )
+    reference = project(theta, A)
+    result = project(theta[columns], A[np.ix_(columns, columns)])
     np.testing.assert_allclose(result.theta, reference.theta[columns], atol=1e-4)
-
-
-def test_independent_bodies_are_projected_independently():
-    rng = np.random.default_rng(5)
-    theta = inconsistent_robot(rng, 2)
-    weights = rng.uniform(0.5, 2.0, size=22)
-    both = project(theta, np.diag(weights), **PLAIN)
-    first = project(theta[:11], np.diag(weights[:11]), **PLAIN)
-    np.testing.assert_allclose(both.theta[:11], first.theta, atol=1e-5)
 
 
 @properties
@@ -453,7 +356,7 @@ def test_unseen_columns_go_to_the_anchor():
 def test_without_an_anchor_unseen_columns_stay():
     good = np.array([3.0, 0.1, 0, 0, 2, 0, 2, 0, 0, 2])
     weights = np.r_[np.ones(10), np.zeros(10)]
-    result = project(np.r_[FLAT, good], np.diag(weights), parameters_per_joint=10)
+    result = project(np.r_[FLAT, good], np.diag(weights))
     np.testing.assert_allclose(result.theta[10:], good, atol=1e-3)
 
 
@@ -506,15 +409,12 @@ def noisy_regression(pin, rng, n_joints):
 
 
 @pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
-@pytest.mark.parametrize("anchor_weight", [1e-8, 1e-11, 1e-14])
-def test_weak_anchor_of_a_singular_regression_is_certified(constraint, anchor_weight):
+def test_anchor_of_a_singular_regression_is_certified(constraint):
     pin = pytest.importorskip("pinocchio")
     for seed in range(3):
         Y, _, noisy = noisy_regression(pin, np.random.default_rng(seed), 5)
         theta = np.linalg.lstsq(Y, noisy, rcond=1e-10)[0]
-        result = project(
-            theta, Y.T @ Y, constraint=constraint, anchor_weight=anchor_weight
-        )
+        result = project(theta, Y.T @ Y, constraint=constraint)
         assert result.status == "projected"
         assert result.relative_gap <= 1e-7
 
@@ -536,100 +436,51 @@ def test_robot_regression_with_singular_gram_matrix_keeps_its_predictions():
 # -- failures
 
 
-@pytest.mark.parametrize("constraint", ["pseudo-inertia", "eq30"])
-def test_unfinished_solve_raises_and_returns_nothing(constraint):
+def test_unfinished_solve_raises_and_returns_nothing(monkeypatch):
+    monkeypatch.setattr(_solver, "_MAX_STEPS", 1)
     theta = inconsistent_robot(np.random.default_rng(0), 3)
-    with pytest.raises(ProjectionError, match="failed: clarabel ended with MaxIter"):
-        project(theta, constraint=constraint, max_solver_iter=1)
+    with pytest.raises(ProjectionError, match="clarabel ended with MaxIter"):
+        project(theta)
+    with pytest.raises(ProjectionError):
+        PhysicalProjector("eq30").fit_transform(theta[None])
 
 
-def test_a_gap_that_is_not_reached_is_warned_of():
+def test_a_gap_that_is_not_reached_is_warned_of(monkeypatch):
     theta = inconsistent_robot(np.random.default_rng(0), 3)
-    with pytest.warns(ConvergenceWarning, match="certified to a relative gap of"):
-        result = project(theta, max_solver_iter=7)
-    assert 1e-9 < result.relative_gap < 1e-6
-    assert result.message.endswith("its refinement ended by max_solver_iter")
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert project(theta).message == "Solved"
-
-
-def test_rounding_that_ends_the_solver_is_told(monkeypatch):
-    """The last iterate stands; it is not given out for the end of the path."""
-    theta = inconsistent_robot(np.random.default_rng(0), 3)
-    made = _solver._Equations
-
-    def rounded(programme, at, slack):
-        if next(steps) > 2:
-            raise np.linalg.LinAlgError("not definite")
-        return made(programme, at, slack)
-
-    steps = itertools.count()
-    monkeypatch.setattr(_solver, "_Equations", rounded)
-    with pytest.warns(ConvergenceWarning, match="by rounding, at a matrix that is not"):
+    monkeypatch.setattr(_solver, "_MAX_STEPS", 7)
+    with pytest.warns(ConvergenceWarning, match="certified to a relative gap of"):
         result = project(theta)
-    assert result.relative_gap > 1e-9
+    assert 1e-9 < result.relative_gap < 1e-6
 
 
-def test_a_price_of_the_anchor_that_is_not_known_is_explained():
-    rng = np.random.default_rng(5)
-    theta, truth = inconsistent_robot(rng, 2), robot(rng, 2)
-    A = metric(rng, theta.size, 1e4, rank=12)
-    options = {"parameters_per_joint": 11, "anchor": truth, "anchor_weight": 1e-4}
-    with pytest.warns(ConvergenceWarning):
-        result = project(theta, A, max_solver_iter=5, **options, **PLAIN)
-    assert np.isnan(result.anchor_cost)
-    assert "anchor_cost is not known, the solve with less pull: The" in result.message
-    known = project(theta, A, **options, **PLAIN)
-    assert np.isfinite(known.anchor_cost)
-    assert known.message == "Solved"
-
-
-def test_projection_error_is_a_runtime_error():
-    assert issubclass(ProjectionError, RuntimeError)
-
-
-INDEFINITE = np.diag([1.0] * 10)
+INDEFINITE = np.eye(10)
 INDEFINITE[0, 1] = INDEFINITE[1, 0] = 2.0
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("options", "name"),
     [
-        ({"metric": np.eye(9)}, r"metric must have shape \(10, 10\).*got \(9, 9\)"),
-        ({"metric": np.triu(np.ones((10, 10)))}, "metric must be symmetric"),
-        (
-            {"metric": INDEFINITE},
-            "positive semidefinite; its smallest eigenvalue is -1",
-        ),
-        ({"metric": -np.eye(10)}, "positive semidefinite; its diagonal has a negative"),
-        ({"metric": np.full((10, 10), np.nan)}, "metric must be finite"),
-        ({"constraint": "triangle"}, "constraint must be one of .*got 'triangle'"),
-        ({"margin": 0.0}, "margin must be a number between 0 and 1.*got 0.0"),
-        ({"margin": 1.5}, "margin must be a number between 0 and 1.*got 1.5"),
-        ({"margin": np.nan}, "margin must be a number between 0 and 1.*got nan"),
-        ({"margin": "small"}, "margin must be a number between 0 and 1.*got 'small'"),
-        ({"max_solver_iter": 0}, "max_solver_iter must be an integer >= 1, got 0"),
-        ({"max_solver_iter": 2.5}, "max_solver_iter must be an integer >= 1, got 2.5"),
-        ({"anchor_weight": 0.0}, "anchor_weight must be a number above 0"),
-        ({"anchor": np.ones(9)}, r"anchor must have shape \(10,\), got \(9,\)"),
-        ({"anchor": np.full(10, np.inf)}, "anchor must be finite"),
-        ({"mass_scale": [1.0, 2.0]}, r"mass_scale must be a number or one number per"),
-        ({"length_scale": -1.0}, "length_scale must be positive and finite, got -1.0"),
+        ({"metric": np.eye(9)}, "metric"),
+        ({"metric": INDEFINITE}, "metric"),
+        ({"metric": -np.eye(10)}, "metric"),
+        ({"metric": np.full((10, 10), np.nan)}, "metric"),
+        ({"constraint": "triangle"}, "constraint"),
+        ({"margin": 0.0}, "margin"),
+        ({"margin": np.nan}, "margin"),
+        ({"anchor": np.ones(9)}, "inconsistent"),
+        ({"anchor": np.full(10, np.inf)}, "anchor"),
+        ({"mass_scale": [1.0, 2.0]}, "mass_scale"),
+        ({"length_scale": -1.0}, "length_scale"),
+        ({"theta": FLAT[None].repeat(2, axis=0)}, "1d array"),
+        ({"theta": np.where(np.arange(10) == 3, np.nan, FLAT)}, "theta"),
     ],
 )
-def test_wrong_options_are_named(options, message):
-    with pytest.raises(ValueError, match=message):
-        project(FLAT, **options)
-    with pytest.raises(ValueError, match=message):
-        PhysicalProjector(**options).fit(FLAT[None])
-
-
-def test_wrong_vectors_are_named():
-    with pytest.raises(ValueError, match=r"theta must have shape \(n_features,\)"):
-        project(FLAT[None])
-    with pytest.raises(ValueError, match="theta must be finite; it contains NaN"):
-        project(np.where(np.arange(10) == 3, np.nan, FLAT))
+def test_wrong_arguments_are_named(options, name):
+    with pytest.raises(ValueError, match=name):
+        project(**{"theta": FLAT, **options})
 
 
 def test_gram_matrix_of_tiny_columns_is_accepted():
@@ -643,31 +494,6 @@ def test_gram_matrix_of_tiny_columns_is_accepted():
 
 
 # -- the transformer
-
-
-def test_transformer_projects_each_row_as_the_function_does():
-    rng = np.random.default_rng(9)
-    X = np.array([inconsistent_robot(rng, 2) for _ in range(3)])
-    A = metric(rng, 22, 1e4)
-    projector = PhysicalProjector(metric=A).fit(X)
-    scales = {
-        "mass_scale": projector.mass_scale_,
-        "length_scale": projector.length_scale_,
-    }
-    for row, projected, result in zip(
-        X, projector.transform(X), projector.projections(X)
-    ):
-        np.testing.assert_array_equal(projected, result.theta)
-        np.testing.assert_array_equal(projected, project(row, A, **scales).theta)
-
-
-def test_options_of_the_transformer_are_those_of_the_function():
-    theta = inconsistent_robot(np.random.default_rng(10), 2)
-    projector = PhysicalProjector("eq30", margin=1e-3, anchor_weight=1e-6)
-    result = project(theta, **projector.get_params())
-    np.testing.assert_allclose(
-        projector.fit_transform(theta[None])[0], result.theta, atol=1e-6
-    )
 
 
 def test_fitted_attributes():
@@ -692,12 +518,6 @@ def test_scales_of_the_anchor_come_before_those_of_the_rows():
     rng = np.random.default_rng(12)
     anchor = robot(rng, 2)
     X = 1e3 * inconsistent_robot(rng, 2)[None]
-    with_anchor = PhysicalProjector(anchor=anchor).fit(X)
+    with_anchor = PhysicalProjector(options=Options(anchor=anchor)).fit(X)
     of_anchor = PhysicalProjector().fit(anchor[None])
     np.testing.assert_array_equal(with_anchor.mass_scale_, of_anchor.mass_scale_)
-
-
-def test_failed_row_raises_from_transform():
-    X = inconsistent_robot(np.random.default_rng(13), 2)[None]
-    with pytest.raises(ProjectionError, match="failed"):
-        PhysicalProjector(max_solver_iter=1).fit_transform(X)

@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import pytest
 from threadpoolctl import threadpool_info
 
-from sklearn_vbjfa.physical import ProjectionError, one_blas_thread, project
+from sklearn_vbjfa.physical import ProjectionError, _solver, one_blas_thread, project
 
 FLAT = [2.0, 0, 0, 0, 1, 0, 1, 0, 0, 3]
 
@@ -63,12 +63,15 @@ def test_overlapping_holders_do_not_leave_the_limit_behind(library):
     assert library.n_threads == 2
 
 
-def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(library):
+def test_projection_holds_the_limit_and_gives_it_back_even_when_it_fails(
+    library, monkeypatch
+):
     project(FLAT)
     assert set(library.seen) == {1}
     assert library.n_threads == 2
+    monkeypatch.setattr(_solver, "_MAX_STEPS", 1)
     with pytest.raises(ProjectionError):
-        project(FLAT, max_solver_iter=1)
+        project(FLAT)
     assert library.n_threads == 2
 
 

@@ -13,6 +13,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import PhysicalProjector, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.physical import Options  # noqa: E402
 from sklearn_vbjfa.robot import _equations  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 from tests.simulation._machines import wheel  # noqa: E402
@@ -244,12 +245,12 @@ def test_repeating_a_recording_repeats_the_result(identified, simulated):
 
 
 def test_any_regressor_and_projector(simulated, new_motion):
-    projector = PhysicalProjector("eq30", margin=1e-6)
+    projector = PhysicalProjector("eq30", options=Options(margin=1e-6))
     robot = identify(simulated, regressor=Ridge(alpha=1e-6), projector=projector)
     error = squared_error(robot, new_motion.states, new_motion.tau_clean)
     assert np.all(error < 1e-4)
     assert robot.projector_.constraint == "eq30"
-    assert robot.projector_.margin == 1e-6
+    assert robot.projector_.options.margin == 1e-6
     assert robot.projector_.metric is robot.estimator_.metric_
     assert projector.metric is None
     assert np.isnan(robot.theta_std_).all()
@@ -259,7 +260,7 @@ def test_settings_of_a_projector_of_the_user_stay(simulated):
     metric = np.eye(72)
     robot = identify(simulated, projector=PhysicalProjector(metric=metric))
     np.testing.assert_array_equal(robot.projector_.metric, metric)
-    assert robot.projector_.parameters_per_joint == 12
+    assert robot.projector_.body_starts_.tolist() == list(range(0, 72, 12))
 
 
 def test_without_projection_theta_is_the_estimate(simulated):

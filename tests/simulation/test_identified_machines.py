@@ -7,6 +7,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import PhysicalProjector, RobotIdentifier, load_identified
 from sklearn_vbjfa.effects import Backlash, Delay, LoadFriction, Payload, TorqueGain
+from sklearn_vbjfa.physical import Options
 from sklearn_vbjfa.simulation import SimulationError
 from tests.simulation._machines import GRAVITY, Arm, pendulum, wheel
 
@@ -95,7 +96,7 @@ def test_friction_that_drives_is_refused_at_one_per_cent():
     robot = a_wheel(
         lambda q, v, a: -k * INERTIA * v,
         friction=("viscous",),
-        projector=PhysicalProjector(nonnegative=()),
+        projector=PhysicalProjector(options=Options(nonnegative=())),
     )
     with pytest.raises(SimulationError, match="more than was put in") as refused:
         robot.simulate(np.zeros((300, 1)), [0.0], [2.0])

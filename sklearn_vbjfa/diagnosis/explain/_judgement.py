@@ -189,7 +189,8 @@ def _lift(projector, theta, constraints):
             "mass_scale": projector.mass_scale_[kept],
             "length_scale": projector.length_scale_[kept],
         }
-    other = clone(projector).set_params(**constraints, **scales)
+    options = replace(projector.options, **constraints, **scales)
+    other = clone(projector).set_params(options=options)
     return other.fit(theta[None]).transform(theta[None])[0]
 
 

@@ -281,13 +281,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         out[self._places[diagonal, diagonal, 10:]] = declared
         return out
 
-    def one_by_one(self):
-        """Return a function of one state (q, v, a), for control loops.
-
-        It computes the bodies' regressor matrix (nv, nv, 10); see `TreeRegressor`.
-        """
-        return self._regressor.one_by_one()
-
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""
         return self._regressor.torques(q, v, a, inertial)

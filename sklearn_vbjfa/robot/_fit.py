@@ -19,7 +19,6 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording, check_wait
 from sklearn_vbjfa.robot._alike import beside_each_other
 from sklearn_vbjfa.robot._bodies import DESCRIBED
-from sklearn_vbjfa.robot._closed_loop import refine_controlled
 from sklearn_vbjfa.robot._corners import with_corners
 from sklearn_vbjfa.robot._equations import (
     accumulate,
@@ -452,24 +451,14 @@ def _in_units(recipe, fit, source, factor):
 # -- refinement by simulation ----------------------------------------------------------
 
 
-def refine_fit(recipe, fit, source, settings, reference):
+def refine_fit(recipe, fit, source, settings):
     """Refine the parameters of a torque fit by simulation."""
-    # settings: identifier with `window`, `projector` and `controller`; reference:
-    # commanded positions (n, nv) for the last.
+    # settings: identifier with `window` and `projector`.
     robot = fit.robot
-
-    def estimate_from(states):
-        return recipe.of_source(robot, replace(source, states=states)).found
-
     # Values of effects in the model have no columns there.
-    found = replace(estimate_from(source.states), std=robot.theta_std_)
-    known = robot, found, source.recording, source.states
-    if settings.controller is None:
-        refined = refine(*known, settings)
-    else:
-        refined = refine_controlled(
-            *known, settings.controller, reference, estimate_from
-        )
+    found = recipe.of_source(robot, source).found
+    found = replace(found, std=robot.theta_std_)
+    refined = refine(robot, found, source.recording, source.states, settings)
     found = replace(
         found,
         theta=refined.theta,

@@ -6,7 +6,6 @@ import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
@@ -24,7 +23,6 @@ from sklearn_vbjfa.recording import (
 )
 from sklearn_vbjfa.robot._alike import alike_joints
 from sklearn_vbjfa.robot._bodies import described_bodies, warn_of_unit
-from sklearn_vbjfa.robot._closed_loop import check_drive, check_reference, delay_of
 from sklearn_vbjfa.robot._equations import as_driven, numbered
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
@@ -34,19 +32,18 @@ from sklearn_vbjfa.robot._features import (
 from sklearn_vbjfa.robot._fit import Recipe, Source, fit_robot, refine_fit
 from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._online import OnlineMoments, check_online, check_rows
 from sklearn_vbjfa.robot._output_error import check_criterion
 from sklearn_vbjfa.robot._plan import (
-    Plan,
     check_effects,
+    delay_of,
     effect_names,
     make_plan,
     observe,
-    resolve_standstill,
 )
 from sklearn_vbjfa.robot._ranges import ends
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
+    check_drive,
     check_input_noise,
     check_length,
     check_motion,
@@ -193,9 +190,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Number of recordings, or pieces of them, processed in parallel, in threads
         unless a `joblib.parallel_config` says otherwise; None is one, -1 all
         processors. The result does not depend on it.
-    forgetting : float, default=1.0
-        For `partial_fit`: factor in (0, 1] by which each new row scales the weight of
-        earlier ones.
     gains : None, "unknown" or sequence of str, default=None
         None: y holds torques. ``"unknown"``: it holds what is proportional to them,
         such as motor currents, with an unknown factor for each channel. The factors are
@@ -215,11 +209,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Length [s] of the windows that are simulated, each from its measured state.
         ``"auto"``: five times as long as friction takes to slow the slowest joint to
         1 / e, but at least five periods of the fastest motion, and so that there are at
-        least eight windows. A controller simulates whole recordings.
-    controller : PDDrive or None, default=None
-        Controller of the recording, for ``criterion="simulation"``: the closed loop is
-        simulated with the `reference` given to `fit`. None drives the robot with the
-        measured torques.
+        least eight windows.
     bodies : {"prior", "free", "fixed"}, default="prior"
         What the description's masses and inertias are worth. ``"prior"``: bodies are
         near those of the description, each at a distance tr((P0^-1 dP)^2) of its
@@ -261,8 +251,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         plus or minus 1.645 of them. They allow for residuals correlated in time, as
         unmodelled effects are: the deviations for independent residuals are scaled by
         the ratio of observed to expected scatter between forty blocks of time (see
-        Notes), or of phases where a motion repeats. After `partial_fit` rows count as
-        independent; nan if the regressor provides none. The projection moves `theta_`
+        Notes), or of phases where a motion repeats. nan if the regressor
+        provides none. The projection moves `theta_`
         into the physically consistent set, and undetermined directions to the model's
         values; no deviation is given for that.
     theta_prior_std_ : ndarray of shape (p,)
@@ -291,7 +281,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         What each effect was fitted on, the declared friction joint by joint and then
         `effects_`: positions, speeds and loads of its joint behind the low-pass, in
         rows with weight in which it moves. `predict` warns outside. Loads are nan
-        without `effects`; `forgetting` does not narrow the ranges again.
+        without `effects`.
     gains_ : ChannelGains or None
         Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
         90 %, the joint whose channel each is relative to, ``reference`` (nv,), and
@@ -365,15 +355,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     determine stays as it was, and projected onto the consistent parameters; the
     criterion never rises. Start states of the windows are estimated as well, with their
     measurement noise as prior. `theta_std_` is then a sandwich estimate with windows as
-    blocks. Shapes of effects and the values of those in the model stay. With a
-    `controller` it is DIDIM [1]_: least squares of the measured torques on the
-    regressor of simulated states, repeated.
-
-    References
-    ----------
-    .. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error method
-       for parameter identification of robot dynamics", IEEE Trans. Control Syst.
-       Technol. 21(2), 2013. :doi:`10.1109/TCST.2012.2185697`
+    blocks. Shapes of effects and the values of those in the model stay.
 
     Examples
     --------
@@ -402,12 +384,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         input_noise="auto",
         torque_noise=None,
         n_jobs=None,
-        forgetting=1.0,
         gains=None,
         known_masses=None,
         criterion="torque",
         window="auto",
-        controller=None,
         bodies="prior",
         drive=None,
         alike="auto",
@@ -426,12 +406,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.input_noise = input_noise
         self.torque_noise = torque_noise
         self.n_jobs = n_jobs
-        self.forgetting = forgetting
         self.gains = gains
         self.known_masses = known_masses
         self.criterion = criterion
         self.window = window
-        self.controller = controller
         self.bodies = bodies
         self.drive = drive
         self.alike = alike
@@ -445,7 +423,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         sample_weight=None,
         t=None,
         signals=None,
-        reference=None,
     ):
         """Identify the robot.
 
@@ -477,8 +454,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             a data frame X that are not a channel of a joint are taken as well. A
             `drive` takes its further channels from here, (n_samples, nv) each:
             ``v_desired``, ``tau_ff``, ``kp``, ``kd``, ``supply``.
-        reference : array-like of shape (n_samples, nv), default=None
-            Commanded positions [rad or m], for `controller`.
 
         Returns
         -------
@@ -506,9 +481,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
         with show_progress(self.verbose):
-            return self._fit(recording, reference)._of_a_size()
+            return self._fit(recording)._of_a_size()
 
-    def fit_recording(self, recording, reference=None):
+    def fit_recording(self, recording):
         """Identify the robot from a recording as it is.
 
         Parameters
@@ -516,8 +491,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         recording : Recording
             Positions or states, torques [N m or N], labels, weights and signals, its
             columns in the order of `joint_names_`.
-        reference : array-like of shape (n_samples, nv), default=None
-            Commanded positions [rad or m], for `controller`.
 
         Returns
         -------
@@ -529,13 +502,11 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         UserWarning
             As of `fit`.
         """
-        return self.fit_inspected(recording, reference)._of_a_size()
+        return self.fit_inspected(recording)._of_a_size()
 
-    def _fit(self, recording, reference):
+    def _fit(self, recording):
         """Fit to a checked recording."""
-        given = recording.tau, self.dt, self.joint_names_
         self._feedback = recording.feedback
-        reference = check_reference(self.controller, reference, *given)
         plan, recording, states = self._prepare(recording)
         noise = given_noise(
             self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
@@ -557,7 +528,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
             fit = self._with_noise(fit, facts)
         if self.criterion == "simulation":
-            fit = refine_fit(recipe, fit, source, self, reference)
+            fit = refine_fit(recipe, fit, source, self)
             self.criteria_ = fit.criteria
         return self._set(fit)
 
@@ -603,15 +574,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     # -- for other rooms -------------------------------------------------------------
 
-    def fit_inspected(self, recording, reference=None):
+    def fit_inspected(self, recording):
         """Identify the robot from a recording whose channels were looked at.
 
         Parameters
         ----------
         recording : Recording
             As of `fit_recording`.
-        reference : array-like of shape (n_samples, nv), default=None
-            Commanded positions [rad or m], for `controller`.
 
         Returns
         -------
@@ -620,7 +589,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         check_criterion(self)
         self._declare()
-        return self._fit(self._checked(recording), reference)
+        return self._fit(self._checked(recording))
 
     def load(self):
         """Load the model without data.
@@ -635,7 +604,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
                 "Second moments alone cannot be refined by simulation, which needs the "
                 "recordings themselves: set criterion='torque', or use fit."
             )
-        self._online = None
         self._declare()
         return self
 
@@ -776,7 +744,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         names, units = effect_names(self.effects_, self.features_.model_)
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
-        self._online = None
         self._description = described_bodies(self)
         self._alike = alike_joints(self)
 
@@ -889,86 +856,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
         self.input_noise_torque_ = found.noise()[0]
         return self
-
-    def partial_fit(self, X, y, sample_weight=None, *, refit=True):
-        """Update with rows from a running robot, forgetting older ones.
-
-        A row has weight ``forgetting ** age``, its age in rows. Nothing is filtered in
-        time: give states that the robot measures or estimates itself, and torques of
-        the same delay. The first call after a `fit` starts afresh and keeps only
-        `standstill_`, since filtered and unfiltered rows differ in noise.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, 3 * nv) or (3 * nv,)
-            New rows of states [q | v | a], in time order.
-        y : array-like of shape (n_samples, nv) or (nv,)
-            Their torques [N m] or forces [N].
-        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
-                default=None
-            Weights, in addition to forgetting; zero leaves a row (of one joint) out.
-        refit : bool, default=True
-            Whether to re-estimate the parameters. False only accumulates, fast enough
-            for every cycle of a control loop; ``docs/large_data.rst`` has timings.
-
-        Returns
-        -------
-        self : object
-            The estimator, fitted if `refit`.
-
-        Raises
-        ------
-        ValueError
-            If X does not hold states, settings need more than second moments (effects,
-            other regressors), `standstill` is ``"auto"``
-            without a previous fit, or there are fewer equations than parameters to
-            refit.
-        """
-        if getattr(self, "_online", None) is None:
-            self._begin_online()
-        self._online.forgetting = float(self.forgetting)
-        X = positions_in_order(X, self.joint_names_)
-        y = torques_in_order(y, self.joint_names_)
-        rows = check_rows(self.joint_names_, X, y, sample_weight)
-        self._online.add(*rows, self.standstill_)
-        if refit:
-            plan = self._running_plan
-            robot = self._robot_of(plan, np.full(plan.standstill.size, np.nan))
-            self._set(self._recipe().of_moments(robot, self._online.moments()))
-        return self
-
-    def _begin_online(self):
-        """Prepare for rows from a running robot."""
-        if self.criterion == "simulation":
-            raise ValueError(
-                "partial_fit cannot refine by simulation, which needs recordings in "
-                "time order: fit them, or set criterion='torque'."
-            )
-        known = getattr(self, "standstill_", None)
-        before = getattr(self, "_robot", None)
-        self._declare()
-        check_online(self, self.effects_)
-        nv = self.features_.n_joints_
-        automatic = isinstance(self.standstill, str)
-        if not automatic or known is None:
-            if automatic and self.standstill == "auto":
-                raise ValueError(
-                    "standstill='auto' needs the speeds of a whole recording, which "
-                    "partial_fit does not have: fit a recording first, or give "
-                    "standstill as speeds [rad/s or m/s], or as None."
-                )
-            known = resolve_standstill(self.standstill, np.zeros(nv))
-        self.standstill_ = known
-        self._running_plan = Plan(
-            dt=self.dt,
-            state_estimator=None,
-            cutoff=np.inf,
-            lowpass=_lowpass.design(1.0, np.inf),
-            standstill=known,
-            fastest_period=None if before is None else before.plan.fastest_period,
-        )
-        self._online = OnlineMoments(self.features_, float(self.forgetting))
-        self.n_features_in_ = 3 * nv
 
     def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
         r"""Predict the joint torques.

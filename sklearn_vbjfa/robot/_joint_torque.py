@@ -107,8 +107,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         (parallel filtering: filtering the torque alone leaves a residual at every
         reversal that looks like friction). None filters nothing. Half the filter's
         length is lost at each end of a recording.
-    decimation : int, default=None
-        Decimation factor; None keeps four filtered samples per period of the cut-off.
 
     Attributes
     ----------
@@ -189,14 +187,12 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         *,
         dt=None,
         cutoff=None,
-        decimation=None,
     ):
         self.regressor = regressor
         self.projector = projector
         self.joint_weights = joint_weights
         self.dt = dt
         self.cutoff = cutoff
-        self.decimation = decimation
 
     def __sklearn_tags__(self):
         """Tags of a regressor with one or several outputs."""
@@ -296,11 +292,11 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     def _design(self):
         """Design the filter."""
         if self.cutoff is None:
-            self.lowpass_ = _lowpass.design(1.0, np.inf, self.decimation)
+            self.lowpass_ = _lowpass.design(1.0, np.inf)
         else:
             dt = check_dt(self.dt)
             cutoff = check_cutoff(self.cutoff, dt, "cutoff")
-            self.lowpass_ = _lowpass.design(dt, cutoff, self.decimation)
+            self.lowpass_ = _lowpass.design(dt, cutoff)
         return self.lowpass_
 
     def _estimate(self, moments, pieces, labels):

@@ -60,12 +60,11 @@ class SimulationCriteria:
         measured states; after, from the estimated ones.
     torque_before, torque_after : ndarray of shape (nv,)
         Root mean square of the torque residuals of the fit, behind its low-pass
-        [N m or N]. The torque fit minimises them, so that after they are larger. With
-        a controller: of its simulated minus the measured torques.
+        [N m or N]. The torque fit minimises them, so that after they are larger.
     n_windows : int
-        Number of windows; of recordings with a controller.
+        Number of windows.
     window : float
-        Their length [s]; of the longest recording with a controller.
+        Their length [s].
     n_iterations : int
         Steps that were taken.
     converged : bool
@@ -247,8 +246,6 @@ def check_criterion(settings):
             f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
         )
     if settings.criterion == "torque":
-        if settings.controller is not None:
-            raise ValueError("controller is given: it needs criterion='simulation'.")
         return
     _check_window(settings.window)
     if settings.dt is None:

@@ -11,7 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.effects import Effect, Rest, resolve
+from sklearn_vbjfa.effects import CommandDelay, Effect, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._parallel import run
@@ -167,6 +167,14 @@ def check_effects(effects, nv):
         if keys.count(key) > 1:
             raise ValueError(f"effects holds {key[0][0]} on joint {key[0][1]} twice.")
     return found
+
+
+def delay_of(drive, declared):
+    """Return the delay of a drive's commands as declared effects, a tuple."""
+    if drive is None or not drive.delayed:
+        return ()
+    own = [effect for effect in declared if isinstance(effect, CommandDelay)]
+    return () if own else (CommandDelay(),)
 
 
 def needs_load(effects):

@@ -6,6 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import (
+    Drive,
     at_rest,
     nothing_moves,
     position_jumps,
@@ -198,3 +199,21 @@ def check_weight(sample_weight, shape):
     if not weight.any():
         raise ValueError("Sample weights must contain at least one non-zero number.")
     return weight if weight.ndim == 2 else np.repeat(weight[:, None], shape[1], 1)
+
+
+def check_drive(settings):
+    """Refuse a drive that is none, or beside what it cannot be combined with."""
+    drive = settings.drive
+    if drive is None:
+        return
+    if not isinstance(drive, Drive):
+        raise ValueError(
+            "drive must be a PDDrive, CurrentDrive, VoltageDrive or None; got "
+            f"{drive!r}. Torques need no drive."
+        )
+    gains = settings.gains
+    if gains is not None and drive.gains is None:
+        raise ValueError(
+            "drive has gains of its own, and cannot be combined with gains: leave "
+            "gains=None."
+        )

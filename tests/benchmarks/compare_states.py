@@ -271,7 +271,6 @@ def identifiers(data_home):
     plain, scaled = make(), make(torque_gain={1: 1.3})
     moved = make(base_tilt=(0.05, 0.0), joint_zero={1: 0.05})
     payload = effects.Payload(joint=1, instant=8.0, centre=(0.1, 0.0, 0.0))
-    followed = {"criterion": "simulation", "controller": PDDrive(100.0, 5.0)}
     # Name -> recording, settings.
     cases = {
         "prior": (plain, {}),
@@ -285,28 +284,16 @@ def identifiers(data_home):
         "payload": (plain, {"effects": (payload,)}),
         "stribeck": (plain, {"effects": (effects.Stribeck(0), effects.Ripple(1))}),
         "output error": (plain, {"criterion": "simulation", "window": 0.3}),
-        "controller": (plain, followed),
     }
     found = {}
     for name, (recording, settings) in cases.items():
         q, tau, groups = recording.q, recording.tau, recording.groups
         settings = {"friction": ("viscous", "coulomb"), **settings}
         robot = RobotIdentifier("arm.urdf", dt=0.01, **settings)
-        fitting = {"groups": groups}
-        if name == "controller":
-            # the reference that this controller would have followed
-            speed = recording.states[:, 2:4]
-            fitting["reference"] = q + (tau + 5.0 * speed) / 100.0
-        timed(found, name, robot.fit, q, tau, **fitting)
+        timed(found, name, robot.fit, q, tau, groups=groups)
         figures = fitted_robot(robot, q, groups)
         found |= {f"{name}, {key}": value for key, value in figures.items()}
-    first = plain.groups == plain.groups[0]
-    robot = RobotIdentifier("arm.urdf", dt=0.01, cutoff=8.0, standstill=0.01)
-    for rows in (first, ~first):
-        robot.partial_fit(plain.states[rows], plain.tau[rows])
-    figures = {k: getattr(robot, k) for k in ("theta_", "theta_std_")}
-    figures["torque"] = robot.predict(plain.states)
-    return found | {f"in parts, {key}": value for key, value in figures.items()}
+    return found
 
 
 def whole_robot(data_home):

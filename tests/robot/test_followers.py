@@ -235,6 +235,3 @@ def test_refuses_in_words_what_followers_cannot_do(path, recorded, motion):
     words = "follow others, follow: use criterion='torque', or give a description"
     with pytest.raises(ValueError, match=words):
         robot.fit(q, tau)
-    robot = RobotIdentifier(str(path), dt=DT, friction=("viscous",))
-    with pytest.raises(ValueError, match=r"does not support .* follow: use fit, or"):
-        robot.partial_fit(np.hstack(motion), tau)

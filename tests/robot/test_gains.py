@@ -282,8 +282,6 @@ def test_declared_gains_are_where_it_starts():
     tau = torques()
     given = fit(tau, effects=[TorqueGain(2, gain=4.0)])
     assert_allclose(given.gains_.gain, fit(tau).gains_.gain, rtol=1e-3)
-    with pytest.raises(ValueError, match="partial_fit does not support effects"):
-        given.partial_fit(STATES, tau)
 
 
 @pytest.mark.parametrize(

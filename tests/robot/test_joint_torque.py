@@ -368,17 +368,6 @@ def test_masked_stretches_count_by_what_is_left_of_the_filter(rng):
     np.testing.assert_allclose(lost, 200 / filtered, atol=0.05)
 
 
-def test_decimation(rng):
-    Phi, tau, _ = joint_equations(rng, n=600)
-    dense = fitted(Phi, tau, dt=0.01, cutoff=5.0, decimation=1)
-    assert dense.n_rows_[0] == 600 - 2 * dense.lowpass_.half
-    default = fitted(Phi, tau, dt=0.01, cutoff=5.0)
-    assert default.lowpass_.step == 5  # four per period of 0.2 s
-
-
-# -- projection
-
-
 def test_projector_gets_the_metric_of_the_fit(rng):
     body = np.append(random_body(rng), 0.3)
     Phi = rng.normal(size=(80, 2, 11))

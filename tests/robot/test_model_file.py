@@ -132,18 +132,12 @@ def fitted_states(recording):
     return robot.fit(recording.states, recording.tau), {}
 
 
-def fitted_online(recording):
-    robot = RobotIdentifier(recording.urdf, standstill=0.05, friction=("viscous",))
-    return robot.partial_fit(recording.states, recording.tau), {}
-
-
 ROBOTS = (
     fitted_plain,
     fitted_effects,
     fitted_in_model,
     fitted_gains,
     fitted_states,
-    fitted_online,
 )
 
 

@@ -583,12 +583,6 @@ def test_what_cannot_be_is_refused(effects, message):
         fit(ARM, effects, NOISY)
 
 
-def test_rows_of_a_running_robot_have_no_effects():
-    robot = RobotIdentifier(ARM, effects=[BaseTilt()], **EXACT)
-    with pytest.raises(ValueError, match="effects"):
-        robot.partial_fit(STATES, NOISY)
-
-
 # -- one correction
 
 

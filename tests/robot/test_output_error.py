@@ -1,6 +1,5 @@
 """Output error recovers simulated robots, and its sensitivities are derivatives."""
 
-import copy
 import warnings
 from dataclasses import replace
 
@@ -414,53 +413,6 @@ def test_what_the_simulation_does_not_see_stays():
 
 # -- closed loop -----------------------------------------------------------------------
 
-CONTROLLER = PDDrive(kp=(400.0, 300.0), kd=(40.0, 20.0), period=1e-3)
-
-
-def controlled(model, duration=8.0, noise=2e-4, torque_noise=0.3, feedforward=False):
-    """Make a robot follow a reference: positions, torques, reference, truth."""
-    truth, *_ = identified(model)
-    t, states, _ = planned(model, duration)
-    nv = model.nv
-    controller = copy.copy(CONTROLLER).set_params(feedforward=feedforward)
-    q_ref = states[:, :nv]
-    v_ref = np.gradient(q_ref, DT, axis=0) if feedforward else 0.0 * q_ref
-
-    def control(row, q, v):
-        here = [[np.interp(row * DT, t, x) for x in y.T] for y in (q_ref, v_ref)]
-        return controller.torque(*np.array(here), q, v)
-
-    start = states[0, :nv], states[0, nv : 2 * nv]
-    made, tau = simulate_controlled(
-        truth.robot_.torque_model(), control, *start, t, updates=10
-    )
-    rng = np.random.default_rng(2)
-    q = made[:, :nv] + noise * rng.normal(size=(t.size, nv))
-    tau = tau + torque_noise * rng.normal(size=tau.shape)
-    return q, tau, q_ref, truth, made, controller
-
-
-@pytest.mark.parametrize("feedforward", [False, True])
-def test_a_closed_loop_is_recovered(feedforward):
-    model = arm("ZY")
-    q, tau, q_ref, truth, made, controller = controlled(model, feedforward=feedforward)
-    robot = RobotIdentifier(
-        model,
-        dt=DT,
-        friction=FRICTION,
-        criterion="simulation",
-        controller=controller,
-    ).fit(q, tau, reference=q_ref)
-    told = robot.criteria_
-    assert (told.position_after < 5e-4).all()
-    assert told.n_windows == 1
-    exact = truth.predict(made)
-    errors = (robot.predict(made) - exact).std(axis=0) / exact.std(axis=0)
-    assert (errors < 0.03).all()
-    assert (robot.min_eigenvalues_ > 0).all()
-    weight = robot.estimator_.joint_weights_
-    assert weight @ told.torque_after**2 <= weight @ told.torque_before**2
-
 
 def test_the_controller_sets_the_torque():
     controller = PDDrive(kp=[2.0, 3.0], kd=0.5)
@@ -502,40 +454,6 @@ BAD = {
     "window in words": ({"window": "long"}, {}, "window must be 'auto'"),
     "long window": ({"window": 100.0}, {}, "longer than the longest recording"),
     "dt": ({"dt": None}, {}, "give dt in seconds"),
-    "period": ({"period": 1.0}, {}, "set period to None"),
-    "controller of torque": (
-        {"criterion": "torque", "controller": CONTROLLER},
-        {},
-        "needs criterion='simulation'",
-    ),
-    "no controller": ({"controller": "pd"}, {}, "must be a PDDrive"),
-    "no reference": ({"controller": CONTROLLER}, {}, "needs the commanded positions"),
-    "reference alone": ({}, {"reference": np.zeros((4, 2))}, "without a controller"),
-    "width": (
-        {"controller": CONTROLLER},
-        {"reference": np.zeros((7, 2))},
-        r"shape \(1200, 2\); got \(7, 2\)",
-    ),
-    "nan": (
-        {"controller": CONTROLLER},
-        {"reference": np.full((1200, 2), np.nan)},
-        "reference holds nan in row 0",
-    ),
-    "gains": (
-        {"controller": PDDrive([1.0, 2.0, 3.0], 1.0)},
-        {"reference": np.zeros((1200, 2))},
-        "kp must be one finite number or 2",
-    ),
-    "period of the controller": (
-        {"controller": PDDrive(1.0, 1.0, period=0.1)},
-        {"reference": np.zeros((1200, 2))},
-        "at most the sample period of 0.01 s",
-    ),
-    "negative gains": (
-        {"controller": PDDrive(1.0, -1.0)},
-        {"reference": np.zeros((1200, 2))},
-        "kd is negative",
-    ),
 }
 
 
@@ -551,10 +469,3 @@ def test_bad_input_is_named(case):
 def test_second_moments_are_not_simulated():
     with pytest.raises(ValueError, match="needs the recordings themselves"):
         RobotIdentifier(arm("ZY"), **SETTINGS).load()
-
-
-def test_rows_of_a_running_robot_are_not_simulated():
-    _, states, tau = planned(arm("ZY"))
-    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, "standstill": None})
-    with pytest.raises(ValueError, match="criterion='torque'"):
-        robot.partial_fit(states, tau)

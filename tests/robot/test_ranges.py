@@ -126,19 +126,6 @@ def test_ranges_of_disjoint_rows_add_up():
         assert np.isnan(pairs[2]).all()
 
 
-def test_rows_of_a_running_robot_widen_the_ranges():
-    known = robot(**EXACT).fit(STATES, TORQUE)
-    online = robot(standstill=None, forgetting=0.99)
-    for first, last in ((0, 900), (900, 903), (903, 904), (904, len(STATES))):
-        online.partial_fit(STATES[first:last], TORQUE[first:last], refit=False)
-    online.partial_fit(STATES[:1], TORQUE[:1])
-    assert_allclose(numbers(online), numbers(known))
-    weight = np.zeros(TORQUE.shape[0])
-    weight[:400] = 1.0
-    first = robot(standstill=None).partial_fit(STATES, TORQUE, sample_weight=weight)
-    assert_allclose(first.effect_ranges_[0].position, ends(Q[:400, 0]))
-
-
 def test_ranges_follow_the_estimator():
     fitted = robot(SPRING, **EXACT).fit(STATES, TORQUE)
     again = pickle.loads(pickle.dumps(fitted))
@@ -376,10 +363,6 @@ def test_a_joint_that_never_reversed_is_known_one_way(way):
     (message,) = said(own, -forth)
     first, second = ("forward", "backward")[:: int(-way)]
     assert f"joint_1: {first} motion, fitted on {second} motion only (coul" in message
-    online = RobotIdentifier(arm("Z"), standstill=0.01, friction="coulomb")
-    online.partial_fit(forth, forth[:, :1], refit=False)
-    online.partial_fit(forth[:1], forth[:1, :1])
-    assert online.effect_ranges_[0].direction == (way, way)
 
 
 def test_a_joint_that_reversed_is_known_both_ways(fitted):

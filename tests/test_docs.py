@@ -457,7 +457,7 @@ NOT_SAID = re.compile(
     r"were set apart|no effect of the library explains|varies with no |"
     r"Errors are taken up to|A controller meets|physically possible cost|"
     r"[Nn]o motion can show|does the same, whatever|stands? for both|belongs? into|"
-    r"It decides, from|estimators that know it|sklearn-vbjfa\[|"
+    r"It decides, from|estimators that know it|"
     # "There is no" is English, "it is no file" is not.
     r"(?<![Tt]here )\b(is|are) no (whole|UTF-8|JSON|text|table|number|bag|folder|part|"
     r"date|known|channel|function|linear|property|condition|mass|multiple)s?\b",

@@ -1,24 +1,28 @@
-"""Reading MJCF, the description of MuJoCo, as a tree of joints for Pinocchio.
+"""Reading MJCF by MuJoCo's own compiler, as a tree of joints for Pinocchio.
 
 Pinocchio has a reader of its own, which keeps one body below the world and takes no
 notice of equality constraints. This one keeps all bodies, in the order of MuJoCo's
 coordinates, and names what it cannot keep.
 """
 
+import re
 import xml.etree.ElementTree as ElementTree
-from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.model._mjcf_document import DEEPEST, Document, masses_of
 from sklearn_vbjfa.model._trees import Link, check_number, import_pinocchio
 from sklearn_vbjfa.model._xml import number, numbers, write_tree
 
 _WORLD = -1
-# Elements that MuJoCo's compiler turns into bodies of their own.
+# Files that one robot may include, and elements inside elements.
+_MOST_FILES, _DEEPEST = 100, 300
+# Elements that MuJoCo's compiler turns into bodies of their own: few characters make
+# any number of them.
 _MACROS = ("composite", "flexcomp", "replicate", "attach")
+# What is read of a file; the rest needs files or memory that joints have no use for.
+_READ = ("compiler", "option", "default", "worldbody", "tendon", "equality")
 # What joints do by themselves, in MuJoCo.
 _PASSIVE = {
     "stiffness": "springs",
@@ -31,6 +35,18 @@ _SAVE = (
     "load the file with MuJoCo, save what it made of it (mujoco.mj_saveLastXML), and "
     "give that file"
 )
+
+
+def import_mujoco():
+    """Import mujoco, or say in one line how to get it."""
+    try:
+        import mujoco
+    except ImportError as error:
+        raise ImportError(
+            "MJCF files are read by MuJoCo, which is not installed: "
+            'pip install "sklearn-vbjfa[mujoco]"'
+        ) from error
+    return mujoco
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -81,17 +97,6 @@ class Constraint:
     joints: tuple = ()  # joints that it couples; empty for other kinds
 
 
-@dataclass(frozen=True, kw_only=True)
-class Beside:
-    """What a file has beside bodies, joints and constraints."""
-
-    tendons: list  # names
-    n_actuators: int
-    weightless: list  # bodies whose weight is compensated
-    nameless: list  # names given to joints that have none
-    unknown: list  # bodies with a mass that is not known, that of a mesh
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MjcfRobot:
     """What an MJCF file says of a robot."""
@@ -103,7 +108,8 @@ class MjcfRobot:
     # what is to hold between bodies or joints, except followers
     constraints: tuple
     links: dict  # joints that follow others, name -> `Link`
-    beside: Beside
+    beside: tuple  # what the file has beside bodies and joints, in words
+    nameless: tuple  # names given to joints that have none
 
     @property
     def joints(self):
@@ -117,22 +123,14 @@ class MjcfRobot:
 
     def left_out(self):
         """Sentences on what is in the file and does not enter the model."""
-        found, words, beside = [], [], self.beside
+        found, words = [], []
         for what in _PASSIVE.values():
             having = [joint.name for joint in self.joints if what in joint.passive]
             if having:
                 every = len(having) == len(self.joints) > 1
                 listed = "all joints" if every else ", ".join(having)
                 words.append(f"the {what} of {listed}")
-        if beside.tendons:
-            words.append(f"the tendon(s) {', '.join(beside.tendons)}")
-        if beside.weightless:
-            listed = ", ".join(beside.weightless)
-            words.append(f"that gravity is compensated on {listed} (gravcomp)")
-        if beside.n_actuators:
-            words.append(
-                f"the {beside.n_actuators} actuator(s) with their gains and biases"
-            )
+        words += self.beside
         if words:
             found.append(
                 "not taken over is what MuJoCo simulates beside the bodies: "
@@ -141,15 +139,8 @@ class MjcfRobot:
             )
         if not self.gravity.any():
             found.append("there is no gravity in it (option), and so none in the model")
-        if beside.nameless:
-            found.append(
-                f"joints without a name are called {', '.join(beside.nameless)}"
-            )
-        if beside.unknown:
-            found.append(
-                f"the mass of {', '.join(beside.unknown)} is that of a mesh, which is "
-                f"not read (give it an <inertial>, or {_SAVE})"
-            )
+        if self.nameless:
+            found.append(f"joints without a name are called {', '.join(self.nameless)}")
         return found
 
     @property
@@ -220,20 +211,16 @@ class MjcfRobot:
     def with_base(self, name, turn=None):
         """Return the robot without its free joint, and the axes (3, 3) of its base."""
         # turn: those in the world; None for those of the file.
+        # MuJoCo has such a joint on bodies of the world alone.
         bodies = list(self.bodies)
         at = next(k for k, x in enumerate(bodies) if name in [j.name for j in x.joints])
-        base, above = bodies[at], np.eye(3)
-        parent = base.parent
-        while parent != _WORLD:
-            above = bodies[parent].placement.rotation @ above
-            parent = bodies[parent].parent
         if turn is not None:
-            placement = base.placement.copy()
-            placement.rotation = above.T @ turn
-            base = bodies[at] = replace(base, placement=placement)
+            placement = bodies[at].placement.copy()
+            placement.rotation = turn
+            bodies[at] = replace(bodies[at], placement=placement)
         moving = {joint.name for joint in self.joints} - {name}
         robot = replace(self, bodies=tuple(bodies))._fixed(moving)
-        return robot, above @ base.placement.rotation
+        return robot, bodies[at].placement.rotation
 
     def check(self):
         """Refuse more joints than robots have, and what is not a tree of joints."""
@@ -326,295 +313,6 @@ class MjcfRobot:
         write_tree(ElementTree.ElementTree(root), target)
 
 
-def read_mjcf(root, path, parse):
-    """Read all bodies and joints of an MJCF file; the tree of `root` is changed."""
-    # parse: function of a path to an `ElementTree`, for included files. A ValueError
-    # names the file.
-    try:
-        return _BodyReader(Document(root, path, parse)).robot()
-    except ValueError as error:
-        raise ValueError(
-            f"{str(path)!r} is not readable as MJCF: {error}; correct the description."
-        ) from error
-
-
-class _BodyReader:
-    """Bodies and constraints of a document."""
-
-    def __init__(self, document):
-        self._document = document
-        self._bodies, self._unknown, self._weightless = [], [], []
-        self._sites, self._nameless = {}, []
-        self._taken = {
-            tag: {
-                element.get("name")
-                for world in document.sections("worldbody")
-                for element in world.iter()
-                if element.tag in tags
-            }
-            for tag, tags in (("body", ("body",)), ("joint", ("joint", "freejoint")))
-        }
-
-    def robot(self):
-        """Return the `MjcfRobot`."""
-        worlds = self._document.sections("worldbody")
-        if not worlds:
-            raise ValueError("it has no <worldbody>")
-        for world in worlds:
-            self._content(world, _WORLD, world.get("childclass"), 0)
-        bodies = tuple(self._bodies)
-        self._check_names(bodies)
-        constraints, links = self._equalities(bodies)
-        gravity = self._document.merged("option").numbers(
-            "gravity", [0.0, 0.0, -9.81], 3
-        )
-        if self._document.merged("option/flag").text("gravity") == "disable":
-            gravity = np.zeros(3)
-        total = self._document.compiler.number("settotalmass", -1.0)
-        if total > 0:
-            bodies = _scaled(bodies, total)
-        return MjcfRobot(
-            name=self._document.name,
-            path=self._document.path,
-            bodies=bodies,
-            gravity=gravity,
-            constraints=tuple(constraints),
-            links=links,
-            beside=self._beside(),
-        )
-
-    # -- bodies --
-
-    def _children(self, element, number, childclass, frame, joints, shapes, depth):
-        """Read what is in a body, the world or a frame: fill `joints` and `shapes`."""
-        # Returns the bodies in it, with their class of defaults and frame.
-        if depth > DEEPEST:
-            raise ValueError(f"bodies are nested more than {DEEPEST} deep")
-        carried = []
-        for child in element:
-            if child.tag in _MACROS:
-                raise ValueError(
-                    f"<{child.tag}> makes bodies of its own, which is not done here: "
-                    f"{_SAVE}"
-                )
-            attributes = self._document.attributes
-            if child.tag in ("joint", "freejoint"):
-                joints.append(self._joint(child, childclass, frame, number, joints))
-            elif child.tag == "geom":
-                shapes.append((attributes(child, childclass), frame))
-            elif child.tag == "site" and child.get("name"):
-                self._sites[child.get("name")] = number
-            elif child.tag == "body":
-                carried.append((child, child.get("childclass", childclass), frame))
-            elif child.tag == "frame":
-                carried += self._children(
-                    child,
-                    number,
-                    child.get("childclass", childclass),
-                    frame * self._document.placement(attributes(child)),
-                    joints,
-                    shapes,
-                    depth + 1,
-                )
-        return carried
-
-    def _content(self, element, number, childclass, depth):
-        """Read what a body or the world consists of, then the bodies inside."""
-        identity, joints, shapes = import_pinocchio().SE3.Identity(), [], []
-        carried = self._children(
-            element, number, childclass, identity, joints, shapes, depth
-        )
-        if number != _WORLD:
-            self._finish(number, element, joints, shapes)
-        for child, own, frame in carried:
-            self._body(child, number, own, frame, depth)
-
-    def _body(self, element, parent, childclass, frame, depth):
-        """Read a body and all that it carries."""
-        attributes = self._document.attributes(element)
-        number = len(self._bodies)
-        name = element.get("name") or self._free_name("body", f"body_{number + 1}")
-        self._bodies.append(
-            Body(
-                name=name,
-                parent=parent,
-                placement=frame * self._document.placement(attributes),
-                joints=(),
-                inertia=None,
-            )
-        )
-        if attributes.number("gravcomp") != 0:
-            self._weightless.append(name)
-        self._content(element, number, childclass, depth + 1)
-
-    def _finish(self, number, element, joints, shapes):
-        """Put joints and masses into a body."""
-        body = self._bodies[number]
-        try:
-            masses = masses_of(self._document, element, shapes)
-        except ValueError as error:
-            raise ValueError(f"body {body.name!r}: {error}") from error
-        if masses.unknown:
-            self._unknown.append(body.name)
-        self._bodies[number] = replace(
-            body, joints=tuple(joints), inertia=masses.inertia
-        )
-
-    def _free_name(self, tag, name):
-        """Return a name that nothing of the kind has, and take it."""
-        while name in self._taken[tag]:
-            name = f"{name}_"
-        self._taken[tag].add(name)
-        return name
-
-    def _joint(self, element, childclass, frame, body, before):
-        """Read a joint of a body; before : those that the body has already."""
-        if body == _WORLD:
-            raise ValueError("a joint is outside of any body")
-        free = element.tag == "freejoint"
-        attributes = self._document.attributes(element, childclass)
-        kind = "free" if free else attributes.text("type", "hinge")
-        name = element.get("name")
-        if not name:
-            # Joints are called by their bodies where they have no name.
-            more = f"_{len(before) + 1}" if before else ""
-            name = self._free_name("joint", f"{self._bodies[body].name}_joint{more}")
-            self._nameless.append(name)
-        if kind not in ("hinge", "slide", "ball", "free"):
-            raise ValueError(f"{attributes.what} is of a type {kind[:60]!r}")
-        if kind in ("ball", "free"):
-            return Joint(name=name, kind=kind, axis=np.zeros(3), anchor=np.zeros(3))
-        angle = self._document.angle if kind == "hinge" else float
-        low, high = self._limits(attributes, angle)
-        place = attributes.numbers("pos", np.zeros(3), 3)
-        axis = attributes.direction("axis", [0.0, 0.0, 1.0])
-        return Joint(
-            name=name,
-            kind=kind,
-            axis=frame.rotation @ axis,
-            anchor=frame.act(place),
-            ref=float(angle(attributes.number("ref"))),
-            low=low,
-            high=high,
-            passive=tuple(
-                what
-                for key, what in _PASSIVE.items()
-                if attributes.numbers(key, [0.0]).any()
-            ),
-        )
-
-    def _limits(self, attributes, angle):
-        """Return the ends of a joint's positions."""
-        ends = attributes.numbers("range", None, 2)
-        given = ends is not None and self._document.compiler.truth("autolimits", True)
-        if not attributes.truth("limited", given) or ends is None:
-            return -np.inf, np.inf
-        return float(angle(ends[0])), float(angle(ends[1]))
-
-    def _check_names(self, bodies):
-        """Refuse names that bodies or joints share."""
-        for kind, names in (
-            ("bodies", [body.name for body in bodies]),
-            ("joints", [joint.name for body in bodies for joint in body.joints]),
-        ):
-            name, times = Counter(names).most_common(1)[0] if names else ("", 0)
-            if times > 1:
-                raise ValueError(f"{times} {kind} are called {name!r}")
-
-    # -- constraints --
-
-    def _equalities(self, bodies):
-        """Return the constraints, and how joints follow others."""
-        numbers_of = {body.name: k for k, body in enumerate(bodies)}
-        numbers_of["world"] = _WORLD
-        joints = {joint.name: joint for body in bodies for joint in body.joints}
-        constraints, links = [], {}
-        for section in self._document.sections("equality"):
-            for element in section:
-                attributes = self._document.attributes(element)
-                if not attributes.truth("active", True):
-                    continue
-                if element.tag in ("connect", "weld"):
-                    found = self._between(attributes, element.tag, numbers_of)
-                elif element.tag == "joint":
-                    found = self._coupled(attributes, joints, links)
-                else:
-                    found = Constraint(
-                        kind=element.tag,
-                        name=f"{attributes.what} of <equality>",
-                        joints=tuple(joints),
-                    )
-                constraints += [found] if found else []
-        return constraints, links
-
-    def _between(self, attributes, kind, numbers_of):
-        """Return a constraint between two bodies."""
-        ends, words = [], []
-        for k in "12":
-            body, site = attributes.text(f"body{k}"), attributes.text(f"site{k}")
-            known, name = (numbers_of, body) if site is None else (self._sites, site)
-            if name is None and k == "2":
-                name = "world"
-            if name not in known:
-                raise ValueError(
-                    f"{attributes.what} of <equality> joins {name!r}, which is not in "
-                    "the file"
-                )
-            ends.append(known[name])
-            words.append(name)
-        return Constraint(
-            kind=kind,
-            name=f"{attributes.what} of <equality>, between {' and '.join(words)},",
-            bodies=tuple(ends),
-        )
-
-    def _coupled(self, attributes, joints, links):
-        """Return the constraint of an equality of joints; a linear one is a link."""
-        names = [attributes.text(f"joint{k}") for k in "12"]
-        names = names[:1] if names[1] is None else names
-        for name in names:
-            if name not in joints:
-                raise ValueError(
-                    f"{attributes.what} of <equality> couples {name!r}, which is "
-                    "not a joint"
-                )
-        given = attributes.numbers("polycoef", [0.0, 1.0, 0.0, 0.0, 0.0], least=1)
-        if given.size > 5:
-            raise ValueError(f"{attributes.what} of <equality> has six polycoef")
-        poly = np.array([0.0, 1.0, 0.0, 0.0, 0.0])
-        poly[: given.size] = given
-        linear = not poly[2:].any() and poly[1] != 0
-        if len(names) == 2 and linear:
-            own, leader = (joints[name] for name in names)
-            if {own.kind, leader.kind} <= {"hinge", "slide"}:
-                # Both count from where the file puts them.
-                offset = float(poly[0] + own.ref - poly[1] * leader.ref)
-                links[own.name] = Link(
-                    leader=leader.name, multiplier=float(poly[1]), offset=offset
-                )
-                return None
-        return Constraint(
-            kind="joint",
-            name=f"{attributes.what} of <equality>, which ties {' to '.join(names)},",
-            joints=tuple(names),
-        )
-
-    def _beside(self):
-        """Return what the file has beside bodies and joints."""
-        document = self._document
-        return Beside(
-            tendons=[
-                element.get("name") or element.tag
-                for section in document.sections("tendon")
-                for element in section
-            ],
-            n_actuators=sum(map(len, document.sections("actuator"))),
-            weightless=self._weightless,
-            nameless=self._nameless,
-            unknown=self._unknown,
-        )
-
-
 def _why_not(constraint, moving):
     """Say why a constraint on joints or tendons cannot be kept."""
     if constraint.kind != "joint":
@@ -692,18 +390,257 @@ def _write_followers(parent, robot):
         )
 
 
-def _scaled(bodies, total):
-    """Scale the masses of bodies to a total [kg]."""
-    own = sum(body.inertia.mass for body in bodies)
-    if not own > 0:
-        return bodies
-    return tuple(
-        replace(body, inertia=_times(body.inertia, total / own)) for body in bodies
+# -- reading ---------------------------------------------------------------------------
+
+
+def read_mjcf(root, path, parse):
+    """Read all bodies and joints of an MJCF file; the tree of `root` is changed."""
+    # parse: function of a path to an `ElementTree`, for included files. A ValueError
+    # names the file.
+    mujoco = import_mujoco()
+    try:
+        _include(root, path, parse, {path.resolve()})
+        n_actuators = sum(map(len, root.findall("actuator")))
+        _keep_what_is_read(root)
+        spec = mujoco.MjSpec.from_string(ElementTree.tostring(root, "unicode"))
+        spec.modelfiledir = str(path.parent)
+        _drop_meshes(mujoco, spec)
+        model = spec.compile()
+        return _robot(mujoco, model, root.get("model", "robot"), path, n_actuators)
+    except (ValueError, RuntimeError, mujoco.FatalError) as error:
+        words = re.sub(r"(XML )?Error: |,? line \d+", " ", str(error))
+        raise ValueError(
+            f"{str(path)!r} is not readable as MJCF: {' '.join(words.split())}; "
+            "correct the description."
+        ) from error
+
+
+def _include(element, path, parse, files, depth=0):
+    """Put the content of included files in the place of what names them."""
+    if depth > _DEEPEST:
+        raise ValueError(f"elements are nested more than {_DEEPEST} deep")
+    children = []
+    for child in list(element):
+        if child.tag != "include":
+            _include(child, path, parse, files, depth + 1)
+            children.append(child)
+            continue
+        name = child.get("file", "")
+        target = path.parent / name
+        if not name or not target.is_file():
+            raise ValueError(
+                f"it includes {name[:60]!r}, and there is no file {str(target)!r}"
+            )
+        if target.resolve() in files:
+            raise ValueError(f"it includes {name[:60]!r} twice")
+        if len(files) > _MOST_FILES:
+            raise ValueError(f"it includes more than {_MOST_FILES} files")
+        files.add(target.resolve())
+        included = parse(target).getroot()
+        _include(included, path, parse, files, depth)
+        children += included
+    element[:] = children
+
+
+def _keep_what_is_read(root):
+    """Keep bodies, constraints and meshes; refuse macros and numbers that are none."""
+    if root.find("worldbody") is None:
+        raise ValueError("it has no <worldbody>")
+    for assets in root.findall("asset"):
+        assets[:] = assets.findall("mesh")
+    root[:] = [one for one in root if one.tag in (*_READ, "asset")]
+    for element in root.iter():
+        if element.tag in _MACROS:
+            raise ValueError(
+                f"<{element.tag}> makes bodies of its own, which is not done here: "
+                f"{_SAVE}"
+            )
+        element.attrib.pop("material", None)
+        for key, text in element.attrib.items():
+            if not _is_possible(key, text):
+                raise ValueError(
+                    f"<{element.tag}> has {key}={text[:60]!r}, expected finite numbers"
+                )
+
+
+def _is_possible(key, text):
+    """Whether an attribute is not a list of numbers with an infinite one or none."""
+    try:
+        values = np.array([float(x) for x in text.split()])
+    except ValueError:
+        return True
+    wrong = np.isnan(values) if key == "range" else ~np.isfinite(values)
+    return not wrong.any()
+
+
+def _drop_meshes(mujoco, spec):
+    """Take out shapes that need files and have no part in the masses."""
+    mesh, kinds = mujoco.mjtGeom.mjGEOM_MESH, mujoco.mjtInertiaFromGeom
+    how = spec.compiler.inertiafromgeom
+    low, high = spec.compiler.inertiagrouprange
+    used = set()
+    for geom in list(spec.geoms):
+        if geom.type == mujoco.mjtGeom.mjGEOM_HFIELD:
+            spec.delete(geom)
+        elif geom.type == mesh or geom.meshname:
+            given = how == kinds.mjINERTIAFROMGEOM_FALSE
+            given |= (
+                how == kinds.mjINERTIAFROMGEOM_AUTO and geom.parent.explicitinertial
+            )
+            light = geom.mass == 0 or (np.isnan(geom.mass) and geom.density == 0)
+            if given or light or not low <= geom.group <= high:
+                spec.delete(geom)
+            else:
+                used.add(geom.meshname)
+    for one in list(spec.meshes):
+        if one.name not in used:
+            spec.delete(one)
+
+
+def _robot(mujoco, model, name, path, n_actuators):
+    """Return the `MjcfRobot` of a model that MuJoCo made."""
+    names, nameless = _names(model)
+    joints = [_joint(mujoco, model, j, names["joint"][j]) for j in range(model.njnt)]
+    of_body = model.jnt_bodyid
+    bodies = tuple(
+        Body(
+            name=names["body"][k],
+            parent=int(model.body_parentid[k]) - 1,
+            placement=_placement(model.body_pos[k], model.body_quat[k]),
+            joints=tuple(one for one, at in zip(joints, of_body) if at == k),
+            inertia=_inertia(model, k),
+        )
+        for k in range(1, model.nbody)
+    )
+    constraints, links = _equalities(mujoco, model, names, joints)
+    beside = []
+    if model.ntendon:
+        tendons = [model.tendon(k).name or "tendon" for k in range(model.ntendon)]
+        beside.append(f"the tendon(s) {', '.join(tendons)}")
+    if model.body_gravcomp.any():
+        listed = ", ".join(
+            names["body"][k] for k in np.flatnonzero(model.body_gravcomp)
+        )
+        beside.append(f"that gravity is compensated on {listed} (gravcomp)")
+    if n_actuators:
+        beside.append(f"the {n_actuators} actuator(s) with their gains and biases")
+    falls = not model.opt.disableflags & mujoco.mjtDisableBit.mjDSBL_GRAVITY
+    return MjcfRobot(
+        name=name,
+        path=path,
+        bodies=bodies,
+        gravity=falls * model.opt.gravity,
+        constraints=tuple(constraints),
+        links=links,
+        beside=tuple(beside),
+        nameless=nameless,
     )
 
 
-def _times(inertia, factor):
-    """Scale a mass and its moments of inertia."""
+def _names(model):
+    """Names of bodies and joints, made up where there are none; and those of joints."""
+    bodies = _completed(
+        [model.body(k).name for k in range(model.nbody)],
+        [f"body_{k}" for k in range(model.nbody)],
+    )
+    first = model.body_jntadr
+    wanted = [
+        f"{bodies[at]}_joint{f'_{j - first[at] + 1}' if j > first[at] else ''}"
+        for j, at in enumerate(model.jnt_bodyid)
+    ]
+    given = [model.joint(j).name for j in range(model.njnt)]
+    joints = _completed(given, wanted)
+    nameless = tuple(made for made, name in zip(joints, given) if not name)
+    return {"body": bodies, "joint": joints}, nameless
+
+
+def _completed(names, wanted):
+    """Return names, with others that nothing has in place of empty ones."""
+    taken, found = set(names), []
+    for name, other in zip(names, wanted):
+        while not name and other in taken:
+            other = f"{other}_"
+        taken.add(name or other)
+        found.append(name or other)
+    return found
+
+
+def _joint(mujoco, model, j, name):
+    """Return a joint."""
+    kind = mujoco.mjtJoint(int(model.jnt_type[j])).name[6:].lower()
+    if kind in ("ball", "free"):
+        return Joint(name=name, kind=kind, axis=np.zeros(3), anchor=np.zeros(3))
+    low, high = model.jnt_range[j] if model.jnt_limited[j] else (-np.inf, np.inf)
+    dof = model.jnt_dofadr[j]
+    does = {
+        key: getattr(model, f"dof_{key}")[dof]
+        for key in ("damping", "frictionloss", "armature")
+    }
+    does["stiffness"] = model.jnt_stiffness[j]
+    return Joint(
+        name=name,
+        kind=kind,
+        axis=model.jnt_axis[j].copy(),
+        anchor=model.jnt_pos[j].copy(),
+        ref=float(model.qpos0[model.jnt_qposadr[j]]),
+        low=float(low),
+        high=float(high),
+        passive=tuple(what for key, what in _PASSIVE.items() if does[key]),
+    )
+
+
+def _placement(place, turn):
+    """Return pinocchio.SE3 of a position and a quaternion w, x, y, z."""
+    pin = import_pinocchio()
+    w, x, y, z = turn
+    return pin.SE3(pin.Quaternion(w, x, y, z).matrix(), place)
+
+
+def _inertia(model, k):
+    """Return the inertia of a body in its axes."""
+    placed = _placement(model.body_ipos[k], model.body_iquat[k])
+    turned = placed.rotation @ np.diag(model.body_inertia[k]) @ placed.rotation.T
     return import_pinocchio().Inertia(
-        factor * inertia.mass, inertia.lever, factor * inertia.inertia
+        float(model.body_mass[k]), placed.translation, turned
     )
+
+
+def _equalities(mujoco, model, names, joints):
+    """Return the constraints, and how joints follow others."""
+    constraints, links = [], {}
+    for k in np.flatnonzero(model.eq_active0):
+        kind = mujoco.mjtEq(int(model.eq_type[k])).name[5:].lower()
+        ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
+        own = model.eq(k).name
+        called = f"<{kind}> {own!r} of <equality>" if own else f"<{kind}> of <equality>"
+        if kind in ("connect", "weld"):
+            if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
+                ends = [int(model.site_bodyid[at]) for at in ends]
+            words = " and ".join(names["body"][at] for at in ends)
+            found = Constraint(
+                kind=kind,
+                name=f"{called}, between {words},",
+                bodies=tuple(at - 1 for at in ends),
+            )
+        elif kind == "joint":
+            own, *leader = [joints[at] for at in ends if at >= 0]
+            offset, rate, *bent = model.eq_data[k, :5]
+            hinged = {own.kind, *(one.kind for one in leader)} <= {"hinge", "slide"}
+            if leader and hinged and rate != 0 and not any(bent):
+                # Both count from where the file puts them.
+                links[own.name] = Link(
+                    leader=leader[0].name,
+                    multiplier=float(rate),
+                    offset=float(offset + own.ref - rate * leader[0].ref),
+                )
+                continue
+            tied = [one.name for one in (own, *leader)]
+            found = Constraint(
+                kind=kind,
+                name=f"{called}, which ties {' to '.join(tied)},",
+                joints=tuple(tied),
+            )
+        else:
+            found = Constraint(kind=kind, name=called, joints=tuple(names["joint"]))
+        constraints.append(found)
+    return constraints, links

@@ -1,5 +1,6 @@
 """MJCF as input: the torques are those of MuJoCo, and what cannot be kept is named."""
 
+import sys
 import warnings
 
 import numpy as np
@@ -7,7 +8,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.model import (  # noqa: E402  # noqa: E402
+from sklearn_vbjfa.model import (  # noqa: E402
     JointDynamics,
     Tendon,
     body_names,
@@ -177,9 +178,9 @@ def test_what_is_left_out_is_said_once(write):
         assert words in text
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(3))
 def test_written_robots_are_read_again(seed, tmp_path):
-    """Ten trees as this package exports them, with all that joints do by themselves."""
+    """Trees as this package exports them, with all that joints do by themselves."""
     rng = np.random.default_rng(seed)
     nv = int(rng.integers(2, 9))
     model, bodies = random_tree(rng, nv)
@@ -261,15 +262,6 @@ def test_settings_of_the_compiler(write, compiler):
     assert_same_torques(write(arm(inside, before=before)))
 
 
-def test_impossible_moments_are_balanced(write):
-    mass = '<inertial pos="0 .2 .1" mass="1" diaginertia=".1 .2 .4"/>'
-    path = write(arm(mass, before='<compiler balanceinertia="true"/>'))
-    assert_same_torques(path)
-    np.testing.assert_allclose(
-        load_model(path).inertias[1].inertia, 0.7 / 3 * np.eye(3), atol=1e-12
-    )
-
-
 def test_held_joints_are_at_zero(write, tmp_path):
     """What moves feels what MuJoCo computes with the others at zero, ref or not."""
     path = write(ODD)
@@ -329,18 +321,14 @@ def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
     assert joint_names(load_reduced(path, ["k", "j"])) == ("j", "k")
 
 
+LEADS = MASS + f"<body><joint name='k'/>{MASS}</body>"
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         (arm(MASS, '<freejoint name="f"/>'), "joint 'f' lets its body float freely"),
-        (
-            arm(MASS, '<joint name="f" type="ball"/>'),
-            "joint 'f' is a ball joint .write",
-        ),
-        (
-            arm(MASS, after='<equality><connect name="rod" body1="b"/></equality>'),
-            "<connect> 'rod' of <equality>, between b and world, closes a loop",
-        ),
+        (arm(MASS, '<joint name="f" type="ball"/>'), "joint 'f' is a ball joint"),
         (
             arm(MASS, after='<equality><weld body1="b"/></equality>'),
             "<weld> of <equality>, between b and world, closes a loop",
@@ -351,7 +339,7 @@ def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
         ),
         (
             arm(
-                MASS + f"<body><joint name='k'/>{MASS}</body>",
+                LEADS,
                 after='<equality><joint joint1="j" joint2="k" polycoef="0 1 2"/>'
                 "</equality>",
             ),
@@ -366,51 +354,27 @@ def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
             "<tendon> of <equality> is a constraint of the kind 'tendon'",
         ),
         (arm(MASS, ""), "no moving joint"),
-        (arm('<inertial mass="-1"/>'), "body 'b': a body has the mass -1 kg"),
-        (arm('<geom type="box" size=".1"/>'), "a box, whose size must be 3 positive"),
-        (arm(MASS, '<joint name="j" axis="0 0 0"/>'), "which is not a direction"),
-        (arm(MASS, '<joint name="j" pos="0 0"/>'), r"expected 3 finite number\(s\)"),
+        (arm('<geom type="box" size=".1"/>'), "size 1 must be positive in geom"),
         (arm(MASS, '<joint name="j" ref="nan"/>'), r"has ref='nan'"),
-        (arm(MASS, '<joint name="j" type="gear"/>'), "is of a type 'gear'"),
-        (arm(MASS, '<joint name="j" class="x"/>'), "a class 'x' without <default>"),
-        (arm(MASS, '<joint name="j"/><joint name="j"/>'), "2 joints are called 'j'"),
-        (arm(f"{MASS}<body name='b'/>"), "2 bodies are called 'b'"),
+        (arm(MASS, '<joint name="j" range="0 nan"/>'), r"has range='0 nan'"),
+        (arm(MASS, '<joint name="j" class="x"/>'), "class name 'x'"),
+        (arm(MASS, '<joint name="j"/><joint name="j"/>'), "repeated name 'j'"),
+        (arm('<geom type="mesh" mesh="m"/>'), "mesh 'm' not found"),
         (arm(MASS, before='<include file="gone.xml"/>'), "there is no file"),
         (
             arm(MASS, before='<include file="part.xml"/><include file="part.xml"/>'),
             "includes 'part.xml' twice",
         ),
         (arm(MASS, before='<include file="robot.xml"/>'), "'robot.xml' twice"),
-        (arm(f"{MASS}<composite/>"), "<composite> makes bodies of its own"),
-        (arm(MASS, before='<compiler coordinate="global"/>'), "coordinate='global'"),
-        (arm(MASS, before='<compiler angle="grad"/>'), "angle='grad'"),
-        (arm(MASS, before='<compiler eulerseq="abc"/><default/>'), "no moving|abc"),
-        (arm('<inertial mass="1" quat="1 0 0 0" euler="0 0 0"/>'), "can be one"),
-        (arm('<inertial mass="1" quat="0 0 0 0"/>'), "not a direction"),
+        (arm(f"{MASS}<replicate count='1000000000'/>"), "makes bodies of its own"),
         ("<mujoco/>", "no <worldbody>"),
-        ("<mujoco><worldbody><joint/></worldbody></mujoco>", "outside of any body"),
         ("<sdf/>", "outermost element is <sdf>; expected <robot>"),
-        ("<mujocoinclude/>", "<mujocoinclude>; expected"),
     ],
 )
-def test_refuses_in_words(write, text, message):
-    path = write(text)
-    if "eulerseq" in text:
-        text = text.replace("pos='1 2 3'", "euler='1 2 3'")
-        path.write_text(text)
+def test_refuses_in_one_line(write, text, message):
     with pytest.raises(ValueError, match=message) as caught:
-        load_model(path)
-    if "no moving joint" not in str(caught.value):
-        assert "robot.xml" in str(caught.value)
-
-
-def test_all_that_stands_against_a_file_is_said_at_once(write):
-    after = (
-        '<equality><connect name="one" body1="b" anchor="0 0 0"/>'
-        '<weld name="two" body1="b"/></equality>'
-    )
-    with pytest.raises(ValueError, match=r"'one' .*; <weld> 'two' .*--joints"):
-        load_model(write(arm(MASS, after=after)))
+        load_model(write(text))
+    assert "\n" not in str(caught.value)
 
 
 def test_a_loop_among_held_joints_is_no_loop(write):
@@ -418,7 +382,8 @@ def test_a_loop_among_held_joints_is_no_loop(write):
     gripper = "".join(
         f'<body name="f{k}"><joint name="g{k}"/>{MASS}</body>' for k in (1, 2)
     )
-    after = '<equality><connect name="rod" body1="f1" body2="f2"/></equality>'
+    rod = '<connect name="rod" body1="f1" body2="f2" anchor="0 0 0"/>'
+    after = f"<equality>{rod}</equality>"
     path = write(arm(MASS + gripper, after=after))
     with pytest.raises(ValueError, match="'rod' of <equality>, between f1 and f2,"):
         load_model(path)
@@ -427,14 +392,32 @@ def test_a_loop_among_held_joints_is_no_loop(write):
     assert model.inertias[1].mass == pytest.approx(6.0)
 
 
-def test_a_mesh_has_an_unknown_mass(write):
-    text = arm('<geom name="g" type="mesh" mesh="m"/>')
-    with pytest.warns(UserWarning, match=r"mass of b is that of a mesh.*no mass"):
-        load_model(write(text))
-    light = arm(f'{MASS}<geom type="mesh" mesh="m"/>')
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        load_model(write(light))
+def test_meshes_are_read_where_they_have_the_mass(write, tmp_path):
+    mesh = '<asset><mesh name="m" file="m.obj"/><mesh file="gone.stl"/></asset>'
+    mesh += '<option><flag gravity="enable"/></option>'
+    shape = '<geom type="mesh" mesh="m" material="gold"/>'
+    path = write(arm(shape, before=mesh))
+    with pytest.raises(ValueError, match=r"m\.obj"):
+        load_model(path)
+    # With masses of its own a body needs no mesh, nor anything that looks good.
+    light = write(arm(MASS + shape, before=mesh), "light.xml")
+    assert load_model(light).inertias[1].mass == 2.0
+    corners = "".join(
+        f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 2) for z in (0, 3)
+    )
+    faces = ("1 2 4 3", "5 7 8 6", "1 5 6 2", "3 4 8 7", "1 3 7 5", "2 6 8 4")
+    (tmp_path / "m.obj").write_text(corners + "".join(f"f {x}\n" for x in faces))
+    body = load_model(path).inertias[1]
+    assert body.mass == pytest.approx(6000.0)
+    np.testing.assert_allclose(body.lever, [0.5, 1.0, 1.5])
+    moments = 500.0 * np.array([4 + 9, 1 + 9, 1 + 4])
+    np.testing.assert_allclose(body.inertia, np.diag(moments), atol=1e-9 * 6500)
+
+
+def test_without_mujoco_one_line_says_what_to_install(write, monkeypatch):
+    monkeypatch.setitem(sys.modules, "mujoco", None)
+    with pytest.raises(ImportError, match=r'install "sklearn-vbjfa\[mujoco\]"'):
+        load_model(write(arm(MASS)))
 
 
 def test_gravity_that_is_switched_off(write):
@@ -471,9 +454,11 @@ def test_hostile_files_end_in_words(write, tmp_path):
     many = "".join(f'<include file="m{k}.xml"/>' for k in range(120))
     with pytest.raises(ValueError, match="more than 100 files"):
         load_model(write(arm(many)))
-    write("<mujoco><body>", "broken.xml")
-    with pytest.raises(ValueError, match=r"broken.xml' is not readable"):
-        load_model(write(arm('<include file="broken.xml"/>')))
+    entity = '<!DOCTYPE mujoco [<!ENTITY a "b">]><mujoco/>'
+    for text in ("<mujoco><body>", entity):
+        write(text, "broken.xml")
+        with pytest.raises(ValueError, match=r"broken.xml' is not readable"):
+            load_model(write(arm('<include file="broken.xml"/>')))
     chain = "".join("<body>" for _ in range(90)) + "</body>" * 90
     many = "".join(f"<body><joint/>{MASS}</body>" for _ in range(201))
     with pytest.raises(ValueError, match="201 moving joints, at most 200"):

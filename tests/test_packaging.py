@@ -18,6 +18,7 @@ import sklearn_vbjfa
 ROOT = Path(__file__).resolve().parents[1]
 DATA = [
     "sklearn_vbjfa/py.typed",
+    "sklearn_vbjfa/datasets/measured.toml",
     "sklearn_vbjfa/datasets/remote_files.txt",
     "sklearn_vbjfa/datasets/robots/demo_arm.urdf",
 ]

@@ -41,7 +41,6 @@ _MODULES = {
     ".inspection": ("inspect_recording",),
     ".recording._reader": ("read_recording",),
     ".recording._recording": ("Recording",),
-    "_catalogue": ("DataSet", "Protocol", "measured"),
     "_closed_loop": (
         "ClosedLoop",
         "ClosedLoopRecording",
@@ -52,9 +51,8 @@ _MODULES = {
         "make_closed_loop_recording",
         "simulate_tracking",
     ),
-    "_download": ("Access", "DataFiles", "find_file", "remote_files"),
     "_measured": (
-        "CATALOGUE",
+        "SETS",
         "fetch_bam_xl330",
         "fetch_dfki_double_pendulum",
         "fetch_emps",
@@ -66,8 +64,9 @@ _MODULES = {
         "fetch_tiago",
         "fetch_unitree_go2",
         "fetch_ur5",
-        "protocols",
+        "remote_files",
     ),
+    "_protocols": ("Protocol", "protocols"),
     "_robot_recording": (
         "SimulatedRecording",
         "load_demo_recording",

@@ -29,7 +29,7 @@ from sklearn_vbjfa.model._trees import describe, import_pinocchio
 _ROWS = 2048
 
 
-def _cross(x, y):
+def cross(x, y):
     """Cross product of vectors, arrays of shape (3, ...)."""
     out = np.empty((3, *np.broadcast_shapes(x.shape[1:], y.shape[1:])))
     for k in range(3):
@@ -38,7 +38,7 @@ def _cross(x, y):
     return out
 
 
-def _dot(x, y):
+def dot(x, y):
     """Scalar product of vectors (3, ...)."""
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
@@ -49,6 +49,15 @@ def _times(A, x):
     out = A[:, 0] * x[0]
     out += A[:, 1] * x[1]
     out += A[:, 2] * x[2]
+    return out
+
+
+def _mixed(A, axes):
+    """Products of a matrix (m, 3) and the second index of axes (3, 3, n)."""
+    # Not by `matmul`, which adds few samples up in another order than many.
+    out = A[:, 0, None] * axes[:, :1]
+    out += A[:, 1, None] * axes[:, 1:2]
+    out += A[:, 2, None] * axes[:, 2:]
     return out
 
 
@@ -93,34 +102,34 @@ class _MovedLink:
             self.field_above = np.repeat(tree.base[j][:, None], n, axis=1)
         else:
             axes, w, dw = above.axes, above.spin, above.gain
-            arm = np.einsum("kin,i->kn", axes, tree.offsets[j])
+            arm = _mixed(tree.offsets[j][None], axes)[:, 0]
             self.spin_above, self.gain_above = w, dw
             self.base = above.origin + arm
-            self._swing = swing = _cross(w, arm)
-            self.field_above = above.field + _cross(dw, arm) + _cross(w, swing)
+            self._swing = swing = cross(w, arm)
+            self.field_above = above.field + cross(dw, arm) + cross(w, swing)
         # Rows of `frames` are the axes of the joint in those of its parent.
-        self.placed = np.matmul(tree.frames[j], axes)
+        self.placed = _mixed(tree.frames[j], axes)
         direction = tree.axes[j]
-        self.axis = np.einsum("kmn,m->kn", self.placed, direction)
-        angle, cross = turns * q, _skew(direction)
+        self.axis = _mixed(direction[None], self.placed)[:, 0]
+        angle, about = turns * q, _skew(direction)
         self.axes = (
             self.placed
-            + np.sin(angle) * np.matmul(cross.T, self.placed)
-            + (1 - np.cos(angle)) * np.matmul((cross @ cross).T, self.placed)
+            + np.sin(angle) * _mixed(about.T, self.placed)
+            + (1 - np.cos(angle)) * _mixed((about @ about).T, self.placed)
         )
         w, dw = self.spin_above, self.gain_above
-        across = _cross(w, self.axis)
+        across = cross(w, self.axis)
         self.origin, self.field, self._slide = self.base, self.field_above, None
         if slides:
             shift, along = slides * q * self.axis, slides * v * self.axis
-            swing = _cross(w, shift)
+            swing = cross(w, shift)
             self.origin = self.base + shift
             self._slide = swing + along
             self.field = (
                 self.field_above
-                + _cross(dw, shift)
-                + _cross(w, swing)
-                + 2 * _cross(w, along)
+                + cross(dw, shift)
+                + cross(w, swing)
+                + 2 * cross(w, along)
                 + slides * a * self.axis
             )
         self._above = above
@@ -129,7 +138,7 @@ class _MovedLink:
         # The torque is `moment` times the moment about the origin plus `force` times
         # the force.
         self.moment = turns * self.axis
-        self.force = slides * self.axis + turns * _cross(self.origin, self.axis)
+        self.force = slides * self.axis + turns * cross(self.origin, self.axis)
 
     @functools.cached_property
     def speed_above(self):
@@ -146,17 +155,17 @@ class _MovedLink:
         """Change of motion (9, 3, n), see above, for turns about the placed axes."""
         u = self.placed
         w, dw, p = self.spin_above, self.gain_above, self.base
-        spin = _cross(w[:, None], u)
-        beta = _cross(dw[:, None], u) + _cross(w[:, None], spin)
-        alpha = _cross(self.field_above[:, None], u) - _cross(beta, p[:, None])
-        alpha -= 2 * _cross(spin, self.speed_above[:, None])
+        spin = cross(w[:, None], u)
+        beta = cross(dw[:, None], u) + cross(w[:, None], spin)
+        alpha = cross(self.field_above[:, None], u) - cross(beta, p[:, None])
+        alpha -= 2 * cross(spin, self.speed_above[:, None])
         return np.concatenate([alpha, beta, spin])
 
     def shifted(self):
         """Change of motion (9, 3, n) for shifts along the placed axes."""
         w, dw, u = self.spin_above[:, None], self.gain_above[:, None], self.placed
         out = np.zeros((9, *u.shape[1:]))
-        out[:3] = _cross(dw, u) + _cross(w, _cross(w, u))
+        out[:3] = cross(dw, u) + cross(w, cross(w, u))
         return out
 
 
@@ -179,16 +188,16 @@ class _Mass:
         mixed = _outer(p, arm)
         self.xx = self.xx + mixed + mixed.transpose(1, 0, 2) + m * _outer(p, p)
         # V(x) = v0 + w x
-        v0 = link.speed - _cross(w, p)
-        self.v = m * v0 + _cross(w, self.x)
+        v0 = link.speed - cross(w, p)
+        self.v = m * v0 + cross(w, self.x)
         self.vx = _outer(v0, self.x) + _matrices(_skew(w), self.xx)
         # A(x) = a0 + M x
-        M = _skew(link.gain) + _outer(w, w) - _dot(w, w) * np.eye(3)[:, :, None]
+        M = _skew(link.gain) + _outer(w, w) - dot(w, w) * np.eye(3)[:, :, None]
         a0 = link.field - _times(M, p)
         self.force = m * a0 + _times(M, self.x)
         B = _matrices(M, self.xx)
         axial = np.stack([B[2, 1] - B[1, 2], B[0, 2] - B[2, 0], B[1, 0] - B[0, 1]])
-        self.moment = _cross(self.x, a0) + axial
+        self.moment = cross(self.x, a0) + axial
 
     def __iadd__(self, other):
         """Add what another joint carries."""
@@ -201,9 +210,9 @@ class _Mass:
         f, n = link.force, link.moment
         return np.concatenate(
             [
-                self.m * f + _cross(n, self.x),
-                _cross(self.x, f) + _trace(self.xx) * n - _times(self.xx, n),
-                2 * _cross(self.v, f)
+                self.m * f + cross(n, self.x),
+                cross(self.x, f) + _trace(self.xx) * n - _times(self.xx, n),
+                2 * cross(self.v, f)
                 + 2 * _trace(self.vx) * n
                 - 2 * _times(self.vx.transpose(1, 0, 2), n),
             ]
@@ -213,15 +222,15 @@ class _Mass:
         """Force and moment (3, k, n) that changes of motion (9, k, n) take."""
         alpha, beta, spin = change[:3], change[3:6], change[6:]
         m, x, v = self.m[None, None], self.x[:, None], self.v[:, None]
-        force = m * alpha + _cross(beta, x) + 2 * _cross(spin, v)
+        force = m * alpha + cross(beta, x) + 2 * cross(spin, v)
         xx, vx = self.xx[:, :, None], self.vx[:, :, None]
-        moment = _cross(x, alpha) + _trace(xx) * beta - _times(xx, beta)
+        moment = cross(x, alpha) + _trace(xx) * beta - _times(xx, beta)
         moment += 2 * _trace(vx) * spin - 2 * _times(vx, spin)
         return force, moment
 
 
-def _links(tree, q, v, a):
-    """Return the `_MovedLink` of each joint."""
+def links_of(tree, q, v, a):
+    """Return the `_MovedLink` of each joint, of samples (n, nv)."""
     q, v, a = (np.ascontiguousarray(x.T) for x in (q, v, a))
     links = []
     for j, parent in enumerate(tree.parents):
@@ -256,7 +265,7 @@ class _Body:
         w, dw, field = self.motion.transpose(1, 0, 2)
         across = about.T @ w
         if slides:
-            field += _cross(dw, self._shift) + _cross(w, _cross(w, self._shift))
+            field += cross(dw, self._shift) + cross(w, cross(w, self._shift))
             field += 2 * slides * v * across + slides * a * axis
         w += turns * v * axis
         dw += turns * a * axis + turns * v * across
@@ -265,7 +274,7 @@ class _Body:
         inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         self.wrench = np.empty((3, 2, q.size))
         self.wrench[:, 0] = m * field + _swung(w, dw, first)
-        own = inertia @ dw + _cross(w, inertia @ w)
+        own = inertia @ dw + cross(w, inertia @ w)
         self.wrench[:, 1] = own + _skew(first) @ field
 
     def torque(self):
@@ -275,7 +284,7 @@ class _Body:
     def lean_on(self, above):
         """Add the wrench to that of the body that carries the joint."""
         if self._slides.any():
-            self.wrench[:, 1] += _cross(self._shift, self.wrench[:, 0])
+            self.wrench[:, 1] += cross(self._shift, self.wrench[:, 0])
         wrench = _times(self._axes.transpose(1, 0, 2), self.wrench)
         wrench[:, 1] += _skew(self._arm) @ wrench[:, 0]
         above.wrench += wrench
@@ -283,7 +292,7 @@ class _Body:
 
 def _swung(w, dw, arm):
     """Acceleration (3, n) of the tip of an arm (3,) relative to its tail."""
-    return w * (arm @ w) - arm[:, None] * _dot(w, w) - _skew(arm) @ dw
+    return w * (arm @ w) - arm[:, None] * dot(w, w) - _skew(arm) @ dw
 
 
 def inverse_dynamics(tree, q, v, a, inertial):
@@ -334,7 +343,7 @@ class TorqueDerivatives:
     def _fill(self, rows, turns, shifts, gravity):
         """Write the derivatives of some samples."""
         tree, parents = self._tree, self._parents
-        links = _links(tree, *(x[rows] for x in self._motion))
+        links = links_of(tree, *(x[rows] for x in self._motion))
         masses = list(map(_Mass, links, self._inertial))
         for j in range(len(parents) - 1, -1, -1):
             if parents[j] >= 0:
@@ -361,18 +370,16 @@ class TorqueDerivatives:
             return
         force, moment = mass.wrench(change)
         p, F = links[k].base, mass.force
-        about = (mass.moment - _cross(p, F))[:, None]
+        about = (mass.moment - cross(p, F))[:, None]
         u = links[k].placed
-        lean = _cross(u, F[:, None])
+        lean = cross(u, F[:, None])
         force[:, :3] += lean
-        moment[:, :3] += _cross(u, about) + _cross(p[:, None], lean)
+        moment[:, :3] += cross(u, about) + cross(p[:, None], lean)
         if change.shape[1] > 3:
-            moment[:, 3:] += _cross(u, F[:, None])
+            moment[:, 3:] += cross(u, F[:, None])
         while j >= 0:
             link = links[j]
-            torque = _dot(link.moment[:, None], moment) + _dot(
-                link.force[:, None], force
-            )
+            torque = dot(link.moment[:, None], moment) + dot(link.force[:, None], force)
             turns[:, j, k] = torque[:3].T
             if change.shape[1] > 3:
                 shifts[:, j, k] = torque[3:].T

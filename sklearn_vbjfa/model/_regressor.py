@@ -5,16 +5,12 @@ xi_1 e_1 + xi_2 e_2 + xi_3 e_3, with the origin p and the axes e_k in the world,
 accelerates with a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3. Mass times acceleration and its
 moment, summed over the points, are all ten columns of a body's regressor: cross
 products of (p, e_1, e_2, e_3) and (a, d_1, d_2, d_3). A joint's torque is its screw
-times the forces on what it carries. `_compiled` does this; without Numba Pinocchio's
-recursion.
+times the forces on what it carries.
 """
 
-import functools
-
 import numpy as np
-from scipy import sparse
 
-from sklearn_vbjfa.model._corrected import inverse_dynamics
+from sklearn_vbjfa.model._corrected import cross, dot, inverse_dynamics, links_of
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
@@ -22,9 +18,8 @@ from sklearn_vbjfa.model._trees import describe, import_pinocchio
 _ROUNDING = 1e-12
 # Random states that tell which entries are zero whatever the motion.
 _N_PROBES = 32
-# Bytes of regressor matrices that are in memory at once for inverse dynamics: few
-# enough to stay in the processor's cache.
-_CACHE = 1 << 19
+# Samples that go through together: few enough to stay in the processor's cache.
+_ROWS = 2048
 
 
 def rounding_entries(power):
@@ -41,29 +36,14 @@ def rounding_entries(power):
     return rounding
 
 
-@functools.cache
-def load_kernel():
-    """Return the compiled loop over samples, or None where Numba is not installed."""
-    try:
-        from sklearn_vbjfa.model._compiled import fill
-    except ModuleNotFoundError as error:
-        if error.name != "numba":
-            raise
-        return None
-    return fill
-
-
 class TreeRegressor:
     """Joint-torque regressors and inverse dynamics of a tree of joints."""
 
     # model: of a fixed base and joints of one degree of freedom each, see `load_model`;
-    # compiled: by Numba, several times as fast as Pinocchio called for each sample;
-    # None does so where Numba is installed; support (nv, nv, 10): entries that are not
-    # zero in every motion.
+    # support (nv, nv, 10): entries that are not zero in every motion.
 
-    def __init__(self, model, compiled=None):
+    def __init__(self, model):
         self.nv = model.nv
-        self.compiled = compiled
         self._model = model
         self._tree = describe(model)
         carried = np.eye(self.nv, dtype=bool)
@@ -115,40 +95,47 @@ class TreeRegressor:
         # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
         # parameter, -1 for none, as it must be outside the support. Rows without an
         # entry are left alone.
-        kernel = None if self.compiled is False else load_kernel()
-        if kernel is not None:
-            kernel(q, v, a, self._tree, places, out)
-            return
-        if self.compiled:
-            raise ImportError("A compiled regressor needs Numba: pip install numba.")
-        one, used = self.one_by_one(), places >= 0
-        matrices = np.empty((q.shape[0], *places.shape))
-        for matrix, *sample in zip(matrices, q, v, a):
-            matrix[...] = one(*sample)
-        out[places[used]] = matrices[:, used].T
+        parents = self._tree.parents
+        for begin in range(0, q.shape[0], _ROWS):
+            rows = slice(begin, begin + _ROWS)
+            links = links_of(self._tree, q[rows], v[rows], a[rows])
+            for j, link in enumerate(links):
+                forces, moments = _forces_and_moments(link)
+                # The joint itself and all those that carry it.
+                i = j
+                while i >= 0:
+                    own = links[i]
+                    torque = dot(own.moment[:, None], moments)
+                    torque[:4] += dot(own.force[:, None], forces)
+                    used = places[i, j] >= 0
+                    out[places[i, j][used], rows] = torque[used]
+                    i = parents[i]
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
-        if self.compiled is False or load_kernel() is None:
-            inertial = np.reshape(inertial, (self.nv, 10))
-            return inverse_dynamics(self._tree, q, v, a, inertial)
-        count = np.count_nonzero(self.support)
-        places = np.full(self.support.shape, -1)
-        places[self.support] = np.arange(count)
-        # Each torque is a sum over its entries, of which a robot of many branches has
-        # few.
-        joint, *parameter = np.nonzero(self.support)
-        values = np.reshape(inertial, (self.nv, 10))[tuple(parameter)]
-        sums = sparse.csr_array(
-            (values, (joint, np.arange(count))), shape=(self.nv, count)
+        return inverse_dynamics(
+            self._tree, q, v, a, np.reshape(inertial, (self.nv, 10))
         )
-        torque = np.empty(q.shape)
-        size = max(1, _CACHE // (8 * max(count, 1)))
-        for begin in range(0, q.shape[0], size):
-            rows = slice(begin, min(begin + size, q.shape[0]))
-            entries = np.empty((count, rows.stop - begin))
-            self.entries(q[rows], v[rows], a[rows], places, entries)
-            torque[rows] = (sums @ entries).T
-        return torque
+
+
+def _forces_and_moments(link):
+    """Return forces (3, 4, n) by m and mc, and moments (3, 10, n) by all ten."""
+    e, w, dw = link.axes, link.spin[:, None], link.gain[:, None]
+    d = cross(dw, e) + cross(w, cross(w, e))
+    origins = np.concatenate([link.origin[:, None], e], axis=1)
+    forces = np.concatenate([link.field[:, None], d], axis=1)
+    # [:, k, l]: the k-th of (p, e_1, e_2, e_3) times the l-th of (a, d_1, d_2, d_3)
+    crossed = cross(origins[:, :, None], forces[:, None])
+    moments = np.empty((3, 10, w.shape[2]))
+    moments[:, 0] = crossed[:, 0, 0]
+    moments[:, 1:4] = crossed[:, 0, 1:] + crossed[:, 1:, 0]
+    # A moment of inertia sums the squares of the other two coordinates, a product of
+    # inertia is a mixed second moment times minus one.
+    xx, yy, zz = (crossed[:, k, k] for k in (1, 2, 3))
+    half = 0.5 * (xx + yy + zz)
+    moments[:, 4], moments[:, 6], moments[:, 9] = half - xx, half - yy, half - zz
+    for place, k, m in ((5, 1, 2), (7, 1, 3), (8, 2, 3)):
+        moments[:, place] = -(crossed[:, k, m] + crossed[:, m, k])
+    return forces, moments

@@ -200,7 +200,7 @@ class RobotData:
     """Simulated recording of a chain of revolute joints, and another motion of it."""
 
     def __init__(self, n_joints):
-        from bench_features import chain
+        from _simulated_models import chain
 
         from sklearn_vbjfa.datasets import make_robot_recording
 

@@ -120,3 +120,17 @@ def pendulum(*links):
         model.inertias[number] = pin.Inertia(mass, centre, inertia * np.eye(3))
         length = following
     return model
+
+
+def chain(n_joints, rng):
+    """Arm of revolute joints about x, y and z in turn, placed at random."""
+    import pinocchio as pin
+
+    model = pin.Model()
+    kinds = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
+    for j in range(n_joints):
+        rotation = pin.Quaternion(*rng.normal(size=4)).normalized()
+        placement = pin.SE3(rotation, 0.3 * rng.normal(size=3))
+        number = model.addJoint(j, kinds[j % 3](), placement, f"joint_{j}")
+        model.inertias[number] = pin.Inertia.FromSphere(1.0, 0.1)
+    return model

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from _report import parser, publish, rst_table
-from _simulated_models import pendulum, simulated, slide, torque_model
-from bench_features import chain
+from _simulated_models import chain, pendulum, simulated, slide, torque_model
 from scipy.integrate import solve_ivp
 from scipy.special import ellipj, ellipk
 

@@ -1,12 +1,7 @@
 """Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
 
-import importlib.util
 import pickle
-import subprocess
-import sys
-import textwrap
 import threading
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -30,17 +25,6 @@ from tests.model._trees import (  # noqa: E402
     by_sample,
     make_joint,
     random_placement,
-)
-
-has_numba = importlib.util.find_spec("numba") is not None
-by_both = pytest.mark.parametrize(
-    "compiled",
-    [
-        False,
-        pytest.param(
-            True, marks=pytest.mark.skipif(not has_numba, reason="needs Numba")
-        ),
-    ],
 )
 
 
@@ -68,14 +52,13 @@ trees = st.lists(st.sampled_from(ALIGNED + OBLIQUE + OTHERS), min_size=1, max_si
 seeds = st.integers(0, 2**32 - 1)
 
 
-@by_both
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(kinds=trees, seed=seeds, n=st.integers(0, 12))
-def test_regressor_of_random_trees(compiled, kinds, seed, n):
+def test_regressor_of_random_trees(kinds, seed, n):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     states = motion(rng, n, model.nv)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     Phi = regressor(*states)
     assert Phi.shape == (n, model.nv, model.nv, 10)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
@@ -86,10 +69,9 @@ def test_regressor_of_random_trees(compiled, kinds, seed, n):
     np.testing.assert_allclose(Phi, np.concatenate(halves), rtol=1e-10, atol=1e-10)
 
 
-@by_both
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=40, deadline=None)
 @given(kinds=trees, seed=seeds, n=st.integers(0, 12))
-def test_torques_of_random_trees(compiled, kinds, seed, n):
+def test_torques_of_random_trees(kinds, seed, n):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     bodies = pin.Model(model)
@@ -97,7 +79,7 @@ def test_torques_of_random_trees(compiled, kinds, seed, n):
         bodies.inertias[i] = pin.Inertia.Random()
     inertial = np.array([b.toDynamicParameters() for b in bodies.inertias[1:]])
     states = motion(rng, n, model.nv)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     data = bodies.createData()
     expected = np.array([pin.rnea(bodies, data, *x) for x in zip(*states)])
     torque = regressor.torques(*states, inertial)
@@ -113,8 +95,7 @@ def test_torques_of_random_trees(compiled, kinds, seed, n):
     np.testing.assert_allclose(torque, expected, atol=1e-10 * size)
 
 
-@by_both
-def test_every_kind_of_joint_at_every_place(compiled):
+def test_every_kind_of_joint_at_every_place():
     rng = np.random.default_rng(0)
     kinds = ALIGNED + OBLIQUE + OTHERS
     for kind in kinds:
@@ -126,75 +107,63 @@ def test_every_kind_of_joint_at_every_place(compiled):
                 model = build(rng, chosen, parents)
                 states = motion(rng, 5, 3)
                 assert_equal_by_unit(
-                    TreeRegressor(model, compiled=compiled)(*states),
+                    TreeRegressor(model)(*states),
                     by_sample(model, *states),
                 )
 
 
-@by_both
 @pytest.mark.parametrize("n", [0, 1, 2, 1500])
-def test_long_and_short_motions_of_an_arm(compiled, n):
+def test_long_and_short_motions_of_an_arm(n):
     model = load_model(demo_arm_urdf())
     states = motion(np.random.default_rng(n), n, model.nv)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     Phi = regressor(*states)
     assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
 
 
-@by_both
 @pytest.mark.parametrize("size", [1, 3, 8, 9, 64])
-def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(compiled, size):
+def test_neighbours_of_a_sample_do_not_matter_to_the_last_bit(size):
     rng = np.random.default_rng(10)
     model = build(rng, ["RZ", "RevoluteUnaligned", "PX", "HY"])
     states = motion(rng, 70, 4)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     parts = [regressor(*(x[i : i + size] for x in states)) for i in range(0, 70, size)]
     np.testing.assert_array_equal(np.concatenate(parts), regressor(*states))
 
 
-@by_both
-def test_many_turns(compiled):
+def test_many_turns():
     rng = np.random.default_rng(11)
     model = build(rng, ["RZ", "RevoluteUnaligned", "RX"], gravity=np.ones(3))
     q, v, a = motion(rng, 200, 3)
     q *= 1e4
-    assert_equal_by_unit(
-        TreeRegressor(model, compiled=compiled)(q, v, a), by_sample(model, q, v, a)
-    )
+    assert_equal_by_unit(TreeRegressor(model)(q, v, a), by_sample(model, q, v, a))
 
 
-@by_both
-def test_base_that_turns_is_part_of_gravity(compiled):
+def test_base_that_turns_is_part_of_gravity():
     rng = np.random.default_rng(2)
     model = build(rng, ["PX", "RZ", "RevoluteUnaligned", "PrismaticUnaligned"])
     model.gravity = pin.Motion(rng.normal(size=6))
     states = motion(rng, 20, model.nv)
-    assert_equal_by_unit(
-        TreeRegressor(model, compiled=compiled)(*states), by_sample(model, *states)
-    )
+    assert_equal_by_unit(TreeRegressor(model)(*states), by_sample(model, *states))
 
 
-@by_both
-def test_robot_far_from_the_origin_is_as_exact(compiled):
+def test_robot_far_from_the_origin_is_as_exact():
     rng = np.random.default_rng(3)
     model = build(rng, ["RZ", "RY", "RX", "RY"], parents=[0, 1, 2, 3])
     states = motion(rng, 20, model.nv)
-    near = TreeRegressor(model, compiled=compiled)(*states)
+    near = TreeRegressor(model)(*states)
     placement = model.jointPlacements[1]
     model.jointPlacements[1] = pin.SE3(
         placement.rotation, placement.translation + np.array([1e6, -2e6, 3e6])
     )
-    np.testing.assert_array_equal(
-        TreeRegressor(model, compiled=compiled)(*states), near
-    )
+    np.testing.assert_array_equal(TreeRegressor(model)(*states), near)
 
 
-@by_both
-def test_writes_where_asked_and_what_is_asked(compiled):
+def test_writes_where_asked_and_what_is_asked():
     rng = np.random.default_rng(4)
     model = build(rng, ["RZ", "PX", "RX"])
     states = motion(rng, 7, 3)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     expected = regressor(*states)
     out = np.full((7, 3, 3, 12), np.nan)
     assert not regressor.support.all()
@@ -207,15 +176,14 @@ def test_writes_where_asked_and_what_is_asked(compiled):
             regressor(*states, out=wrong)
 
 
-@by_both
 @settings(max_examples=30, deadline=None)
 @given(kinds=trees, seed=seeds)
-def test_zeros_are_at_least_those_of_the_recursion(compiled, kinds, seed):
+def test_zeros_are_at_least_those_of_the_recursion(kinds, seed):
     rng = np.random.default_rng(seed)
     model = build(rng, kinds)
     states = rng.normal(size=(32, 3 * model.nv))
     expected = by_sample(model, *np.split(states, 3, axis=1))
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     assert not regressor.support[rounding_entries(np.mean(expected**2, axis=0))].any()
     Phi = regressor(*np.split(states, 3, axis=1))
     assert not Phi[:, ~regressor.support].any()
@@ -241,13 +209,12 @@ def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
     assert np.all(mass[:2, 2:] > 1e-3)
 
 
-@by_both
-def test_calls_at_the_same_time_do_not_disturb_each_other(compiled):
+def test_calls_at_the_same_time_do_not_disturb_each_other():
     rng = np.random.default_rng(6)
     model = build(rng, 7 * ["RZ"])
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     states = [motion(rng, 400, 7) for _ in range(4)]
-    expected = [TreeRegressor(model, compiled=compiled)(*x) for x in states]
+    expected = [TreeRegressor(model)(*x) for x in states]
     found = [None] * 4
 
     def run(i):
@@ -262,51 +229,12 @@ def test_calls_at_the_same_time_do_not_disturb_each_other(compiled):
     np.testing.assert_array_equal(found, expected)
 
 
-@by_both
-def test_copies_are_small_and_equal(compiled):
+def test_copies_are_small_and_equal():
     rng = np.random.default_rng(7)
     model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
     states = motion(rng, 30, 3)
-    regressor = TreeRegressor(model, compiled=compiled)
+    regressor = TreeRegressor(model)
     Phi = regressor(*states)
     stored = pickle.dumps(regressor)
     assert len(stored) < 10_000
     np.testing.assert_array_equal(pickle.loads(stored)(*states), Phi)
-
-
-def test_works_without_numba_and_says_when_that_was_asked_for():
-    code = """
-        import sys
-        sys.modules["numba"] = None
-        from tests.model.test_regressor import *
-        rng = np.random.default_rng(8)
-        model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
-        states = motion(rng, 30, 3)
-        expected = TreeRegressor(model, compiled=False)(*states)
-        np.testing.assert_array_equal(TreeRegressor(model)(*states), expected)
-        try:
-            TreeRegressor(model, compiled=True)(*states)
-        except ImportError as error:
-            print(error)
-    """
-    done = subprocess.run(
-        [sys.executable, "-c", textwrap.dedent(code)],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=Path(__file__).parents[2],
-    )
-    assert "pip install numba" in done.stdout
-
-
-@pytest.mark.skipif(not has_numba, reason="needs Numba")
-def test_compiled_loop_is_in_use_and_takes_any_layout(monkeypatch):
-    rng = np.random.default_rng(9)
-    model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
-    states = motion(rng, 30, 3)
-    regressor = TreeRegressor(model)
-    expected = regressor(*states)
-    monkeypatch.setattr(TreeRegressor, "one_by_one", None)
-    apart = [np.asfortranarray(x) for x in states]
-    np.testing.assert_array_equal(regressor(*apart), expected)
-    assert regressor(*(x[:0] for x in states)).shape == (0, 3, 3, 10)

@@ -58,7 +58,6 @@ def test_torques_are_predicted_without_calls_for_each_sample(monkeypatch):
     rows = RegressorRows(features, states)
     theta = rng.normal(size=features.n_parameters_)
     expected = rows(slice(None)) @ theta
-    monkeypatch.setattr(_regressor, "load_kernel", lambda: None)
     monkeypatch.setattr(_regressor.TreeRegressor, "one_by_one", None)
     np.testing.assert_allclose(rows.predict(theta), expected, atol=1e-9)
 

@@ -382,7 +382,7 @@ def test_the_torque_is_what_the_formula_says(case):
     p = effect.parameters(coef) | effect.shape()
     if effect.in_model:
         p = effect.parameters(coef)
-        coef = np.asarray(coef) - effect.idle
+        coef = np.asarray(coef) - effect.nominal
     torque = effect.columns(signals()) @ np.asarray(coef)
     expected = formula(p)
     assert torque.shape == expected.shape

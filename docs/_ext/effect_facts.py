@@ -6,6 +6,7 @@ from simulated_effects import step_reasons
 
 from sklearn_vbjfa.diagnosis.report import added_torque
 from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
+from sklearn_vbjfa.effects import Shaped, Stateful
 
 # Attributes of a written file that come with others and say nothing by themselves.
 _WITH_OTHERS = {
@@ -64,9 +65,9 @@ def parameters_of(use):
             how = "fitted" if name in fitted else "tried"
             if name in fitted and name not in symbols(effect.formula):
                 how = "follows from the others"
-            if name in effect.continuous:
+            if isinstance(effect, Shaped) and name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
-            if name in effect.tangent:
+            if effect.in_model and name in effect.model_parameters:
                 how = "corrected step by step"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds
@@ -106,7 +107,8 @@ def told_of_step(use):
     reasons = step_reasons(use)
     refused = {reason for _, reason in reasons if reason}
     if not refused:
-        memory = " with a memory" if use.effect.memory == "past" else ""
+        stateful = isinstance(use.effect, Stateful) and use.effect.memory == "past"
+        memory = " with a memory" if stateful else ""
         return f"yes{memory}"
     (why,) = refused
     if all(reason for _, reason in reasons):

@@ -247,7 +247,7 @@ def torque_of(use, motion):
     coef = np.asarray(use.coef)
     if use.effect.in_model:
         # Columns are derivatives by the values, of which these are small changes.
-        coef = coef - use.effect.idle
+        coef = coef - use.effect.nominal
     return columns_of(use.effect, motion) @ coef
 
 

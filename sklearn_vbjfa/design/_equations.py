@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg import qr
 
 from sklearn_vbjfa._core._linear_systems import or_one
-from sklearn_vbjfa.effects import Motion, Rest
+from sklearn_vbjfa.effects import Motion, Rest, Stateful
 from sklearn_vbjfa.model import is_prismatic
 
 # Step of positions [rad or m]; velocities and accelerations take steps of one, by which
@@ -39,7 +39,7 @@ class EffectColumns:
     def of(cls, effect, motion):
         """Probe an effect with a motion in which all signals vary."""
         before = effect.columns(motion)
-        inputs, remembers = [], effect.memory != "none"
+        inputs, remembers = [], isinstance(effect, Stateful)
         middle = motion.q.shape[0] // 2
         for name, joint, values in _signals_of(motion):
             moved = _moved(motion, name, joint, np.ptp(values) * 1e-2 + 1e-6)

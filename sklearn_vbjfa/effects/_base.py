@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+from dataclasses import dataclass
 from numbers import Integral, Real
 
 import numpy as np
@@ -22,21 +23,38 @@ POSITION, SPEED, TIME = ("rad", "m"), ("rad/s", "m/s"), ("s", "s")
 VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
 
 
-# What an effect's torque is said by, and what is said of it elsewhere.
+# A subclass with one of these has another torque than its base: what its base says of
+# that torque elsewhere does not hold for it.
 _TORQUE = frozenset({"law", "column", "columns"})
-_OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "reads_torque"})
-_OF_TORQUE |= {"alike"}
-_OF_TORQUE |= {"joint_parameter", "mjcf", "in_files", "no_place", "no_urdf", "no_mjcf"}
+_OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "files", "alike"})
+_OWN = "an effect of the user's own"
+
+
+@dataclass(frozen=True, kw_only=True)
+class InFiles:
+    """What files of other programs have of an effect."""
+
+    urdf: str = _OWN  # what URDF lacks of it; empty if all of it is there
+    mjcf: str = _OWN  # what MJCF lacks of it
+    # what MJCF has: "constant", "spring", "ref" or "tendons", with the coefficients
+    places: tuple[tuple[str, ...], ...] = ()
+    # joint parameter of the files, and declared friction, that it adds to
+    parameter: str = ""
+    note: str = ""  # what a reader of an MJCF file has to know of it
+
+    @classmethod
+    def nowhere(cls, reason):
+        """Return that of an effect that neither format has, and why."""
+        return cls(urdf=reason, mjcf=reason)
 
 
 class Effect(TransformerMixin, BaseEstimator):
     """Something that adds torque to a joint, linear in its coefficients.
 
-    A class of its own is all that a new effect needs: `name`, the coefficients'
-    `coefficients` and `units`, its torque as `law` or as `columns`, and `shapes` if
-    there is anything to search. Whatever else is said about an effect elsewhere (its
-    label in a report, what to record next, what it is in a simulation or in a file of
-    another program) is read off its class, and has a default that works.
+    A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or as
+    `columns`; everything else has a default that works. Its bases say which kind it
+    is: `Shaped` has parameters to search, `Stateful` a memory, `OfTime` changes with
+    time, `InModel` corrects the rigid-body model.
     Instances go into ``EffectDiscovery(effects=[...])`` and
     ``RobotIdentifier(effects=[...])`` like those of the library.
 
@@ -50,99 +68,52 @@ class Effect(TransformerMixin, BaseEstimator):
     name : str
         Name, the same for all joints.
     label : str
-        What an engineer calls it, in a sentence; by default the name.
+        Name in a sentence of a report; by default `name`.
     formula : str
-        What it adds to the torque, in LaTeX: guide and reports typeset it.
+        Added torque in LaTeX, for documentation and reports.
     coefficients : tuple of str
         Symbols of the linear coefficients, one for each column.
     units : tuple of (str, str)
         Their units, for a revolute and for a prismatic joint.
     named_units : tuple of (str, (str, str))
-        Symbols and units of what `parameters` returns, where that is not the
-        coefficients.
-    shape_units : tuple of (str, (str, str))
-        Shape parameters and their units.
-    contains : tuple of str
-        Plainer effects that this one must beat: a search takes those first that are
-        probable by themselves.
-    holds : tuple of (str, str)
-        Plain terms that are a column of its own as well, with that coefficient. Where
-        several have it, the first effect of the joint has the sum, the others and the
-        plain term have zero.
-    needs : tuple of {"time", "load", "signals"}
-        Signals besides the states.
-    continuous : tuple of str
-        Shape parameters that take any value between those of `shapes`.
-    neutral : tuple of (str, float)
-        Those of them that do nothing at a value: a search leaves them there unless the
-        data say otherwise.
-    cyclic : tuple of str
-        Those of them that are angles [rad], the same again after a turn.
-    jumping : tuple of str
-        Those of them in which the torque jumps (an instant): they get no interval.
-    partners : tuple of str
-        Shape parameters that are the number of another joint.
-    apart : tuple of str
-        Shape parameters that make it another effect to an engineer (which signal):
-        where several do as well as the best, a search reports them as its rivals.
-    tangent : tuple of str
-        Parameters around which columns are linearised; `at` sets them.
-    positive : tuple of str
-        Shape parameters that must be greater than zero.
+        Symbols and units of what `parameters` returns, if not the coefficients.
     nonnegative : tuple of str
-        Coefficients that are not negative in nature: what a search finds with another
-        sign is something else.
+        Coefficients that physics requires to be nonnegative: a search rejects others.
     negative : tuple of (str, str)
-        Coefficients whose sign is not plain, and what a negative one means.
+        Coefficients of either sign, and the meaning of a negative one.
+    contains : tuple of str
+        Plainer effects: a search takes those first that are probable by themselves.
+    needs : tuple of {"time", "load", "signals"}
+        Required signals besides the states.
     depends : tuple of {"position", "speed", "load", "direction"}
-        Quantities of its joint that its columns go on changing with however large they
-        become: predictions follow them up to the margin of the range of the fit, beyond
-        which its torque stays as it is there, unless it is `bounded`; see
-        `EffectRange`. What saturates or fades with them (a sign, a Stribeck curve) has
-        its value outside the range as well and is left out; a sign depends on the
-        direction, for a joint that never reversed.
-    bounded : bool
-        Whether the law has a largest torque, however far out what it `depends` on, so
-        that predictions follow it outside the range of the fit as well.
-    curved : bool
-        Whether the columns do so in another way than along a straight line, so that
-        less lies between what is known and what is not.
-    seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
-        What a picture of it has on its horizontal axis: a signal of its joint, the
-        time, or the recorded signal that it uses (the first of `recorded`). Empty for
-        its own torque, where no single signal shows it.
-    with_motion : bool
-        Whether that picture counts torques in the direction of the motion, as of a
-        friction that has the same size both ways.
-    memory : {"none", "past", "future"}
-        What else than its own row a row of the columns depends on: nothing, rows
-        before it (a hysteresis, a lag), or rows after it too (a derivative by central
-        differences). Torques state by state, as in a control loop, take the columns of
-        "none" from motions of one row, those of "past" from `one_by_one`, and leave
-        out "future".
+        Quantities of its joint with which its columns grow without limit: predictions
+        follow them up to a margin outside the range of the fit and hold the torque
+        beyond.
+    growth : {"straight", "curved", "bounded"}
+        How they grow: along a straight line, otherwise (with half the margin), or up
+        to a largest torque (followed everywhere).
     visible : str
-        What a recording must hold for the effect to show.
+        What a recording must contain for the effect to show.
     record : str
         What to record next to tell it from its rivals.
-    slow : bool
-        Whether it is a function of time, which could imitate whatever changes slowly:
-        a search counts its evidence by slow changes alone.
-    afterwards : str
-        What a `slow` effect is taken to do after the last time of the fit.
+    seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
+        Horizontal axis of its picture; empty for its own torque.
+    with_motion : bool
+        Whether the picture counts torques in the direction of motion, as for friction.
     terms : tuple of (str, str, ...)
-        What it is in a simulation: kinds of terms that the simulation knows, each with
-        the coefficients and shape parameters that it is made of. Empty, it is simulated
-        by its own columns, which is slower and leaves out what depends on other rows.
+        Kinds of terms of the forward dynamics that it consists of, each with its
+        coefficients and shape parameters. Without terms it is simulated by its
+        columns, which is slower.
     not_simulated : str
-        Why a simulation goes without it; empty for all that can be simulated.
-    mjcf : tuple of (str, str, ...)
-        What of it an MJCF file has: "constant", "spring", "ref" or "tendons", each with
-        the coefficients that go there.
-    in_files : tuple of {"urdf", "mjcf"}
-        Files that have all of it in another way.
-    no_place, no_urdf, no_mjcf : str
-        Why files have no place for the rest of it, either of them, URDF or MJCF;
-        empty says that it is an effect of the user's own.
+        Why a simulation leaves it out; empty if it does not.
+    files : InFiles
+        What URDF and MJCF have of it.
+    alike : bool
+        Whether a mirrored joint has the same coefficients.
+    whole_robot : bool
+        Whether it acts on all joints: columns of shape (n, nv, k).
+    scope : {"joint", "robot"}
+        "robot" for an effect that belongs to no joint.
 
     Examples
     --------
@@ -163,96 +134,42 @@ class Effect(TransformerMixin, BaseEstimator):
     name = ""
     coefficients: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
-    # In words: reports, guide and pictures.
+    # In words and pictures.
     label = ""
     formula = ""
     named_units: tuple = ()
+    negative: tuple = ()
     visible = "the joint moves"
     record = ""
-    negative: tuple = ()
     seen_over = ""
     with_motion = False
+    # In a search.
+    contains: tuple[str, ...] = ()
+    nonnegative: tuple[str, ...] = ()
     # What its columns are made from, and where predictions follow them.
     needs: tuple[str, ...] = ()
-    memory = "none"
+    recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
     depends: tuple[str, ...] = ()
-    bounded = False
-    curved = False
-    # What a search knows of it, beside others.
-    contains: tuple = ()
-    holds: tuple[tuple[str, str], ...] = ()
-    nonnegative: tuple = ()
-    apart: tuple[str, ...] = ()
-    # Of effects with equal columns the one with the lowest gives its name to all.
-    precedence = 0
-    # Shape parameters: what is not linear.
-    shape_units: tuple = ()
-    continuous: tuple[str, ...] = ()
-    neutral: tuple = ()
-    cyclic: tuple[str, ...] = ()
-    jumping: tuple[str, ...] = ()
-    partners: tuple[str, ...] = ()
-    tangent: tuple[str, ...] = ()
-    positive: tuple[str, ...] = ()
-    # Change with time.
-    slow = False
-    afterwards = ""
+    growth = "straight"
     # In simulations and in files of other programs.
     terms: tuple = ()
     not_simulated = ""
-    mjcf: tuple = ()
-    in_files: tuple = ()
-    no_place = ""
-    no_urdf = ""
-    no_mjcf = ""
-    # Kinds. True for an effect that acts on all joints: columns of shape (n, nv, k).
-    whole_robot = False
-    # "robot" for an effect that belongs to no joint; its joint is the first.
-    scope = "joint"
-    # True for an effect whose value is part of the robot model; see `ModelEffect`.
-    in_model = False
-    # True for one of what is read of a torque; see `_channels`.
-    in_channel = False
-    # True for one that changes the last body's `inertial` parameters at an `instant`.
-    in_last_body = False
-    # True for one whose coefficients a mirrored joint has as well, see `_alike`.
+    files = InFiles()
+    # Kinds.
     alike = False
-    # False for one that needs the load, and not the torque of the whole model.
-    reads_torque = True
-    # Name of the joint parameter of files, and declared friction, that it adds to.
-    joint_parameter = ""
+    whole_robot = False
+    scope = "joint"
+    in_model = False  # see `InModel`
+    slow = False  # it could imitate whatever changes slowly, see `OfTime`
 
     def __init_subclass__(cls, **kwargs):
         super().__init_subclass__(**kwargs)
-        # With a torque of its own nothing holds that a base says of another torque.
         if not _TORQUE.isdisjoint(vars(cls)):
             for said in _OF_TORQUE - vars(cls).keys():
                 setattr(cls, said, vars(Effect)[said])
 
     def __init__(self, joint=0):
         self.joint = joint
-
-    @property
-    def trend(self):
-        """Whether it adds a torque of its own that need not change with the motion.
-
-        Such a torque could imitate whatever changes slowly: its evidence counts like
-        that of a `slow` effect.
-        """
-        return False
-
-    @property
-    def corner(self):
-        """Frequency above which it filters a channel [Hz]; None if it is not a filter.
-
-        A filter within the frequencies of the motion stands for something else.
-        """
-        return None
-
-    @property
-    def owner(self):
-        """Name of the body or joint that its coefficients bear; empty for its own."""
-        return ""
 
     # -- what a new effect says ---------------------------------------------------
 
@@ -324,20 +241,6 @@ class Effect(TransformerMixin, BaseEstimator):
             done &= table.add(kind, self.joint, *numbers)
         return done
 
-    def one_by_one(self):
-        """Return a function that computes the columns row by row.
-
-        Returns
-        -------
-        callable or None
-            `Motion` of one row -> columns of that row, (1, k) or (1, nv, k); called
-            with the rows of a recording in the order of time. By default `columns`
-            itself for an effect without `memory`, and None for others: an effect with
-            memory returns a new function that remembers what it needs, and is left out
-            of torques state by state otherwise.
-        """
-        return self.columns if self.memory == "none" else None
-
     def shapes(self, motion):
         """Shape parameters to search, a list of dicts for `set_params`."""
         return [{}]
@@ -364,14 +267,6 @@ class Effect(TransformerMixin, BaseEstimator):
         fitted = dict(zip(self.coefficients, coef))
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
-    @property
-    def recorded(self):
-        """Names of the recorded signals that it uses, tuple of str; `needs` "signals".
-
-        Empty for one that is not set to any yet.
-        """
-        return ()
-
     def opposite(self):
         """Return the effect mirrored in what must have a sign, such as a delay in time.
 
@@ -389,22 +284,25 @@ class Effect(TransformerMixin, BaseEstimator):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
 
-    def later(self, coef, t):
-        """Return what is left of the coefficients at a time [s], symbol -> value.
-
-        Empty for what does not change with time, and for what stays as it is.
-        """
-        return {}
-
     def at(self, coef):
-        """Return the effect linearised at its coefficients; see `tangent`."""
+        """Return the effect linearised at its coefficients, if it is linearised."""
         return self
 
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
         named = self.named_units or zip(self.coefficients, self.units)
         kind = int(bool(prismatic))
-        return {name: units[kind] for name, units in (*named, *self.shape_units)}
+        return {name: units[kind] for name, units in named}
+
+    def prefix(self, joint_name):
+        """Return what the names of its parameters begin with."""
+        return self.name if self.scope == "robot" else f"{joint_name}:{self.name}"
+
+    @property
+    def constant(self):
+        """Coefficient of a constant torque, an `Offset` as well; empty for none."""
+        found = (names[0] for kind, *names in self.terms if kind == "constant")
+        return next(found, "")
 
     @classmethod
     def describe(cls, shape, joint_label):
@@ -449,16 +347,6 @@ class Effect(TransformerMixin, BaseEstimator):
         # The search asks a hundred thousand times what never changes.
         return super()._get_param_names()
 
-    @property
-    def complexity(self):
-        """Number of coefficients and searched shape parameters."""
-        return len(self.coefficients) + len(self.continuous)
-
-    @property
-    def everywhere(self):
-        """Whether all joints tell of the effect, not its own alone."""
-        return self.whole_robot or self.in_model
-
     def shape(self):
         """Shape parameters in use."""
         parameters = self.get_params(deep=False)
@@ -466,21 +354,17 @@ class Effect(TransformerMixin, BaseEstimator):
         return parameters
 
     def check(self):
-        """Refuse a joint that is not a number, and shape parameters out of range."""
+        """Raise ValueError for a joint that is not an integer."""
         if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
             raise ValueError(
                 f"joint must be an integer, counted from zero; got {self.joint!r}."
             )
-        for name in self.positive:
-            value = getattr(self, name)
-            if not (isinstance(value, Real) and 0 < value < np.inf):
-                raise ValueError(
-                    f"{name} of {self.name} must be positive and finite; got {value!r}."
-                )
 
     def key(self):
         """Tell two uses of the effect apart: all but what is tuned."""
-        tuned = {*self.continuous, *self.tangent}
+        return self._key_without(())
+
+    def _key_without(self, tuned):
         fixed = {k: v for k, v in self.shape().items() if k not in tuned}
         return (self.name, self.joint, tuple(sorted(fixed.items())))
 
@@ -590,6 +474,123 @@ class Effect(TransformerMixin, BaseEstimator):
         )
 
 
+class Shaped(Effect):
+    """An effect with shape parameters: values to search that are not coefficients.
+
+    They are parameters of ``__init__``; `Effect.shapes` lists values to try.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint that the effect acts on, from zero.
+
+    Attributes
+    ----------
+    shape_units : tuple of (str, (str, str))
+        Shape parameters and their units.
+    continuous : tuple of str
+        Those that are searched between the values of `shapes` as well.
+    positive : tuple of str
+        Those that must be greater than zero.
+    neutral : tuple of (str, float)
+        Values at which they do nothing: a search leaves them there unless the data
+        contradict.
+    cyclic : tuple of str
+        Angles [rad], the same again after a turn.
+    jumping : tuple of str
+        Instants at which the torque jumps: they get no interval.
+    partners : tuple of str
+        Numbers of other joints.
+    split_by : tuple of str
+        Those that make it another effect to an engineer (which signal): where several
+        explain as much as the best, a search reports them as its rivals.
+    """
+
+    shape_units: tuple = ()
+    continuous: tuple[str, ...] = ()
+    positive: tuple[str, ...] = ()
+    neutral: tuple = ()
+    cyclic: tuple[str, ...] = ()
+    jumping: tuple[str, ...] = ()
+    partners: tuple[str, ...] = ()
+    split_by: tuple[str, ...] = ()
+
+    def check(self):
+        """Raise ValueError for shape parameters out of range, too."""
+        super().check()
+        for name in self.positive:
+            value = getattr(self, name)
+            if not (isinstance(value, Real) and 0 < value < np.inf):
+                raise ValueError(
+                    f"{name} of {self.name} must be positive and finite; got {value!r}."
+                )
+
+    def key(self):
+        return self._key_without(self.continuous)
+
+    def parameter_units(self, prismatic=False):
+        units = {name: both[int(bool(prismatic))] for name, both in self.shape_units}
+        return super().parameter_units(prismatic) | units
+
+
+class Stateful(Effect):
+    """An effect whose columns depend on other rows than their own.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint that the effect acts on, from zero.
+
+    Attributes
+    ----------
+    memory : {"past", "future"}
+        Whether they depend on earlier rows alone, as a hysteresis or a lag does, or on
+        later ones too, as a derivative by central differences does. Control loops leave
+        out "future".
+    """
+
+    memory = "past"
+
+    def one_by_one(self):
+        """Return a function that computes the columns row by row.
+
+        Needed by torques state by state, unless `law` defines the effect.
+
+        Returns
+        -------
+        callable or None
+            Motion of one row -> columns of that row, (1, k) or (1, nv, k); called with
+            the rows of a recording in the order of time. A new function each time.
+        """
+        return None
+
+
+class OfTime(Effect):
+    """An effect that changes with time: a search counts its slow changes alone.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint that the effect acts on, from zero.
+
+    Attributes
+    ----------
+    afterwards : str
+        What it is taken to do after the last time of the fit.
+    """
+
+    slow = True
+    needs: tuple[str, ...] = ("time",)
+    afterwards = ""
+
+    def later(self, coef, t):
+        """Return what is left of the coefficients at a time [s], symbol -> value.
+
+        Empty for what stays as it is.
+        """
+        return {}
+
+
 class JointEffect(Effect):
     """An effect of one column, made from its joint's velocity and acceleration alone.
 
@@ -640,7 +641,6 @@ class JointEffect(Effect):
         return np.array(np.broadcast_to(found, np.shape(v)))
 
     def columns(self, motion):
-        """Compute the column of the effect's own joint; see `Effect.columns`."""
         own = [self.joint]
         rest = None if motion.rest is None else motion.rest.pick(*own)
         return self.column(motion.v[:, own], motion.a[:, own], rest)

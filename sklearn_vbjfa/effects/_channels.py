@@ -8,7 +8,7 @@ import numpy as np
 import scipy
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import TIME, Effect
+from sklearn_vbjfa.effects._base import TIME, Effect, InFiles, Shaped, Stateful
 from sklearn_vbjfa.effects._motion import Motion
 
 # Delays to try [s].
@@ -73,10 +73,11 @@ def smooth(x, dt, time_constant):
     return scipy.signal.oaconvolve(padded, weights / weights.sum(), mode="valid")
 
 
-class _Channel(Effect):
-    """An effect on what is read of a torque, which the robot itself has not."""
+class OfChannel(Effect):
+    """An effect of what a torque channel reads, which the robot itself has not."""
 
-    in_channel = True
+    # Frequency above which it filters the channel [Hz]; None if it is not a filter.
+    corner: float | None = None
 
     def taken_back(self, coef, torque, t):
         """Take it out of what the channel of its joint read, (n,) at times t (n,)."""
@@ -96,7 +97,7 @@ class _Channel(Effect):
         return self.columns(motion) @ coef
 
 
-class Delay(_Channel):
+class Delay(Shaped, Stateful, OfChannel):
     """The torque signal lags behind the positions.
 
     The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
@@ -137,7 +138,9 @@ class Delay(_Channel):
     continuous = ("delay",)
     visible = "fast changes of the torque"
     record = "fast changes of the torque"
-    no_place = "the torque channel is late; it is not a property of the robot"
+    files = InFiles.nowhere(
+        "the torque channel is late; it is not a property of the robot"
+    )
 
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
@@ -145,39 +148,30 @@ class Delay(_Channel):
 
     @property
     def memory(self):
-        """A torque that lags is one of the past; see `Effect`."""
         return "past" if self.delay > 0 else "future"
 
     def check(self):
-        """Refuse no delay at all; see `Effect.check`."""
         super().check()
         if not (isinstance(self.delay, Real) and 0 < abs(self.delay) < np.inf):
             raise ValueError(f"delay must be finite and not zero; got {self.delay!r}.")
 
     def plausible(self, coef):
-        """Whether the delay found is about the shift; see `Effect.plausible`."""
         return 1 / _FACTOR < float(coef[0]) / self.delay < _FACTOR
 
     def natural(self, coef):
-        """Whether it has the sign of the shift, and is one; see `Effect.natural`.
-
-        Short delays differ in the coefficient, and hardly in the shift that the column
-        is made with: the one may be far from the other.
-        """
+        # Short delays differ in the coefficient, and hardly in the shift that the
+        # column is made with: the one may be far from the other.
         found = float(coef[0])
         return found / self.delay > 0 and abs(found) < _FACTOR * _DELAYS[-1]
 
     def opposite(self):
-        """Return the same delay of the other signal; see `Effect.opposite`."""
         return clone(self).set_params(delay=-self.delay)
 
     def key(self):
-        """Tell a delay of the torque from one of the positions; see `Effect.key`."""
         return (self.name, self.joint, bool(self.delay > 0))
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say which signal is late, and by how much; see `Effect.describe`."""
         delay = shape.get("delay")
         if not delay:
             return cls.label
@@ -185,7 +179,6 @@ class Delay(_Channel):
         return f"delay: {late} lags {other} by {1e3 * abs(delay):.2g} ms"
 
     def columns(self, motion):
-        """Shifted torque less the torque itself; see `Effect.columns`."""
         torque = model_torque(motion, self.joint)
         out = np.empty_like(torque)
         for part in motion.parts:
@@ -195,7 +188,6 @@ class Delay(_Channel):
         return out[:, None]
 
     def law(self, maths):
-        """Torque between past states, along straight lines; see `Effect.law`."""
         j, delay = self.joint, self.delay
         times, torques = deque(), deque()
 
@@ -217,7 +209,6 @@ class Delay(_Channel):
         return lag
 
     def taken_back(self, coef, torque, t):
-        """Read it later, or earlier; see `_Channel.taken_back`."""
         return np.interp(t + coef[0], t, torque)
 
     def shapes(self, motion):
@@ -225,11 +216,10 @@ class Delay(_Channel):
         return [{"delay": way * d} for d in _DELAYS for way in (1, -1)]
 
     def parameters(self, coef):
-        """Delay, the coefficient; see `Effect.parameters`."""
         return {"delay": float(coef[0])}
 
 
-class TorqueFilter(_Channel):
+class TorqueFilter(Shaped, Stateful, OfChannel):
     """The torque passed a filter that the positions did not pass, or the reverse.
 
     The column is (F tau - tau) / T for a filter F of the time constant T that acts on
@@ -294,7 +284,7 @@ class TorqueFilter(_Channel):
     nonnegative = ("time_constant_estimate",)
     visible = "changes of the torque as fast as the filter"
     record = "fast changes of the torque, both channels unfiltered"
-    no_place = "a channel's filter; it is not a property of the robot"
+    files = InFiles.nowhere("a channel's filter; it is not a property of the robot")
 
     def __init__(self, joint=0, kind="lag", of="torque", time_constant=0.01):
         super().__init__(joint)
@@ -304,7 +294,6 @@ class TorqueFilter(_Channel):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say which channel was filtered, and how; see `Effect.describe`."""
         T = shape.get("time_constant")
         if not T:
             return cls.label
@@ -320,17 +309,14 @@ class TorqueFilter(_Channel):
 
     @property
     def corner(self):
-        """Frequency that leaves half the power [Hz]; see `Effect`."""
         half = 1.0 / (2.0 * np.pi) if self.kind == "lag" else _HALF_POWER
         return half / self.time_constant
 
     @property
     def memory(self):
-        """A lag knows the past alone, an average both sides; see `Effect`."""
         return "past" if self.kind == "lag" else "future"
 
     def check(self):
-        """Refuse an unknown kind or channel; see `Effect.check`."""
         super().check()
         for name, known in (("kind", _FILTERS), ("of", ("torque", "position"))):
             if getattr(self, name) not in known:
@@ -340,17 +326,14 @@ class TorqueFilter(_Channel):
                 )
 
     def plausible(self, coef):
-        """Whether the filter found is about the column's; see `Effect.plausible`."""
         found = self.parameters(coef)["time_constant"]
         return 1 / _FACTOR < found / self.time_constant < _FACTOR
 
     def opposite(self):
-        """Return the same filter of the other channel; see `Effect.opposite`."""
         other = "torque" if self.of == "position" else "position"
         return clone(self).set_params(of=other)
 
     def columns(self, motion):
-        """Return what the filter changes in the torque; see `Effect.columns`."""
         self.check()
         torque = model_torque(motion, self.joint)
         out = np.zeros_like(torque)
@@ -367,7 +350,6 @@ class TorqueFilter(_Channel):
         return out[:, None]
 
     def law(self, maths):
-        """Low-pass of the first order, or its inverse; see `Effect.law`."""
         j, constant = self.joint, self.time_constant
         first, second = _low_pass_by_rows(constant), _low_pass_by_rows(constant)
         backwards = self.of == "position"
@@ -397,7 +379,6 @@ class TorqueFilter(_Channel):
         ]
 
     def parameters(self, coef):
-        """Time constant, the coefficient, and the cut-off; see `Effect.parameters`."""
         T = float(coef[0])
         if self.kind == "smooth":
             # The column goes with the square of the time constant.
@@ -409,7 +390,7 @@ class TorqueFilter(_Channel):
 _FILTERS = {"lag": low_pass, "smooth": smooth}
 
 
-class Jerk(Effect):
+class Jerk(Stateful):
     """Torque in proportion to the third derivative of the position, tau = J da/dt.
 
     Nothing in a rigid body has it. Positions that lag by a time T make it, with J = T
@@ -453,22 +434,17 @@ class Jerk(Effect):
     visible = "fast changes of the acceleration"
     record = "fast changes of the acceleration"
     not_simulated = "it stands for a lag of a channel or for flexibility"
-    no_place = "a torque in proportion to the third derivative of the position"
+    files = InFiles.nowhere(
+        "a torque in proportion to the third derivative of the position"
+    )
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say which signal is late, from the sign; see `Effect.describe`."""
         J = shape.get("J")
         if not J:
             return cls.label
         late, other = ("position", "torque")[:: 1 if J > 0 else -1]
         return f"jerk: {late} lags {other}, or flexibility"
 
-    @property
-    def complexity(self):
-        """As many as a delay or a filter has, which are what it stands for."""
-        return 2
-
     def columns(self, motion):
-        """Differentiate the acceleration; see `Effect.columns`."""
         return motion.derivative(motion.a[:, [self.joint]])

@@ -9,8 +9,10 @@ from sklearn_vbjfa.effects._base import (
     STIFFNESS,
     TORQUE,
     VISCOSITY,
-    Effect,
+    InFiles,
     JointEffect,
+    Shaped,
+    Stateful,
 )
 
 # Of w, what the own joint's speed counts, beside the other's.
@@ -56,16 +58,15 @@ class RotorInertia(JointEffect):
     seen_over = "acceleration"
     visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
-    joint_parameter = "rotor_inertia"
+    files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
     terms = (("armature", "Ir"),)
 
     def law(self, maths):
-        """Acceleration; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.a[j],)
 
 
-class Coupling(Effect):
+class Coupling(Shaped):
     """Friction and inertia of another joint's motion.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
@@ -104,8 +105,11 @@ class Coupling(Effect):
     contains = ("coulomb", "viscous")
     visible = "the other joint reverses while this one moves"
     record = "each joint moving alone"
-    no_urdf = "URDF has no friction or inertia between joints"
-    mjcf = (("tendons", "Fvm", "Fcm", "Iam"),)
+    files = InFiles(
+        urdf="URDF has no friction or inertia between joints",
+        mjcf="",
+        places=(("tendons", "Fvm", "Fcm", "Iam"),),
+    )
 
     def __init__(self, joint=0, other=1, of="other"):
         super().__init__(joint)
@@ -114,7 +118,6 @@ class Coupling(Effect):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Name the other joint; see `Effect.describe`."""
         if not isinstance(shape.get("other"), Integral):
             return cls.label
         how = {"sum": " (sum)", "difference": " (difference)"}
@@ -123,7 +126,6 @@ class Coupling(Effect):
         )
 
     def applies(self, motion):
-        """There must be another joint; see `Effect.applies`."""
         if motion.n_joints < 2:
             return "there is only one joint"
         return super().applies(motion)
@@ -136,7 +138,6 @@ class Coupling(Effect):
         return _OWN_SHARE[self.of]
 
     def law(self, maths):
-        """Speed, its sign, acceleration; see `Effect.law`."""
         j, k, own = self.joint, self.other, self.own_share
         sign = maths.sign(k) if self.of == "other" else maths.sign(k, j)
 
@@ -147,7 +148,6 @@ class Coupling(Effect):
         return torque
 
     def columns(self, motion):
-        """Those of its law, of two joints that are there; see `Effect.columns`."""
         if self.other == self.joint or not 0 <= self.other < motion.n_joints:
             raise ValueError(
                 "other of coupling must be another joint, 0 to "
@@ -156,7 +156,6 @@ class Coupling(Effect):
         return super().columns(motion)
 
     def simulated(self, table, Fvm, Fcm, Iam):
-        """Friction and inertia between joints; see `Effect.simulated`."""
         j, k, own = self.joint, self.other, self.own_share
         table.coupling[j, [k, j]] += Fvm, own * Fvm
         table.inertia[j, [k, j]] += Iam, own * Iam
@@ -178,7 +177,7 @@ class Coupling(Effect):
         ]
 
 
-class Elastic(Effect):
+class Elastic(Stateful):
     """Elastic joint seen from the motor, with the compliance 1/k as coefficient.
 
     Positions are measured at the motor and the link lags by tau / k, so that to first
@@ -221,18 +220,18 @@ class Elastic(Effect):
     not_simulated = (
         "a first-order correction of the torque, which has no forward dynamics"
     )
-    no_place = "elasticity between motor and link, which would be a joint more"
+    files = InFiles.nowhere(
+        "elasticity between motor and link, which would be a joint more"
+    )
     whole_robot = True
 
     def applies(self, motion):
-        """Ask for the rigid-body dynamics; see `Effect.applies`."""
         reason = super().applies(motion)
         if not reason and motion.rigid is None:
             return "needs the rigid-body dynamics"
         return reason
 
     def columns(self, motion):
-        """Differentiate all torques by the compliance; see `Effect.columns`."""
         j = self.joint
         torque = motion.load[:, j]
         rate = motion.derivative(torque)
@@ -248,6 +247,5 @@ class Elastic(Effect):
         return ((moved[1] - moved[0]) / compliance)[:, :, None]
 
     def parameters(self, coef):
-        """Stiffness; see `Effect.parameters`."""
         compliance = float(coef[0])
         return {"k": 1 / compliance if compliance else np.inf}

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import Effect
+from sklearn_vbjfa.effects._base import Effect, InFiles
 
 _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
@@ -94,7 +94,7 @@ class Follower(Effect):
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
     visible = "the joint that leads moves"
     whole_robot = True
-    in_files = ("urdf", "mjcf")
+    files = InFiles(urdf="", mjcf="")
 
     def __init__(self, joint=0, of="", chain=(), gravity=(0.0, 0.0, -9.81)):
         super().__init__(joint)
@@ -102,13 +102,10 @@ class Follower(Effect):
         self.chain = chain
         self.gravity = gravity
 
-    @property
-    def owner(self):
-        """Name of the joint that its parameters bear; see `Effect.owner`."""
+    def prefix(self, joint_name):
         return self.of
 
     def columns(self, motion):
-        """Regressor of the body, (n, nv, 10); see `Effect.columns`."""
         n = motion.q.shape[0]
         links = [ChainJoint.of_flat(row) for row in self.chain]
         frame, place = np.broadcast_to(np.eye(3), (n, 3, 3)), np.zeros((n, 3))

@@ -1,13 +1,21 @@
 """Friction that depends on velocity and load."""
 
-from sklearn_vbjfa.effects._base import SPEED, TORQUE, VISCOSITY, Effect, JointEffect
+from sklearn_vbjfa.effects._base import (
+    SPEED,
+    TORQUE,
+    VISCOSITY,
+    Effect,
+    InFiles,
+    JointEffect,
+    Shaped,
+)
 
 # Smoothing and Stribeck speeds to try, as shares of the joint's fastest speed.
 _SMOOTHINGS = (0.0, 0.02, 0.05, 0.1, 0.2)
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
 
 
-class _Smoothed(Effect):
+class _Smoothed(Shaped):
     """Dry friction, with a sign that may be smoothed."""
 
     continuous = ("smoothing",)
@@ -57,11 +65,10 @@ class Viscous(JointEffect):
     seen_over = "speed"
     visible = "motion at several speeds"
     record = "motion at several speeds"
-    joint_parameter = "viscous"
+    files = InFiles(parameter="viscous", urdf="", mjcf="")
     terms = (("viscous", "Fv"),)
 
     def law(self, maths):
-        """Velocity; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.v[j],)
 
@@ -106,11 +113,10 @@ class Coulomb(_Smoothed, JointEffect):
     seen_over = "speed"
     visible = "the joint reverses"
     record = "many reversals"
-    joint_parameter = "coulomb"
+    files = InFiles(parameter="coulomb", urdf="", mjcf="")
     terms = (("coulomb", "Fc", "smoothing"),)
 
     def law(self, maths):
-        """Sign of the velocity; see `Effect.law`."""
         j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
         return lambda state: (sign(state.v[j], state.a[j]),)
 
@@ -153,19 +159,19 @@ class AsymmetricFriction(Effect):
         ("dFv", "more friction backward than forward"),
     )
     contains = ("coulomb", "viscous")
-    holds = (("offset", "dFc"),)
     depends = ("speed", "direction")
     seen_over = "speed"
     visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
-    no_urdf = "friction in URDF is the same in both directions"
-    no_mjcf = "damping in MJCF is the same in both directions"
     # Half the difference of dry friction is a constant, at rest as well.
     terms = (("constant", "dFc"), ("absolute", "dFv"))
-    mjcf = (("constant", "dFc"),)
+    files = InFiles(
+        urdf="friction in URDF is the same in both directions",
+        mjcf="damping in MJCF is the same in both directions",
+        places=(("constant", "dFc"),),
+    )
 
     def law(self, maths):
-        """Even functions of the velocity; see `Effect.law`."""
         j = self.joint
         # At rest friction is anywhere between its values of the two directions, whose
         # mean is the same constant as in motion.
@@ -174,7 +180,7 @@ class AsymmetricFriction(Effect):
         return lambda state: (1.0 * (state.v[j] != 0), abs(state.v[j]))
 
 
-class Stribeck(Effect):
+class Stribeck(Shaped):
     """Stribeck friction, tau = Fs exp(-abs(v / vs)^k) sign(v).
 
     What friction has at low speed above its Coulomb level, section 2 of [1]_.
@@ -216,7 +222,7 @@ class Stribeck(Effect):
     seen_over = "speed"
     visible = "slow motion without standing still, and fast motion"
     record = "slow and fast motion"
-    no_place = "friction that falls with speed"
+    files = InFiles.nowhere("friction that falls with speed")
     terms = (("stribeck", "Fs", "vs", "k"),)
 
     def __init__(self, joint=0, vs=0.1, k=1):
@@ -225,7 +231,6 @@ class Stribeck(Effect):
         self.k = k
 
     def law(self, maths):
-        """Friction of unit size at low speed; see `Effect.law`."""
         j, vs, k = self.joint, self.vs, self.k
         exp, sign = maths.exp, maths.sign(j)
 
@@ -278,19 +283,19 @@ class ViscousQuadratic(Effect):
     negative = (("F2", "friction that flattens at high speed"),)
     contains = ("viscous", "coulomb")
     depends = ("speed",)
-    curved = True
+    growth = "curved"
     seen_over = "speed"
     visible = "slow and fast motion"
     record = "slow and fast motion"
-    no_place = "friction with the square of speed"
-    no_mjcf = (
-        'friction with the square of speed; MuJoCo 4 takes it as damping="{damping:.6g}'
-        ' {F2:.6g}" of the joint, which older versions do not read'
+    files = InFiles(
+        urdf="friction with the square of speed",
+        mjcf="friction with the square of speed; MuJoCo 4 takes it as "
+        'damping="{damping:.6g} {F2:.6g}" of the joint, which older versions do not '
+        "read",
     )
     terms = (("quadratic", "F2"),)
 
     def law(self, maths):
-        """Signed square of the velocity; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.v[j] * abs(state.v[j]),)
 
@@ -338,11 +343,9 @@ class LoadFriction(_Smoothed):
     with_motion = True
     visible = "reversals under different loads"
     record = "reversals at two loads"
-    reads_torque = False
-    no_place = "friction in proportion to the load"
+    files = InFiles.nowhere("friction in proportion to the load")
     terms = (("load_friction", "mu", "smoothing"),)
 
     def law(self, maths):
-        """Load against the motion; see `Effect.law`."""
         j, sign = self.joint, maths.sign(self.joint, smoothing=self.smoothing)
         return lambda state: (abs(state.load[j]) * sign(state.v[j], state.a[j]),)

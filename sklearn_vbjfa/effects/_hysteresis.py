@@ -4,7 +4,14 @@ import itertools
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect
+from sklearn_vbjfa.effects._base import (
+    POSITION,
+    STIFFNESS,
+    TORQUE,
+    InFiles,
+    Shaped,
+    Stateful,
+)
 
 # Displacements to try, as shares of the joint's range.
 _DISPLACEMENTS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
@@ -47,7 +54,7 @@ def play(q, width):
     return out
 
 
-class Presliding(Effect):
+class Presliding(Shaped, Stateful):
     """Presliding friction after a reversal, tau = Fp z(q) with Dahl's hysteresis.
 
     dz/dt = (v - abs(v) z) / displacement [1]_: before it slides a contact yields like
@@ -87,10 +94,9 @@ class Presliding(Effect):
     continuous = ("displacement",)
     positive = ("displacement",)
     depends = ("direction",)
-    memory = "past"
     visible = "many reversals"
     record = "many reversals"
-    no_place = "friction with a memory of where the joint came from"
+    files = InFiles.nowhere("friction with a memory of where the joint came from")
     terms = (("presliding", "Fp", "displacement"),)
 
     def __init__(self, joint=0, displacement=0.01):
@@ -98,13 +104,11 @@ class Presliding(Effect):
         self.displacement = displacement
 
     def columns(self, motion):
-        """Hysteresis of unit size; see `Effect.columns`."""
         q = motion.q[:, self.joint]
         z = [dahl(q[part], self.displacement) for part in motion.parts]
         return np.concatenate(z)[:, None]
 
     def law(self, maths):
-        """Dahl's bristle from the last turning point on; see `Effect.law`."""
         j, displacement, exp = self.joint, self.displacement, maths.exp
         # Last position and state, those of the last turning point, and the way since.
         last = z = turned = begin = None
@@ -134,7 +138,7 @@ class Presliding(Effect):
         return [{"displacement": s * reach} for s in _DISPLACEMENTS]
 
 
-class Backlash(Effect):
+class Backlash(Shaped, Stateful):
     """Play in series with a spring, tau = k play(q; width) + c.
 
     The play operator follows the position at a distance of at most half the width
@@ -167,15 +171,13 @@ class Backlash(Effect):
     units = (STIFFNESS, TORQUE)
     shape_units = (("width", POSITION),)
     contains = ("spring", "coulomb")
-    holds = (("offset", "c"),)
     continuous = ("width",)
     positive = ("width",)
     depends = ("position",)
-    memory = "past"
     seen_over = "position"
     visible = "many reversals, at several positions"
     record = "reversals at several positions"
-    no_place = "play with a memory of where the joint came from"
+    files = InFiles.nowhere("play with a memory of where the joint came from")
     terms = (("backlash", "k", "width"), ("constant", "c"))
 
     def __init__(self, joint=0, width=0.01):
@@ -183,13 +185,11 @@ class Backlash(Effect):
         self.width = width
 
     def columns(self, motion):
-        """Play of the position, and one; see `Effect.columns`."""
         q = motion.q[:, self.joint]
         p = np.concatenate([play(q[part], self.width) for part in motion.parts])
         return np.column_stack([p, np.ones_like(p)])
 
     def law(self, maths):
-        """Follow the position at half the width, and one; see `Effect.law`."""
         j, half = self.joint, 0.5 * self.width
         last = p = None
 

@@ -12,7 +12,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._between import between
-from sklearn_vbjfa.effects._base import POSITION, Effect
+from sklearn_vbjfa.effects._base import POSITION, Effect, InFiles
 from sklearn_vbjfa.effects._channels import model_torque
 
 # Farther out than this a tilt, a zero or an axis is no error of assembly but another
@@ -70,14 +70,13 @@ def without_rounding(columns):
     return np.where(size > _ROUNDING * size.max(initial=0.0), columns, 0.0)
 
 
-class ModelEffect(Effect):
-    """An effect that corrects the robot model by values of its own.
+class InModel(Effect):
+    """An effect whose values are part of the robot model.
 
-    The values are parameters of its constructor. Its columns are the derivatives of the
-    torque by them, at the present values; a coefficient that is fitted to a column is a
-    correction of the value, see `at`. In a `RobotIdentifier`, which corrects its model
-    until nothing is left to correct, the parameters `theta_` of the effect are the
-    values themselves.
+    The values are parameters of ``__init__``. The columns are the derivatives of the
+    torque by them, at the present values; a fitted coefficient is a correction, see
+    `at`. `RobotIdentifier` iterates these corrections, so that in ``theta_`` the
+    parameters of the effect are the values themselves.
 
     Parameters
     ----------
@@ -86,47 +85,49 @@ class ModelEffect(Effect):
 
     Attributes
     ----------
-    idle : tuple of float
+    model_parameters : tuple of str
+        Names of the values.
+    nominal : tuple of float
         Values that correct nothing.
     of_bodies : bool
-        Whether it may stand for bodies that are not as described, so that its values
-        are fitted beside free ones.
+        Whether it may replace bodies that are not as described, so that its values are
+        fitted with free bodies.
+    precedence : int
+        Among effects with equal columns the lowest gives its name to all.
     subject : tuple of str
-        What it is about in a sentence, with a place for the joint and one for several;
-        empty: its label.
-    told : str
-        What was found, in a sentence with places for ``{joint}``, for the values by
-        name in plain units, and for what an axis is turned about, ``{first}`` and
-        ``{second}``; empty lists the values behind the label.
-    mjcf_note : str
-        What a reader of an MJCF file has to know of it.
+        What it is about, with a place for the joint, in the singular and the plural;
+        empty for its label.
+    text : str
+        Sentence of the result, with places for ``{joint}``, the values by name in plain
+        units, and the axes ``{first}`` and ``{second}``; empty lists the values.
     at_bounds : str
-        What to do where a value is at the end of what is plausible.
+        Advice for a value at the end of its `bounds`.
     """
 
     in_model = True
-    of_bodies = True
     needs: tuple[str, ...] = ("load",)
-    idle: tuple[float, ...] = ()
+    model_parameters: tuple[str, ...] = ()
+    nominal: tuple[float, ...] = ()
+    of_bodies = True
+    precedence = 0
     subject: tuple = ()
-    told = ""
-    mjcf_note = ""
+    text = ""
     at_bounds = "Leave the effect out, or look for a larger fault."
 
     @property
     def values(self):
         """Present values, ndarray (k,)."""
-        return np.array([getattr(self, name) for name in self.tangent], dtype=float)
+        return np.array([getattr(self, n) for n in self.model_parameters], dtype=float)
 
     @property
     def corrects(self):
         """Whether the present values change the model."""
-        return bool((self.values != self.idle).any())
+        return bool((self.values != self.nominal).any())
 
     def check(self):
-        """Refuse values that are not finite numbers; see `Effect.check`."""
+        """Raise ValueError for values that are not finite numbers, too."""
         super().check()
-        for name in self.tangent:
+        for name in self.model_parameters:
             value = getattr(self, name)
             if not (isinstance(value, Real) and np.isfinite(value)):
                 raise ValueError(
@@ -147,6 +148,9 @@ class ModelEffect(Effect):
         """Return the smallest and largest values, two ndarrays (k,)."""
         raise NotImplementedError(f"{type(self).__name__} must define bounds().")
 
+    def key(self):
+        return self._key_without(self.model_parameters)
+
     def natural(self, coef):
         """Whether the corrected values are within `bounds`."""
         low, high = self.bounds()
@@ -159,20 +163,20 @@ class ModelEffect(Effect):
 
     def with_values(self, values):
         """Return the effect with other values (k,)."""
-        return clone(self).set_params(**dict(zip(self.tangent, map(float, values))))
+        return clone(self).set_params(
+            **dict(zip(self.model_parameters, map(float, values)))
+        )
 
     def parameters(self, coef):
-        """Return the values (k,) by name; see `Effect.parameters`."""
-        return dict(zip(self.tangent, map(float, coef)))
+        return dict(zip(self.model_parameters, map(float, coef)))
 
     def applies(self, motion):
-        """Without the robot there is nothing to differentiate; see `Effect.applies`."""
         if motion.derivatives is None:
             return "needs the rigid-body dynamics"
         return super().applies(motion)
 
 
-class BaseTilt(ModelEffect):
+class BaseTilt(InModel):
     r"""The base is not level: gravity points elsewhere in its frame.
 
     Gravity in the frame of the base is g = R_y(pitch) R_x(roll) g_0, with g_0 that of
@@ -221,13 +225,15 @@ class BaseTilt(ModelEffect):
     """
 
     name = "base_tilt"
-    told = (
+    text = (
         "the base is not level: gravity is turned by roll {roll} and pitch {pitch} "
         "degrees"
     )
-    no_urdf = "the base of the file is level"
-    in_files = ("mjcf",)
-    mjcf_note = "The base is not level: gravity is turned in its frame."
+    files = InFiles(
+        urdf="the base of the file is level",
+        mjcf="",
+        note="The base is not level: gravity is turned in its frame.",
+    )
     subject = ("a tilt of the base", "a tilt of the base")
     label = "tilted base"
     formula = (
@@ -236,11 +242,10 @@ class BaseTilt(ModelEffect):
     )
     coefficients = ("roll", "pitch")
     units = (("rad", "rad"), ("rad", "rad"))
-    tangent = ("roll", "pitch")
-    idle = (0.0, 0.0)
+    model_parameters = ("roll", "pitch")
+    nominal = (0.0, 0.0)
     whole_robot = True
     scope = "robot"
-    precedence = 0
     visible = "joints that hold weight in several poses, the first joint among them"
     record = "the base measured with a level, or moves of the first joint"
 
@@ -250,7 +255,6 @@ class BaseTilt(ModelEffect):
         self.pitch = pitch
 
     def applies(self, motion):
-        """Only once for the whole robot; see `Effect.applies`."""
         if self.joint != 0:
             return "one effect of the whole robot"
         reason = super().applies(motion)
@@ -259,11 +263,9 @@ class BaseTilt(ModelEffect):
         return reason
 
     def bounds(self):
-        """Within 15 degrees; see `ModelEffect.bounds`."""
         return np.full(2, -_LEANS), np.full(2, _LEANS)
 
     def correct(self, robot):
-        """Turn gravity; see `ModelEffect.correct`."""
         roll, pitch = self._turns(robot.nominal_gravity)
         robot.tilt(pitch @ roll)
 
@@ -273,7 +275,6 @@ class BaseTilt(ModelEffect):
         return rotation(self.roll * first), rotation(self.pitch * second)
 
     def columns(self, motion):
-        """Differentiate by roll and pitch, (n, nv, 2); see `Effect.columns`."""
         gravity = motion.derivatives.nominal_gravity
         first, second = cross_axes(_nearest(gravity))
         roll, pitch = self._turns(gravity)
@@ -289,7 +290,7 @@ def _nearest(direction):
     return np.eye(3)[np.argmax(np.abs(direction))]
 
 
-class JointZero(ModelEffect):
+class JointZero(InModel):
     r"""The zero of an encoder is off: it reads the position plus a constant.
 
     q = q_measured - zero, in everything that the rigid bodies do; velocity and
@@ -326,16 +327,19 @@ class JointZero(ModelEffect):
     """
 
     name = "joint_zero"
-    told = "{joint}: the encoder's zero is off by {zero} {unit}"
-    no_urdf = "zeros of the file are those of the description"
-    mjcf = (("ref", "zero"),)
+    text = "{joint}: the encoder's zero is off by {zero} {unit}"
+    files = InFiles(
+        urdf="zeros of the file are those of the description",
+        mjcf="",
+        places=(("ref", "zero"),),
+    )
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
     coefficients = ("zero",)
     units = (POSITION,)
-    tangent = ("zero",)
-    idle = (0.0,)
+    model_parameters = ("zero",)
+    nominal = (0.0,)
     whole_robot = True
     precedence = 1
     seen_over = "position"
@@ -347,19 +351,16 @@ class JointZero(ModelEffect):
         self.zero = zero
 
     def bounds(self):
-        """Within 15 degrees or 0.26 m; see `ModelEffect.bounds`."""
         return np.array([-_LEANS]), np.array([_LEANS])
 
     def correct(self, robot):
-        """Move the joint's zero; see `ModelEffect.correct`."""
         robot.move_zero(self.joint, self.zero)
 
     def columns(self, motion):
-        """Differentiate by the zero, (n, nv, 1); see `Effect.columns`."""
         return -motion.derivatives.by_position(self.joint)[:, :, None]
 
 
-class JointAxis(ModelEffect):
+class JointAxis(InModel):
     r"""The axis of a joint is not where the robot description has it.
 
     The placement M of the joint, in what carries it, is M exp(w) with the rotation
@@ -401,11 +402,11 @@ class JointAxis(ModelEffect):
     """
 
     name = "joint_axis"
-    told = (
+    text = (
         "{joint}: the axis is turned by {about_x} degrees about the {first} and "
         "{about_y} degrees about the {second} of its frame"
     )
-    in_files = ("urdf", "mjcf")
+    files = InFiles(urdf="", mjcf="")
     subject = ("the axis of {}", "the axes of {}")
     label = "turned joint axis"
     formula = (
@@ -414,8 +415,8 @@ class JointAxis(ModelEffect):
     )
     coefficients = ("about_x", "about_y")
     units = (("rad", "rad"), ("rad", "rad"))
-    tangent = ("about_x", "about_y")
-    idle = (0.0, 0.0)
+    model_parameters = ("about_x", "about_y")
+    nominal = (0.0, 0.0)
     whole_robot = True
     precedence = 2
     visible = "weight or inertia carried around the axis, and moves of joints before it"
@@ -427,17 +428,14 @@ class JointAxis(ModelEffect):
         self.about_y = about_y
 
     def bounds(self):
-        """Within 10 degrees; see `ModelEffect.bounds`."""
         return np.full(2, -_TURNS), np.full(2, _TURNS)
 
     def correct(self, robot):
-        """Turn the joint's placement; see `ModelEffect.correct`."""
         robot.turn(
             self.joint, rotation(self.values @ cross_axes(robot.axis(self.joint)))
         )
 
     def columns(self, motion):
-        """Differentiate by both turns, (n, nv, 2); see `Effect.columns`."""
         made = motion.derivatives
         axes = cross_axes(made.axis(self.joint))
         vector = self.values @ axes
@@ -448,7 +446,7 @@ class JointAxis(ModelEffect):
         return without_rounding(made.by_turn(self.joint) @ np.transpose(turns))
 
 
-class TorqueGain(ModelEffect):
+class TorqueGain(InModel):
     r"""A torque channel has another gain than the others.
 
     It reads gain times the torque, friction included: a torque constant, a gear ratio
@@ -489,16 +487,15 @@ class TorqueGain(ModelEffect):
     """
 
     name = "torque_gain"
-    told = "{joint}: the torque channel reads {gain}"
-    no_urdf = "torques of the file are the true ones"
-    in_files = ("mjcf",)
+    text = "{joint}: the torque channel reads {gain}"
+    files = InFiles(urdf="torques of the file are the true ones", mjcf="")
     subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
     coefficients = ("gain",)
     units = (_NONE,)
-    tangent = ("gain",)
-    idle = (1.0,)
+    model_parameters = ("gain",)
+    nominal = (1.0,)
     seen_over = "load"
     visible = "torque of bodies that other joints move as well"
     record = "a known mass picked up, or moves of the joints before and behind"
@@ -523,28 +520,22 @@ class TorqueGain(ModelEffect):
         return {"gain": self.gain}
 
     def bounds(self):
-        """Between 1 / limit and limit; see `ModelEffect.bounds`."""
         return np.array([1 / self.limit]), np.array([self.limit])
 
     def correct(self, robot):
-        """Scale what the joint's channel reads; see `ModelEffect.correct`."""
         robot.read(self.joint, self.gain)
 
     def applies(self, motion):
-        """With one joint all channels have one gain; see `Effect.applies`."""
         if motion.n_joints == 1:
             return "the only joint: a common gain is in every parameter"
         return Effect.applies(self, motion)
 
     def columns(self, motion):
-        """Torque of the model on the joint (n, 1); see `Effect.columns`.
-
-        Rows of the joint are multiplied with the gain, which the derivative has not.
-        """
+        # Rows of the joint are multiplied with the gain, which the derivative has not.
         return model_torque(motion, self.joint)[:, None] / self.gain
 
 
-class CommandDelay(ModelEffect):
+class CommandDelay(InModel):
     r"""The drive follows its commands later than the log says.
 
     With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
@@ -580,19 +571,18 @@ class CommandDelay(ModelEffect):
 
     name = "command_delay"
     label = "delayed command"
-    told = "commands act {delay} s after they are logged"
+    text = "commands act {delay} s after they are logged"
     subject = ("the delay of the commands", "the delay of the commands")
-    no_urdf = no_mjcf = "torques of the file act at once"
+    files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
     coefficients = ("delay",)
     units = (("s", "s"),)
-    tangent = ("delay",)
-    idle = (0.0,)
+    model_parameters = ("delay",)
+    nominal = (0.0,)
     of_bodies = False
     needs = ()
     whole_robot = True
     scope = "robot"
-    owner = "drive"
     at_bounds = (
         "Commands and positions may be of two clocks, or the drive of another mode: "
         "shift the commands by what is known of their delay, or give it to the drive "
@@ -605,15 +595,16 @@ class CommandDelay(ModelEffect):
         super().__init__(joint)
         self.delay = delay
 
+    def prefix(self, joint_name):
+        return "drive"
+
     def bounds(self):
-        """Within 0.1 s; see `ModelEffect.bounds`."""
         return np.array([-_LATE]), np.array([_LATE])
 
     def correct(self, robot):
-        """Nothing of the robot itself; see `ModelEffect.correct`."""
+        """Correct nothing of the robot itself."""
 
     def applies(self, motion):
-        """Only where commands were recorded; see `Effect.applies`."""
         if motion.command is None:
             return "needs the commands of a drive, drive=PDDrive(...)"
         return Effect.applies(self, motion)
@@ -624,6 +615,5 @@ class CommandDelay(ModelEffect):
         return between(command, parts, t, self.delay) - command
 
     def columns(self, motion):
-        """Slope of the command as it acts, (n, nv, 1); see `Effect.columns`."""
         known = motion.command, motion.parts, motion.t
         return between(*known, self.delay, 1)[:, :, None]

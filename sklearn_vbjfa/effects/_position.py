@@ -3,7 +3,15 @@
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import POSITION, STIFFNESS, TORQUE, Effect, JointEffect
+from sklearn_vbjfa.effects._base import (
+    POSITION,
+    STIFFNESS,
+    TORQUE,
+    Effect,
+    InFiles,
+    JointEffect,
+    Shaped,
+)
 
 # Longest and shortest period to try: of a revolute joint [rad], and as shares of the
 # range of a prismatic one.
@@ -43,11 +51,11 @@ class Offset(JointEffect):
     seen_over = "position"
     visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
-    joint_parameter = "offset"
+    files = InFiles(parameter="offset", urdf="", mjcf="")
     terms = (("constant", "c"),)
+    constant = ""  # it is the plain term itself
 
     def law(self, maths):
-        """One; see `Effect.law`."""
         return lambda state: (1.0,)
 
 
@@ -85,26 +93,23 @@ class Spring(Effect):
     named_units = (("k", STIFFNESS), ("q0", POSITION))
     negative = (("k", "pushes away from q0"),)
     contains = ("offset",)
-    holds = (("offset", "c"),)
     depends = ("position",)
     seen_over = "position"
     visible = "a wide range of positions"
     record = "a wide range of positions"
-    no_urdf = "URDF has no spring"
-    terms = mjcf = (("spring", "k"), ("constant", "c"))
+    terms = (("spring", "k"), ("constant", "c"))
+    files = InFiles(urdf="URDF has no spring", mjcf="", places=terms)
 
     def law(self, maths):
-        """Position and one; see `Effect.law`."""
         j = self.joint
         return lambda state: (state.q[j], 1.0)
 
     def parameters(self, coef):
-        """Stiffness and position at rest; see `Effect.parameters`."""
         k, c = (float(x) for x in coef)
         return {"k": k, "q0": -c / k if k else np.nan}
 
 
-class Counterbalance(Effect):
+class Counterbalance(Shaped):
     """Counterbalance: hydraulic, gas spring, coil spring or weight on a linkage.
 
     A balancer pulls between a point of the link, at the distance r from the joint's
@@ -161,12 +166,11 @@ class Counterbalance(Effect):
     contains = ("offset", "spring")
     cyclic = ("angle",)
     depends = ("position",)
-    bounded = True
-    curved = True
+    growth = "bounded"
     seen_over = "position"
     visible = "a range of positions of some 60 degrees"
     record = "a wide range of positions"
-    no_place = "a torque that is not linear in the position"
+    files = InFiles.nowhere("a torque that is not linear in the position")
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
         super().__init__(joint)
@@ -176,40 +180,29 @@ class Counterbalance(Effect):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say whether it has the geometry of a linkage; see `Effect.describe`."""
         if shape.get("form") == "linkage":
             return "counterbalance (gas or coil spring on a linkage)"
         return cls.label
 
     @property
     def coefficients(self):
-        """Symbols of the coefficients of the form; see `Effect`."""
         return ("Fr", "krL") if self.form == "linkage" else ("a", "b", "c", "d", "e")
 
     @property
     def terms(self):
-        """Terms of the form; see `Effect`."""
         if self.form == "linkage":
             return (("linkage", "Fr", "krL", "ratio", "angle"),)
         return (("harmonics", "a", "b", "c", "d"), ("constant", "e"))
 
     @property
     def units(self):
-        """Units of the coefficients of the form; see `Effect`."""
         return (TORQUE,) * len(self.coefficients)
 
     @property
-    def holds(self):
-        """Nothing of a linkage, the constant of harmonics; see `Effect`."""
-        return () if self.form == "linkage" else (("offset", "e"),)
-
-    @property
     def continuous(self):
-        """Shape parameters of the form; see `Effect`."""
         return ("ratio", "angle") if self.form == "linkage" else ()
 
     def check(self):
-        """Refuse another form, and a ratio that is none; see `Effect.check`."""
         super().check()
         if self.form not in _FORMS:
             raise ValueError(
@@ -221,21 +214,17 @@ class Counterbalance(Effect):
             )
 
     def shape(self):
-        """Shape parameters of the form in use; see `Effect.shape`."""
         return {"form": self.form} | {n: getattr(self, n) for n in self.continuous}
 
     def excludes(self):
-        """Keys of both forms: there is one balancer; see `Effect.excludes`."""
         return {clone(self).set_params(form=form).key() for form in _FORMS}
 
     def applies(self, motion):
-        """Only a revolute joint has an angle; see `Effect.applies`."""
         if motion.prismatic[self.joint]:
             return "a prismatic joint has no angle"
         return super().applies(motion)
 
     def law(self, maths):
-        """Force times lever arm, or harmonics and one; see `Effect.law`."""
         self.check()
         j, ratio, angle = self.joint, self.ratio, self.angle
         cos, sin, sqrt = maths.cos, maths.sin, maths.sqrt
@@ -264,7 +253,7 @@ class Counterbalance(Effect):
 _FORMS = ("harmonics", "linkage")
 
 
-class Ripple(Effect):
+class Ripple(Shaped):
     """Periodic torque, tau = A cos(2 pi q / period - phase).
 
     Cogging of motors, teeth of gears, the waves of a harmonic drive [1]_.
@@ -299,20 +288,18 @@ class Ripple(Effect):
     continuous = ("period",)
     positive = ("period",)
     depends = ("position",)
-    bounded = True
-    curved = True
+    growth = "bounded"
     seen_over = "position"
     visible = "motion across several periods, slow enough for the low-pass"
     record = "slow motion over the whole range"
     terms = (("ripple", "c", "s", "period"),)
-    no_place = "a torque that is not linear in the position"
+    files = InFiles.nowhere("a torque that is not linear in the position")
 
     def __init__(self, joint=0, period=0.1):
         super().__init__(joint)
         self.period = period
 
     def law(self, maths):
-        """Cosine and sine; see `Effect.law`."""
         j, waves, cos, sin = self.joint, 2 * np.pi / self.period, maths.cos, maths.sin
 
         def torque(state):
@@ -343,6 +330,5 @@ class Ripple(Effect):
         return [{"period": float(1 / w)} for w in waves]
 
     def parameters(self, coef):
-        """Amplitude and phase; see `Effect.parameters`."""
         c, s = (float(x) for x in coef)
         return {"A": float(np.hypot(c, s)), "phase": float(np.arctan2(s, c))}

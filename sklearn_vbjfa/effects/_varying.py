@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, Effect
+from sklearn_vbjfa.effects._base import TIME, TORQUE, VISCOSITY, InFiles, OfTime, Shaped
 from sklearn_vbjfa.effects._friction import Coulomb, Viscous
 
 # What may vary: in words, and the units of its coefficient.
@@ -21,14 +21,13 @@ _INSTANTS = 24
 _FARTHEST = 1.0
 
 
-class _Varied(Effect):
+class _Varied(Shaped):
     """Friction or offset times a function of time or of a signal."""
 
     contains = ("offset", "coulomb", "viscous")
 
     @property
     def with_motion(self):
-        """Whether what varies is a friction; see `Effect.with_motion`."""
         return self.of != "offset"
 
     def _factor(self, maths):
@@ -42,7 +41,6 @@ class _Varied(Effect):
         return _VARIED[self.of]
 
     def law(self, maths):
-        """Sign of the velocity, one or the velocity, varied; see `Effect.law`."""
         self._words_and_units()
         j, factor, sign = self.joint, self._factor(maths), maths.sign(self.joint)
         return {
@@ -52,7 +50,7 @@ class _Varied(Effect):
         }[self.of]
 
 
-class Drift(_Varied):
+class Drift(_Varied, OfTime):
     """Friction or offset that changes while the robot warms up.
 
     tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
@@ -97,15 +95,13 @@ class Drift(_Varied):
     units = (TORQUE,)
     negative = (("D", "less at the start than later"),)
     shape_units = (("time_constant", TIME),)
-    needs = ("time",)
     continuous = ("time_constant",)
     positive = ("time_constant",)
-    slow = True
     afterwards = "fades on"
     seen_over = "time"
     visible = "the same motion early and late"
     record = "the same motion cold and warm"
-    no_place = "fades with time; the file has what remains when warm"
+    files = InFiles.nowhere("fades with time; the file has what remains when warm")
 
     def __init__(self, joint=0, of="coulomb", time_constant=100.0):
         super().__init__(joint)
@@ -114,7 +110,6 @@ class Drift(_Varied):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say what drifts; see `Effect.describe`."""
         of = shape.get("of")
         label, _ = _VARIED.get(of, (of, ""))
         return f"drift of the {label} with time" if of else cls.label
@@ -125,7 +120,6 @@ class Drift(_Varied):
         return lambda state: exp(-state.known_t / constant)
 
     def simulated(self, table, D):
-        """Add friction or a torque that fades; see `Effect.simulated`."""
         since, constant = table.since, self.time_constant
 
         def level(t, signals):
@@ -135,7 +129,6 @@ class Drift(_Varied):
         return table.add_level(self.joint, self.of, level)
 
     def later(self, coef, t):
-        """D exp(-t / T); see `Effect.later`."""
         return {"D": float(coef[0] * np.exp(-t / self.time_constant))}
 
     def shapes(self, motion):
@@ -148,7 +141,6 @@ class Drift(_Varied):
         ]
 
     def parameter_units(self, prismatic=False):
-        """Units; see `Effect.parameter_units`."""
         _, units = self._words_and_units()
         return super().parameter_units(prismatic) | {"D": units[bool(prismatic)]}
 
@@ -203,11 +195,13 @@ class Signal(_Varied):
     coefficients = ("k",)
     negative = (("k", "falls as the signal rises"),)
     needs = ("signals",)
-    apart = ("signal", "of")
+    split_by = ("signal", "of")
     seen_over = "signal"
     visible = "the same motion at several values of the signal, which rises and falls"
     record = "the same motion at several values of the signal, in mixed order"
-    no_place = "varies with a recorded signal; the file has what holds at its reference"
+    files = InFiles.nowhere(
+        "varies with a recorded signal; the file has what holds at its reference"
+    )
 
     def __init__(self, joint=0, signal="", of="coulomb", reference=0.0):
         super().__init__(joint)
@@ -223,18 +217,16 @@ class Signal(_Varied):
         return (tuple(f"{unit} per unit of {of}" for unit in units),)
 
     @property
-    def trend(self):
-        """Whether the signal alone is a torque; see `Effect.trend`."""
+    def slow(self):
+        """Whether the signal alone is a torque."""
         return self.of == "offset"
 
     @property
     def recorded(self):
-        """The signal, if it is set; see `Effect.recorded`."""
         return (self.signal,) if self.signal else ()
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say what varies with which signal; see `Effect.describe`."""
         signal, of = shape.get("signal"), shape.get("of")
         if not signal:
             return cls.label
@@ -243,29 +235,21 @@ class Signal(_Varied):
         return f"{_VARIED[of][0]} that varies with {signal}"
 
     def told_beside(self, other):
-        """Name the signal, and what varies if that differs; see `Effect`."""
         told = f"{self.name}: {self.signal}"
         alike = isinstance(other, Signal) and other.of == self.of
         return told if alike else f"{told}, {self.of}"
 
     def key(self):
-        """Tell two uses of the effect apart; see `Effect.key`.
-
-        With another reference it is the same but for the plainer effect.
-        """
+        # With another reference it is the same but for the plainer effect.
         return (self.name, self.joint, (("of", self.of), ("signal", self.signal)))
 
     def check(self):
-        """Refuse what cannot vary; see `Effect.check`."""
         super().check()
         self._words_and_units()
 
     def applies(self, motion):
-        """Say which signal is missing; see `Effect.applies`.
-
-        That of a recording without signals is no reason to record some.
-        """
         if not self.signal:
+            # A recording without signals is no reason to record some.
             return "" if motion.signals else "no signals were recorded beside it"
         if self.signal in motion.signals:
             return ""
@@ -283,7 +267,6 @@ class Signal(_Varied):
     law = _Varied.law
 
     def columns(self, motion):
-        """Those of its law, with a signal that is there; see `Effect.columns`."""
         self._words_and_units()
         if self.signal not in motion.signals:
             raise ValueError(
@@ -293,8 +276,6 @@ class Signal(_Varied):
         return super().columns(motion)
 
     def simulated(self, table, k):
-        """Add friction or a torque that varies; see `Effect.simulated`."""
-
         def level(t, signals):
             return k * (signals(self.signal, t) - self.reference)
 
@@ -310,7 +291,7 @@ class Signal(_Varied):
         ]
 
 
-class Payload(Effect):
+class Payload(Shaped, OfTime):
     """The last body's mass and first moments change at an instant.
 
     tau = Phi_n(q, v, a) (dm, dmcx, dmcy, dmcz, dI) for t >= instant, with the columns
@@ -356,26 +337,25 @@ class Payload(Effect):
     units = (("kg", "kg"),) + (("kg m", "kg m"),) * 3 + (("kg m^2", "kg m^2"),)
     negative = (("dm", "put down"),)
     shape_units = (("instant", TIME),)
-    needs = ("time",)
     continuous = ("instant",)
     jumping = ("instant",)
-    tangent = ("centre",)
-    slow = True
     afterwards = "stays"
     seen_over = "time"
     visible = "motion against gravity before and after the change"
     record = "motion against gravity with and without payload"
-    no_place = "a change at an instant; the file has the robot before it"
+    files = InFiles.nowhere("a change at an instant; the file has the robot before it")
     whole_robot = True
-    in_last_body = True
 
     def __init__(self, joint=0, instant=0.0, centre=(0.0, 0.0, 0.0)):
         super().__init__(joint)
         self.instant = instant
         self.centre = centre
 
+    def shape(self):
+        """Return the instant; the centre is where the columns are linearised."""
+        return {"instant": self.instant}
+
     def applies(self, motion):
-        """Only the last joint carries a payload; see `Effect.applies`."""
         if self.joint != motion.n_joints - 1:
             return "only the last body carries a payload"
         if motion.last_body is None:
@@ -383,7 +363,6 @@ class Payload(Effect):
         return super().applies(motion)
 
     def columns(self, motion):
-        """Regressor of the last body after the instant; see `Effect.columns`."""
         after = motion.t >= self.instant
         columns = motion.last_body() @ _ball(np.asarray(self.centre, dtype=float))
         return columns * after[:, None, None]
@@ -404,7 +383,6 @@ class Payload(Effect):
         return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):
-        """Change the last body; see `Effect.simulated`."""
         table.payloads.append((float(self.instant), self.inertial(coef)))
         return True
 

@@ -726,14 +726,13 @@ def held_columns(features, effects):
     first = per_joint - len(features.friction_)
     found, taken, at = [], set(), features.n_parameters_
     for effect in effects:
-        for name, symbol in effect.holds:
-            place = effect.joint, name
-            if place in taken:
-                found.append(at + effect.coefficients.index(symbol))
-            elif name in features.friction_:
-                term = features.friction_.index(name)
+        if effect.constant:
+            if effect.joint in taken:
+                found.append(at + effect.coefficients.index(effect.constant))
+            elif "offset" in features.friction_:
+                term = features.friction_.index("offset")
                 found.append(effect.joint * per_joint + first + term)
-            taken.add(place)
+            taken.add(effect.joint)
         at += len(effect.coefficients)
     return found
 

@@ -16,10 +16,6 @@ from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_identified
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
-# Why effects have no place that say nothing of it.
-_OWN = "an effect of the user's own"
-_NO_PART = "it is not part of the description"
-
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
@@ -142,7 +138,7 @@ def _notes_of_mjcf(robot, dynamics, servo):
         "times the torque (gainprm of its motor is the inverse)."
         for j in np.flatnonzero(dynamics.gain != 1)
     ]
-    notes = (effect.mjcf_note for effect in robot.effects if effect.in_model)
+    notes = (effect.files.note for effect in robot.effects)
     told += filter(None, dict.fromkeys(notes))
     if dynamics.constant.any() or dynamics.slope.any():
         told.append(
@@ -212,7 +208,7 @@ class _Account:
         if not coef.any():
             return
         sizes = self._sizes(effect, coef)
-        if not effect.everywhere:
+        if not (effect.whole_robot or effect.in_model):
             self.leave(effect.name, effect.joint, sizes[effect.joint], reason)
             return
         if np.isnan(sizes).all():
@@ -239,7 +235,7 @@ class _Account:
             at = self.robot.friction_names.index(name)
             return np.sqrt(self._powers.friction[joint, at])
         for effect, own in zip(self.robot.effects, self._powers.effects):
-            if effect.joint_parameter == name and effect.joint == joint:
+            if effect.files.parameter == name and effect.joint == joint:
                 return np.sqrt(own[joint, 0, 0])
         return np.nan
 
@@ -249,7 +245,7 @@ class _Account:
         if name in self.robot.friction_names:
             total += self.robot.friction[:, self.robot.friction_names.index(name)]
         for effect, coef in self.uses:
-            if effect.joint_parameter == name:
+            if effect.files.parameter == name:
                 total[effect.joint] += coef[0]
         return total
 
@@ -270,7 +266,7 @@ class _Account:
     def _leave_smoothing(self):
         """List what dry friction with a rounded sign lacks of the sharp one."""
         for effect, coef in self.uses:
-            own = effect.joint_parameter == "coulomb"
+            own = effect.files.parameter == "coulomb"
             if own and effect.smoothing > 0 and coef[0] != 0:
                 # (1 - x)^2 <= 1 - x^2 for x = tanh(abs(v) / smoothing)
                 share = self._column_size_of(effect)
@@ -310,12 +306,11 @@ def _left_of_urdf(account):
         "rotor_inertia", account.total("rotor_inertia"), "URDF has no armature"
     )
     for effect, coef in account.uses:
-        if effect.joint_parameter or "urdf" in effect.in_files:
+        if not effect.files.urdf:
             continue
         if effect.in_model:
-            coef = effect.values - effect.idle
-        usual = _NO_PART if effect.in_model else _OWN
-        account.leave_effect(effect, coef, effect.no_urdf or effect.no_place or usual)
+            coef = effect.values - effect.nominal
+        account.leave_effect(effect, coef, effect.files.urdf)
 
 
 # -- MJCF ------------------------------------------------------------------------------
@@ -334,7 +329,7 @@ class _Joints:
     def take(self, effect, coef):
         """Take what the file has of an effect; return coefficients that are left."""
         left = dict(coef)
-        for place, *names in effect.mjcf:
+        for place, *names in effect.files.places:
             own = [left.pop(name) for name in names]
             if place == "tendons":
                 self.couplings.append((effect, np.array(own)))
@@ -358,10 +353,10 @@ def _mjcf_dynamics(account, servo=None):
     )
     for effect, coef in account.uses:
         # In the sums; in the model, in the gains, or a body of its own.
-        if effect.joint_parameter or "mjcf" in effect.in_files:
+        if not (effect.files.mjcf or effect.files.places):
             continue
         if effect.in_model:
-            coef = effect.values - effect.idle
+            coef = effect.values - effect.nominal
         if isinstance(effect, CommandDelay) and servo is not None:
             if effect.delay < 0:
                 why = "a file cannot say that commands act before they are given"
@@ -369,8 +364,7 @@ def _mjcf_dynamics(account, servo=None):
             continue
         left = joints.take(effect, dict(zip(effect.coefficients, map(float, coef))))
         if left:
-            told = effect.no_mjcf.format(damping=damping[effect.joint], **left)
-            reason = told or effect.no_place or _OWN
+            reason = effect.files.mjcf.format(damping=damping[effect.joint], **left)
             rest = [left.get(name, 0.0) for name in effect.coefficients]
             account.leave_effect(effect, rest, reason)
     constant, spring, ref = joints.constant, joints.spring, joints.ref

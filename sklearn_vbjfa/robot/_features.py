@@ -155,7 +155,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         Parameters
         ----------
         effects : iterable of Effect
-            Those that are not a `ModelEffect` correct nothing.
+            Those that are not a `InModel` correct nothing.
 
         Returns
         -------

@@ -594,7 +594,7 @@ class ModelValues:
             told += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
                 for name, value, ends in zip(
-                    effect.tangent, effect.values, below | above
+                    effect.model_parameters, effect.values, below | above
                 )
                 if ends
             ]
@@ -617,7 +617,7 @@ def _at_bounds(effect):
     """Which values are at their lower and at their upper bounds, two arrays (k,)."""
     low, high = effect.bounds()
     # A gain has more room above 1 than below.
-    below, above = effect.idle - low, high - effect.idle
+    below, above = effect.nominal - low, high - effect.nominal
     near = 2 * _END
     return effect.values < low + near * below, effect.values > high - near * above
 

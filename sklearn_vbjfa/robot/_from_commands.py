@@ -4,6 +4,7 @@ import warnings
 
 import numpy as np
 
+from sklearn_vbjfa.effects import OfChannel
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._drives import velocity_lags
 from sklearn_vbjfa.robot._equations import late_command
@@ -17,7 +18,7 @@ _DRIVE_PERIOD = 1e-3
 
 def unfollowed(effect):
     """Why a simulation under a drive goes without an effect; "" if it does not."""
-    return effect.not_simulated or (_AT_ONCE if effect.in_channel else "")
+    return effect.not_simulated or (_AT_ONCE if isinstance(effect, OfChannel) else "")
 
 
 class Follower:

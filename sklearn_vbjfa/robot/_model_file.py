@@ -19,6 +19,7 @@ from sklearn_vbjfa.effects import (
     Effect,
     EffectRange,
     Follower,
+    Shaped,
     available,
     resolve,
 )
@@ -507,7 +508,7 @@ def _read_effect(place, names, classes):
         effect.check()
     except (TypeError, ValueError) as error:
         raise place["shape"].wrong(f"does not suit {name!r}: {error}") from error
-    for key in effect.partners:
+    for key in effect.partners if isinstance(effect, Shaped) else ():
         partner = getattr(effect, key)
         if partner == joint or partner not in range(len(names)):
             raise place["shape"][key].wrong(

@@ -188,10 +188,8 @@ def effect_names(effects, model):
     names, units = [], []
     for effect in effects:
         kind = int(kinds[effect.joint])
-        # What belongs to the robot as a whole bears the name of no joint.
-        own = "" if effect.scope == "robot" else f"{joints[effect.joint]}:"
-        own = effect.owner or f"{own}{effect.name}"
-        names += [f"{own}:{c}" for c in effect.coefficients]
+        prefix = effect.prefix(joints[effect.joint])
+        names += [f"{prefix}:{c}" for c in effect.coefficients]
         units += [unit[kind] for unit in effect.units]
     return tuple(names), tuple(units)
 

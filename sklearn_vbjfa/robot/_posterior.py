@@ -15,7 +15,7 @@ from sklearn.utils import check_random_state
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._sandwich import block_variance
-from sklearn_vbjfa.effects import Follower, declared_nonnegative
+from sklearn_vbjfa.effects import Follower, OfTime, declared_nonnegative
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
@@ -395,7 +395,7 @@ def places_between(robot):
     # Values of drives. Bodies do not, nor what may stand for them, and effects of time
     # say themselves how they do.
     def stays(effect):
-        return effect.slow or (effect.in_model and effect.of_bodies)
+        return isinstance(effect, OfTime) or (effect.in_model and effect.of_bodies)
 
     rest = ~_of_effects(robot, stays)
     rest[body_places(robot)] = False

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.effects import CommandDelay, OfTime
 from sklearn_vbjfa.effects._motion import Rest
 from sklearn_vbjfa.effects._ranges import (
     n_farthest,
@@ -866,7 +866,8 @@ class IdentifiedRobot(SimulatesTorques):
         """Ranges that the effects in use are held within, None where they are not."""
         own = self.effect_ranges_[len(self.effect_ranges_) - len(self.effects_) :]
         return tuple(
-            None if effect.bounded else one for effect, one in zip(self.effects_, own)
+            None if effect.growth == "bounded" else one
+            for effect, one in zip(self.effects_, own)
         )
 
     @property
@@ -1009,7 +1010,7 @@ class IdentifiedRobot(SimulatesTorques):
 
     def of_time(self, asked):
         """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
-        if not any(effect.slow for effect in self.effects_):
+        if not any(isinstance(effect, OfTime) for effect in self.effects_):
             return ()
         known = {"theta": self.load, "rest": asked.rest}
         motion = motion_of(
@@ -1020,7 +1021,7 @@ class IdentifiedRobot(SimulatesTorques):
         return tuple(
             effect_of_time(effect, coef, spread, own, self.plan.time)
             for effect, coef, spread, own in zip(*known)
-            if effect.slow
+            if isinstance(effect, OfTime)
         )
 
     # -- for other fits, and for simulation -------------------------------------------
@@ -1067,7 +1068,7 @@ class IdentifiedRobot(SimulatesTorques):
     def described(self):
         """Return the robot of its description: those bodies, and no friction."""
         # What belongs to the drive, as the delay of its commands, stays as found.
-        driven = [e for e in self.effects_ if e.owner == "drive"]
+        driven = [e for e in self.effects_ if isinstance(e, CommandDelay)]
         values = [getattr(e, name) for e in driven for name in e.coefficients]
         features, bodies = self.features_.corrected(()), self.bodies(self.theta_)
         bodies = np.zeros_like(bodies)

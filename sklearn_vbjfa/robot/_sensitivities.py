@@ -20,7 +20,7 @@ from itertools import compress
 
 import numpy as np
 
-from sklearn_vbjfa.effects import declared_columns, own_motions
+from sklearn_vbjfa.effects import OfChannel, declared_columns, own_motions
 from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
 from sklearn_vbjfa.simulation import with_bodies
@@ -100,7 +100,8 @@ def _beside_bodies(predictor, recording, states):
     torque = np.einsum("njk,jk->nj", columns, own)
     # Effects whose torque depends on the state alone.
     moving = [
-        not (e.in_model or e.in_channel or e.not_simulated) for e in predictor.effects_
+        not (e.in_model or isinstance(e, OfChannel) or e.not_simulated)
+        for e in predictor.effects_
     ]
     if any(moving):
         known = {"theta": predictor.load}

@@ -8,8 +8,11 @@ import numpy as np
 from sklearn_vbjfa.effects import (
     HELD,
     Floats,
+    LoadFriction,
     Motion,
+    Payload,
     State,
+    Stateful,
     declarable,
 )
 from sklearn_vbjfa.model import TreeRegressor, import_pinocchio, is_prismatic
@@ -30,6 +33,8 @@ class LeftOutEffect:
 
 def why_left_out(effect):
     """Say why an effect cannot be computed state by state; empty if it can."""
+    if not isinstance(effect, Stateful):
+        return ""
     if effect.memory == "future":
         return "it depends on the motion after the state"
     if effect.law(Floats(None)) is None and effect.one_by_one() is None:
@@ -101,11 +106,12 @@ class Stepper:
             _check_applies(model, effect)
         self._timed = any("time" in effect.needs for effect in own)
         self._signals = {name for effect in own for name in effect.recorded}
-        self._payloads = [one for one in pairs if one[0].in_last_body]
-        self._pairs = [one for one in pairs if not one[0].in_last_body]
+        self._payloads = [one for one in pairs if isinstance(one[0], Payload)]
+        self._pairs = [one for one in pairs if not isinstance(one[0], Payload)]
         self._needs_load = any("load" in effect.needs for effect in own)
         self._needs_torque = any(
-            "load" in effect.needs and effect.reads_torque for effect in own
+            "load" in effect.needs and type(effect) is not LoadFriction
+            for effect in own
         )
         maths = self._maths = Floats(model.rest)
         signs = [maths.sign(j) for j in range(self._nv)]
@@ -416,7 +422,8 @@ class _ByMotion:
     """An effect that is not of the library, by motions of one row."""
 
     def __init__(self, model, effect, load):
-        self._columns = effect.one_by_one()
+        stateful = isinstance(effect, Stateful)
+        self._columns = effect.one_by_one() if stateful else effect.columns
         self._model, self._effect = model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)

@@ -14,11 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.effects import (
-    HELD,
-    Motion,
-    own_motions,
-)
+from sklearn_vbjfa.effects import HELD, Motion, OfChannel, own_motions
 from sklearn_vbjfa.model import is_prismatic
 
 # Kinds of terms in the table, by the names that effects enter them with.
@@ -104,7 +100,7 @@ class TermTable:
                 "give it in effects."
             )
         for effect, coef, held in robot.own_effects():
-            if effect.in_channel or effect.not_simulated:
+            if isinstance(effect, OfChannel) or effect.not_simulated:
                 continue
             effect.check()
             self._ends = _ends(held)

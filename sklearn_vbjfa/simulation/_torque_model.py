@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from sklearn_vbjfa.effects import Rest
+from sklearn_vbjfa.effects import OfChannel, Rest
 from sklearn_vbjfa.model import joint_names
 
 if TYPE_CHECKING:
@@ -100,7 +100,7 @@ class TorqueModel:
         """Turn measured torques (n, nv) at times t (n,) into those at the joints."""
         out = tau / self.gains
         for effect, coef in zip(self.effects, self.coefficients):
-            if effect.in_channel and t.size > 1:
+            if isinstance(effect, OfChannel) and t.size > 1:
                 j = effect.joint
                 out[:, j] = effect.taken_back(coef, out[:, j], t)
         return out

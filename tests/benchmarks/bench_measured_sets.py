@@ -40,6 +40,7 @@ from sklearn.base import clone
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.diagnosis.explain import split_in_time
+from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import OURS, collect_residuals, compare_methods, methods
 
@@ -109,7 +110,8 @@ def split_of(loop, q, tau, groups):
     )
     split = split_in_time(loop.identifier, whole, loop.test_size)
     effects = loop.judged_.effects_
-    instants = [getattr(e, name) for e in effects for name in e.jumping]
+    shaped = [e for e in effects if isinstance(e, Shaped)]
+    instants = [getattr(e, name) for e in shaped for name in e.jumping]
     guard = round(loop.report_.outcome.settings["guard_seconds"] / dt)
     split = split.decided(whole.t, instants).guarded(guard)
     parts = (split.searched(whole), split.untouched(whole))

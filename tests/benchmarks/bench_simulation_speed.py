@@ -175,7 +175,7 @@ def rows_of(found, numba):
 
 def every_effect(nv):
     """One effect of each kind that needs no recorded signal, joint after joint."""
-    from sklearn_vbjfa.effects import resolve
+    from sklearn_vbjfa.effects import Shaped, resolve
 
     found, fixed_joints = [], {"base_tilt": 0, "payload": nv - 1}
     for effect in resolve("all"):
@@ -183,7 +183,8 @@ def every_effect(nv):
             continue
         # a tilt is the robot's, a payload is carried by the last body
         joint = fixed_joints.get(effect.name, len(found) % nv)
-        partners = dict.fromkeys(effect.partners, (joint + 1) % nv)
+        names = effect.partners if isinstance(effect, Shaped) else ()
+        partners = dict.fromkeys(names, (joint + 1) % nv)
         found.append(type(effect)(joint=joint).set_params(**partners))
     return found
 

@@ -15,7 +15,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.explain import split_in_time
-from sklearn_vbjfa.effects import Effect
+from sklearn_vbjfa.effects import Effect, Shaped
 from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
@@ -491,7 +491,7 @@ class Cubic(Effect):
         return motion.q[:, [self.joint]] ** 3
 
 
-class Edge(Effect):
+class Edge(Shaped):
     """Spring beyond a position, which is searched."""
 
     name = "edge"

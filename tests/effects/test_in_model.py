@@ -161,7 +161,7 @@ def test_columns_are_the_derivatives_at_the_present_values(case):
     _, states = motion(3, duration=0.5, dt=0.02, seed=4)
     for i, effect in enumerate(used):
         found = columns(model, states, used, effect)
-        for k, name in enumerate(effect.tangent):
+        for k, name in enumerate(effect.model_parameters):
             made = []
             for step in (STEP, -STEP):
                 moved = [*used]
@@ -253,16 +253,17 @@ ALL = [
 def test_values_are_parameters_that_coefficients_correct(effect):
     k = len(effect.coefficients)
     assert effect.in_model
-    assert len(effect.values) == len(effect.idle) == k
+    assert len(effect.values) == len(effect.nominal) == k
     step = 0.01 * np.arange(1, k + 1)
     further = effect.at(step)
     assert_allclose(further.values, effect.values + step)
     assert further is not effect
     assert_allclose(effect.at(np.zeros(k)).values, effect.values)
     assert_allclose(effect.with_values(step).values, step)
-    assert all(isinstance(getattr(further, name), float) for name in effect.tangent)
+    names = effect.model_parameters
+    assert all(isinstance(getattr(further, name), float) for name in names)
     # What is called a parameter is the value and not the correction.
-    assert effect.parameters(effect.values) == dict(zip(effect.tangent, effect.values))
+    assert effect.parameters(effect.values) == dict(zip(names, effect.values))
     assert further.key() == effect.key()
     assert further.joint == effect.joint
     assert pickle.loads(pickle.dumps(further)).get_params() == further.get_params()
@@ -271,7 +272,7 @@ def test_values_are_parameters_that_coefficients_correct(effect):
 @pytest.mark.parametrize("effect", ALL)
 def test_idle_values_correct_nothing(effect):
     fresh = type(effect)(joint=effect.joint)
-    assert_allclose(fresh.values, fresh.idle)
+    assert_allclose(fresh.values, fresh.nominal)
     assert not fresh.corrects
     assert effect.corrects
     robot = CorrectedModel(arm("ZYX"))
@@ -296,7 +297,7 @@ def test_idle_values_correct_nothing(effect):
 def test_what_is_plausible(effect, low, high):
     assert_allclose(effect.bounds()[0], low)
     assert_allclose(effect.bounds()[1], high)
-    idle = np.array(effect.idle)
+    idle = np.array(effect.nominal)
     for end, inside in ((low, 1), (high, -1)):
         away = 1e-6 * inside
         assert effect.natural(end - idle + away)

@@ -317,8 +317,8 @@ def test_columns_that_go_on_changing_are_declared(name, quantity):
 def test_quantities_are_known_ones(name):
     effect = library_effect(name)
     assert set(effect.depends) <= {*QUANTITIES, "direction"}
-    assert isinstance(effect.curved, bool)
-    assert not (effect.curved and not effect.depends)
+    assert effect.growth in ("straight", "curved", "bounded")
+    assert effect.depends or effect.growth == "straight"
 
 
 def test_straight_lines_are_straight_and_others_are_not():
@@ -329,7 +329,7 @@ def test_straight_lines_are_straight_and_others_are_not():
             if name != "backlash":
                 one, two, three = (far_out(name, quantity, f) for f in (1.0, 2.0, 3.0))
                 straight = np.allclose(three - two, two - one, atol=1e-9)
-                assert straight != effect.curved, name
+                assert straight == (effect.growth == "straight"), name
 
 
 def motion_over(x):
@@ -357,15 +357,15 @@ LARGEST = {
 def test_what_depends_on_the_motion_is_bounded_or_held(name):
     (effect,) = effects.resolve(name)
     moves = set(effect.depends) & set(QUANTITIES)
-    assert effect.bounded == (name in LARGEST)
-    assert moves or not effect.bounded
+    assert (effect.growth == "bounded") == (name in LARGEST)
+    assert moves or effect.growth != "bounded"
     if not moves:
         return
     for shape, largest in LARGEST.get(name, [({}, None)]):
         own = effect.set_params(joint=0, **shape)
         # A hundred times wider, and not on the same angles.
         turn, wide = (own.columns(motion_over(x)) for x in (TURN, 100.3 * TURN))
-        if effect.bounded:
+        if effect.growth == "bounded":
             assert_allclose(abs(turn).max(axis=0), largest, rtol=0.01)
             assert (abs(wide).max(axis=0) <= np.array(largest) + 1e-9).all()
             continue
@@ -378,14 +378,15 @@ def test_what_depends_on_the_motion_is_bounded_or_held(name):
             load=ends,
             speed=(0.0, np.pi),
             depends=effect.depends,
-            curved=effect.curved,
+            curved=effect.growth != "straight",
         )
         held = own.columns(known.within(motion_over(100.3 * TURN)))
         # A fifth or a tenth of two widths from zero on either side.
-        most = own.columns(motion_over((1.2 if effect.curved else 1.4) * TURN))
+        widths = 1.4 if effect.growth == "straight" else 1.2
+        most = own.columns(motion_over(widths * TURN))
         assert_allclose(abs(held).max(axis=0), abs(most).max(axis=0), rtol=1e-8)
 
 
 def test_an_effect_of_ones_own_says_nothing_by_default():
     assert effects.Effect.depends == ()
-    assert not effects.Effect.bounded
+    assert effects.Effect.growth != "bounded"

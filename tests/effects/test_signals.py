@@ -60,8 +60,6 @@ def test_units_name_the_signal():
     assert warm.parameter_units() == {"k": "N m s/rad per unit of temperature"}
     assert warm.parameter_units(True) == {"k": "N s/m per unit of temperature"}
     assert effects.Signal().parameter_units()["k"] == "N m per unit of the signal"
-    assert warm.complexity == 1
-    assert effects.Drift().complexity == 2
 
 
 def test_it_says_what_varies_with_which_signal():
@@ -98,9 +96,7 @@ def test_a_recording_without_signals_has_nothing_hidden():
 
 def test_an_offset_is_a_torque_of_its_own():
     """Whatever the motion does; friction has the motion as its witness."""
-    trends = {
-        of: effects.Signal(of=of).trend for of in ("offset", "coulomb", "viscous")
-    }
+    trends = {of: effects.Signal(of=of).slow for of in ("offset", "coulomb", "viscous")}
     assert trends == {"offset": True, "coulomb": False, "viscous": False}
     assert not effects.Signal().slow
 

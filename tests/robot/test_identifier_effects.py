@@ -634,5 +634,5 @@ def test_the_first_of_two_effects_with_a_constant_has_it_all():
 
 
 def test_only_a_counterbalance_of_harmonics_has_a_constant():
-    assert effects.Counterbalance(form="harmonics").holds == (("offset", "e"),)
-    assert effects.Counterbalance(form="linkage").holds == ()
+    assert effects.Counterbalance(form="harmonics").constant == "e"
+    assert effects.Counterbalance(form="linkage").constant == ""

@@ -29,6 +29,10 @@ LIBRARY = effects.available()
 NV = 3
 
 
+def looks_ahead(effect):
+    return isinstance(effect, effects.Stateful) and effect.memory == "future"
+
+
 def two_rows(rng, way):
     """Two states without accelerations, between which no joint turns or rests."""
     v = way * rng.choice([-1.0, 1.0], size=NV) * rng.uniform(2.0, 4.0, size=NV)
@@ -46,7 +50,7 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     if not predictor.effects_:
         return  # Not on a joint that slides.
     (effect,) = predictor.effects_
-    if effect.in_channel or effect.not_simulated:
+    if isinstance(effect, effects.OfChannel) or effect.not_simulated:
         # Of the dynamics it is no part.
         bare = without(predictor, [0])
     else:
@@ -64,7 +68,7 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     known = signals if bare is predictor else {}
     expected = bare.torques(bare.ask(X, t=t, signals=known))[1]
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9 * np.abs(tau).max())
-    if effect.memory != "future":
+    if not looks_ahead(effect):
         expected = predictor.torques(predictor.ask(X, t=t, signals=signals))
         stepper = Stepper(predictor.torque_model())
         for k, x in enumerate(X):
@@ -97,7 +101,7 @@ def test_torques_after_saving(name, simulated, tmp_path):
         t = simulated.dt * np.arange(60)
         expected = robot.predict(X, t=t, signals=own)
         np.testing.assert_array_equal(loaded.predict(X, t=t, signals=own), expected)
-    if effect.memory == "future":
+    if looks_ahead(effect):
         assert [one.name for one in loaded.left_out_] == [name]
         return
     for k, x in enumerate(X):
@@ -156,8 +160,8 @@ def test_mujoco_has_an_effect_or_is_said_to_lack_it(name, tmp_path):
             coef,
         )
     }
-    there = [parts[own] for place, *names in effect.mjcf for own in names]
-    if "tendons" in dict.fromkeys(place for place, *_ in effect.mjcf):
+    there = [parts[own] for place, *names in effect.files.places for own in names]
+    if "tendons" in dict.fromkeys(place for place, *_ in effect.files.places):
         there = []  # One joint alone feels it.
     expected = np.zeros_like(torque)
     expected[:, effect.joint] = sum(there) if there else 0.0

@@ -36,7 +36,7 @@ DEPENDENT = [
     for name in effects.available()
     if set(effects.resolve([name])[0].depends) - {"direction"}
 ]
-BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].bounded]
+BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].growth == "bounded"]
 
 
 class Cubic(Effect):
@@ -58,7 +58,7 @@ def range_of(effect, position=(-0.2, 0.25), speed=(0.05, 0.7), load=(-1.5, 2.0))
         speed=speed,
         load=load,
         depends=effect.depends,
-        curved=effect.curved,
+        curved=effect.growth != "straight",
     )
 
 

@@ -186,7 +186,7 @@ def inseparable(found, effects):
     # Nothing is left of the columns of the first beside those of the second, which
     # comes before it in precedence or in the list.
     model = found.model
-    order = sorted(effects, key=lambda one: one.precedence)
+    order = sorted(effects, key=lambda one: one.precedence if one.in_model else 0)
     before = []
     for one in order:
         own = _family(model, one)
@@ -248,7 +248,7 @@ class _Unseen:
         if effect.in_model:
             # At its largest plausible value it would not be named.
             groups = model.fit.groups(family)
-            away = np.max(np.abs(np.array(effect.bounds()) - effect.idle), axis=0)
+            away = np.max(np.abs(np.array(effect.bounds()) - effect.nominal), axis=0)
             worth = 0.5 * np.diagonal(groups.H[0]) * away**2
             needed = self.found.needed + np.log(max(self.found.n_candidates, 1))
             return bool(not (worth > needed + _OCCAM).any())
@@ -290,7 +290,7 @@ def _on_joint(effect, motion):
 
 def _in_span(effect, Phi, motion):
     """Whether columns of the state alone lie in the regressor's span."""
-    linear = not (effect.needs or effect.continuous or effect.shape())
+    linear = not (effect.needs or effect.shape())
     if not effect.in_model and (effect.whole_robot or not linear):
         return False
     columns = effect.columns(motion)

@@ -9,6 +9,7 @@ from scipy import special, stats
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._joint_moments import Numbering
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
@@ -112,7 +113,7 @@ class FinalFit:
         for effect, own, coef in zip(
             self.effects, self._columns, self._split(self.identifier.theta_)
         ):
-            idle = effect.idle if effect.in_model else 0.0
+            idle = effect.nominal if effect.in_model else 0.0
             found.append(own @ (coef - np.asarray(idle)))
         return found
 
@@ -148,11 +149,13 @@ class FinalFit:
         columns, places, shapes = [], [], []
         at = view.Z.shape[2]
         for effect, own, coef in zip(self.effects, self._columns, coefs):
-            shape = tuple(
-                name
-                for name in effect.continuous
-                if getattr(effect, name) and name not in effect.jumping
-            )
+            shape = ()
+            if isinstance(effect, Shaped):
+                shape = tuple(
+                    name
+                    for name in effect.continuous
+                    if getattr(effect, name) and name not in effect.jumping
+                )
             slopes = [self._slope(effect, name, coef) for name in shape]
             made = np.concatenate([own, *slopes], axis=2) * view.root[:, :, None]
             places.append(slice(at, at + made.shape[2]))

@@ -26,6 +26,7 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 )
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._branches import root_joints
+from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
@@ -319,7 +320,8 @@ def judge(models, found, split, near, whole, commanded):
     memory = max(memory_seconds(model), default=0.0)
     # Of a memory without end nothing is far enough.
     guard = int(min(memory / dt, whole.n_samples))
-    instants = [getattr(e, name) for e in found.effects for name in e.jumping]
+    shaped = [e for e in found.effects if isinstance(e, Shaped)]
+    instants = [getattr(e, name) for e in shaped for name in e.jumping]
     count = len(split.stretches)
     kept = split.decided(whole.t, instants).guarded(guard)
     rows, rest = kept.stretches, kept.untouched(whole)

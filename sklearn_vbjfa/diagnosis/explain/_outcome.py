@@ -44,7 +44,7 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 )
 from sklearn_vbjfa.diagnosis.explain._judgement import ProjectionPrice
 from sklearn_vbjfa.diagnosis.search._found import Evidence
-from sklearn_vbjfa.effects import EffectRange, declarable, resolve
+from sklearn_vbjfa.effects import EffectRange, OfTime, declarable, resolve
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
 from sklearn_vbjfa.robot._gains import ChannelGains
@@ -364,7 +364,7 @@ def _unknown(effect, values, deviations, intervals, known):
     """Say why the values of an effect give it no name; "" if they do."""
     idle = dict.fromkeys(values, 0.0)
     if effect.in_model:
-        idle |= dict(zip(effect.tangent, effect.idle))
+        idle |= dict(zip(effect.model_parameters, effect.nominal))
         sure = [
             abs(values[key] - idle[key]) > known * deviation
             for key, deviation in deviations.items()
@@ -379,7 +379,7 @@ def _unknown(effect, values, deviations, intervals, known):
 
 def _afterwards(effect, estimate, seconds):
     """Return what is known of an effect of time after the recording, or None."""
-    if not effect.slow:
+    if not isinstance(effect, OfTime):
         return None
     k = len(estimate.coef)
     values = np.r_[estimate.coef, [getattr(effect, name) for name in estimate.shape]]
@@ -428,8 +428,7 @@ def named_values(effect, estimate):
             own = np.arange(len(covariance)) == k + i
             deviations[name] = _deviation(own.astype(float), covariance)
     for name, value in effect.shape().items():
-        if name not in effect.tangent:
-            values.setdefault(name, value)
+        values.setdefault(name, value)
     return values, deviations
 
 

@@ -557,7 +557,7 @@ def drive_found(outcome, verdict):
     if drive is None:
         return ()
     own = [one for one in outcome.parameters if one.name == "drive:delay"]
-    known = drive.get(CommandDelay.tangent[0])
+    known = drive.get(CommandDelay.model_parameters[0])
     told = [delay_sentence(one.value, one.interval) for one in own]
     if known is not None:
         told = [f"{delay_sentence(known)[:-1]}, as given."]

@@ -52,7 +52,7 @@ def statement(outcome, effect):
     """Say what was found of the robot model, in a sentence without a full stop."""
     values = plain_values(effect)
     joint = words.joint_label(outcome.joint_names, effect.joint)
-    told = outcome.library[effect.name].told
+    told = outcome.library[effect.name].text
     if told:
         first, second = _about(outcome, effect)
         texts = {

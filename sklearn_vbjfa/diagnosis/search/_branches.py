@@ -11,6 +11,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._found import Found, FoundModel
+from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import import_pinocchio
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
@@ -72,7 +73,8 @@ class Branch:
         if effect.scope == "robot":
             return effect
         shape = effect.get_params(deep=False)
-        moved = {name: self.joints[shape[name]] for name in ("joint", *effect.partners)}
+        partners = effect.partners if isinstance(effect, Shaped) else ()
+        moved = {name: self.joints[shape[name]] for name in ("joint", *partners)}
         return clone(effect).set_params(**moved)
 
 

@@ -172,7 +172,7 @@ class HeldOutFit:
             # What leaving columns out does to the others, by the block inverse.
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
             without[blocks] = self._squares(blocks, theta - inverse @ away)
-        if member.effect.everywhere:
+        if member.effect.whole_robot or member.effect.in_model:
             return Worth.of(without @ self.weight, self.squares @ self.weight)
         own = int(np.searchsorted(self.held.heard, member.effect.joint))
         return Worth.of(without[:, own], self.squares[:, own])

@@ -21,7 +21,7 @@ from sklearn_vbjfa.diagnosis.search._problem import (
 )
 from sklearn_vbjfa.diagnosis.search._refine import refined, starts
 from sklearn_vbjfa.diagnosis.search._view import variants
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.effects import Shaped, closure
 
 # Times that load, spectrum and geometry are made anew.
 _TURNS = 3
@@ -84,7 +84,7 @@ class Path:
                 continue
             family = self.problem.family(one, self.motion)
             if family is not None:
-                found[j] += family.apart()
+                found[j] += family.split()
         self.candidates = found
         count = sum(map(len, found.values()))
         self.n_candidates = count
@@ -128,7 +128,7 @@ class Path:
         if offer.tempered:
             return offer
         family, best, coef = offer.family, offer.best, offer.coef
-        if offer.effect.jumping:
+        if isinstance(offer.effect, Shaped) and offer.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
             family, best = self._single(self._best_shape(fit, offer)), 0
             coef = fit.groups(family).coefficients()[0]
@@ -278,7 +278,7 @@ class Path:
     def _best_shape(self, fit, offer):
         """Effect of an offer, its shape searched between the grid's."""
         effect, family = offer.effect, offer.family
-        if not effect.continuous:
+        if not (isinstance(effect, Shaped) and effect.continuous):
             return effect
         if effect.jumping:
             return self._refined(fit, [effect, *self._instants(fit, effect, family)])
@@ -339,7 +339,8 @@ class Path:
         """Search the shapes of members again, of all joints or one."""
         for i, member in enumerate(fit.members):
             elsewhere = joint is not None and member.effect.joint != joint
-            if elsewhere or not member.effect.continuous:
+            shaped = isinstance(member.effect, Shaped) and member.effect.continuous
+            if elsewhere or not shaped:
                 continue
             rest = fit.without(i)
             found = self._refined(rest, [member.effect])
@@ -700,7 +701,7 @@ class Path:
                 best = max(offers, key=lambda o: o.log_odds, default=None)
                 if best is not None and best.log_odds > least:
                     found = best.family.member(best.best, self.settings.scale)
-                    jumps = best.effect.jumping
+                    jumps = isinstance(best.effect, Shaped) and best.effect.jumping
                     added.append(self._member(fit, best) if jumps else found)
             if not added:
                 break
@@ -761,7 +762,7 @@ class Path:
         members = []
         for i, member in enumerate(fit.members):
             own, coef = member.effect, fit.coefficients(i)
-            if own.tangent and own.natural(coef):
+            if own.natural(coef):
                 own = own.at(coef)
             members.append(replace(member, effect=own))
             effects.append(own)

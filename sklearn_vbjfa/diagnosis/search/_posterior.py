@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis.search._found import (
 )
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._path import Path
+from sklearn_vbjfa.effects import OfChannel
 
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
@@ -96,7 +97,7 @@ def _doubt(member, evidence, settings, needed, path):
         return CHANCE
     if not evidence.gain > settings.worth:
         return SMALL
-    corner = member.effect.corner
-    if corner is not None and not path.above_motion(member.effect):
+    filters = isinstance(member.effect, OfChannel) and member.effect.corner is not None
+    if filters and not path.above_motion(member.effect):
         return SLOW_FILTER
     return ""

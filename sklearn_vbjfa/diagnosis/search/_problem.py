@@ -14,7 +14,7 @@ from sklearn_vbjfa._core._groups import Excess, Groups
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 from sklearn_vbjfa.diagnosis.search._view import root_mean_square
-from sklearn_vbjfa.effects import Effect
+from sklearn_vbjfa.effects import Effect, Shaped
 
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
@@ -58,7 +58,7 @@ class Member(Columns):
         """What of its coefficients the equations have already, (k,)."""
         if not self.effect.in_model:
             return np.zeros(self.width)
-        return self.effect.values - np.asarray(self.effect.idle)
+        return self.effect.values - np.asarray(self.effect.nominal)
 
 
 class Problem(Declared):
@@ -116,9 +116,10 @@ class Family(Columns):
             unit=unit,
         )
 
-    def apart(self):
-        """Return a family for each use that is another effect, see `Effect.apart`."""
-        names = self.effects[0].apart
+    def split(self):
+        """Return a family for each use of its own, see `Shaped.split_by`."""
+        first = self.effects[0]
+        names = first.split_by if isinstance(first, Shaped) else ()
         uses = {}
         for c, effect in enumerate(self.effects):
             use = tuple(getattr(effect, name) for name in names)
@@ -453,11 +454,12 @@ class Fit:
             fewer = again.size / freedom
             usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
         effect = family.effects[c]
-        if not (effect.slow or effect.trend or effect.jumping):
+        if not effect.slow:
             return Excess(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
-        taken = 1 + bool(set(effect.continuous) - set(effect.jumping))
+        shaped = isinstance(effect, Shaped)
+        taken = 1 + (shaped and bool({*effect.continuous} - {*effect.jumping}))
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
         return Excess(ratio=float(max(usual, left)), freedom=freedom, usual=usual)

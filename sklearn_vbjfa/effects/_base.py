@@ -284,7 +284,7 @@ class Effect(TransformerMixin, BaseEstimator):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
 
-    def at(self, coef):
+    def linearised_at(self, coef):
         """Return the effect linearised at its coefficients, if it is linearised."""
         return self
 

@@ -157,7 +157,7 @@ class InModel(Effect):
         found = self.values + np.asarray(coef)
         return bool(((low <= found) & (found <= high)).all())
 
-    def at(self, coef):
+    def linearised_at(self, coef):
         """Return the effect with its values corrected by coefficients (k,)."""
         return self.with_values(self.values + np.asarray(coef))
 
@@ -397,7 +397,7 @@ class JointAxis(InModel):
     Examples
     --------
     >>> from sklearn_vbjfa.effects import JointAxis
-    >>> JointAxis(joint=3).at([0.05, 0.0])
+    >>> JointAxis(joint=3).linearised_at([0.05, 0.0])
     JointAxis(about_x=0.05, joint=3)
     """
 
@@ -482,7 +482,7 @@ class TorqueGain(InModel):
     Examples
     --------
     >>> from sklearn_vbjfa.effects import TorqueGain
-    >>> TorqueGain(joint=1, gain=1.1).at([0.05]).gain
+    >>> TorqueGain(joint=1, gain=1.1).linearised_at([0.05]).gain
     1.1500000000000001
     """
 
@@ -565,7 +565,7 @@ class CommandDelay(InModel):
     Examples
     --------
     >>> from sklearn_vbjfa.effects import CommandDelay
-    >>> CommandDelay(delay=0.004).at([0.001]).delay
+    >>> CommandDelay(delay=0.004).linearised_at([0.001]).delay
     0.005
     """
 

@@ -386,7 +386,7 @@ class Payload(Shaped, OfTime):
         table.payloads.append((float(self.instant), self.inertial(coef)))
         return True
 
-    def at(self, coef):
+    def linearised_at(self, coef):
         """Linearise the inertia at the centre of mass that was found."""
         mass, *moments = coef[:4]
         centre = np.array(moments) / mass if mass else np.zeros(3)

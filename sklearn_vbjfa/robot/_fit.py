@@ -577,7 +577,7 @@ class ModelValues:
             if effect.in_model:
                 step = self.step[at : at + len(effect.coefficients)]
                 at += len(effect.coefficients)
-                effect = effect.at(_within(effect, step))
+                effect = effect.linearised_at(_within(effect, step))
             found.append(effect)
         return tuple(found)
 

@@ -437,7 +437,7 @@ def test_a_payload_is_a_ball_around_its_centre_of_mass():
     added = inverse_dynamics(heavier, X) - inverse_dynamics(model, X)
     coef = np.r_[delta[:4], 0.4 * 0.7 * 0.06**2]
     effect = effects.Payload(joint=1, instant=-1.0)
-    there = effect.at(coef)
+    there = effect.linearised_at(coef)
     assert_allclose(there.centre, [0.08, -0.05, 0.11])
     assert_allclose(there.columns(signals()) @ coef, added, atol=1e-9)
     # To first order beside it.
@@ -445,8 +445,16 @@ def test_a_payload_is_a_ball_around_its_centre_of_mass():
     near = effects.Payload(joint=1, instant=-1.0, centre=(0.081, -0.05, 0.11))
     assert np.abs(near.columns(signals()) @ coef - added).max() < 1e-3 * rough
     # Of a mass of nothing there is no centre, and it is not far away.
-    assert effect.at(np.r_[0.0, 0.1, 0.0, 0.0, 0.0]).centre == (0.0, 0.0, 0.0)
-    assert effect.at(np.r_[0.01, 0.1, 0.0, 0.0, 0.0]).centre == (0.0, 0.0, 0.0)
+    assert effect.linearised_at(np.r_[0.0, 0.1, 0.0, 0.0, 0.0]).centre == (
+        0.0,
+        0.0,
+        0.0,
+    )
+    assert effect.linearised_at(np.r_[0.01, 0.1, 0.0, 0.0, 0.0]).centre == (
+        0.0,
+        0.0,
+        0.0,
+    )
 
 
 # -- recordings

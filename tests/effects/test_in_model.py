@@ -216,7 +216,7 @@ def test_columns_of_joints_in_any_direction(seed):
         for k in range(found.shape[2]):
             step = STEP * np.eye(found.shape[2])[k]
             high, low = ([*used] for _ in range(2))
-            high[i], low[i] = effect.at(step), effect.at(-step)
+            high[i], low[i] = effect.linearised_at(step), effect.linearised_at(-step)
             expected = (torques(high) - torques(low)) / (2 * STEP)
             size = np.abs(expected).max() + 1.0
             assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
@@ -255,10 +255,10 @@ def test_values_are_parameters_that_coefficients_correct(effect):
     assert effect.in_model
     assert len(effect.values) == len(effect.nominal) == k
     step = 0.01 * np.arange(1, k + 1)
-    further = effect.at(step)
+    further = effect.linearised_at(step)
     assert_allclose(further.values, effect.values + step)
     assert further is not effect
-    assert_allclose(effect.at(np.zeros(k)).values, effect.values)
+    assert_allclose(effect.linearised_at(np.zeros(k)).values, effect.values)
     assert_allclose(effect.with_values(step).values, step)
     names = effect.model_parameters
     assert all(isinstance(getattr(further, name), float) for name in names)

@@ -43,7 +43,7 @@ class Cubic(Effect):
     """Stiffness that grows with the square of the position."""
 
     name, coefficients, units = "cubic", ("k3",), (("N m/rad^3", "N/m^3"),)
-    depends, curved = ("position",), True
+    depends, growth = ("position",), "curved"
 
     def columns(self, motion):
         """Cube of the position."""

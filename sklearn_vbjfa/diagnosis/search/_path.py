@@ -763,7 +763,7 @@ class Path:
         for i, member in enumerate(fit.members):
             own, coef = member.effect, fit.coefficients(i)
             if own.natural(coef):
-                own = own.at(coef)
+                own = own.linearised_at(coef)
             members.append(replace(member, effect=own))
             effects.append(own)
             coefs.append(coef)

@@ -66,10 +66,8 @@ from sklearn_vbjfa.effects._ranges import (
     STRAIGHT,
     EffectRange,
     OutsideRange,
-    n_farthest,
     outside,
     own_motions,
-    range_facts,
 )
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 

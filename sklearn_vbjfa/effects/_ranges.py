@@ -19,48 +19,10 @@ HELD = {"position": "q", "speed": "v", "load": "load"}
 
 @dataclass(frozen=True, kw_only=True)
 class EffectRange:
-    """What an effect was fitted on: ranges of its joint's signals in the fit.
+    """Ranges (lowest, highest) of its joint's signals that an effect was fitted on."""
 
-    The signals are those behind the low-pass of the fit, in rows with weight in which
-    the joint moves. A range is (lowest, highest), (nan, nan) where it is not known.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    joint : int
-        Joint, from zero.
-    position : tuple of (float, float)
-        Positions [rad or m].
-    speed : tuple of (float, float)
-        Speeds in either direction, the slowest and the fastest [rad/s or m/s].
-    load : tuple of (float, float)
-        Torques of the rigid bodies [N m or N].
-    direction : tuple of (float, float)
-        Directions of motion, -1 is backward and 1 forward: (-1, 1) is both, (0, 1) or
-        (1, 1) forward only.
-    depends : tuple of {"position", "speed", "load", "direction"}
-        Those of them that the effect's columns go on changing with. A prediction
-        follows them up to the `margin`, beyond which the torque stays as at its end,
-        see `within`, unless the effect is `bounded`: that one goes on by its law. A
-        direction that was not fitted is predicted all the same.
-    curved : bool
-        Whether they do so in another way than along a straight line.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import EffectRange
-    >>> spring = EffectRange(
-    ...     name="spring", joint=0, position=(-1.0, 1.0), speed=(0.1, 2.0),
-    ...     load=(0.0, 9.0), depends=("position",),
-    ... )
-    >>> spring.excess("position", [-1.5, 0.0, 1.1]).round(6)
-    array([0.5, 0. , 0.1])
-    >>> np.round(spring.ends("position"), 6), spring.ends("load")
-    (array([-1.4,  1.4]), (-inf, inf))
-    """
-
+    # Of signals in the band of the fit, in rows with weight in which the joint moves;
+    # the speed in either direction; directions from -1, backward, to 1, forward.
     name: str
     joint: int
     position: tuple
@@ -71,20 +33,8 @@ class EffectRange:
     curved: bool = False
 
     def ends(self, quantity):
-        """Between which values the effect follows a signal of its joint.
-
-        Parameters
-        ----------
-        quantity : {"position", "speed", "load"}
-            Which signal; a speed stands for the velocity.
-
-        Returns
-        -------
-        tuple of (float, float)
-            Range of the fit, of velocities and loads up to the largest both ways, and
-            the `margin` on both sides, so that what is held counts as outside; infinite
-            where the range is not known or the effect does not depend on the signal.
-        """
+        """Between which velocities, positions or loads the effect follows a signal."""
+        # With the margin, so that what is held counts as outside.
         low, high = getattr(self, quantity)
         if quantity not in self.depends or np.isnan(high - low):
             return -np.inf, np.inf
@@ -95,20 +45,7 @@ class EffectRange:
         return -largest, largest
 
     def within(self, motion):
-        """Hold the signals that the effect depends on between its `ends`.
-
-        Parameters
-        ----------
-        motion : Motion
-            Signals of all joints.
-
-        Returns
-        -------
-        Motion
-            The same, with position, velocity or load of the effect's joint at the
-            nearest end where they lie beyond: the effect's columns from it stay as they
-            are there.
-        """
+        """Return a `Motion` with the signals of the joint held within the `ends`."""
         held = {}
         for quantity, name in HELD.items():
             low, high = self.ends(quantity)
@@ -120,42 +57,17 @@ class EffectRange:
         return replace(motion, **held, _speeds={}) if held else motion
 
     def excess(self, quantity, values):
-        """How far values lie outside the range of a quantity.
-
-        Parameters
-        ----------
-        quantity : {"position", "speed", "load", "direction"}
-            What they are.
-        values : array-like of shape (n,)
-            Values, in the unit of the range.
-
-        Returns
-        -------
-        ndarray of shape (n,)
-            Distance from the range; zero within it, and where it is not known.
-        """
+        """How far values (n,) are outside a range; zero where it is not known."""
         low, high = getattr(self, quantity)
         values = np.asarray(values, dtype=float)
         beyond = np.maximum(low - values, values - high)
         return np.where(np.isfinite(beyond), np.maximum(beyond, 0.0), 0.0)
 
     def margin(self, quantity):
-        """How far outside a prediction still counts as inside, and follows the law.
-
-        Parameters
-        ----------
-        quantity : {"position", "speed", "load", "direction"}
-            Of which range.
-
-        Returns
-        -------
-        float
-            A fifth of the width of the range, a tenth if the effect is `curved`, in the
-            unit of the range; nan where it is not known. Speeds have both directions,
-            and their range counts twice.
-        """
+        """How far outside a range a prediction follows the law; nan if unknown."""
         low, high = getattr(self, quantity)
         share = CURVED if self.curved else STRAIGHT
+        # A range of speeds counts twice, for both directions.
         sides = 2.0 if quantity == "speed" else 1.0
         return share * sides * (high - low) + ROUNDING * max(abs(low), abs(high))
 
@@ -181,84 +93,17 @@ class OutsideRange:
     held: tuple = ()
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class RangeFacts:
-    """How much of a signal lies outside the range of an effect; recordings add up."""
-
-    effect: EffectRange
-    quantity: str
-    n: int  # rows that are judged
-    n_far: int  # those that lie outside by more than the margin
-    # whether one of them is beyond an end: slower motion and the other direction are
-    # outside, but not beyond
-    beyond: bool
-    farthest: np.ndarray  # (k,): values of the farthest of them, the nearest first
-
-    @classmethod
-    def of(cls, effect, quantity, values, keep):
-        """Judge values (n,) by an effect's range."""
-        # keep: `n_farthest` of all recordings together.
-        excess, (low, high) = effect.excess(quantity, values), effect.ends(quantity)
-        far = values[excess > effect.margin(quantity)]
-        return cls(
-            effect=effect,
-            quantity=quantity,
-            n=excess.size,
-            n_far=far.size,
-            beyond=bool(((far < low) | (far > high)).any()),
-            farthest=_farthest(effect, quantity, far, keep),
-        )
-
-    def said(self, holds):
-        """Return the `OutsideRange`, None of a motion inside."""
-        # holds: whether predictions hold the effect within its range.
-        if not self.n_far > OUTLIERS * self.n:
-            return None
-        return OutsideRange(
-            names=(self.effect.name,),
-            joint=self.effect.joint,
-            quantity=self.quantity,
-            fitted=getattr(self.effect, self.quantity),
-            reached=float(self.farthest[-n_farthest(self.n)]),
-            share=self.n_far / self.n,
-            held=(self.effect.name,) if holds and self.beyond else (),
-        )
-
-
-def n_farthest(n):
-    """Return how many of n rows are outliers, or the first that is none."""
-    return int(OUTLIERS * n) + 1
-
-
-def _farthest(effect, quantity, values, keep):
-    """Return the values (k,) farthest from a range, the nearest first."""
-    # Of two on either side, equally far, the larger one, whichever came first.
-    order = np.lexsort((values, effect.excess(quantity, values)))
-    return values[order[-keep:]]
-
-
-def range_facts(ranges, signals, keep):
-    """Judge signals by the ranges of effects; a tuple of `RangeFacts` for each."""
-    # signals: (n,) in the rows to judge, by quantity (positions, speeds, loads) and
-    # joint.
-    return [
-        tuple(
-            RangeFacts.of(one, quantity, signals[quantity, one.joint], keep)
-            for quantity in one.depends
-        )
-        for one in ranges
-    ]
-
-
-def outside(facts, held):
+def outside(ranges, signals, held):
     """Find what lies outside the ranges of effects, a tuple of `OutsideRange`."""
-    # facts: `range_facts`; held: whether predictions hold each effect within its range.
+    # signals: (n,) in the rows to judge, by quantity and joint; held: whether
+    # predictions hold each effect within its range.
     found = {}
-    for several, holds in zip(facts, held, strict=True):
-        for one in several:
-            said = one.said(holds)
-            if said is not None:
-                found.setdefault((said.joint, said.quantity), []).append(said)
+    for one, holds in zip(ranges, held, strict=True):
+        for quantity in one.depends:
+            place = one.joint, quantity
+            judged = _judged(one, quantity, signals[quantity, one.joint], holds)
+            if judged is not None:
+                found.setdefault(place, []).append(judged)
     return tuple(
         replace(
             max(several, key=lambda one: one.share),
@@ -266,4 +111,27 @@ def outside(facts, held):
             held=tuple(dict.fromkeys(name for one in several for name in one.held)),
         )
         for _, several in sorted(found.items())
+    )
+
+
+def _judged(effect, quantity, values, holds):
+    """Return the `OutsideRange` of one effect and signal (n,), None if it is inside."""
+    excess = effect.excess(quantity, values)
+    far = values[excess > effect.margin(quantity)]
+    outliers = int(OUTLIERS * values.size)
+    if not far.size > OUTLIERS * values.size:
+        return None
+    # Slower motion and the other direction are outside, but not beyond an end. Of two
+    # values on either side, equally far, the larger one counts.
+    low, high = effect.ends(quantity)
+    beyond = bool(((far < low) | (far > high)).any())
+    farthest = far[np.lexsort((far, effect.excess(quantity, far)))]
+    return OutsideRange(
+        names=(effect.name,),
+        joint=effect.joint,
+        quantity=quantity,
+        fitted=getattr(effect, quantity),
+        reached=float(farthest[-1 - outliers]),
+        share=far.size / values.size,
+        held=(effect.name,) if holds and beyond else (),
     )

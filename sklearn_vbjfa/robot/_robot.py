@@ -9,12 +9,7 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import CommandDelay, OfTime
 from sklearn_vbjfa.effects._motion import Rest
-from sklearn_vbjfa.effects._ranges import (
-    n_farthest,
-    outside,
-    own_motions,
-    range_facts,
-)
+from sklearn_vbjfa.effects._ranges import outside, own_motions
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,
@@ -993,11 +988,9 @@ class IdentifiedRobot(SimulatesTorques):
         signals = asked.signals(self.features_, self.inertial() if load else None)
         counts = asked.counts(self.plan.standstill)
         judged = {(k, j): signals[k][counts[k][:, j], j] for k, j in wanted}
-        keep = n_farthest(len(asked.states))
-        facts = range_facts(self.effect_ranges_, judged, keep)
         held = [one is not None for one in self.held]
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
-        return outside(facts, held)
+        return outside(self.effect_ranges_, judged, held)
 
     def said_outside(self, asked):
         """Say where a `Query` leaves what was fitted, a list of str."""

@@ -177,7 +177,7 @@ def test_known_torques_are_reproduced_and_coefficients_recovered(case):
 
 def test_payload_is_recovered_with_its_first_moments():
     delta = [0.6, 0.03, 0.05, 0.1]
-    effect = effects.Payload(2, instant=6.0).at(np.r_[delta, 0.0])
+    effect = effects.Payload(2, instant=6.0).linearised_at(np.r_[delta, 0.0])
     robot = fit(payload(delta, 6.0), effect)
     at = robot.features_.n_parameters_
     seen = robot.identifiable_[at:]

@@ -13,7 +13,6 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.regression._locally_weighted import LocallyWeightedRegressor
     from sklearn_vbjfa.regression._stepwise import StepwiseRegressor
     from sklearn_vbjfa.regression._total_least_squares import (
-        NoiseCovariance,
         TotalLeastSquares,
         replicate_noise,
     )
@@ -33,7 +32,6 @@ __all__ = [
     "JFARegressor",
     "JointTorqueRegressor",
     "LocallyWeightedRegressor",
-    "NoiseCovariance",
     "ParameterRange",
     "PhysicalProjector",
     "Ranges",
@@ -59,7 +57,6 @@ _MODULES = {
     "regression._locally_weighted": ("LocallyWeightedRegressor",),
     "regression._stepwise": ("StepwiseRegressor",),
     "regression._total_least_squares": (
-        "NoiseCovariance",
         "TotalLeastSquares",
         "replicate_noise",
     ),

@@ -698,22 +698,20 @@ def solve_correlated(
     moments,
     psi,
     *,
-    ard_shape,
-    ard_rate,
     max_iter,
     tol,
     common=False,
-    accelerate=True,
     cross=None,
+    ard_shape=1e-6,
+    ard_rate=1e-6,
 ):
     """Fit the model to standardised moments, with the input noise psi (d, d)."""
     # cross (d,): covariance of the noise of the inputs with that of the output.
-    # accelerate: joint maximisation over blocks that the plain iteration updates in
-    # turn (if the moments have a square root, or S exceeds rounding by half of the
-    # digits in all directions) and Anderson extrapolation; a step that does not raise
-    # the bound is replaced by the plain one. With exact inputs the bound at least
-    # squares is checked at the end; if it is higher, the iteration continues from
-    # there.
+    # Joint maximisation over blocks that the plain iteration updates in turn (if the
+    # moments have a square root, or S exceeds rounding by half of the digits in all
+    # directions) and Anderson extrapolation; a step that does not raise the bound is
+    # replaced by the plain one. With exact inputs the bound at least squares is checked
+    # at the end; if it is higher, the iteration continues from there.
     problem = CorrelatedProblem(
         moments,
         psi,
@@ -723,17 +721,14 @@ def solve_correlated(
         direct=None if cross is None else direct_share(psi, cross),
     )
     more = moments.n > problem.d  # samples than inputs
-    joint = accelerate and (moments.root is not None or (more and _has_digits(moments)))
+    joint = moments.root is not None or (more and _has_digits(moments))
 
     def up(point, most):
-        steps = PlainSteps(problem, tol)
-        if accelerate:
-            steps = FixedPointSteps(problem, tol, joint=joint)
-        found = climb(steps, point, most)
+        found = climb(FixedPointSteps(problem, tol, joint=joint), point, most)
         known = {"latent": problem.latent, "direct": problem.direct}
         return CorrelatedSolution(**known, **vars(found))
 
-    if accelerate and problem.latent.exact and common and not more:
+    if problem.latent.exact and common and not more:
         return _highest_of_two(problem, up, max_iter, fast=joint)
     found = up(problem.start(fast=joint), max_iter)
     if not (problem.latent.exact and more):

@@ -92,17 +92,6 @@ class Moments:
             factor=factor,
         )
 
-    def faded(self, share):
-        """Moments with the weight of every row so far multiplied by a share."""
-        if share == 1.0:
-            return self
-        return replace(
-            self,
-            n_samples=share * self.n_samples,
-            scatter=share * self.scatter,
-            factor=None if self.factor is None else np.sqrt(share) * self.factor,
-        )
-
     def scatter_about(self, *, centred):
         """Scatter of [X y] about the means, or about zero."""
         if centred:

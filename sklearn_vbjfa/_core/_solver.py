@@ -520,7 +520,7 @@ def _end(problem, found):
 # ----------------------------------------------------------------- independent latents
 
 
-def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
+def solve(moments, state, prior, *, max_iter, tol):
     """Iterate until the bound gains less than `tol` per sample."""
     # A step that does not raise the bound is replaced by the plain one: the bound never
     # falls, and the fixed points are those of the plain iteration. Without priors the
@@ -535,7 +535,7 @@ def solve(moments, state, prior, *, max_iter, tol, accelerate=True):
     # Without a prior an exact fit has no highest likelihood, and nothing to
     # extrapolate to but rounding.
     exact = not prior.ard and moments.is_exact(VARIANCE_FLOOR)
-    if accelerate and not exact:
+    if not exact:
         # Along flat directions the last digits of the moments decide where within
         # `tol` a quasi-Newton method stops: they must not depend on the rows' order.
         rounded = IndependentProblem(moments.without_last_digits(), prior)

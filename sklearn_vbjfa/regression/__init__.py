@@ -5,11 +5,12 @@ from sklearn_vbjfa import _lazily
 # For users they are in `sklearn_vbjfa`; the rest is for other rooms and tests.
 _MODULES = {
     "_base": ("check_sample_weight",),
+    "_correlated": ("LARGEST_FRACTION", "largest_noise_fraction"),
     "_instrumental_variables": ("InstrumentalVariables",),
     "_joint_factor": ("BaseJointFactorRegressor", "JFARegressor", "fit_moments"),
     "_locally_weighted": ("LocallyWeightedRegressor",),
     "_stepwise": ("StepwiseRegressor", "select_features", "sweep"),
     "_total_least_squares": ("NoiseCovariance", "TotalLeastSquares", "replicate_noise"),
-    "_vbjfa": ("LARGEST_FRACTION", "VBJFARegressor", "largest_noise_fraction"),
+    "_vbjfa": ("VBJFARegressor",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

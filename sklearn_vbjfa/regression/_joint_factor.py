@@ -1,31 +1,18 @@
-"""What the EM and the VB estimator share: moments, noise, attributes, prediction.
-
-Rows become moments (`fit`, `partial_fit`, or a pipeline that never holds them), moments
-are standardised, a subclass fits them, and the result is set as attributes in the
-user's units. The independent-latent model, which both estimators have, is fitted here.
-"""
+"""What the EM and the VB estimator share: moments, attributes, prediction."""
 
 import warnings
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from numbers import Integral, Real
 
 import numpy as np
-from scipy import linalg
 from sklearn.exceptions import ConvergenceWarning
 
-from sklearn_vbjfa._core import _moments, _solver, _updates
-from sklearn_vbjfa._core._correlated import direct_share
-from sklearn_vbjfa._core._linear_systems import or_one, scaled_eigen
-from sklearn_vbjfa._core._updates import (
-    VARIANCE_FLOOR,
-    LinearModel,
-    Prior,
-    expect_hidden,
-)
+from sklearn_vbjfa._core import _moments
+from sklearn_vbjfa._core._updates import LinearModel, Prior
 from sklearn_vbjfa.regression._base import BaseRegressor, Interval, StrOptions
+from sklearn_vbjfa.regression._independent import fit_independent
+from sklearn_vbjfa.regression._input_noise import noise_shares, resolve_input_noise
 
-# A covariance lies outside of the noise's own span by more than this share: rounding.
-_OF_RANGE = 1e-6
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256
 
@@ -35,14 +22,10 @@ class BaseJointFactorRegressor(BaseRegressor):
 
     _parameter_constraints: dict = {  # noqa: RUF012
         "input_noise": [None, Real, "array-like"],
-        "input_output_noise": [None, "array-like"],
-        "initial_input_noise": [Interval(Real, 0, 1, closed="neither")],
         "fit_intercept": ["boolean"],
         "query": [StrOptions({"noiseless", "noisy"})],
-        "solver": [StrOptions({"accelerated", "plain"})],
         "max_iter": [Interval(Integral, 1, None, closed="left")],
         "tol": [Interval(Real, 0, None, closed="left")],
-        "forgetting": [Interval(Real, 0, 1, closed="right")],
     }
 
     def fit(self, X, y, sample_weight=None):
@@ -76,9 +59,7 @@ class BaseJointFactorRegressor(BaseRegressor):
     def partial_fit(self, X, y, sample_weight=None):
         """Add rows to those seen so far and refit from the merged statistics.
 
-        The result equals one `fit` on all rows together, in any chunking. With
-        `forgetting` below one, rows are in the order of time and count
-        ``forgetting ** age``, with the age in rows: the newest row has the age zero.
+        The result equals one `fit` on all rows together, in any chunking.
 
         Parameters
         ----------
@@ -107,16 +88,12 @@ class BaseJointFactorRegressor(BaseRegressor):
                 "which keeps no statistics; start with partial_fit instead of fit."
             )
         X, y, weight = self._check_rows(X, y, sample_weight, reset=first)
-        n = X.shape[0]
-        if self.forgetting < 1.0:
-            age = self.forgetting ** np.arange(n - 1.0, -1.0, -1.0)
-            weight = age if weight is None else age * weight
         old = None if first else self.statistics_
         centred = self.fit_intercept
         new = _moments.accumulate(X, y, weight, centred=centred, before=old)
-        total = None if first else old.faded(self.forgetting**n)
+        total = old
         if new is not None:
-            total = new if first else total + new
+            total = new if first else old + new
             if _moments.loses_digits(total, X, y, weight, centred=centred):
                 _warn_lost_digits(type(self).__name__)
         return self._fit_moments(total)
@@ -134,58 +111,36 @@ class BaseJointFactorRegressor(BaseRegressor):
         names = getattr(self, "feature_names_in_", None)
         return range(self.n_features_in_) if names is None else names
 
-    def _fit_independent(self, data, prior, initial_noise, direct=None):
+    def _fit_independent(self, data, noise, prior):
         """Fit the independent-latent model and set what it determines."""
-        # direct: what noise of the inputs does to y directly, coefficients (n_active,).
+        # noise: of the inputs, as the user gives it, validated
+        fixed = noise_shares(noise, data, self._feature_labels())
         if data.is_degenerate:
             return self._fit_constant(data)
-        direct = np.zeros(data.x_scale.size) if direct is None else direct
-        if direct.any():
-            data = replace(data, moments=data.moments.less(direct))
-        result = fit_independent(
-            data,
-            prior,
-            initial_noise,
-            max_iter=self.max_iter,
-            tol=self.tol,
-            accelerate=self.solver == "accelerated",
-        )
+        prior = replace(prior, psi_x_fixed=fixed)
+        result = fit_independent(data, prior, max_iter=self.max_iter, tol=self.tol)
         state = result.solution.state
         units = np.log(data.y_scale) + np.log(data.x_scale).sum()
         self._set_loop_attributes(result.solution, data, units)
-        noisy, noiseless = (
-            replace(one, coef=one.coef + direct)
-            for one in (result.noisy, result.noiseless)
-        )
-        noise = noiseless.noise + float(state.psi_x @ direct**2)
-        self._set_linear_models(noisy, replace(noiseless, noise=noise), data)
-        x2, y2 = data.x_scale**2, data.y_scale**2
-        self.input_noise_ = data.expand(state.psi_x * x2)
-        self.psi_y_ = state.psi_y * y2
-        self.psi_z_ = data.expand(state.psi_z * y2)
-        self.w_x_mean_ = data.expand(state.w_x_mean * data.x_scale)
-        self.w_z_mean_ = data.expand(state.w_z_mean * data.y_scale)
+        self._set_linear_models(result.noisy, result.noiseless, data)
+        self.input_noise_ = data.expand(state.psi_x * data.x_scale**2)
         if prior.ard:
             self.relevant_ = data.expand(result.retained).astype(bool)
             # w_z in the unit of y: a standardised precision over y's variance
-            self.alpha_ = data.expand(state.E_alpha / y2, fill=np.inf)
-            self.w_x_var_ = data.expand(state.w_x_var * x2)
-            self.w_z_var_ = data.expand(state.w_z_var * y2)
+            self.alpha_ = data.expand(state.E_alpha / data.y_scale**2, fill=np.inf)
         self._warn_at_floor(result.solution.at_floor, data)
         return self
 
     def _warn_at_floor(self, at_floor, data):
-        self.heywood_ = data.expand(np.zeros(data.x_scale.size)).astype(bool)
         if "psi_x" not in at_floor:
             return
         where = np.flatnonzero(data.active)[at_floor["psi_x"]]
-        self.heywood_[where] = True
         labels = self._feature_labels()
         shown = ", ".join(str(labels[i]) for i in where[:10])
         warnings.warn(
             f"The input-noise variance of {where.size} input(s) ({shown}) went to "
-            "zero, the smallest that the data resolve (a Heywood case): for these "
-            "the fit says exact input. See heywood_; give input_noise where known.",
+            "zero, the smallest that the data resolve (a Heywood case): the fit takes "
+            "them as exact. Give input_noise where it is known.",
             UserWarning,
             stacklevel=5,
         )
@@ -197,15 +152,11 @@ class BaseJointFactorRegressor(BaseRegressor):
         cov = np.zeros((zero.size, zero.size))
         model = LinearModel(coef=zero, cov=cov, noise=float(data.y_scale > 0))
         self._set_linear_models(model, model, data)
-        self.input_noise_, self.psi_z_ = np.zeros(d), np.zeros(d)
-        self.w_x_mean_, self.w_z_mean_ = np.zeros(d), np.zeros(d)
-        self.psi_y_ = data.y_scale**2
+        self.input_noise_ = np.zeros(d)
         self.relevant_ = np.zeros(d, dtype=bool)
-        self.heywood_ = np.zeros(d, dtype=bool)
         self.alpha_ = np.full(d, np.inf)
-        self.w_x_var_, self.w_z_var_ = np.zeros(d), np.zeros(d)
         self.elbo_history_ = np.array([])
-        self.n_iter_, self.converged_, self.status_ = 1, True, "converged"
+        self.n_iter_, self.converged_ = 1, True
         return self
 
     def _set_loop_attributes(self, solution, data, log_units):
@@ -214,7 +165,6 @@ class BaseJointFactorRegressor(BaseRegressor):
         self.elbo_history_ = solution.history - n * log_units
         self.n_iter_ = solution.n_iter
         self.converged_ = solution.status == "converged"
-        self.status_ = solution.status
         if solution.status == "bound_decreased":
             warnings.warn(
                 f"The bound fell by {solution.fall:.3g} at iteration "
@@ -255,10 +205,7 @@ class BaseJointFactorRegressor(BaseRegressor):
         )
         # Without noise a variance is zero to rounding, on either side.
         self.coef_std_ = np.sqrt(np.maximum(np.diagonal(self.coef_cov_), 0.0))
-        self.intercept_, self.intercept_noisy_, self.intercept_noiseless_ = (
-            float(data.y_offset - data.x_offset @ coef)
-            for coef in (self.coef_, self.coef_noisy_, self.coef_noiseless_)
-        )
+        self.intercept_ = float(data.y_offset - data.x_offset @ self.coef_)
         self._x_offset = data.x_offset
         self._query_noise = (answer.noise + answer.open_noise) * y2
         # The mean of y is known from n samples.
@@ -311,216 +258,6 @@ def _warn_lost_digits(name):
     )
 
 
-def resolve_input_noise(input_noise, n_features):
-    """Validate the user's input noise; return None, a fraction, (d,) or (d, d)."""
-    if input_noise is None:
-        return None
-    value = np.asarray(input_noise, dtype=float)
-    if not np.isfinite(value).all():
-        raise ValueError(
-            "input_noise must be finite, got NaN or infinity; give a fraction in "
-            "[0, 1), variances per feature, or a covariance."
-        )
-    if value.ndim == 0:
-        if not 0 <= value < 1:
-            raise ValueError(
-                f"input_noise as a number is a fraction of each input's variance in "
-                f"[0, 1), got {float(value):.6g}; give variances as an array."
-            )
-        return float(value)
-    if value.shape == (n_features,):
-        if value.min() < 0:
-            raise ValueError(
-                f"input_noise variances must not be negative, got {value.min():.6g} "
-                f"for feature {int(value.argmin())}; give 0 for an exact input."
-            )
-        return value
-    if value.shape == (n_features, n_features):
-        scale = np.sqrt(np.abs(np.diagonal(value)))
-        unit = np.outer(scale, scale)
-        asymmetry = np.abs(value - value.T) > 1e-8 * unit
-        if asymmetry.any():
-            i, j = np.argwhere(asymmetry)[0]
-            raise ValueError(
-                "input_noise as a covariance must be symmetric, got "
-                f"{value[i, j]:.6g} at ({i}, {j}) and {value[j, i]:.6g} at ({j}, {i})."
-            )
-        scale = or_one(scale)
-        smallest = scaled_eigen(0.5 * (value + value.T), scale=scale).values[0]
-        if smallest < -1e-8 or (np.diagonal(value) < 0).any():
-            raise ValueError(
-                "input_noise as a covariance must be positive semidefinite, got a "
-                f"smallest eigenvalue of {smallest:.3g} in units of its diagonal."
-            )
-        return 0.5 * (value + value.T)
-    raise ValueError(
-        f"input_noise must be a fraction, variances of shape ({n_features},) or a "
-        f"covariance of shape ({n_features}, {n_features}) for {n_features} features, "
-        f"got an array of shape {value.shape}."
-    )
-
-
-def standard_noise(noise, data):
-    """Noise covariance (d, d) of the standardised active columns; None is unknown."""
-    if noise is None:
-        return None
-    if np.ndim(noise) == 0:
-        return noise * np.eye(data.x_scale.size)
-    full = np.diag(noise) if np.ndim(noise) == 1 else noise
-    unit = np.outer(data.x_scale, data.x_scale)
-    return full[np.ix_(data.active, data.active)] / unit
-
-
-def resolve_cross_noise(cross, noise, data):
-    """Validate a covariance of the noise of inputs and output; standardised (d,)."""
-    if cross is None:
-        return None
-    value = np.asarray(cross, dtype=float)
-    d = data.active.size
-    if value.shape != (d,) or not np.isfinite(value).all():
-        raise ValueError(
-            f"input_output_noise must hold {d} finite covariances, one for each "
-            f"input; got an array of shape {value.shape}"
-            f"{'' if value.shape != (d,) else ' that is not finite'}."
-        )
-    if noise is None:
-        raise ValueError(
-            "input_output_noise needs the noise of the inputs as well: give "
-            "input_noise as variances or a covariance."
-        )
-    psi = standard_noise(noise, data)
-    own = value[data.active] / (data.x_scale * (data.y_scale or 1.0))
-    off = np.abs(psi @ direct_share(psi, own) - own)
-    bad = np.flatnonzero(off > _OF_RANGE * np.abs(own).max(initial=0.0))
-    if bad.size:
-        raise ValueError(
-            "input_output_noise must be a covariance with noise that the inputs have; "
-            f"for input {np.flatnonzero(data.active)[bad[0]]} input_noise says that "
-            "there is none. Give its variance in input_noise, or zero here."
-        )
-    return own
-
-
-def noise_shares(noise, data, names):
-    """Shares (n_active,) of the inputs' variances that are noise, None if unknown."""
-    # A share of 1 marks an input that holds no signal beyond its noise; the user is
-    # warned of it.
-    if noise is None:
-        return None
-    n_active = data.x_scale.shape[0]
-    if np.ndim(noise) == 0:
-        return np.full(n_active, noise)
-    if np.ndim(noise) == 2:
-        off = noise - np.diag(np.diagonal(noise))
-        if np.any(off):
-            raise ValueError(
-                "input_noise with covariances between inputs needs "
-                'latent="correlated"; with independent latents give the variances '
-                "alone, of shape (n_features,)."
-            )
-        noise = np.diagonal(noise)
-    share = noise[data.active] / data.x_scale**2
-    full = np.flatnonzero(data.active)[share >= 1.0]
-    if full.size:
-        shown = ", ".join(str(names[i]) for i in full[:10])
-        warnings.warn(
-            f"input_noise is at least the whole variance of {full.size} input(s) "
-            f"({shown}): they hold no signal beyond noise and get the coefficient 0. "
-            "Check the units of input_noise (variances, not standard deviations).",
-            UserWarning,
-            stacklevel=5,
-        )
-    return np.minimum(share, 1.0)
-
-
-@dataclass(frozen=True, kw_only=True)
-class IndependentFit:
-    """Solution in standardised units, with what the attributes are made of."""
-
-    solution: _solver.Solution
-    retained: np.ndarray
-    noisy: _updates.LinearModel
-    noiseless: _updates.LinearModel
-
-
-def fit_independent(data, prior, initial_noise, *, max_iter, tol, accelerate=True):
-    """Run the iteration and derive coefficients, covariances and noise."""
-    # initial_noise: share of each input's variance at the start.
-    moments = data.moments
-    d = moments.xx.shape[0]
-    state = _solver.start(moments, prior, np.full(d, initial_noise))
-    solution = _solver.solve(
-        moments, state, prior, max_iter=max_iter, tol=tol, accelerate=accelerate
-    )
-    state = solution.state
-    hidden = expect_hidden(moments, state)
-    gain_x = state.w_x_mean**2 > 4 * state.w_x_var
-    gain_z = state.w_z_mean**2 > 4 * state.w_z_var
-    if prior.ard:
-        retained = gain_x & gain_z
-        # c = w_z w_x / V, and w_z ~ N(0, 1/alpha): the prior precision of c
-        usable = np.maximum(state.w_x_mean**2, VARIANCE_FLOOR)
-        precision = state.E_alpha * (usable + state.psi_x) ** 2 / usable
-    else:
-        retained = state.w_x_mean**2 > VARIANCE_FLOOR
-        precision = np.zeros(d)
-    cov_noisy = _coefficient_covariance(moments, hidden.y_var, precision)
-    if prior.psi_x_fixed is not None:
-        retained &= prior.psi_x_fixed < 1.0
-    # beta = c V / w_x^2, input by input; an input switched off keeps c's deviation
-    lift = np.ones(d)
-    w_x2 = state.w_x_mean[retained] ** 2
-    lift[retained] = (w_x2 + state.psi_x[retained]) / w_x2
-    finite = np.isfinite(np.diagonal(cov_noisy))
-    cov = np.where(np.outer(finite, finite), cov_noisy, 0.0) * np.outer(lift, lift)
-    cov[np.diag_indices_from(cov)] += np.where(finite, 0.0, np.inf)
-    return IndependentFit(
-        solution=solution,
-        retained=retained,
-        noisy=_updates.LinearModel(
-            coef=_updates.coefficients_noisy(state),
-            cov=cov_noisy,
-            noise=float(hidden.y_var),
-        ),
-        noiseless=_updates.LinearModel(
-            coef=_updates.coefficients_noiseless(state, retained),
-            cov=cov,
-            noise=float(state.psi_y + state.psi_z.sum()),
-        ),
-    )
-
-
-def _coefficient_covariance(moments, s, precision):
-    """Covariance (d, d) of the noisy-query coefficients c, of prior precision (d,)."""
-    # With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
-    # S_xx / s plus that of its prior. The variational variances, conditional on the
-    # private z of each input, would be far too small.
-    if moments.S is None:
-        # Woodbury with n < d; inputs without a prior have no finite variance.
-        if not np.all(precision > 0):
-            return np.full((moments.xx.size, moments.xx.size), np.inf)
-        rows = moments.root.R
-        scaled = rows / precision
-        inner = scaled @ rows.T
-        inner[np.diag_indices_from(inner)] += s
-        return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
-            inner, scaled, assume_a="pos"
-        )
-    if np.all(precision > 0):
-        root = 1.0 / np.sqrt(precision)
-        A = moments.S * np.outer(root, root) / s
-        A[np.diag_indices_from(A)] += 1.0
-        factor = linalg.cholesky(A, lower=True)
-        half = linalg.solve_triangular(factor, np.diag(root), lower=True)
-        return half.T @ half
-    # Without a prior the null space of S_xx has no finite variance: the span's
-    # covariance is reported and the affected inputs are marked infinite.
-    eigen = scaled_eigen(moments.S / s, scale=1.0)
-    cov, lost = eigen.inverse(), eigen.lost(1e-8)
-    cov[lost, lost] = np.inf
-    return cov
-
-
 def fit_moments(estimator, moments):
     """Fit an estimator, itself, to second moments of rows that it never sees."""
     estimator._validate_params()
@@ -543,39 +280,16 @@ class JFARegressor(BaseJointFactorRegressor):
     input_noise : float or array-like of shape (n_features,), default=None
         What is known of the input noise: its share of each input's variance, in
         [0, 1), or its variances [unit of X_j squared]. ``None`` estimates it.
-    input_output_noise : array-like of shape (n_features,), default=None
-        Covariance of the noise of each input with the noise of y [unit of X_j times
-        unit of y], for an `input_noise` that is known; see `VBJFARegressor`. The
-        loadings, `psi_y_` and `psi_z_` are then those of y without what the noise of
-        the inputs does to it directly.
-
-        .. versionadded:: 0.2
-    initial_input_noise : float, default=0.3
-        Share of each input's variance that is noise at the start of EM; not used
-        when `input_noise` is given. See Notes: where it ends means nothing.
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
     query : {"noisy", "noiseless"}, default="noisy"
         Which queries `predict` answers: inputs as noisy as those of the fit, or
         noiseless ones (planned motions).
-
-        .. versionchanged:: 0.2
-           The default was ``"noiseless"``.
-    solver : {"accelerated", "plain"}, default="accelerated"
-        How the likelihood is climbed. ``"plain"`` does the updates of [1]_ as printed,
-        one iteration after the other. ``"accelerated"`` corrects them by a quasi-Newton
-        method, and the last step goes to the highest likelihood, which is explicit.
-
-        .. versionadded:: 0.2
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7
         Gain of the log-likelihood per sample and iteration below which the iteration
         stops. What is left may be far more, see Notes.
-    forgetting : float, default=1.0
-        Weight that what `partial_fit` has seen keeps with each further row, in
-        (0, 1]: the memory is ``1 / (1 - forgetting)`` rows long. `fit` does not
-        forget.
 
     Attributes
     ----------
@@ -590,16 +304,12 @@ class JFARegressor(BaseJointFactorRegressor):
         input whose coefficient the data cannot tell from those of others.
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their covariance.
-    intercept_, intercept_noiseless_, intercept_noisy_ : float
-        Intercepts that go with the coefficient vectors.
+    intercept_ : float
+        Intercept that goes with `coef_`.
     input_noise_ : ndarray of shape (n_features,)
         Input-noise variances psi_x (eq. 16), unit of X_j squared.
     output_noise_ : float
         Variance of y given noiseless inputs, psi_y + sum(psi_z), unit of y squared.
-    w_x_mean_, w_z_mean_ : ndarray of shape (n_features,)
-        Loadings [unit of X_j], [unit of y].
-    psi_y_, psi_z_ : float, ndarray of shape (n_features,)
-        The parts of `output_noise_` (eqs. 14, 15).
     elbo_history_ : ndarray
         Log-likelihood of X and y at each iteration that was kept, at most `n_iter_`
         values, with all constants.
@@ -627,19 +337,15 @@ class JFARegressor(BaseJointFactorRegressor):
     x: 2d + 1 numbers for 4d + 1 unknowns. `coef_noisy_` is identified, and is ordinary
     least squares at the highest likelihood. The split of an input's variance into
     signal and noise is not identified. The likelihood bounds it only in that the input
-    noise, through the coefficients, makes no more output noise than there is; where
-    below that it ends depends on the start, the solver and the data (from 0.3, at
-    shares between 0 and 1 on the data below). Give `input_noise` when you know it.
+    noise, through the coefficients, makes no more output noise than there is. Where
+    below that it ends depends on the start and the data. Give `input_noise` when you
+    know it.
 
-    **What converged means.** With ``solver="accelerated"`` the last step goes to the
-    highest likelihood, where `coef_noisy_` is least squares to rounding, in inputs of a
-    condition number of 2e5 as well. Three cases are left: input noise that is given and
-    makes more output noise than there is, fewer samples than features, and an exact
-    fit, which has no highest likelihood; then, and with ``solver="plain"``, the
-    iteration ends where one gains less than `tol`. Along flat directions EM creeps: on
-    1000 samples of 5 inputs it stopped up to 0.2, 3, 20 and 2 standard errors from
-    least squares at condition numbers of 10, 1e2, 1e3 and 2e5, and had converged by its
-    own rule in 38 of 40 cases (``tests/benchmarks/bench_likelihood.py``).
+    **Convergence.** A quasi-Newton method climbs the likelihood, and the last step goes
+    to its maximum, where `coef_noisy_` is least squares to rounding. In three cases the
+    iteration ends where one step gains less than `tol`: known input noise that makes
+    more output noise than there is, fewer samples than features, and an exact fit,
+    which has no highest likelihood.
 
     An iteration costs O(d^2), whatever the number of samples, on sufficient
     statistics; with more features than samples O(n d) on the data.
@@ -669,31 +375,17 @@ class JFARegressor(BaseJointFactorRegressor):
         self,
         *,
         input_noise=None,
-        input_output_noise=None,
-        initial_input_noise=0.3,
         fit_intercept=True,
         query="noisy",
-        solver="accelerated",
         max_iter=20000,
         tol=1e-7,
-        forgetting=1.0,
     ):
         self.input_noise = input_noise
-        self.input_output_noise = input_output_noise
-        self.initial_input_noise = initial_input_noise
         self.fit_intercept = fit_intercept
         self.query = query
-        self.solver = solver
         self.max_iter = max_iter
         self.tol = tol
-        self.forgetting = forgetting
 
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
-        fixed = noise_shares(noise, data, self._feature_labels())
-        direct = None
-        if self.input_output_noise is not None:
-            cross = resolve_cross_noise(self.input_output_noise, noise, data)
-            direct = direct_share(np.diag(fixed), cross)
-        prior = Prior(psi_x_fixed=fixed)
-        return self._fit_independent(data, prior, self.initial_input_noise, direct)
+        return self._fit_independent(data, noise, Prior())

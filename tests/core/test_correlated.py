@@ -12,6 +12,7 @@ from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa._core import _correlated
 from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
+from sklearn_vbjfa._core._solver import PlainSteps, climb
 from tests.core._problems import ARD_RATE, ARD_SHAPE
 
 LOG_2PI = np.log(2 * np.pi)
@@ -49,6 +50,18 @@ def solve(X, y, psi, root=None, **options):
     }
     moments = moments_of(X.T @ X, X.T @ y, y @ y, len(y), root)
     return _correlated.solve_correlated(moments, psi, **options)
+
+
+def solve_plainly(X, y, psi, *, max_iter, tol, common=False):
+    """Plain updates, one after the other."""
+    problem = _correlated.CorrelatedProblem(
+        moments_of(X.T @ X, X.T @ y, y @ y, len(y)),
+        psi,
+        ard_shape=ARD_SHAPE,
+        ard_rate=ARD_RATE,
+        common=common,
+    )
+    return climb(PlainSteps(problem, tol), problem.start(fast=False), max_iter)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -149,9 +162,8 @@ def test_iterations_equal_the_literal_ones(n_features, seed):
         state = literal_step(X, y, psi, state)
     bounds.append(literal_bound(X, y, psi, state))
     # An iteration is an evaluation of the bound, the first at the start.
-    options = {"tol": 0.0, "accelerate": False}
-    one = solve(X, y, psi, max_iter=2, **options)
-    many = solve(X, y, psi, max_iter=n_iter + 1, **options)
+    one = solve_plainly(X, y, psi, max_iter=2, tol=0.0)
+    many = solve_plainly(X, y, psi, max_iter=n_iter + 1, tol=0.0)
     # Two or three inverses of matrices of condition 1e3 lie between the two forms.
     for ours, theirs in ((one.state, first), (many.state, state)):
         assert_allclose(ours.beta_mean, theirs.mean, rtol=1e-9)
@@ -197,16 +209,6 @@ def test_exact_inputs_are_ard_regression():
     assert_allclose(solution.state.psi_y, s2, rtol=1e-6)
 
 
-def test_noise_that_vanishes_is_no_noise():
-    X, y, psi, _ = make_problem(6, 4)
-    options = {"max_iter": 20_000, "tol": 1e-13}
-    exact = solve(X, y, np.zeros((4, 4)), **options)
-    near = solve(X, y, 1e-9 * psi, **options)
-    # The difference is of the order of psi / S.
-    assert_allclose(near.state.beta_mean, exact.state.beta_mean, rtol=1e-6)
-    assert_allclose(near.history[-1], exact.history[-1], rtol=1e-6)
-
-
 def test_known_noise_gives_corrected_least_squares():
     X, y, psi, _ = make_problem(7, 3, 400)
     S, xy, yy = X.T @ X, X.T @ y, y @ y + 400.0
@@ -218,11 +220,8 @@ def test_known_noise_gives_corrected_least_squares():
         solution = _correlated.solve_correlated(
             moments_of(repeat * S, repeat * xy, repeat * yy, repeat * 400),
             psi,
-            ard_shape=1e-6,
-            ard_rate=1e-6,
             max_iter=5000,
             tol=1e-15,
-            accelerate=True,
         )
         errors.append(np.abs(solution.state.beta_mean - corrected).max())
     assert errors[0] < 1e-3
@@ -245,8 +244,6 @@ def test_population_moments_give_the_truth():
             n,
         ),
         psi,
-        ard_shape=1e-6,
-        ard_rate=1e-6,
         max_iter=5000,
         tol=1e-12,
     )
@@ -386,8 +383,7 @@ def test_posterior_covariance_is_the_scatter_of_the_estimate():
 
 def test_a_fall_of_the_bound_keeps_the_state_before(monkeypatch):
     X, y, psi, _ = make_problem(16, 3)
-    options = {"tol": 0.0, "accelerate": False}
-    good = solve(X, y, psi, max_iter=4, **options)
+    good = solve_plainly(X, y, psi, max_iter=4, tol=0.0)
     right = _correlated.posterior_beta
     calls = []
 
@@ -397,7 +393,7 @@ def test_a_fall_of_the_bound_keeps_the_state_before(monkeypatch):
         return replace(found, mean=10 * found.mean) if len(calls) == 5 else found
 
     monkeypatch.setattr(_correlated, "posterior_beta", wrong)
-    solution = solve(X, y, psi, max_iter=100, **options)
+    solution = solve_plainly(X, y, psi, max_iter=100, tol=0.0)
     assert solution.status == "bound_decreased"
     assert solution.fall > 1.0
     assert_array_equal(solution.history, good.history)
@@ -406,13 +402,13 @@ def test_a_fall_of_the_bound_keeps_the_state_before(monkeypatch):
 
 @pytest.mark.parametrize("common", [True, False])
 @pytest.mark.parametrize("exact", [True, False])
-@pytest.mark.parametrize("seed", [20, 21])
+@pytest.mark.parametrize("seed", [20])
 def test_joint_steps_end_where_the_plain_iteration_does(seed, exact, common):
     X, y, psi, _ = make_problem(seed, 5, 100)
     options = {"max_iter": 50_000, "tol": 1e-13, "common": common}
     psi = psi * (not exact)
-    plain = solve(X, y, psi, accelerate=False, **options)
-    fast = solve(X, y, psi, accelerate=True, **options)
+    plain = solve_plainly(X, y, psi, **options)
+    fast = solve(X, y, psi, **options)
     assert plain.status == fast.status == "converged"
     # It goes on to the fixed point, which takes it some steps where plain ones are few.
     assert fast.n_iter < max(plain.n_iter, 20)
@@ -425,7 +421,7 @@ def test_joint_steps_end_where_the_plain_iteration_does(seed, exact, common):
 
 @pytest.mark.parametrize("common", [True, False])
 @pytest.mark.parametrize("exact", [True, False])
-@pytest.mark.parametrize("seed", [23, 24, 25])
+@pytest.mark.parametrize("seed", [23])
 def test_the_end_is_the_fixed_point_whatever_the_tolerance(seed, exact, common):
     X, y, psi, _ = make_problem(seed, 6, 80)
     psi = psi * (not exact)
@@ -450,7 +446,7 @@ def test_the_end_is_the_fixed_point_whatever_the_tolerance(seed, exact, common):
 
 
 @pytest.mark.parametrize("exact", [True, False])
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_rounding_of_the_moments_does_not_move_the_end(seed, exact):
     # Strongly correlated inputs, one of them a sum: as the regressors of a robot.
     rng = np.random.default_rng(seed)

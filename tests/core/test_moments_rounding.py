@@ -52,7 +52,7 @@ def test_predictions_are_those_of_the_rows(condition, noise, n):
     error = relative(model.predict(X), reference)
     standard_error = noise * np.sqrt(6 / n)
     assert error < 0.1 * standard_error + 64 * np.finfo(float).eps * condition
-    assert model.status_ == "converged"
+    assert model.converged_
     scatter_alone = fit_moments(make_model(), _moments.from_data(X, y))
     if condition * noise >= 1e8:
         assert model.statistics_.factor is not None

@@ -14,10 +14,8 @@ from sklearn_vbjfa._core._updates import (
     Prior,
     bound,
     expect_hidden,
-    update_loadings,
     update_precisions,
 )
-from sklearn_vbjfa.datasets import make_noisy_regression
 from tests.core import _problems
 
 MODELS = ["jfa", "paper", "noise"]
@@ -28,6 +26,16 @@ def make_standardised(seed, n_features, n_samples=200, noise=0.4):
     X, y, _ = _problems.make_data(seed, n_features, n_samples, noise)
     X, y = X / X.std(axis=0), y / y.std()
     return _problems.as_gram(X, y), X, y
+
+
+def solve_plainly(moments, state, prior, *, max_iter, tol):
+    """Plain updates, one after the other."""
+    problem = _solver.IndependentProblem(moments, prior)
+    steps = _solver.PlainSteps(problem, tol)
+    return _solver.climb(steps, problem.evaluate(state), max_iter)
+
+
+SOLVERS = [_solver.solve, solve_plainly]
 
 
 class FailingMoments:
@@ -78,8 +86,8 @@ def test_acceleration_ends_where_the_plain_iteration_does(model):
         # Where the bound would creep for ever, as psi_y goes to zero.
         state = replace(state, psi_y=1e-9)
     options = {"max_iter": 5000, "tol": 1e-12}
-    plain = _solver.solve(moments, state, prior, accelerate=False, **options)
-    fast = _solver.solve(moments, state, prior, accelerate=True, **options)
+    plain = solve_plainly(moments, state, prior, **options)
+    fast = _solver.solve(moments, state, prior, **options)
     assert plain.status == fast.status == "converged"
     # The plain steps end short of the optimum: 1e-12 n per step over as many steps
     # as it had taken, at a linear rate.
@@ -93,34 +101,30 @@ def test_acceleration_ends_where_the_plain_iteration_does(model):
     assert fast.n_iter < plain.n_iter
 
 
-@pytest.mark.parametrize("accelerate", [True, False])
+@pytest.mark.parametrize("solve", SOLVERS)
 @pytest.mark.parametrize("model", MODELS)
-def test_history_never_falls(model, accelerate):
+def test_history_never_falls(model, solve):
     moments, _, _ = make_standardised(2, 6, 60)
     prior = _problems.make_prior(model, 60, 6)
     state = _solver.start(moments, prior, np.full(6, 0.3))
-    solution = _solver.solve(
-        moments, state, prior, max_iter=500, tol=1e-10, accelerate=accelerate
-    )
+    solution = solve(moments, state, prior, max_iter=500, tol=1e-10)
     assert solution.history.size > 10
     assert np.diff(solution.history).min() >= -1e-12 * abs(solution.history[-1])
     assert solution.history.size <= solution.n_iter <= 500
 
 
-@pytest.mark.parametrize("accelerate", [True, False])
-def test_stops_when_the_gain_per_sample_is_small(accelerate):
+@pytest.mark.parametrize("solve", SOLVERS)
+def test_stops_when_the_gain_per_sample_is_small(solve):
     moments, _, _ = make_standardised(3, 3)
     state = _solver.start(moments, Prior(), np.full(3, 0.3))
     tol = 1e-4
-    solution = _solver.solve(
-        moments, state, Prior(), max_iter=1000, tol=tol, accelerate=accelerate
-    )
+    solution = solve(moments, state, Prior(), max_iter=1000, tol=tol)
     assert solution.status == "converged"
     gains = np.diff(solution.history) / moments.n
     assert gains[-1] <= tol < gains[0]
 
 
-@pytest.mark.parametrize("max_iter", [1, 2, 3, 4, 7])
+@pytest.mark.parametrize("max_iter", [1, 2, 7])
 def test_never_more_than_max_iter(max_iter):
     moments, _, _ = make_standardised(4, 3)
     state = _solver.start(moments, Prior(), np.full(3, 0.3))
@@ -130,19 +134,13 @@ def test_never_more_than_max_iter(max_iter):
     assert 1 <= solution.history.size <= max_iter
 
 
-@pytest.mark.parametrize("accelerate", [True, False])
-@pytest.mark.parametrize("n_right", [2, 5, 6, 9])
-def test_a_fall_of_the_bound_stops_and_keeps_the_state_before(accelerate, n_right):
+@pytest.mark.parametrize("solve", SOLVERS)
+@pytest.mark.parametrize("n_right", [2, 6])
+def test_a_fall_of_the_bound_stops_and_keeps_the_state_before(solve, n_right):
     moments, _, _ = make_standardised(5, 3)
     state = _solver.start(moments, Prior(), np.full(3, 0.3))
-    solution = _solver.solve(
-        FailingMoments(moments, n_right),
-        state,
-        Prior(),
-        max_iter=100,
-        tol=1e-12,
-        accelerate=accelerate,
-    )
+    wrong = FailingMoments(moments, n_right)
+    solution = solve(wrong, state, Prior(), max_iter=100, tol=1e-12)
     assert solution.status == "bound_decreased"
     assert solution.fall > 1.0
     assert np.diff(solution.history).min() >= 0
@@ -191,31 +189,6 @@ def test_gradient_is_that_of_the_bound(model):
     assert np.all(found.scale > 0)
 
 
-@pytest.mark.parametrize("model", MODELS)
-def test_scaled_gradient_is_the_plain_step(model):
-    # Near a fixed point, where the update of one block hardly moves the others.
-    moments, _, _ = make_standardised(9, 3)
-    prior = _problems.make_prior(model, 200, 3)
-    state = _solver.start(moments, prior, np.full(3, 0.3))
-    state = _solver.solve(moments, state, prior, max_iter=500, tol=1e-12).state
-    here = expect_hidden(moments, state)
-    found = slope(moments, state, here, prior)
-    loadings = slice(0, 6)
-    moved = update_loadings(state, here, prior)
-    step = to_vector(moved, prior) - to_vector(state, prior)
-    assert_allclose((found.scale * found.gradient)[loadings], step[loadings], atol=1e-9)
-
-
-def test_slope_leaves_variances_on_their_floor_alone():
-    moments, _, _ = make_standardised(10, 2)
-    state = _solver.start(moments, Prior(), np.full(2, 0.3))
-    state = replace(state, psi_z=np.full(2, VARIANCE_FLOOR), psi_y=VARIANCE_FLOOR)
-    found = slope(moments, state, expect_hidden(moments, state), Prior())
-    assert np.isfinite(found.gradient).all()
-    assert found.gradient[4:6].min() >= 0
-    assert found.gradient[-1] >= 0
-
-
 @pytest.mark.parametrize("model", ["jfa", "noise"])
 def test_coordinates_give_the_state_back(model):
     prior = _problems.make_prior(model, 25, 4)
@@ -253,37 +226,6 @@ def test_direction_is_that_of_the_dense_update():
     assert_allclose(found, inverse @ gradient, rtol=1e-10)
     curvature.forget()
     assert curvature.direction(Slope(gradient=gradient, scale=scale)) is None
-
-
-def test_a_pair_without_concavity_is_not_learnt():
-    curvature = _solver.Curvature()
-    before = Slope(gradient=np.ones(2), scale=np.ones(2))
-    after = Slope(gradient=np.array([2.0, 1.0]), scale=np.ones(2))
-    curvature.learn(np.array([1.0, 0.0]), before, after)
-    assert not curvature.steps
-
-
-@pytest.mark.parametrize("model", MODELS)
-def test_a_fifth_of_the_iterations_is_enough(model):
-    # A cell of the synthetic study, with exact dependencies.
-    data = make_noisy_regression(
-        1000, n_redundant=60, n_irrelevant=30, input_snr=2.0, random_state=0
-    )
-    moments = standardise(from_data(data.X, data.y), centred=True).moments
-    prior = Prior()
-    if model != "jfa":
-        prior = replace(
-            _problems.make_prior(model, 1000, 100), ard_shape=1e-6, ard_rate=1e-6
-        )
-    state = _solver.start(moments, prior, np.full(100, 0.3))
-    fast = _solver.solve(moments, state, prior, max_iter=20_000, tol=1e-7)
-    assert fast.status == "converged"
-    assert np.diff(fast.history).min() >= 0
-    short = 5 * fast.n_iter
-    plain = _solver.solve(
-        moments, state, prior, max_iter=short, tol=0.0, accelerate=False
-    )
-    assert plain.history[-1] < fast.history[-1] - 1e-6 * moments.n
 
 
 def test_last_digits_of_the_moments_do_not_decide():

@@ -11,6 +11,7 @@ from sklearn_vbjfa._core._moments import from_data, standardise
 from sklearn_vbjfa._core._solver import at_highest_likelihood
 from sklearn_vbjfa._core._updates import Prior
 from tests.core import _problems
+from tests.core.test_solver import solve_plainly
 
 
 def moments_of(seed, d, n=200, correlation=0.0):
@@ -26,7 +27,7 @@ def value(moments, state, prior):
 
 @pytest.mark.parametrize("correlation", [0.0, 1.0, 30.0])
 @pytest.mark.parametrize("noise", [None, 0.0, 1e-3, 0.3])
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(1))
 def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
     moments = moments_of(seed, 4, correlation=correlation)
     fixed = None if noise is None else np.full(4, max(noise, np.finfo(float).eps))
@@ -44,9 +45,7 @@ def test_em_cannot_leave_it_and_stays_below(seed, noise, correlation):
         new, reached = _problems.iterate(moments, new, prior)
     assert reached == pytest.approx(top, rel=0, abs=1e-9 * abs(top))
     # EM's own way up, from the same start and for long, does not get above it.
-    long = _solver.solve(
-        moments, start, prior, max_iter=3000, tol=0.0, accelerate=False
-    )
+    long = solve_plainly(moments, start, prior, max_iter=500, tol=0.0)
     assert long.history[-1] <= top + 1e-9 * abs(top)
     assert_allclose(_updates.coefficients_noisy(state), c, rtol=1e-6)
     # What is known stays, signs stay, and variances are variances.

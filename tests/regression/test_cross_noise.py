@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy import linalg
 
-from sklearn_vbjfa import JFARegressor, VBJFARegressor
+from sklearn_vbjfa import VBJFARegressor
 
 SHAPE = RATE = 1e-6
 
@@ -62,9 +62,8 @@ def literal(X, y, psi, cross, n_iter):
 
 
 def model(**settings):
-    """Plain updates on data in their own units, all inputs."""
-    known = {"latent": "correlated", "query": "noiseless", "selection": False}
-    known |= {"fit_intercept": False, "ard_shape": SHAPE, "ard_rate": RATE}
+    """Regressor of data in their own units."""
+    known = {"latent": "correlated", "query": "noiseless", "fit_intercept": False}
     return VBJFARegressor(**known | settings)
 
 
@@ -74,25 +73,8 @@ def standard(X, y, psi, cross):
     return X / x, y / s, psi / np.outer(x, x), cross / (x * s)
 
 
-@pytest.mark.parametrize("n_iter", [1, 2, 5, 40])
-def test_plain_updates_are_those_of_joint_noise_row_by_row(n_iter):
-    """Sums over rows and rows one by one give the same posterior, step by step."""
-    X, y, psi, cross = standard(*problem())
-    beta, output = literal(X, y, psi, cross, n_iter)
-    with pytest.warns(UserWarning, match="stopped after max_iter"):
-        found = model(
-            input_noise=psi,
-            input_output_noise=cross,
-            solver="plain",
-            max_iter=n_iter,
-            tol=0.0,
-        ).fit(X, y)
-    assert_allclose(found.coef_noiseless_, beta, rtol=1e-9)
-    assert_allclose(found.output_noise_, output, rtol=1e-9)
-
-
-def test_both_solvers_end_at_the_same_posterior():
-    """The accelerated end is a fixed point of the updates row by row."""
+def test_fit_ends_at_the_posterior_of_updates_row_by_row():
+    """The end is a fixed point of the literal updates."""
     X, y, psi, cross = standard(*problem())
     known = {"input_noise": psi, "input_output_noise": cross}
     found = model(**known).fit(X, y)
@@ -153,14 +135,14 @@ def test_units_and_the_order_of_columns_do_not_matter():
     assert_allclose(other.output_noise_, 49.0 * found.output_noise_, rtol=1e-7)
 
 
-def test_zero_is_no_noise_in_common():
+@pytest.mark.parametrize("selected", [False, True])
+def test_zero_is_no_noise_in_common(selected):
     """A covariance of zero is none at all, with and without a selection of inputs."""
     X, y, psi, _ = problem()
-    for selection in (False, True):
-        known = {"input_noise": psi, "selection": selection}
-        plain = model(**known).fit(X, y)
-        zero = model(**known, input_output_noise=np.zeros(3)).fit(X, y)
-        assert_allclose(zero.coef_, plain.coef_, rtol=1e-12)
+    known = {"input_noise": np.diagonal(psi) if selected else psi}
+    plain = model(**known).fit(X, y)
+    zero = model(**known, input_output_noise=np.zeros(3)).fit(X, y)
+    assert_allclose(zero.coef_, plain.coef_, rtol=1e-12)
 
 
 def test_relevant_inputs_are_found_beside_noise_in_common():
@@ -178,29 +160,11 @@ def test_relevant_inputs_are_found_beside_noise_in_common():
     assert abs(without.coef_[1]) > 0.1
 
 
-def test_em_with_noise_in_common():
-    """Independent latents: the closed form of a single input, and units."""
-    rng = np.random.default_rng(1)
-    t, e = rng.normal(size=5000), 0.5 * rng.normal(size=5000)
-    x, y = t + e, 2.0 * t + 0.8 * e + 0.1 * rng.normal(size=5000)
-    known = {"fit_intercept": False, "query": "noiseless"}
-    found = JFARegressor(input_noise=[0.25], input_output_noise=[0.2], **known)
-    found.fit(x[:, None], y)
-    exact = (x @ y - 5000 * 0.2) / (x @ x - 5000 * 0.25)
-    assert_allclose(found.coef_, exact, rtol=1e-6)
-    assert_allclose(found.coef_noisy_, (x @ y) / (x @ x), rtol=1e-6)
-    # y given t has the noise 0.8 e and its own
-    assert_allclose(found.output_noise_, 0.8**2 * 0.25 + 0.01, rtol=0.05)
-    other = JFARegressor(input_noise=[2500.0], input_output_noise=[140.0], **known)
-    other.fit(100 * x[:, None], 7 * y)
-    assert_allclose(other.coef_, 0.07 * found.coef_, rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("settings", "text"),
     [
-        ({"input_output_noise": [0.1, 0.1]}, "must hold 3 finite covariances"),
-        ({"input_output_noise": [0.1, np.nan, 0.1]}, "not finite"),
+        ({"input_output_noise": [0.1, 0.1]}, "must hold 3 covariances"),
+        ({"input_output_noise": [0.1, np.nan, 0.1]}, "contains NaN"),
         ({"input_noise": None}, "needs the noise of the inputs as well"),
         ({"input_noise": [0.1, 0.0, 0.1]}, "for input 1 input_noise says that there"),
         ({"latent": "independent"}, 'set latent="correlated"'),

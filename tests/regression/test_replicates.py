@@ -6,7 +6,8 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
 
-from sklearn_vbjfa import NoiseCovariance, VBJFARegressor, replicate_noise
+from sklearn_vbjfa import VBJFARegressor, replicate_noise
+from sklearn_vbjfa.regression import NoiseCovariance
 
 COEF = np.array([1.0, -2.0, 0.5])
 

@@ -5,20 +5,18 @@ import warnings
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.utils._param_validation import InvalidParameterError
 
-from sklearn_vbjfa import JFARegressor, VBJFARegressor
+from sklearn_vbjfa import VBJFARegressor
 from tests.regression._problems import make_regression
 
 OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
 
 
-@pytest.mark.parametrize("latent", ["auto", "independent", "correlated"])
 @pytest.mark.parametrize(
     ("noise", "message"),
     [
-        (np.nan, r"must be finite, got NaN or infinity"),
-        (np.full((4, 4), np.nan), r"must be finite, got NaN or infinity"),
+        (np.nan, r"must be finite, got NaN"),
+        (np.full((4, 4), np.nan), r"must be finite, got NaN"),
         (1.0, r"fraction of each input's variance in \[0, 1\), got 1;"),
         (1.5, r"in \[0, 1\), got 1\.5; give variances as an array"),
         (-0.1, r"in \[0, 1\), got -0\.1"),
@@ -27,25 +25,17 @@ OFF_DIAGONAL = np.eye(4, k=1) + np.eye(4, k=-1)
         (np.eye(3), r"for 4 features, got an array of shape \(3, 3\)"),
         (np.ones((4, 1)), r"for 4 features, got an array of shape \(4, 1\)"),
         (np.ones((1, 4, 4)), r"for 4 features, got an array of shape \(1, 4, 4\)"),
-        (np.eye(4) + np.eye(4, k=1), r"must be symmetric, got 1 at \(0, 1\) and 0"),
+        (np.eye(4) + np.eye(4, k=1), r"must be symmetric"),
         (np.eye(4) - 2 * OFF_DIAGONAL, r"positive semidefinite, got a smallest eigen"),
         (np.diag([1.0, 1.0, -1.0, 1.0]), r"must be positive semidefinite"),
         # An exact input cannot share noise with another.
         (np.diag([1.0, 0.0, 1.0, 1.0]) + OFF_DIAGONAL, r"must be positive semidef"),
     ],
 )
-def test_noise_that_cannot_be(latent, noise, message):
+def test_noise_that_cannot_be(noise, message):
     X, y, _ = make_regression(30)
     with pytest.raises(ValueError, match=message):
-        VBJFARegressor(query="noiseless", latent=latent, input_noise=noise).fit(X, y)
-
-
-@pytest.mark.parametrize("share", [-0.1, 0.0, 1.0, np.nan, "some"])
-@pytest.mark.parametrize("estimator", [JFARegressor, VBJFARegressor])
-def test_starting_share_lies_inside_zero_and_one(estimator, share):
-    X, y, _ = make_regression(31)
-    with pytest.raises(InvalidParameterError, match="'initial_input_noise' parameter"):
-        estimator(initial_input_noise=share).fit(X, y)
+        VBJFARegressor(query="noiseless", input_noise=noise).fit(X, y)
 
 
 @pytest.mark.parametrize("scale", [1e-12, 1.0, 1e12])

@@ -550,12 +550,10 @@ class NoiseDisplay(Display):
         else:
             values = np.sqrt(variance)
             units = _check_units(units, variance.size, "each input and the output")
-        heywood = getattr(regressor, "heywood_", np.zeros(inputs.size, dtype=bool))
         return cls(
             noise={"noise": values},
             units={"noise": units},
             names=(*_input_names(regressor), "output"),
-            at_zero=np.append(heywood, False),
         )
 
     @staticmethod

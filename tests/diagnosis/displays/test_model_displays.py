@@ -153,28 +153,6 @@ def test_uncentred_noise_is_a_share_of_the_mean_square(data):
     np.testing.assert_allclose(shares[:4], model.input_noise_ / np.mean(X**2, axis=0))
 
 
-def test_heywood_cases_are_marked(regressor, pyplot):
-    display = NoiseDisplay.from_estimator(regressor)
-    assert not display.at_zero.any()
-    display.at_zero = np.array([False, True, False, False, False])
-    display.plot()
-    _, rows = drawn(display.axes_[0], "went to zero (Heywood case)")
-    np.testing.assert_array_equal(rows, [1])
-
-
-def test_heywood_cases_of_a_fit_are_the_rows_marked():
-    rng = np.random.default_rng(0)
-    X = rng.normal(size=(300, 4))
-    y = X @ [1.0, 2.0, 3.0, 4.0] + 0.1 * rng.normal(size=300)
-    # started almost exact, EM stays there
-    model = JFARegressor(initial_input_noise=1e-16)
-    with pytest.warns(UserWarning, match="Heywood case"):
-        model.fit(X, y)
-    display = NoiseDisplay.from_estimator(model)
-    np.testing.assert_array_equal(display.at_zero, [*model.heywood_, False])
-    assert display.at_zero.any()
-
-
 def test_joints_of_both_kinds_are_in_panels_of_their_own(pyplot):
     pin = pytest.importorskip("pinocchio")
     model = pin.Model()

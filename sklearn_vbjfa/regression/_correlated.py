@@ -1,0 +1,289 @@
+"""How the model with correlated latents is fitted: dependencies, relevance, noise.
+
+Tags such as [C18] are equations of the guide.
+"""
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import linalg
+
+from sklearn_vbjfa._core._correlated import (
+    CorrelatedSolution,
+    posterior_covariance,
+    solve_correlated,
+)
+from sklearn_vbjfa._core._linear_systems import find_dependencies
+from sklearn_vbjfa._core._updates import LinearModel
+from sklearn_vbjfa.regression._input_noise import standard_noise
+
+# An input is relevant when its coefficient is more than this many posterior standard
+# deviations away from zero.
+RELEVANT_DEVIATIONS = 2.0
+# Largest fraction of an input's variance that the prior takes for noise: an input that
+# someone measured in order to predict with it is signal for two thirds at least.
+LARGEST_FRACTION = 1 / 3
+# Samples per input from which on each input has a precision of its own, and second
+# moments say something of the inputs' noise.
+SAMPLES_PER_INPUT = 2
+
+
+@dataclass(frozen=True, kw_only=True)
+class CorrelatedFit:
+    """Solutions in standardised units, spread over all active columns."""
+
+    # `noisy` and `noiseless` are the linear models for the two kinds of queries, with
+    # the solutions that they come from; alpha, relevant (d,) and psi (d, d) are the
+    # precisions, the relevant inputs and the input noise.
+
+    noisy: LinearModel
+    noiseless: LinearModel
+    noisy_solution: CorrelatedSolution
+    noiseless_solution: CorrelatedSolution
+    alpha: np.ndarray
+    relevant: np.ndarray
+    psi: np.ndarray
+
+
+def largest_noise_fraction(R, r):
+    """Largest input-noise fraction that correlations R (d, d), r (d,) admit, [C18]."""
+    given_output = R - np.outer(r, r)
+    smallest = linalg.eigvalsh(given_output, subset_by_index=[0, 0])[0]
+    return float(min(LARGEST_FRACTION, max(smallest, 0.0)))  # [C18]
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Solver:
+    """Fit of a model to moments with some input noise (d, d)."""
+
+    max_iter: int
+    tol: float
+    common: bool  # whether all coefficients share one precision
+
+    def __call__(self, m, psi, *, common=False, cross=None):
+        return solve_correlated(
+            m,
+            psi,
+            common=common or self.common,
+            max_iter=self.max_iter,
+            tol=self.tol,
+            cross=cross,
+        )
+
+
+def _is_selected(data, noise):
+    """Whether inputs are selected for noiseless queries."""
+    if noise is None:
+        # With hardly more samples than inputs the smallest eigenvalues, which bound
+        # the noise, are those of chance: regression on inputs taken as exact.
+        return _enough_samples(data)
+    # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
+    return np.ndim(noise) < 2 and bool(np.any(noise))
+
+
+def _enough_samples(data):
+    return data.moments.n > SAMPLES_PER_INPUT * data.x_scale.size
+
+
+def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf):
+    """Fit the model to standardised data and its moments as a scatter matrix."""
+    # noise: the user's, validated; None estimates it, `dof` are the degrees of freedom
+    # with which it was; cross (d,): its covariance with that of y. With a selection,
+    # for noiseless queries, exactly dependent inputs are reduced to their generators
+    # and only relevant ones are fitted, with one precision in common; noisy queries are
+    # then answered by all inputs as they are, see `_average`.
+    m = data.moments
+    # Hardly more samples than inputs do not tell a precision for each.
+    common = not _enough_samples(data)
+    solve = _Solver(max_iter=max_iter, tol=tol, common=common)
+    d = m.xx.size
+    psi = standard_noise(noise, data)
+    if psi is not None:
+        _warn_excess(m.S / m.n, psi, data, labels)
+    if not _is_selected(data, noise):
+        known = np.zeros((d, d)) if psi is None else psi
+        return _fit_all(m, known, solve, cross, dof)
+    R, r = m.S / m.n, m.xy / m.n
+    as_they_are = solve(m, np.zeros((d, d)))
+    found = find_dependencies(R)
+    basis = found.basis
+    kept = _relevant_inputs(m, basis, as_they_are, solve)
+    at = basis[kept]
+    given = psi is not None
+    if not given:
+        psi = np.zeros((d, d))
+        psi[at, at] = 0.5 * largest_noise_fraction(R[np.ix_(at, at)], r[at])
+    if cross is None:
+        cross = np.zeros(d)
+
+    def solve_of(chosen, psi):
+        return solve(m.columns(chosen), psi, common=True, cross=cross[chosen])
+
+    solution = solve_of(at, psi[np.ix_(at, at)])
+    coef = np.zeros(basis.size)
+    coef[kept] = solution.state.beta_mean
+    # The inputs that were switched off belong to what is not known.
+    of_basis = m.columns(basis)
+    if given:
+        ends = [psi[np.ix_(basis, basis)]]
+    else:
+        ends = [f * np.eye(basis.size) for f in _admissible_ends(of_basis)]
+    cov = sum(
+        _uncertainty(of_basis, end, coef, solve_of(basis, end), dof) for end in ends
+    ) / len(ends)  # [C20]
+    spread = _spread(R, basis, found.copies)
+    relevant = np.zeros(d, dtype=bool)
+    relevant[np.concatenate([found.copies[k] for k in np.flatnonzero(kept)])] = True
+    noisy = _average(m, as_they_are, solve)
+    noise = _output_noise(psi[np.ix_(at, at)], solution)
+    return CorrelatedFit(
+        noisy=noisy,
+        noiseless=LinearModel(
+            coef=spread @ coef,
+            cov=spread @ cov @ spread.T,
+            noise=noise,
+            # Of exact inputs, the other end, y has the noise that it has of noisy ones.
+            open_noise=0.0 if given else max(noisy.noise - noise, 0.0),
+        ),
+        noisy_solution=as_they_are,
+        noiseless_solution=solution,
+        alpha=as_they_are.state.E_alpha,
+        relevant=relevant,
+        psi=psi,
+    )
+
+
+def _fit_all(m, psi, solve, cross, dof):
+    """Fit all inputs with a known noise covariance (d, d), for both queries."""
+    solution = solve(m, psi, cross=cross)
+    state, latent = solution.state, solution.latent
+    in_common = _in_common(m, psi, solution, solve, cross)
+    cov = _uncertainty(m, psi, state.beta_mean, in_common, dof)
+    noiseless = LinearModel(
+        coef=state.beta_mean, cov=cov, noise=_output_noise(psi, solution)
+    )
+    noisy = noiseless
+    if not latent.exact:
+        noisy = _noisy_model(m, solution, solve, cross)
+    variance = np.diagonal(posterior_covariance(m.n, psi, solution, dof))
+    return CorrelatedFit(
+        noisy=noisy,
+        noiseless=noiseless,
+        noisy_solution=solution,
+        noiseless_solution=solution,
+        alpha=state.E_alpha,
+        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
+        psi=psi,
+    )
+
+
+def _in_common(m, psi, solution, solve, cross=None):
+    """Solution with one precision in common, which `solution` may be already."""
+    return solution if solve.common else solve(m, psi, common=True, cross=cross)
+
+
+def _uncertainty(m, psi, coef, in_common, dof=np.inf):
+    """Second moment (d, d) about `coef` of the posterior with one common precision."""
+    # A posterior under automatic relevance determination takes the precisions for
+    # known: of a coefficient that it has switched off, or nearly, it says that it is
+    # zero. One precision, known from all coefficients together, does not. What both
+    # disagree in belongs to what is not known.
+    cov = posterior_covariance(m.n, psi, in_common, dof)
+    return cov + _square(in_common.state.beta_mean - coef)
+
+
+def _noisy_model(m, solution, solve, cross):
+    """Model of y given noisy inputs: c = H'beta, its variance v and uncertainty."""
+    # v is psi_y + beta'P beta, less what noise of the inputs does to y directly. That
+    # of c is what a regression on the inputs as they are
+    # leaves open, see `_uncertainty`.
+    beta, latent = solution.beyond, solution.latent
+    coef = latent.H.T @ beta + solution.direct  # [C5]
+    exact = np.zeros_like(m.S)
+    in_common = solve(m, exact, common=True, cross=cross)
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, in_common),
+        noise=solution.state.psi_y + beta @ latent.P @ beta,  # [C5]
+    )
+
+
+def _output_noise(psi, solution):
+    """Variance of y given noiseless inputs."""
+    b = solution.direct
+    return solution.state.psi_y + float(b @ psi @ b)
+
+
+def _square(x):
+    return np.outer(x, x)
+
+
+def _admissible_ends(m):
+    """Smallest and largest fraction of noise, f of [C19], that moments `m` admit."""
+    n, d = m.n, m.xx.size
+    R, r = m.S / n, m.xy / n
+    # The smallest eigenvalue of n rows is too small by (n - d) / n in the mean, for d
+    # coefficients were fitted to find it. Beyond that of R there is no signal left.
+    largest = largest_noise_fraction(R, r) * n / max(n - d, 1)
+    no_signal = max(float(linalg.eigvalsh(R, subset_by_index=[0, 0])[0]), 0.0)
+    return 0.0, min(largest, LARGEST_FRACTION, no_signal)
+
+
+def _average(m, solution, solve):
+    """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
+    # One gives each input a precision of its own, which suits few relevant inputs;
+    # the other one precision to all, which suits many. Nothing tells beforehand which
+    # suits; their mean is nearly as good as the better one, and half of what they
+    # differ in is not known.
+    exact = np.zeros_like(m.S)
+    other = _in_common(m, exact, solution, solve)
+    both = [one.state for one in (solution, other)]
+    coef = 0.5 * sum(state.beta_mean for state in both)
+    return LinearModel(
+        coef=coef,
+        cov=_uncertainty(m, exact, coef, other),
+        noise=0.5 * sum(state.psi_y for state in both),
+    )
+
+
+def _warn_excess(R, psi, data, labels):
+    """Name the columns whose noise alone exceeds what was measured."""
+    over = np.flatnonzero(np.diagonal(psi) > np.diagonal(R) * (1 + 1e-9))
+    if over.size:
+        shown = ", ".join(
+            str(labels[i]) for i in np.flatnonzero(data.active)[over][:10]
+        )
+        warnings.warn(
+            f"input_noise exceeds the whole variance of {over.size} input(s) "
+            f"({shown}): no signal is left in them. Check the units of input_noise "
+            "(variances, not standard deviations).",
+            UserWarning,
+            stacklevel=6,
+        )
+
+
+def _relevant_inputs(m, basis, as_they_are, solve):
+    """Find inputs that help to predict y: ARD on noisy inputs, 2 deviations."""
+    # Asked of the noisy inputs on purpose: an input that has nothing to do with y has
+    # a zero coefficient there too, and the test has not lost power to the correction.
+    state = as_they_are.state
+    if basis.size < m.xx.size:
+        exact = np.zeros((basis.size, basis.size))
+        state = solve(m.columns(basis), exact).state
+    score = state.beta_mean**2 / np.diagonal(state.beta_cov)
+    kept = score > RELEVANT_DEVIATIONS**2
+    if not kept.any():
+        kept[np.argmax(score)] = True
+    return kept
+
+
+def _spread(R, at, copies):
+    """Matrix (d, k) that gives the columns `at` and their exact copies their shares."""
+    # Nothing tells copies apart: in standardised columns each takes the same part,
+    # with the sign of its correlation.
+    spread = np.zeros((R.shape[0], at.size))
+    for k, (j, group) in enumerate(zip(at, copies)):
+        sign = np.ones(1) if group.size == 1 else np.sign(R[j, group])
+        spread[group, k] = sign / group.size
+    return spread

@@ -36,15 +36,7 @@ from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
-VERSION = 2
-# Keys that files of version 1 may lack: they came one by one.
-_LATE = (
-    "column_powers",
-    "torque_spread",
-    "unconstrained",
-    "between_recordings",
-    "corners",
-)
+VERSION = 1
 _URDF_IS = ("that of the robot", "written from a model")
 _KNOWN = ("yes", "in combination", "from the description", "no")
 
@@ -98,7 +90,7 @@ def _content(robot):
         },
         "column_powers": _powers(robot),
         "torque_spread": _torque_spread(robot.spread),
-        "unconstrained": _unconstrained(robot.theta_unconstrained_),
+        "unconstrained": spelled_all(robot.theta_unconstrained_),
         "between_recordings": _between(robot),
         "urdf_is": _URDF_IS[0 if robot.comes_from_urdf else 1],
         "urdf": robot.description_.split("\n"),
@@ -183,8 +175,7 @@ def _settings(effect):
         if plain is _NOT_PLAIN:
             raise ValueError(
                 f"{key} of the effect {effect.name!r} is {value!r}, and only numbers, "
-                "texts, true, false, None and tuples of these can be robot: give it "
-                "such a parameter."
+                "texts, true, false, None and tuples of these can be saved."
             )
         found[key] = plain
     return found
@@ -322,11 +313,6 @@ def _torque_spread(spread):
     }
 
 
-def _unconstrained(theta):
-    """Return the parameters before the projection; None where they are not known."""
-    return None if theta is None else spelled_all(theta)
-
-
 def _between(robot):
     """Return how far values are off from recording to recording; None without."""
     between = robot.between
@@ -361,12 +347,10 @@ def read(path, effects=()):
             f"{FORMAT!r}. Files of that format are written by RobotIdentifier.save."
         )
     version = file["version"].value
-    if isinstance(version, bool) or not isinstance(version, int) or version < 1:
-        raise file["version"].wrong("must be a whole number from 1 on")
-    if version > VERSION:
+    if version != VERSION:
         raise file["version"].wrong(
-            f"is {version}, and this release reads versions up to {VERSION}: install a "
-            "newer sklearn-vbjfa"
+            f"is {quoted(version)}, and this release reads version {VERSION}: identify "
+            "the robot again, or install the release that wrote it"
         )
     return _read_robot(file, _classes(effects))
 
@@ -430,17 +414,11 @@ def _read_robot(file, classes):
             [j["noise_floor"].number() for j in file["joints"].items()]
         ),
         gains_=_read_gains(file["unknown_gains"], names),
+        theta_unconstrained_=file["unconstrained"].numbers(len(rows), finite=True),
         package=file["saved_with"].text(),
     )
     _check_names(file, rows, robot)
-    unconstrained = _of_late(file, "unconstrained")
-    if unconstrained is not None:
-        unconstrained = unconstrained.numbers(len(rows), finite=True)
-    return replace(
-        robot,
-        between=_read_between(file, robot.parameter_names_),
-        theta_unconstrained_=unconstrained,
-    )
+    return replace(robot, between=_read_between(file, robot.parameter_names_))
 
 
 def _of_joints(file, key):
@@ -545,7 +523,7 @@ def _plan(file, effects):
         raise fit["cutoff"].wrong(f"is of no use: {error}") from error
     nv = len(file["joints"].items())
     period, time = fit["fastest_period"], fit["time"]
-    corners = _of_late(file, "corners", fit)
+    corners = fit["corners"]
     return Plan(
         dt=dt,
         state_estimator=None
@@ -557,7 +535,7 @@ def _plan(file, effects):
         effects=effects,
         fastest_period=None if period.absent else period.numbers(nv),
         time=None if time.absent else tuple(map(float, time.numbers(2))),
-        corners=None if corners is None else corners.numbers(nv),
+        corners=None if corners.absent else corners.numbers(nv),
     )
 
 
@@ -600,8 +578,8 @@ def _read_range(place, names):
 
 
 def _read_powers(file, names, features, effects):
-    place = _of_late(file, "column_powers")
-    if place is None:
+    place = file["column_powers"]
+    if place.absent:
         return None
     nv, k = len(names), len(features.friction_)
     friction = [row.numbers(k) for row in place["friction"].items(nv)]
@@ -618,17 +596,9 @@ def _read_powers(file, names, features, effects):
     )
 
 
-def _of_late(file, key, place=None):
-    """Return the value of a key that files of version 1 may lack; None without."""
-    place = file if place is None else place
-    if file["version"].value == 1 and key in _LATE and key not in place.keys():
-        return None
-    return None if place[key].absent else place[key]
-
-
 def _read_between(file, names):
-    place = _of_late(file, "between_recordings")
-    if place is None:
+    place = file["between_recordings"]
+    if place.absent:
         return None
     own = place["parameters"].items()
     scales = place["scales"].numbers(finite=True)
@@ -643,8 +613,8 @@ def _read_between(file, names):
 
 
 def _read_torque_spread(file, features, effects):
-    place = _of_late(file, "torque_spread")
-    if place is None:
+    place = file["torque_spread"]
+    if place.absent:
         return None
     nv = features.n_joints_
     p = features.n_parameters_ + sum(len(one.coefficients) for one in effects)

@@ -270,12 +270,11 @@ class Posterior:
     @classmethod
     def of(cls, robot):
         """Take it from an `IdentifiedRobot`."""
-        if robot.spread is None or robot.theta_unconstrained_ is None:
+        if robot.spread is None:
             raise ValueError(
                 "samples and ranges need the covariance of the parameters, which this "
                 "robot does not have: its regressor gives none (leave regressor=None, "
-                "or use VBJFARegressor or JFARegressor), or it was saved by a version "
-                "that did not keep it (fit and save again)."
+                "or use VBJFARegressor or JFARegressor)."
             )
         covariance = np.zeros(2 * robot.theta_.shape)
         known = robot.spread.covariance

@@ -543,8 +543,7 @@ class IdentifiedRobot(SimulatesTorques):
             raise ValueError(
                 "return_std needs the covariance of the parameters, which this robot "
                 "does not have: its regressor gives none (leave regressor=None, or use "
-                "VBJFARegressor or JFARegressor), or it was saved by a version that "
-                "did not keep it (fit and save again)."
+                "VBJFARegressor or JFARegressor)."
             )
         asked = self.ask(X, groups, t, signals=signals)
         warn_outside(self.said_outside(asked), stacklevel=3)

@@ -379,18 +379,6 @@ def test_a_saved_robot_has_the_same_ranges(several, tmp_path):
     assert read.ranges().to_json() == several.ranges().to_json()
 
 
-def test_a_file_of_before_has_none(several, tmp_path):
-    several.save(tmp_path / "one.json")
-    content = json.loads((tmp_path / "one.json").read_text())
-    del content["unconstrained"], content["between_recordings"]
-    content["version"] = 1
-    (tmp_path / "old.json").write_text(json.dumps(content))
-    old = load_identified(tmp_path / "old.json")
-    for ask in (old.ranges, lambda: old.sample(1)):
-        with pytest.raises(ValueError, match="saved by a version that did not keep"):
-            ask()
-
-
 def test_ranges_are_written_by_joint(several, tmp_path):
     found = several.ranges(level=0.9)
     found.save(tmp_path / "ranges.json")

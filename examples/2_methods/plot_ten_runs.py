@@ -226,15 +226,15 @@ if found is not None:
     figure.colorbar(image, label="learned from the torques [%]")
 
     sizes = [robot.common_size_ for robot in own]
-    departures = sum(len(robot.departures_) for robot in own)
+    departures = sum(len(robot.mass_deviations_) for robot in own)
     print(f"all bodies {min(sizes):.2f} to {max(sizes):.2f} times as heavy")
     print(f"bodies of another mass than described, in ten runs: {departures}")
 
 # %%
 # All bodies together are as heavy as described, to 10 % (``common_size_``), and no body
-# is named as another one than described (``departures_`` is empty in each run). Masses
-# and most inertias of the hips are the description's: the torques do not depend on
-# them, or only on their sums with others. On the thighs and the front calves the
+# is named as another one than described (``mass_deviations_`` is empty in each run).
+# Masses and most inertias of the hips are the description's: the torques do not depend
+# on them, or only on their sums with others. On the thighs and the front calves the
 # torques ask for so much else that the description hardly counts; on the rear calves it
 # does. Each body decides by itself, so that legs that are alike are not treated alike
 # (``alike="auto"``, the default, does so with their motors).

@@ -25,10 +25,10 @@ from sklearn_vbjfa.recording import (
     recordings_in,
     without_repeats,
 )
-from sklearn_vbjfa.robot._equations import accumulate, segments
+from sklearn_vbjfa.robot._equations import accumulate, build_segments
 from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot._joint_moments import BlockAssignment
 from sklearn_vbjfa.robot._parallel import run_elsewhere
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
@@ -126,7 +126,7 @@ def _identify(identifier, paths):
     """Fit an identifier to sums over files."""
     dt = check_dt(identifier.dt)
     check_input_noise(identifier.input_noise)
-    identifier.load()
+    identifier.build_model()
     _check_settings(identifier)
     names = identifier.joint_names_
     read = partial(_read, dt=dt, urdf=_file_of(identifier.model), names=names)
@@ -150,7 +150,7 @@ def _identify(identifier, paths):
     ranges = np.stack([motion.lowest, motion.highest])
     check_channels(names, ranges, torques, sum(lengths))
     first = np.cumsum([0, *(len(one["lengths"]) for one in extents)]).tolist()
-    numbering = Numbering.of([plan.lowpass.centres(n).size for n in lengths])
+    numbering = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
     halves = identifier.input_noise is not None
     given = plan, identifier.features_, halves, numbering, dict(zip(paths, first))
     found = (one for one in every("equations", _moments, *given) if one is not None)
@@ -303,7 +303,7 @@ def _noise(recording, path, robot):
 
 def _moments(recording, path, plan, features, halves, numbering, numbers):
     states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
-    made = segments(recording, states, plan, features, first=numbers[path])
+    made = build_segments(recording, states, plan, features, first=numbers[path])
     return accumulate(made, plan.lowpass, numbering=numbering)
 
 

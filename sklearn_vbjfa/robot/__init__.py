@@ -54,7 +54,7 @@ _MODULES = {
     ".recording._drives": ("CurrentDrive", "PDDrive", "VoltageDrive"),
     "_joint_moments": (
         "JointMoments",
-        "Numbering",
+        "BlockAssignment",
         "joint_moments",
         "piece_moments",
         "sum_moments",
@@ -70,7 +70,7 @@ _MODULES = {
     "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": (
         "BodyMass",
-        "ColumnPowers",
+        "ColumnMeanSquares",
         "EffectOfTime",
         "Spread",
         "body_masses",

@@ -157,7 +157,7 @@ def compare_methods(identifier, train, test, *, names=None, of_both=False):
     # Returns a `MethodResult` each, and the fitted identifier of the first method.
     base = clone(identifier)
     X, y, groups = train
-    own = {"dt": base.dt, "joint_names": base.load().joint_names_}
+    own = {"dt": base.dt, "joint_names": base.build_model().joint_names_}
     base.fit_inspected(take_arrays(X, y, groups, **own))
     robot = base.robot_
     train_pieces, test_pieces = robot.pieces(*train), robot.pieces(*test)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
-from sklearn_vbjfa.robot._equations import late_command, regressor_rows
+from sklearn_vbjfa.robot._equations import delayed_command_torque, regressor_rows
 
 # Rows at which the inertia of a joint is looked at.
 _ROWS = 64
@@ -30,7 +30,7 @@ def with_corners(robot, source):
         return None
     nothing = np.zeros(source.recording.nv)
     terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
-    command = late_command(source.recording, robot.effects_)
+    command = delayed_command_torque(source.recording, robot.effects_)
     torques = [_of_effects(robot, source), command]
     further, commanded = _jumps_of(torques, robot, source)
     dry = terms.get("coulomb", nothing) + further
@@ -67,7 +67,7 @@ def jump(dry, inertia, damping, stiffness, cutoff):
 def _of_effects(robot, source):
     """Torques (n, nv) of the effects of a fitted robot along its motion."""
     known = source.recording, source.states.own, robot.plan, robot.features_
-    made = regressor_rows(*known, theta=robot.load)
+    made = regressor_rows(*known, theta=robot.load_parameters)
     return np.concatenate([rows.effects(robot.theta_) for rows in made])
 
 

@@ -29,8 +29,8 @@ from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
 from sklearn_vbjfa.robot._joint_moments import (
+    BlockAssignment,
     MomentSums,
-    Numbering,
     joint_entries,
     piece_moments,
     sum_moments,
@@ -63,8 +63,10 @@ class Equations:
     instruments: np.ndarray | None = None
     # (n, nv, p) or None: regressors from the even samples minus the odd ones
     difference: np.ndarray | None = None
-    blocks: tuple | None = None  # blocks of time of the rows, see `Numbering.parts`
-    recording: tuple | None = None  # that they are of, see `Numbering.recording`
+    blocks: tuple | None = (
+        None  # blocks of time of the rows, see `BlockAssignment.parts`
+    )
+    recording: tuple | None = None  # that they are of, see `BlockAssignment.recording`
     # ranges of positions, speeds and directions in rows with weight
     ranges: SignalRanges | None = None
 
@@ -432,7 +434,7 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
     )
 
 
-def as_driven(recording, plan):
+def with_delayed_commands(recording, plan):
     """Return a recording whose torques are what the drive made of late commands."""
     for effect in plan.effects:
         if isinstance(effect, CommandDelay) and effect.corrects:
@@ -449,7 +451,7 @@ def as_driven(recording, plan):
     return recording
 
 
-def late_command(recording, effects):
+def delayed_command_torque(recording, effects):
     """Torques (n, nv) that follow from commands alone, as late as effects have them."""
     command, known = recording.command, (recording.segments, recording.clock())
     for effect in effects:
@@ -515,7 +517,7 @@ class Segment:
     def equations(self, lowpass, outputs, numbering=None):
         """Return the equations of a slice of filtered rows."""
         # Includes the difference of the halves, if any, and the blocks of a
-        # `Numbering`.
+        # `BlockAssignment`.
         seen, measured = self._measured(lowpass, outputs)
         spread = self._made[0].spread
         found = [
@@ -635,7 +637,9 @@ def edge_rows(n, state_estimator):
     return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), n // 20)
 
 
-def segments(recording, states, plan, features, *, theta=None, rest=None, first=0):
+def build_segments(
+    recording, states, plan, features, *, theta=None, rest=None, first=0
+):
     """Combine a recording with its regressor, segment by segment."""
     # states: `RecordingStates`, with halves where the noise of the regressor is
     # measured; theta: parameters for the load in effects' columns, see `make_motion`;
@@ -646,7 +650,7 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
 
-    recording = as_driven(recording, plan)
+    recording = with_delayed_commands(recording, plan)
     parts = recording.segments
     average = states.halves is not None and plan.corrects_noise
     rows = len(parts) * [None] if average else rows_of(states.own)
@@ -677,20 +681,20 @@ def segments(recording, states, plan, features, *, theta=None, rest=None, first=
 
 
 def numbered(recording, plan):
-    """Divide filtered rows into blocks of time, or of phases, see `Numbering`."""
+    """Divide filtered rows into blocks of time, or of phases, see `BlockAssignment`."""
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
     lengths, clock = [own.size for own in centres], recording.clock()
     # A mean period holds each phase once.
     if clock is None or not sum(lengths):
-        return Numbering.of(lengths)
+        return BlockAssignment.of(lengths)
     repetition = find_repetition(recording.q, clock, recording.segments)
     if not repetition:
-        return Numbering.of(lengths)
+        return BlockAssignment.of(lengths)
     number = np.repeat(np.arange(len(lengths)), lengths)
     t = repetition.begins[number] + plan.dt * np.concatenate(centres)
     motion, phase = repetition.phase(number, t)
-    return Numbering.of(lengths, (motion, phase / (plan.dt * plan.lowpass.step)))
+    return BlockAssignment.of(lengths, (motion, phase / (plan.dt * plan.lowpass.step)))
 
 
 def equations(made, lowpass, numbering=None):

@@ -54,9 +54,8 @@ class LeftOut:
 
 def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
-    # min_eigenvalues (nv,): smallest of each body's pseudo-inertia; powers:
-    # `ColumnPowers`, without which all sizes are nan; notes: what else a reader of the
-    # file has to know; servo: `Servo` of motors that are told positions.
+    # powers: without these all sizes are nan; notes: what else a reader of the file has
+    # to know; servo: of motors that are told positions.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, powers)
     dynamics = _mjcf_dynamics(account, servo)

@@ -22,12 +22,12 @@ from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._corners import with_corners
 from sklearn_vbjfa.robot._equations import (
     accumulate,
+    build_segments,
     equations,
     held_columns,
     instrumented,
     is_plain,
     plain_coefficients,
-    segments,
     unexcited_entries,
 )
 from sklearn_vbjfa.robot._estimate import (
@@ -56,7 +56,7 @@ from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import (
-    ColumnPowers,
+    ColumnMeanSquares,
     Spread,
     TorqueSpread,
     known_parameters,
@@ -73,11 +73,13 @@ class Source:
     numbering: object  # of the rows, see `numbered`
     n_jobs: object = None
 
-    def segments(self, robot, **changes):
+    def build_segments(self, robot, **changes):
         """Segments of the equations of a robot, with changes of its plan."""
         plan = replace(robot.plan, **changes)
-        known = {"theta": robot.load}
-        return segments(self.recording, self.states, plan, robot.features_, **known)
+        known = {"theta": robot.load_parameters}
+        return build_segments(
+            self.recording, self.states, plan, robot.features_, **known
+        )
 
     def instrumented(self, robot):
         """Equations of a robot, with instruments free of their noise, a list."""
@@ -131,7 +133,7 @@ class Fit:
             output_noise_=rest,
             noise_floor_=np.hypot(robot.torque_noise_, through),
             joint_weights=found.joint_weights,
-            spread=TorqueSpread.of_estimate(found),
+            prediction_covariance=TorqueSpread.of_estimate(found),
             powers=_powers(robot, found.moments),
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=shown,
@@ -140,7 +142,7 @@ class Fit:
 
     def telling(self, found, **changes):
         """Return the fit with the parameters of a corrected estimate."""
-        told = self.robot.spread
+        told = self.robot.prediction_covariance
         if told is not None:
             told = told.of(found.covariance)
         robot = replace(
@@ -148,8 +150,10 @@ class Fit:
             theta_=found.theta,
             theta_unconstrained_=found.theta_unconstrained,
             theta_std_=found.std,
-            spreads=tuple(map(Spread.of_deviations, self.robot.split(found.std))),
-            spread=told,
+            coefficient_covariances=tuple(
+                map(Spread.of_deviations, self.robot.split(found.std))
+            ),
+            prediction_covariance=told,
             **changes,
         )
         robot = replace(robot, known_=known_parameters(robot, found))
@@ -259,7 +263,7 @@ def _powers(robot, moments):
     features = robot.features_
     n_rigid, n_friction = features.n_parameters_, len(features.friction_)
     effects, gains = robot.effects_, features.gains_
-    return ColumnPowers.of_moments(moments, n_rigid, n_friction, effects, gains)
+    return ColumnMeanSquares.of_moments(moments, n_rigid, n_friction, effects, gains)
 
 
 # -- the course of a fit ---------------------------------------------------------------
@@ -275,11 +279,13 @@ def fit_robot(recipe, robot, source, before=None):
     load, passes = _load_of(before, robot), robot.plan.passes()
     if load is not None:
         passes = passes[1:]
-    fit = _settled(recipe, robot, source, relative, passes, load)
+    fit = run_passes(recipe, robot, source, relative, passes, load)
     turned = with_corners(fit.robot, source)
     if turned is not None:
         rounded = fit.found.theta_unconstrained
-        fit = _settled(recipe, turned, source, relative, [turned.plan], fit.robot.load)
+        fit = run_passes(
+            recipe, turned, source, relative, [turned.plan], fit.robot.load_parameters
+        )
         fit = _in_doubt(fit, rounded)
     return fit.with_loads()
 
@@ -300,14 +306,14 @@ def _in_doubt(fit, rounded):
     return fit.telling(replace(found, **changed))
 
 
-def _settled(recipe, robot, source, relative, passes, load):
+def run_passes(recipe, robot, source, relative, passes, load):
     """Fit a robot until the loads and the values of its effects in the model stay."""
     for plan in passes:
-        own = replace(robot, plan=plan, load=load)
+        own = replace(robot, plan=plan, load_parameters=load)
         fit = recipe.of_source(own, source)
         load = _known_load(fit.robot)
     if any(effect.in_model for effect in robot.effects_):
-        fit = _settle(recipe, fit, source, relative)
+        fit = iterate_corrections(recipe, fit, source, relative)
     return fit
 
 
@@ -349,7 +355,7 @@ def _first_gains(recipe, robot, source):
     )
 
 
-def _settle(recipe, fit, source, relative):
+def iterate_corrections(recipe, fit, source, relative):
     """Correct a robot until the values of its effects in the model stay."""
     # relative: `RelativeGains` to begin with, or None.
     fit, values, powers = _corrected(recipe, fit, source, relative)
@@ -369,7 +375,7 @@ def _settle(recipe, fit, source, relative):
         if common.factor is not None:
             fit = _in_units(recipe, fit, source, common.factor)
             powers = powers.in_units(common.factor)
-    robot, found, own = fit.robot, fit.found, values.places
+    robot, found, own = fit.robot, fit.found, values.indices
     theta, unconstrained, std, shown = (
         one.copy()
         for one in (found.theta, found.theta_unconstrained, found.std)
@@ -408,7 +414,7 @@ def _of_bodies(robot):
 def _corrected(recipe, fit, source, relative):
     """Correct a robot step by step; the last fit, its `ModelValues` and powers."""
     for _ in range(MOST_CORRECTIONS):
-        robot = replace(fit.robot, load=_known_load(fit.robot))
+        robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
         fit = replace(fit, robot=robot)
         moments = source.moments(source.segments(robot, tangents=True), robot.plan)
         powers, zeros = _powers(robot, moments), _unneeded_entries(robot, moments)
@@ -445,7 +451,9 @@ def _in_units(recipe, fit, source, factor):
     """Fit again with all gains multiplied, and torques in their own unit."""
     gains = factor * fit.robot.features_.gains_
     robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
-    return recipe.of_source(replace(robot, load=robot.load / factor), source)
+    return recipe.of_source(
+        replace(robot, load_parameters=robot.load_parameters / factor), source
+    )
 
 
 # -- refinement by simulation ----------------------------------------------------------
@@ -498,7 +506,7 @@ class ModelValues:
     """What a fit says of the values of effects that are in the model."""
 
     effects: tuple  # all effects of the fit
-    places: np.ndarray  # where those values are among the parameters
+    indices: np.ndarray  # where those values are among the parameters
     # corrections of the values; zero where the recording does not show them
     step: np.ndarray
     std: np.ndarray  # of the values; nan where the recording does not show them
@@ -522,7 +530,7 @@ class ModelValues:
         shown = found.known[places]
         return cls(
             effects=tuple(effects),
-            places=np.array(places),
+            indices=np.array(places),
             step=np.where(shown, found.theta[places], 0.0),
             std=np.where(shown, found.std[places], np.nan),
             estimate=found,
@@ -547,8 +555,8 @@ class ModelValues:
         # their columns are alike.
         std, told = std.copy(), np.isfinite(self.std)
         # What is held as described does not move.
-        own, rest = self.places[told], std > 0
-        rest[self.places] = False
+        own, rest = self.indices[told], std > 0
+        rest[self.indices] = False
         within = self.estimate.covariance[np.ix_(own, own)]
         inverse = self.estimate.eigen.inverse()[:, own]
         slope = np.linalg.solve(inverse[own], inverse[rest].T).T
@@ -556,9 +564,9 @@ class ModelValues:
         if covariance is not None:
             covariance = covariance.copy()
             covariance[np.ix_(rest, rest)] += slope @ within @ slope.T
-            covariance[self.places] = covariance[:, self.places] = 0.0
+            covariance[self.indices] = covariance[:, self.indices] = 0.0
             # Of a value that the recording does not show nothing is known.
-            covariance[self.places, self.places] = np.inf
+            covariance[self.indices, self.indices] = np.inf
             covariance[np.ix_(own, own)] = within
             across = slope @ within
             covariance[np.ix_(rest, own)] = across
@@ -567,7 +575,7 @@ class ModelValues:
 
     @staticmethod
     def values_of(effects):
-        """Present values of effects, ndarray, in the order of `places`."""
+        """Present values of effects, ndarray, in the order of `indices`."""
         return np.concatenate([one.values for one in effects if one.in_model])
 
     def corrected(self):

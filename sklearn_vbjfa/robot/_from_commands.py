@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa.effects import OfChannel
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording._drives import velocity_lags
-from sklearn_vbjfa.robot._equations import late_command
+from sklearn_vbjfa.robot._equations import delayed_command_torque
 from sklearn_vbjfa.simulation import simulate_controlled
 
 # Why an effect of a torque channel is not simulated under a drive.
@@ -28,7 +28,7 @@ class Follower:
 
     def __init__(self, robot, drive, recording):
         made, names = drive.driven(recording), recording.joint_names
-        self._command = late_command(made, robot.effects_)
+        self._command = delayed_command_torque(made, robot.effects_)
         self._gains = [
             np.broadcast_to(x, self._command.shape) for x in drive.law(names, recording)
         ]

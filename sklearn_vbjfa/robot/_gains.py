@@ -62,7 +62,7 @@ class RelativeGains:
         n_rigid = found.estimate.theta.size - sum(
             len(effect.coefficients) for effect in found.effects
         )
-        at = np.searchsorted(found.places, gain_places(found.effects, n_rigid))
+        at = np.searchsorted(found.indices, gain_places(found.effects, n_rigid))
         value, std = found.values_of(found.effects)[at], found.std[at]
         half = HALF_WIDTH * std
         middle = [

@@ -23,7 +23,7 @@ from sklearn_vbjfa.recording import (
 )
 from sklearn_vbjfa.robot._alike import alike_joints
 from sklearn_vbjfa.robot._bodies import described_bodies, warn_of_unit
-from sklearn_vbjfa.robot._equations import as_driven, numbered
+from sklearn_vbjfa.robot._equations import numbered, with_delayed_commands
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
     refuse_followers,
@@ -126,7 +126,7 @@ class RecordingRegressorMixin(RegressorMixin):
         if getattr(self, "drive", None) is not None:
             told = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
-            y = as_driven(told, self.robot_.plan).tau
+            y = with_delayed_commands(told, self.robot_.plan).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -265,7 +265,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     common_size_ : float
         How many times as heavy all bodies together are as in the description: a
         description in grams has 0.001, a torque channel may have another unit.
-    departures_ : tuple of Departure
+    mass_deviations_ : tuple of Departure
         Bodies that are not as described, the surest first, each with `bodies` (joints
         whose bodies explain the torques about as well, within three nats), `factors`
         (how many times as heavy each would be), `stds` and `log_odds`.
@@ -550,7 +550,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             gains=self._found_gains,
             masses=self._masses,
             description=self._description,
-            alike=self._alike,
+            alike=self._shared_drives,
             **{name: getattr(self, name) for name in names},
         )
 
@@ -591,7 +591,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._declare()
         return self._fit(self._checked(recording))
 
-    def load(self):
+    def build_model(self):
         """Load the model without data.
 
         Returns
@@ -648,7 +648,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Estimate
             Parameters with what is known of them.
         """
-        self.load()
+        self.build_model()
         robot = self._robot_of(plan, np.full(self.features_.n_joints_, np.nan))
         return self._recipe().of_equations(robot, pieces).found
 
@@ -706,8 +706,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         if estimates:
             own = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
-            spreads = (*self._robot.spreads[: -len(own)], *own)
-            self._robot = replace(self._robot, spreads=spreads)
+            spreads = (*self._robot.coefficient_covariances[: -len(own)], *own)
+            self._robot = replace(self._robot, coefficient_covariances=spreads)
 
     @property
     def asked_gains(self):
@@ -745,7 +745,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.parameter_names_ = self.features_.parameter_names_ + names
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._description = described_bodies(self)
-        self._alike = alike_joints(self)
+        self._shared_drives = alike_joints(self)
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
@@ -835,7 +835,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def _set(self, fit):
         """Set the attributes to what a fit found."""
         found = fit.found
-        self._robot = replace(fit.robot, between=fit.between())
+        self._robot = replace(fit.robot, recording_variance=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
         for name in _OF_ROBOT:
             setattr(self, name, getattr(fit.robot, name))
@@ -851,7 +851,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.theta_prior_std_ = found.prior_std
         self.from_description_ = found.from_description
         self._bodies = bodies = found.bodies
-        self.departures_ = () if bodies is None else bodies.departures
+        self.mass_deviations_ = () if bodies is None else bodies.departures
         self.common_size_ = 1.0 if bodies is None else bodies.common
         self.alike_ = tuple(one.at(self.theta_) for one in found.alike)
         self.input_noise_torque_ = found.noise()[0]
@@ -958,7 +958,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
         friction at rest, and noise above the low-pass are not in it.
         """
-        return self.robot_.answer(X, groups, t, signals, return_std)
+        return self.robot_._predict(X, groups, t, signals, return_std)
 
     @property
     def robot_(self):

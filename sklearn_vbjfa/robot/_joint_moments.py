@@ -24,7 +24,7 @@ _MOST_PARTS = 4 * _BLOCKS
 
 
 @dataclass(frozen=True, kw_only=True)
-class Numbering:
+class BlockAssignment:
     """How filtered rows are divided into blocks, however a recording is split."""
 
     rows: int  # per block
@@ -200,7 +200,7 @@ class JointMoments:
     in_common: np.ndarray | None = None
     # G and g by blocks of time, if the time order of the rows is known
     blocks: tuple | None = None
-    # the same by recordings, see `Numbering.recording`, if there are several
+    # the same by recordings, see `BlockAssignment.recording`, if there are several
     recordings: tuple | None = None
     # ranges of positions, speeds and directions in the joint's rows with weight, where
     # the states are known
@@ -301,7 +301,7 @@ def joint_moments(Phi, tau, weight, difference=None, parts=None, recording=None)
     """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     # difference (n, nv, p): of two regressors from separate halves of the samples; it
     # has the noise of both, their mean a quarter of its square. parts: blocks of time
-    # of the rows, see `Numbering.parts`; recording: see there.
+    # of the rows, see `BlockAssignment.parts`; recording: see there.
     return sum_moments([piece_moments(Phi, tau, weight, difference, parts, recording)])
 
 

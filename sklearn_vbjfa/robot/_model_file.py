@@ -32,7 +32,7 @@ from sklearn_vbjfa.robot._gains import ChannelGains, CommonGain, KnownMass
 from sklearn_vbjfa.robot._plan import Plan
 from sklearn_vbjfa.robot._posterior import BetweenRecordings
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
-from sklearn_vbjfa.robot._spreads import ColumnPowers, Spread, TorqueSpread
+from sklearn_vbjfa.robot._spreads import ColumnMeanSquares, Spread, TorqueSpread
 from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
@@ -89,7 +89,7 @@ def _content(robot):
             for name, (low, high) in robot.signal_ends.items()
         },
         "column_powers": _powers(robot),
-        "torque_spread": _torque_spread(robot.spread),
+        "torque_spread": _torque_spread(robot.prediction_covariance),
         "unconstrained": spelled_all(robot.theta_unconstrained_),
         "between_recordings": _between(robot),
         "urdf_is": _URDF_IS[0 if robot.comes_from_urdf else 1],
@@ -117,14 +117,14 @@ def _parameters(robot, rows):
 def _load_of_all(robot):
     """Value of each parameter in the load of the effects; None where it has none."""
     n = robot.theta_.size
-    if robot.load is None:
+    if robot.load_parameters is None:
         return n * [None]
     part_of = np.ones(n, dtype=bool)
     at = robot.features_.n_parameters_
     for effect in robot.effects_:
         part_of[at : at + len(effect.coefficients)] = is_plain(effect)
         at += len(effect.coefficients)
-    values = iter(robot.load)
+    values = iter(robot.load_parameters)
     return [next(values) if own else None for own in part_of]
 
 
@@ -132,7 +132,7 @@ def _effects(robot):
     """Return the effects, a list of dict."""
     names, kinds = robot.joint_names_, is_prismatic(robot.features_.model_)
     at, found = robot.features_.n_parameters_, []
-    spreads = robot.spreads
+    spreads = robot.coefficient_covariances
     for effect, spread in zip(robot.effects_, spreads):
         rows = slice(at, at + len(effect.coefficients))
         at = rows.stop
@@ -315,7 +315,7 @@ def _torque_spread(spread):
 
 def _between(robot):
     """Return how far values are off from recording to recording; None without."""
-    between = robot.between
+    between = robot.recording_variance
     if between is None:
         return None
     names, units = robot.parameter_names_, robot.parameter_units_
@@ -387,7 +387,7 @@ def _read_robot(file, classes):
         features_=features,
         plan=_plan(file, effects),
         theta_=np.array([row["value"].number() for row in rows]),
-        load=_load(rows),
+        load_parameters=_load(rows),
         effect_ranges_=tuple(
             _read_range(one, names)
             for one in file["ranges"].items(
@@ -401,10 +401,10 @@ def _read_robot(file, classes):
             )
             for name in file["signals"].keys()
         },
-        spreads=spreads,
+        coefficient_covariances=spreads,
         state_cutoff=_read_state_cutoff(file["fit"]["state_cutoff"]),
         powers=_read_powers(file, names, features, effects),
-        spread=_read_torque_spread(file, features, effects),
+        prediction_covariance=_read_torque_spread(file, features, effects),
         text="\n".join(file["urdf"].texts()),
         from_urdf=file["urdf_is"].one_of(_URDF_IS) == _URDF_IS[0],
         theta_std_=np.array([row["std"].number() for row in rows]),
@@ -414,11 +414,14 @@ def _read_robot(file, classes):
             [j["noise_floor"].number() for j in file["joints"].items()]
         ),
         gains_=_read_gains(file["unknown_gains"], names),
-        theta_unconstrained_=file["unconstrained"].numbers(len(rows), finite=True),
         package=file["saved_with"].text(),
     )
     _check_names(file, rows, robot)
-    return replace(robot, between=_read_between(file, robot.parameter_names_))
+    return replace(
+        robot,
+        recording_variance=_read_between(file, robot.parameter_names_),
+        theta_unconstrained_=file["unconstrained"].numbers(len(rows), finite=True),
+    )
 
 
 def _of_joints(file, key):
@@ -591,7 +594,7 @@ def _read_powers(file, names, features, effects):
             rows = [row.numbers(size) for row in one["products"].items(size)]
             block[names.index(one["joint"].one_of(names))] = rows
         found.append(block)
-    return ColumnPowers(
+    return ColumnMeanSquares(
         friction=np.array(friction).reshape(nv, k), effects=tuple(found)
     )
 

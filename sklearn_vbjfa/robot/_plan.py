@@ -98,10 +98,10 @@ class Plan:
     def turning(self):
         """`Rest` of the velocities of a fit, None if their signs are as they are."""
         # A fit masks joints that may be standing.
-        own, nothing = self._corners(self.state_estimator), 0.0 * self.standstill
+        own, nothing = self._reversals(self.state_estimator), 0.0 * self.standstill
         return Rest(speed=nothing, time=nothing, noise=nothing, **own) if own else None
 
-    def _corners(self, estimator):
+    def _reversals(self, estimator):
         """How the velocities of an estimator turn, see `Rest`."""
         if self.corners is None or estimator is None:
             return {}
@@ -115,7 +115,7 @@ class Plan:
             # unknown for rows of a running robot
             time = self.fastest_period
         # Negative speeds mask nothing.
-        speed, own = np.maximum(self.standstill, 0.0), self._corners(estimator)
+        speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
         return Rest(speed=speed, time=time, noise=noise, **own)
 
 

@@ -270,14 +270,14 @@ class Posterior:
     @classmethod
     def of(cls, robot):
         """Take it from an `IdentifiedRobot`."""
-        if robot.spread is None:
+        if robot.prediction_covariance is None:
             raise ValueError(
                 "samples and ranges need the covariance of the parameters, which this "
                 "robot does not have: its regressor gives none (leave regressor=None, "
                 "or use VBJFARegressor or JFARegressor)."
             )
         covariance = np.zeros(2 * robot.theta_.shape)
-        known = robot.spread.covariance
+        known = robot.prediction_covariance.covariance
         told = np.isfinite(np.diagonal(known))
         covariance[np.ix_(told, told)] = known[np.ix_(told, told)]
         # Of values of the geometry only the deviations are known.
@@ -289,7 +289,7 @@ class Posterior:
             centre=np.where(moves, robot.theta_unconstrained_, robot.theta_),
             std=robot.theta_std_,
             covariance=covariance,
-            between=robot.between,
+            between=robot.recording_variance,
             bodies=body_places(robot),
             nonnegative=_nonnegative(robot),
         )

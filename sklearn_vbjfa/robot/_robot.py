@@ -34,7 +34,7 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
-    as_driven,
+    build_segments,
     equations,
     instrumented,
     is_plain,
@@ -42,7 +42,7 @@ from sklearn_vbjfa.robot._equations import (
     motion_of,
     numbered,
     regressor_rows,
-    segments,
+    with_delayed_commands,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf
@@ -69,7 +69,7 @@ from sklearn_vbjfa.robot._recording_checks import (
 from sklearn_vbjfa.robot._residuals import compare
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
-    ColumnPowers,
+    ColumnMeanSquares,
     TorqueSpread,
     beyond_text,
     effect_of_time,
@@ -88,7 +88,7 @@ _EDGE_SHARE = 0.25
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Query:
+class Inputs:
     """Rows of a recording without torques."""
 
     recording: Recording  # the rows, with their clock
@@ -383,21 +383,21 @@ class IdentifiedRobot(SimulatesTorques):
     plan: Plan  # how the fit smoothed and filtered, with the values of the effects
     theta_: np.ndarray | None = None  # (p,); None before a fit
     # parameters that the load of the effects is made with; see `make_motion`
-    load: np.ndarray | None = None
+    load_parameters: np.ndarray | None = None
     # what each effect was fitted on: first friction by joint, then the effects, of
     # which those that are not `bounded` are held within theirs. Empty, or for all
     effect_ranges_: tuple = ()
     # lowest and highest value of each recorded signal in the fit
     signal_ends: Mapping = field(default_factory=dict)
-    spreads: tuple = ()  # how well each effect is known
+    coefficient_covariances: tuple = ()  # how well each effect is known
     # [Hz], of a smoother for positions where the fit was given states
     state_cutoff: object = "auto"
     # how large columns of friction and effects were in the fit
-    powers: ColumnPowers | None = None
+    powers: ColumnMeanSquares | None = None
     # how far measured torques may be from predicted ones
-    spread: TorqueSpread | None = None
+    prediction_covariance: TorqueSpread | None = None
     # how far values are off from one recording to another, where there were several
-    between: BetweenRecordings | None = None
+    recording_variance: BetweenRecordings | None = None
     theta_std_: np.ndarray | None = None  # (p,)
     theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
     identifiable_: np.ndarray | None = None  # (p,): determined individually
@@ -534,31 +534,33 @@ class IdentifiedRobot(SimulatesTorques):
             If the motion leaves what effects were fitted on; see
             `RobotIdentifier.predict`.
         """
-        return self.answer(X, groups, t, signals, return_std)
+        return self._predict(X, groups, t, signals, return_std)
 
-    def answer(self, X, groups, t, signals, return_std):
+    def _predict(self, X, groups, t, signals, return_std):
         """Predict torques; warn who called the caller of what is outside."""
         X, signals = self.checked(X, signals)
-        if return_std and self.spread is None:
+        if return_std and self.prediction_covariance is None:
             raise ValueError(
                 "return_std needs the covariance of the parameters, which this robot "
                 "does not have: its regressor gives none (leave regressor=None, or use "
                 "VBJFARegressor or JFARegressor)."
             )
-        asked = self.ask(X, groups, t, signals=signals)
+        asked = self.prepare(X, groups, t, signals=signals)
         warn_outside(self.said_outside(asked), stacklevel=3)
         rows = self._rows(asked)
         torques = np.concatenate([one.predict(self.theta_) for one in rows])
         if not return_std:
             return torques
         noiseless = asked.smoother is None
-        spreads = [self.spread.std(one, noiseless=noiseless) for one in rows]
+        spreads = [
+            self.prediction_covariance.std(one, noiseless=noiseless) for one in rows
+        ]
         return torques, np.concatenate(spreads)
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
         """Return what effects of time add; see `RobotIdentifier.effects_of_time`."""
         X, signals = self.checked(X, signals)
-        return self.of_time(self.ask(X, groups, t, signals=signals))
+        return self.of_time(self.prepare(X, groups, t, signals=signals))
 
     def residuals(
         self,
@@ -603,12 +605,12 @@ class IdentifiedRobot(SimulatesTorques):
         states, rest = RecordingStates.of(recording, smoother), self._rest(smoother)
 
         def compared(rest):
-            made = segments(
+            made = build_segments(
                 recording,
                 states,
-                self.held_plan,
+                self.prediction_plan,
                 self.features_,
-                theta=self.load,
+                theta=self.load_parameters,
                 rest=rest,
             )
             return compare(made, lowpasses, self.theta_)
@@ -625,8 +627,8 @@ class IdentifiedRobot(SimulatesTorques):
         smoother = self.smoother(recording.inputs, recording.groups)
         states = RecordingStates.of(recording, smoother)
         plan = replace(self.plan, effects=())
-        recording = as_driven(recording, self.plan)
-        made = segments(recording, states, plan, self.features_)
+        recording = with_delayed_commands(recording, self.plan)
+        made = build_segments(recording, states, plan, self.features_)
         (found,) = compare(made, [plan.lowpass], None)
         return found
 
@@ -865,7 +867,7 @@ class IdentifiedRobot(SimulatesTorques):
         )
 
     @property
-    def held_plan(self):
+    def prediction_plan(self):
         """The plan for predictions, with what effects are held within."""
         return replace(self.plan, ranges=self.held)
 
@@ -938,18 +940,20 @@ class IdentifiedRobot(SimulatesTorques):
             self.joint_names_, self.plan.dt, X, y, groups, weight, t, signals
         )
 
-    def ask(self, X, groups=None, t=None, weight=None, signals=None):
-        """Make the `Query` of the rows of a recording."""
+    def prepare(self, X, groups=None, t=None, weight=None, signals=None):
+        """Make the `Inputs` of the rows of a recording."""
         clock = self.clock(t, X.shape[0])
-        return self.ask_of(self.recording(X, None, groups, weight, clock, signals))
+        return self.prepare_recording(
+            self.recording(X, None, groups, weight, clock, signals)
+        )
 
-    def ask_of(self, recording):
-        """Make the `Query` of a recording."""
+    def prepare_recording(self, recording):
+        """Make the `Inputs` of a recording."""
         known = recording.inputs, recording.groups
         smoother = self.smoother(*known, in_band=True)
         states, rest = self.smoothed(*known, smoother)
         recording = self._on_clock(recording)
-        return Query(recording=recording, states=states, rest=rest, smoother=smoother)
+        return Inputs(recording=recording, states=states, rest=rest, smoother=smoother)
 
     def _on_clock(self, recording):
         """Return a recording with the clock of the fit, where an effect needs one."""
@@ -963,25 +967,25 @@ class IdentifiedRobot(SimulatesTorques):
     # -- answers --------------------------------------------------------------------
 
     def torques(self, asked, n_jobs=1):
-        """Torques (n, nv) that are predicted for a `Query`."""
+        """Torques (n, nv) that are predicted for `Inputs`."""
         known = self.theta_, n_jobs
         return np.concatenate([one.predict(*known) for one in self._rows(asked)])
 
     def _rows(self, asked):
-        """Return the `RegressorRows` of each segment of a `Query`."""
+        """Return the `RegressorRows` of each segment of `Inputs`."""
         recording = asked.recording
         own = [asked.states[rows] for rows in recording.segments]
         return regressor_rows(
             recording,
             own,
-            self.held_plan,
+            self.prediction_plan,
             self.features_,
-            theta=self.load,
+            theta=self.load_parameters,
             rest=asked.rest,
         )
 
     def outside(self, asked):
-        """Find where a `Query` leaves what was fitted, tuple of `OutsideRange`."""
+        """Find where `Inputs` leaves what was fitted, tuple of `OutsideRange`."""
         wanted = {(name, e.joint) for e in self.effect_ranges_ for name in e.depends}
         load = any(name == "load" for name, _ in wanted)
         signals = asked.signals(self.features_, self.inertial() if load else None)
@@ -992,7 +996,7 @@ class IdentifiedRobot(SimulatesTorques):
         return outside(self.effect_ranges_, judged, held)
 
     def said_outside(self, asked):
-        """Say where a `Query` leaves what was fitted, a list of str."""
+        """Say where `Inputs` leaves what was fitted, a list of str."""
         found = self.outside(asked)
         joints = self.joint_names_, is_prismatic(self.features_.model_)
         said = [outside_text(found, *joints)] if found else []
@@ -1001,15 +1005,20 @@ class IdentifiedRobot(SimulatesTorques):
         return said + (beyond_text(timed, self.plan.time, *joints) if timed else [])
 
     def of_time(self, asked):
-        """Share of each effect of time in a `Query`, tuple of `EffectOfTime`."""
+        """Share of each effect of time in `Inputs`, tuple of `EffectOfTime`."""
         if not any(isinstance(effect, OfTime) for effect in self.effects_):
             return ()
-        known = {"theta": self.load, "rest": asked.rest}
+        known = {"theta": self.load_parameters, "rest": asked.rest}
         motion = motion_of(
-            asked.recording, asked.states, self.held_plan, self.features_, **known
+            asked.recording, asked.states, self.prediction_plan, self.features_, **known
         )
         motions = own_motions(self.effects_, self.held, motion)
-        known = self.effects_, self.split(self.theta_), self.spreads, motions
+        known = (
+            self.effects_,
+            self.split(self.theta_),
+            self.coefficient_covariances,
+            motions,
+        )
         return tuple(
             effect_of_time(effect, coef, spread, own, self.plan.time)
             for effect, coef, spread, own in zip(*known)
@@ -1038,10 +1047,10 @@ class IdentifiedRobot(SimulatesTorques):
 
     def _load(self):
         """Return the `Load` of the effects, or None."""
-        if self.load is None:
+        if self.load_parameters is None:
             return None
-        bodies = self.bodies(self.load)
-        rest, coefficients = self.load[self.features_.n_parameters_ :], []
+        bodies = self.bodies(self.load_parameters)
+        rest, coefficients = self.load_parameters[self.features_.n_parameters_ :], []
         for effect in self.effects_:
             width = len(effect.coefficients) if is_plain(effect) else 0
             own, rest = np.split(rest, [width])
@@ -1073,7 +1082,7 @@ class IdentifiedRobot(SimulatesTorques):
                 self.plan, effects=(*self.effects_[: len(followers)], *driven)
             ),
             theta_=np.r_[bodies.ravel(), followers.ravel(), values],
-            load=None,
+            load_parameters=None,
             effect_ranges_=(),
         )
 
@@ -1093,7 +1102,9 @@ class IdentifiedRobot(SimulatesTorques):
             states = self.query(recording.inputs, recording.groups)[0]
         plan = replace(self.plan, tangents=True)
         made = RecordingStates.of_rows(recording.segments, states)
-        made = segments(recording, made, plan, self.features_, theta=self.load)
+        made = build_segments(
+            recording, made, plan, self.features_, theta=self.load_parameters
+        )
         return joined(equations(made, plan.lowpass))
 
     def pieces(self, X, y, groups, *, halves=None):
@@ -1107,7 +1118,9 @@ class IdentifiedRobot(SimulatesTorques):
         plan = self.plan
 
         def pieces(states):
-            made = segments(recording, states, plan, self.features_, theta=self.load)
+            made = build_segments(
+                recording, states, plan, self.features_, theta=self.load_parameters
+            )
             return list(equations(made, plan.lowpass, numbered(recording, plan)))
 
         def of_rows(states, both=None):
@@ -1126,11 +1139,11 @@ class IdentifiedRobot(SimulatesTorques):
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
-        found, recording = [], as_driven(recording, self.plan)
+        found, recording = [], with_delayed_commands(recording, self.plan)
         for rows in map(rows_looked_at, recording.segments):
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
-            asked = self.ask(recording.inputs[rows], t=t, signals=own)
+            asked = self.prepare(recording.inputs[rows], t=t, signals=own)
             asked, y = asked.noiseless(self.plan), recording.tau[rows]
             known = y - self.torques(asked, n_jobs), y, asked.states
             found.append(noise_facts(*known, *band, n_jobs))
@@ -1138,7 +1151,7 @@ class IdentifiedRobot(SimulatesTorques):
 
     def outside_of(self, recording):
         """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
-        return self.outside(self.ask_of(recording))
+        return self.outside(self.prepare_recording(recording))
 
 
 def _note_of_gravity(gravity):

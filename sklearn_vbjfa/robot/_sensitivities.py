@@ -51,9 +51,9 @@ def slopes(predictor, recording, states):
     rows = regressor_rows(
         recording,
         [states[part] for part in recording.segments],
-        predictor.held_plan,
+        predictor.prediction_plan,
         predictor.features_,
-        theta=predictor.load,
+        theta=predictor.load_parameters,
     )
     Phi = np.concatenate([one(slice(None)) for one in rows])
     Phi /= predictor.features_.gains_[:, None]
@@ -104,8 +104,10 @@ def _beside_bodies(predictor, recording, states):
         for e in predictor.effects_
     ]
     if any(moving):
-        known = {"theta": predictor.load}
-        motion = motion_of(recording, states, predictor.held_plan, features, **known)
+        known = {"theta": predictor.load_parameters}
+        motion = motion_of(
+            recording, states, predictor.prediction_plan, features, **known
+        )
         held = own_motions(predictor.effects_, predictor.held, motion)
         coefs = predictor.split(predictor.theta_)
         for effect, coef, one in compress(zip(predictor.effects_, coefs, held), moving):

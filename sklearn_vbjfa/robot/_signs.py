@@ -53,7 +53,9 @@ def with_signs(recipe, robot, source, before):
 
 def signed(robot, recording):
     """Give sizes of torques their mean sign beside what a fitted robot predicts."""
-    asked = robot.ask_of(replace(recording, weight=None)).noiseless(robot.plan)
+    asked = robot.prepare_recording(replace(recording, weight=None)).noiseless(
+        robot.plan
+    )
     tau = expected(recording.tau, robot.torques(asked))
     return replace(recording, tau=tau, command=tau)
 

@@ -300,7 +300,9 @@ def ranges_of(robot, level, drive=None):
     note = note_of_units(robot.gains_).replace("This file", "These values")
     return Ranges(
         level=level,
-        recordings=1 if robot.between is None else robot.between.count,
+        recordings=1
+        if robot.recording_variance is None
+        else robot.recording_variance.count,
         parameters=tuple(
             _range_of(robot, posterior, k, level) for k in range(robot.theta_.size)
         ),

@@ -184,7 +184,7 @@ def _rounding(Phi, n_rigid):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ColumnPowers:
+class ColumnMeanSquares:
     """Mean products of the columns of friction and effects in a fitted recording."""
 
     # The square of the root mean square of an effect's torque is coef' (products) coef.
@@ -230,7 +230,7 @@ class ColumnPowers:
     def in_units(self, unit):
         """Return them with torques in another unit, of this size in the present one."""
         scale = 1.0 / unit**2
-        return ColumnPowers(
+        return ColumnMeanSquares(
             friction=scale * self.friction,
             effects=tuple(scale * block for block in self.effects),
         )

@@ -389,7 +389,7 @@ def _run(made, driven):
 def _measured(predictor, X, groups, t, signals, window):
     """Cut a recording into windows that nothing has been simulated in yet."""
     nv, dt = len(predictor.joint_names_), check_dt(predictor.plan.dt)
-    asked = predictor.ask(X, groups, t, signals=signals)
+    asked = predictor.prepare(X, groups, t, signals=signals)
     clock = _times(t, len(X))
     if clock is None:
         clock = predictor.clock(None, len(X))

@@ -236,7 +236,7 @@ def run(task):
     out["intervals"] = [int(own.sum()), int((inside & own).sum())]
     if task["bodies"] == "prior":
         out["visible"] = visible(case)
-        links = [list(d.bodies) for d in robot.departures_]
+        links = [list(d.bodies) for d in robot.mass_deviations_]
         out["links"] = links
         first = links[0] if links else []
         out["found"] = described.names[case["worst"] + 1] in first

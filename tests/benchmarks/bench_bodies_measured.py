@@ -74,7 +74,7 @@ def row_of(name, data_home=None):
                 errors[bodies].append(error)
             masses[bodies] = mass
             if bodies == "prior":
-                departures = model.departures_
+                departures = model.mass_deviations_
                 common = model.common_size_
     mean = {b: 100 * float(np.mean(e)) for b, e in errors.items()}
     said = "; ".join(f"{'/'.join(d.bodies)} x {d.factors[0]:.2f}" for d in departures)

@@ -62,7 +62,7 @@ def measure(n_joints, names, n_states):
     times, torque = each(stepper.step, rows)
     used = {name for effect in kept.effects_ for name in effect.recorded}
     signals = {name: warmth for name in used}
-    expected = kept.torques(kept.ask(X, signals=signals))
+    expected = kept.torques(kept.prepare(X, signals=signals))
     off = np.abs(torque - expected).max() / expected.std(axis=0).max()
     model = predictor.features_.model_
     data = model.createData()

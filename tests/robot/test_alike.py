@@ -319,7 +319,7 @@ def test_a_search_shares_as_well(model, recording):
 
 
 def groups_of(model, alike="auto", **settings):
-    robot = RobotIdentifier(model, dt=DT, alike=alike, **settings).load()
+    robot = RobotIdentifier(model, dt=DT, alike=alike, **settings).build_model()
     return {one.name: one.joints for one in robot._alike}
 
 

@@ -189,8 +189,8 @@ def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suff
 ):
     right = fitted(a_robot(), recording)
     wrong = fitted(scaled(a_robot(), 0.1, joint=joint), recording)
-    assert not right.departures_
-    first = wrong.departures_[0]
+    assert not right.mass_deviations_
+    first = wrong.mass_deviations_[0]
     assert f"joint_{joint + 1}" in first.bodies
     assert first.log_odds > 3
     own = first.bodies.index(f"joint_{joint + 1}")

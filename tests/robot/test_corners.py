@@ -175,7 +175,7 @@ def test_a_fifth_of_what_corners_moved_is_not_known(monkeypatch):
     assert robot.theta_std_[delay] > 1.2 * certain.theta_std_[delay]
     assert_allclose(robot.theta_, certain.theta_)
     assert_allclose(robot.theta_std_, np.hypot(certain.theta_std_, moved))
-    whole, rest = (x.robot_.spread.covariance for x in (robot, certain))
+    whole, rest = (x.robot_.prediction_covariance.covariance for x in (robot, certain))
     told = np.isfinite(np.diagonal(rest))
     both = np.ix_(told, told)
     expected = rest[both] + np.outer(moved, moved)[both]

@@ -225,7 +225,7 @@ def test_a_slider_is_off_by_millimetres(tmp_path):
     robot = RobotIdentifier(
         source, dt=0.01, effects=[JointZero(1, zero=0.02)], friction=("viscous",)
     )
-    robot.load()
+    robot.build_model()
     (off,) = corrections_of(robot).zeros
     assert off.plain_unit == "mm"
     assert off.subtract == 0.02

@@ -26,7 +26,7 @@ from sklearn_vbjfa.robot import (  # noqa: E402
     VoltageDrive,
     follow_windows,
 )
-from sklearn_vbjfa.robot._equations import segments  # noqa: E402
+from sklearn_vbjfa.robot._equations import build_segments  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
 from tests.model._mujoco import followed  # noqa: E402
 
@@ -552,7 +552,7 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
     own = RecordingStates.of_rows(
         made.segments, robot.robot_.query(made.q, made.groups)[0], (even, odd)
     )
-    (segment,) = segments(made, own, robot.robot_.plan, robot.features_)
+    (segment,) = build_segments(made, own, robot.robot_.plan, robot.features_)
     lowpass = robot.robot_.plan.lowpass
     moments = segment.moments(lowpass, slice(0, segment.n_rows))
     turning = robot.robot_.plan.turning

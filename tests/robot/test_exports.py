@@ -33,7 +33,7 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue
-from sklearn_vbjfa.robot import ColumnPowers, LeftOut
+from sklearn_vbjfa.robot import ColumnMeanSquares, LeftOut
 from sklearn_vbjfa.robot._exports import as_tendons, in_line, to_mjcf
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
@@ -261,7 +261,7 @@ def odd():
         own = np.zeros((4, columns.shape[1], columns.shape[1]))
         own[effect.joint] = columns.T @ columns / 300
         products.append(own)
-    powers = ColumnPowers(
+    powers = ColumnMeanSquares(
         friction=np.mean(declared**2, axis=0), effects=tuple(products)
     )
     return robot, motion, powers

@@ -244,7 +244,7 @@ def test_a_gain_is_known_if_its_interval_is_narrow(gain, std, vague):
     gains = np.array([1.0, 1.5, gain])
     found = ModelValues(
         effects=with_gains(declared_gains((), 3), gains),
-        places=np.arange(5, 8),
+        indices=np.arange(5, 8),
         step=np.zeros(3),
         std=np.array([np.nan, 0.01, std]),
         estimate=PlainEstimate(

@@ -66,10 +66,10 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     a = dynamics.accelerate(q, v, tau / model.gains, np.sign(v), np.zeros(NV, bool))
     X[1, 2 * NV :] = a
     known = signals if bare is predictor else {}
-    expected = bare.torques(bare.ask(X, t=t, signals=known))[1]
+    expected = bare.torques(bare.prepare(X, t=t, signals=known))[1]
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9 * np.abs(tau).max())
     if not looks_ahead(effect):
-        expected = predictor.torques(predictor.ask(X, t=t, signals=signals))
+        expected = predictor.torques(predictor.prepare(X, t=t, signals=signals))
         stepper = Stepper(predictor.torque_model())
         for k, x in enumerate(X):
             now = {own: values[k] for own, values in signals.items()}

@@ -468,4 +468,4 @@ def test_bad_input_is_named(case):
 
 def test_second_moments_are_not_simulated():
     with pytest.raises(ValueError, match="needs the recordings themselves"):
-        RobotIdentifier(arm("ZY"), **SETTINGS).load()
+        RobotIdentifier(arm("ZY"), **SETTINGS).build_model()

@@ -279,7 +279,7 @@ def test_the_deviation_of_a_held_torque_is_that_at_the_end():
         torque, std = fitted.predict(rows, return_std=True)
     end = np.tile([high, 1.0], (3, 1))
     phi = np.hstack([fitted.features_.matrices(rows)[:, 1], end])
-    known = fitted.robot_.spread
+    known = fitted.robot_.prediction_covariance
     assert_allclose(torque[:, 1], phi @ fitted.theta_, rtol=1e-9)
     told = np.isfinite(np.diagonal(known.covariance))
     C, phi = known.covariance[np.ix_(told, told)], phi[:, told]

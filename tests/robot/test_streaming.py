@@ -17,7 +17,7 @@ from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures, RobotIdentifi
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import MotionFacts, Numbering, _equations
+from sklearn_vbjfa.robot import BlockAssignment, MotionFacts, _equations
 from sklearn_vbjfa.robot._plan import n_fastest
 from tests.model._trees import build, by_sample
 
@@ -195,7 +195,7 @@ def test_a_tree_has_the_moments_of_dense_matrices(
         "G": np.einsum("nj,njp,njr->jpr", w, Phi, Phi),
         "noise": 0.25 * np.einsum("nj,njp,njr->jpr", w, apart, apart),
     }
-    numbering = Numbering.of([w.shape[0]])
+    numbering = BlockAssignment.of([w.shape[0]])
     found = _equations.accumulate(
         [segment], lowpass, n_jobs=n_jobs, numbering=numbering
     )

@@ -10,7 +10,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import Numbering, _equations, _identifier
+from sklearn_vbjfa.robot import BlockAssignment, _equations, _identifier
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
@@ -125,13 +125,13 @@ def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, chunk, n_jobs):
 
 
 def test_blocks_are_those_of_their_recordings():
-    numbering = Numbering.of([400, 30, 370])
+    numbering = BlockAssignment.of([400, 30, 370])
     assert numbering.rows == 20
     keys, starts = numbering.parts(2, slice(30, 75))
     assert keys.tolist() == [[2, 1], [2, 2], [2, 3]]
     assert starts.tolist() == [0, 10, 30]
     # a hundred recordings are three to a block
-    keys, starts = Numbering.of([50] * 100).parts(7, slice(10, 50))
+    keys, starts = BlockAssignment.of([50] * 100).parts(7, slice(10, 50))
     assert keys.tolist() == [[2, 0]]
     assert starts.tolist() == [0]
 
@@ -139,7 +139,7 @@ def test_blocks_are_those_of_their_recordings():
 def test_blocks_of_a_motion_that_repeats_are_its_phases():
     """Three periods of forty rows in two recordings, the second begins within one."""
     t = np.r_[0:80, 20:60]
-    numbering = Numbering.of([80, 40], (np.zeros(120, dtype=int), t % 40.0))
+    numbering = BlockAssignment.of([80, 40], (np.zeros(120, dtype=int), t % 40.0))
     assert numbering.rows == 10
     keys, starts = numbering.parts(0, slice(35, 75))
     assert keys.tolist() == [[0, 3], [0, 0], [0, 1], [0, 2], [0, 3]]
@@ -177,7 +177,7 @@ def repeating(seed, period, *, alone=False):
 def by_time(recording, plan):
     """Divide a recording as if no motion repeated."""
     rows = [part.stop - part.start for part in recording.segments]
-    return Numbering.of([plan.lowpass.centres(n).size for n in rows])
+    return BlockAssignment.of([plan.lowpass.centres(n).size for n in rows])
 
 
 @pytest.mark.parametrize("period", [10.0, 4.0])

@@ -109,7 +109,7 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         features_=features.corrected(effects),
         plan=plan,
         theta_=np.r_[parameters(), coefficients()],
-        load=np.r_[parameters(), coefficients(is_plain)],
+        load_parameters=np.r_[parameters(), coefficients(is_plain)],
         spreads=tuple(
             Spread.of_deviations(np.ones(len(effect.coefficients)))
             for effect in effects
@@ -139,7 +139,7 @@ def random_motion(rng, nv, length=200):
 def without(predictor, left_out):
     """Return the same predictor without effects at some places."""
     effects, at = [], predictor.features_.n_parameters_
-    theta, load = [predictor.theta_[:at]], [predictor.load[:at]]
+    theta, load = [predictor.theta_[:at]], [predictor.load_parameters[:at]]
     begin = begin_load = at
     for k, effect in enumerate(predictor.effects_):
         end = begin + len(effect.coefficients)
@@ -147,11 +147,11 @@ def without(predictor, left_out):
         if k not in left_out:
             effects.append(effect)
             theta.append(predictor.theta_[begin:end])
-            load.append(predictor.load[begin_load:end_load])
+            load.append(predictor.load_parameters[begin_load:end_load])
         begin, begin_load = end, end_load
     return replace(
         predictor,
         plan=replace(predictor.plan, effects=tuple(effects)),
         theta_=np.concatenate(theta),
-        load=np.concatenate(load),
+        load_parameters=np.concatenate(load),
     )

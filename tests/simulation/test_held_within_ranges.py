@@ -85,17 +85,21 @@ def with_effect(rng, effect, coef):
         predictor,
         plan=replace(predictor.plan, effects=(effect,)),
         theta_=np.r_[predictor.theta_, coef],
-        load=np.r_[predictor.load, () if "load" in effect.needs else coef],
+        load_parameters=np.r_[
+            predictor.load_parameters, () if "load" in effect.needs else coef
+        ],
     )
 
 
 def torques(predictor, X):
-    return predictor.torques(predictor.ask(X))
+    return predictor.torques(predictor.prepare(X))
 
 
 def load_of(predictor, X):
     """Torques of the bodies that load the joints, by Pinocchio."""
-    bodies = predictor.bodies(predictor.load[: predictor.features_.n_parameters_])
+    bodies = predictor.bodies(
+        predictor.load_parameters[: predictor.features_.n_parameters_]
+    )
     model = predictor.features_.model_.copy()
     model.armature = np.zeros(model.nv)
     for j, body in enumerate(bodies):
@@ -195,11 +199,11 @@ def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
         free,
         plan=replace(free.plan, effects=(Spring(1), Ripple(1, period=0.4))),
         theta_=np.r_[free.theta_, 0.6, 0.0],
-        load=np.r_[free.load, 0.6, 0.0],
+        load_parameters=np.r_[free.load_parameters, 0.6, 0.0],
     )
     own = held(both)
     bare = replace(own, theta_=np.r_[own.theta_[:-4], np.zeros(4)])
-    found, without = (slopes(one, own.ask(X).recording, X) for one in (own, bare))
+    found, without = (slopes(one, own.prepare(X).recording, X) for one in (own, bare))
     q = X[:, 1]
     low, high = widened(-0.2, 0.25, 0.2)
     spring = 3.0 * ((q > low) & (q < high))
@@ -255,10 +259,10 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
         # Positive, so that friction brakes.
         at = predictor.features_.n_parameters_
         predictor.theta_[at:] = 0.1 + abs(predictor.theta_[at:])
-        predictor = replace(predictor, load=predictor.load.copy())
+        predictor = replace(predictor, load_parameters=predictor.load_parameters.copy())
     # What is simulated loads the joints as well.
     bodies = predictor.features_.n_parameters_
-    predictor.load[:bodies] = predictor.theta_[:bodies]
+    predictor.load_parameters[:bodies] = predictor.theta_[:bodies]
     predictor = held(predictor, load=(-0.3, 0.5))
     t = DT * np.arange(40)
     tau = torques(predictor, np.zeros((1, 9))) + 4.0 * np.sin(

@@ -28,7 +28,7 @@ def asked(predictor, X, t=None, signals=None):
     """Torques of all rows at once."""
     used = {name for effect in predictor.effects_ for name in effect.recorded}
     own = {name: x for name, x in (signals or {}).items() if name in used}
-    return predictor.torques(predictor.ask(X, t=t, signals=own))
+    return predictor.torques(predictor.prepare(X, t=t, signals=own))
 
 
 def stepped(stepper, X, t=None, signals=None):
@@ -128,7 +128,7 @@ def test_reset_begins_a_recording():
     X = random_motion(rng, 2, 120)
     groups = np.repeat([0, 1], [50, 70])
     t = DT * np.arange(len(X))
-    expected = predictor.torques(predictor.ask(X, groups, t))
+    expected = predictor.torques(predictor.prepare(X, groups, t))
     stepper = Stepper(predictor.torque_model())
     assert stepper.left_out_ == ()
     first = stepped(stepper, X[:50], t[:50])
@@ -205,7 +205,7 @@ def with_effects(rng, own, nv=3):
         predictor,
         plan=replace(predictor.plan, effects=(*predictor.effects_, *own)),
         theta_=np.r_[predictor.theta_, rng.normal(size=widths)],
-        load=np.r_[predictor.load, rng.normal(size=plain)],
+        load_parameters=np.r_[predictor.load_parameters, rng.normal(size=plain)],
     )
     if made.plan.timed:
         made = replace(made, plan=replace(made.plan, time=(2.0, 4.0)))

@@ -11,7 +11,7 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._sandwich import block_variance
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
-from sklearn_vbjfa.robot._joint_moments import Numbering
+from sklearn_vbjfa.robot._joint_moments import BlockAssignment
 from sklearn_vbjfa.robot._residuals import TorqueResiduals
 
 # Probability below the upper end of an interval, and above its lower end.
@@ -72,7 +72,7 @@ class FinalFit:
             view.states,
             view.clock,
             view.parts,
-            identifier.robot_.load,
+            identifier.robot_.load_parameters,
             view.robot.cutoff_,
             rest=view.robot.plan.turning,
             effects=effects,
@@ -271,10 +271,10 @@ def _shares(weight, values, total):
 
 
 def _blocks(view):
-    """Yield the rows of each block of a view and its place, as `Numbering` has them."""
+    """Yield the rows of each block of a view and its place, see `BlockAssignment`."""
     edges = [*view.starts.tolist(), view.index.size]
     phases = view.phases and (view.phases[0], view.phases[1] / view.step)
-    numbering = Numbering.of(np.diff(edges).tolist(), phases)
+    numbering = BlockAssignment.of(np.diff(edges).tolist(), phases)
     places = []
     for number, (first, last) in enumerate(itertools.pairwise(edges)):
         own, starts = numbering.parts(number, slice(0, last - first))

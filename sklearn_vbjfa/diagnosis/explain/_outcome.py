@@ -209,7 +209,7 @@ class Outcome:
     gains: ChannelGains | None = None
     # what effects in the model that is handed over ask for
     corrections: Corrections = field(default_factory=Corrections)
-    # bodies that are not as described; see `RobotIdentifier.departures_`
+    # bodies that are not as described; see `RobotIdentifier.mass_deviations_`
     departures: tuple = ()
     # how many times as heavy all bodies together are as described
     common_size: float = 1.0
@@ -293,7 +293,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         outside=judgement.outside,
         gains=final.identifier.gains_,
         corrections=corrections_of(final.identifier),
-        departures=final.identifier.departures_,
+        departures=final.identifier.mass_deviations_,
         common_size=final.identifier.common_size_,
         alike=final.identifier.alike_,
         parameters=parameter_values(final.identifier),

@@ -63,10 +63,9 @@ class Equations:
     instruments: np.ndarray | None = None
     # (n, nv, p) or None: regressors from the even samples minus the odd ones
     difference: np.ndarray | None = None
-    blocks: tuple | None = (
-        None  # blocks of time of the rows, see `BlockAssignment.parts`
-    )
-    recording: tuple | None = None  # that they are of, see `BlockAssignment.recording`
+    # blocks of time of the rows, and their recording, see `BlockAssignment`
+    blocks: tuple | None = None
+    recording: tuple | None = None
     # ranges of positions, speeds and directions in rows with weight
     ranges: SignalRanges | None = None
 
@@ -685,7 +684,6 @@ def numbered(recording, plan):
     sizes = [part.stop - part.start for part in recording.segments]
     centres = [plan.lowpass.centres(n) for n in sizes]
     lengths, clock = [own.size for own in centres], recording.clock()
-    # A mean period holds each phase once.
     if clock is None or not sum(lengths):
         return BlockAssignment.of(lengths)
     repetition = find_repetition(recording.q, clock, recording.segments)

@@ -73,7 +73,7 @@ class Source:
     numbering: object  # of the rows, see `numbered`
     n_jobs: object = None
 
-    def build_segments(self, robot, **changes):
+    def segments(self, robot, **changes):
         """Segments of the equations of a robot, with changes of its plan."""
         plan = replace(robot.plan, **changes)
         known = {"theta": robot.load_parameters}

@@ -283,11 +283,13 @@ def test_samples_of_delay_and_damping_belong_together(tmp_path):
     robot.save(tmp_path / "arm.json")
     for one in (robot.robot_, load_identified(tmp_path / "arm.json")):
         # Within a recording, as the covariance is.
-        drawn = replace(one, between=None).sample(4000, random_state=0)[:, at]
+        drawn = replace(one, recording_variance=None).sample(4000, random_state=0)[
+            :, at
+        ]
         assert_allclose(np.corrcoef(drawn.T), correlation, atol=0.08)
         assert_allclose(drawn.std(axis=0), size, rtol=0.25)
         assert_allclose(drawn.std(axis=0), robot.theta_std_[at], rtol=0.2)
-    among = replace(robot.robot_, between=None).ranges().correlation
+    among = replace(robot.robot_, recording_variance=None).ranges().correlation
     assert_allclose(among[np.ix_(at, at)], correlation, atol=0.08)
 
 

@@ -106,7 +106,7 @@ def test_one_recording_has_the_deviations_of_the_fit(urdf):
     X, y, _, _ = recordings(urdf, 3, 1, off=share_of(0.0), noise=1.0)
     robot = RobotIdentifier(urdf, bodies="fixed").fit(X, y)
     # without what its stretches differ by
-    alone = dataclasses.replace(robot.robot_, between=None)
+    alone = dataclasses.replace(robot.robot_, recording_variance=None)
     found = alone.ranges(level=0.8)
     assert found.recordings == 1
     for k, name in enumerate(robot.parameter_names_[10:], start=10):
@@ -358,7 +358,7 @@ def test_samples_are_robots(bodies, simulated):
     assert parts[:, :, [10, 11, 13]].min() >= 0
     assert (parts[:, :, 12] < 0).any()
     # They are as good as the robot itself, but for how far recordings differ.
-    within = dataclasses.replace(robot.robot_, between=None)
+    within = dataclasses.replace(robot.robot_, recording_variance=None)
     states = robot.state_estimator_.transform(simulated.q, groups=simulated.groups)
     rows = states[::50]
     torque, std = robot.predict(rows, return_std=True)

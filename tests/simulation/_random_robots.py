@@ -110,7 +110,7 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         plan=plan,
         theta_=np.r_[parameters(), coefficients()],
         load_parameters=np.r_[parameters(), coefficients(is_plain)],
-        spreads=tuple(
+        coefficient_covariances=tuple(
             Spread.of_deviations(np.ones(len(effect.coefficients)))
             for effect in effects
         ),

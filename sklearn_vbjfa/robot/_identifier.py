@@ -958,7 +958,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
         friction at rest, and noise above the low-pass are not in it.
         """
-        return self.robot_._predict(X, groups, t, signals, return_std)
+        return self.robot_.predicted(X, groups, t, signals, return_std)
 
     @property
     def robot_(self):

@@ -534,9 +534,9 @@ class IdentifiedRobot(SimulatesTorques):
             If the motion leaves what effects were fitted on; see
             `RobotIdentifier.predict`.
         """
-        return self._predict(X, groups, t, signals, return_std)
+        return self.predicted(X, groups, t, signals, return_std)
 
-    def _predict(self, X, groups, t, signals, return_std):
+    def predicted(self, X, groups, t, signals, return_std):
         """Predict torques; warn who called the caller of what is outside."""
         X, signals = self.checked(X, signals)
         if return_std and self.prediction_covariance is None:

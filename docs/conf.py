@@ -90,6 +90,7 @@ sphinx_gallery_conf = {
     "examples_dirs": "../examples",
     "gallery_dirs": "auto_examples",
     "filename_pattern": r"/plot_",
+    "ignore_pattern": r"paper_robots",
     # The task first, then methods, then the figures of the paper.
     "subsection_order": ExplicitOrder(
         [

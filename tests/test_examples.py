@@ -9,7 +9,7 @@ from unittest import mock
 import numpy as np
 import pytest
 
-EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").rglob("*.py"))
+EXAMPLES = sorted((Path(__file__).resolve().parents[1] / "examples").rglob("plot_*.py"))
 MEASURED, RUNS = (
     next(path for path in EXAMPLES if path.stem == stem)
     for stem in ("plot_measured_robots", "plot_ten_runs")
@@ -41,7 +41,11 @@ def run(path):
     plt.close("all")
     started = time.process_time()
     code = compile(path.read_text(encoding="utf-8"), str(path), "exec")
-    with mock.patch.object(sys, "argv", [str(path)]):
+    beside = [str(path.parent), *sys.path]
+    with (
+        mock.patch.object(sys, "argv", [str(path)]),
+        mock.patch.object(sys, "path", beside),
+    ):
         exec(code, {"__name__": "__main__"})
     figures = plt.get_fignums()
     plt.close("all")

@@ -23,6 +23,7 @@ import warnings
 
 import matplotlib.pyplot as plt
 import numpy as np
+from paper_robots import make_closed_loop_recording, simulate_tracking
 from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold
 
@@ -32,7 +33,6 @@ from sklearn_vbjfa import (
     StepwiseRegressor,
     VBJFARegressor,
 )
-from sklearn_vbjfa.datasets import make_closed_loop_recording, simulate_tracking
 
 recording = make_closed_loop_recording(
     "arm", duration=6.0, dt=1 / 150, n_recordings=6, random_state=0

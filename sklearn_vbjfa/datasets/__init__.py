@@ -5,12 +5,6 @@ from typing import TYPE_CHECKING
 from sklearn_vbjfa import _lazily
 
 if TYPE_CHECKING:
-    from sklearn_vbjfa.datasets._closed_loop import (
-        ClosedLoopRecording,
-        TrackingResult,
-        make_closed_loop_recording,
-        simulate_tracking,
-    )
     from sklearn_vbjfa.datasets._measured import (
         fetch_bam_xl330,
         fetch_dfki_double_pendulum,
@@ -29,28 +23,16 @@ if TYPE_CHECKING:
         load_demo_recording,
         make_robot_recording,
     )
-    from sklearn_vbjfa.datasets._robots import load_arm_model, load_head_model
     from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
     from sklearn_vbjfa.inspection import inspect_recording
     from sklearn_vbjfa.recording import Recording, read_recording
 
 # A name is imported when it is asked for: the demonstration needs no loader of others.
-# What is not in __all__ is for the command line, and for tests of the catalogue, the
-# downloads and the simulators.
+# What is not in __all__ is for tests and benchmarks.
 _MODULES = {
     ".inspection": ("inspect_recording",),
     ".recording._reader": ("read_recording",),
     ".recording._recording": ("Recording",),
-    "_closed_loop": (
-        "ClosedLoop",
-        "ClosedLoopRecording",
-        "Gains",
-        "TrackingResult",
-        "closed_loop_chunks",
-        "low_gains",
-        "make_closed_loop_recording",
-        "simulate_tracking",
-    ),
     "_measured": (
         "SETS",
         "fetch_bam_xl330",
@@ -73,24 +55,20 @@ _MODULES = {
         "make_robot_recording",
     ),
     "_robots": (
-        "EFFECTS",
         "demo_arm_urdf",
-        "draw_motion",
-        "draw_plant",
         "joint_range",
-        "load_arm_model",
-        "load_head_model",
+        "recording_fields",
         "rigid_torques",
+        "speed_limit",
+        "true_inertias",
         "with_inertias",
     ),
     "_synthetic": ("NoisyRegression", "make_noisy_regression"),
 }
 __all__ = [
-    "ClosedLoopRecording",
     "NoisyRegression",
     "Recording",
     "SimulatedRecording",
-    "TrackingResult",
     "fetch_bam_xl330",
     "fetch_dfki_double_pendulum",
     "fetch_emps",
@@ -103,13 +81,9 @@ __all__ = [
     "fetch_unitree_go2",
     "fetch_ur5",
     "inspect_recording",
-    "load_arm_model",
     "load_demo_recording",
-    "load_head_model",
-    "make_closed_loop_recording",
     "make_noisy_regression",
     "make_robot_recording",
     "read_recording",
-    "simulate_tracking",
 ]
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

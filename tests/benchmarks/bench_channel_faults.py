@@ -16,6 +16,7 @@ from importlib import resources
 
 import _undeclared_robots as robots
 import numpy as np
+from _paper_robots import load_paper_robot
 from _report import add_root_to_path, fixed, parser, publish, rst_table, rst_title
 
 from sklearn_vbjfa import datasets
@@ -47,13 +48,20 @@ URDFS = ("demo_arm", "arm", "head", "kr300_nominal")
 GRAVE = {"error", "doubt"}
 
 
+def _described(name):
+    """Return the model of a robot by name."""
+    if name in ("arm", "head"):
+        return load_paper_robot(name)
+    folder = resources.files("sklearn_vbjfa.datasets").joinpath("robots")
+    return load_model(str(folder.joinpath(f"{name}.urdf")))
+
+
 def simulated(seed):
     """One sound recording: nominal model, positions, torques, sample period."""
     rng = np.random.default_rng([seed, 77])
     which = seed % (len(URDFS) + 3)
     if which < len(URDFS):
-        folder = resources.files("sklearn_vbjfa.datasets").joinpath("robots")
-        model = load_model(str(folder.joinpath(f"{URDFS[which]}.urdf")))
+        model = _described(URDFS[which])
     else:
         model = robots.nominal_robot(("serial", "prismatic", "tree")[which - 4], rng)
         for _ in range(50):

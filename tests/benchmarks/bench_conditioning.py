@@ -141,12 +141,13 @@ def least_squares_of_factor(factor):
 
 def robot_errors(noise, n, seed=0):
     """Relative errors of new torques: scatter, QR; their difference; rank and size."""
-    from sklearn_vbjfa.datasets import load_arm_model
+    from _paper_robots import load_paper_robot
+
     from sklearn_vbjfa.model import nominal_parameters
     from sklearn_vbjfa.robot import joint_moments
     from sklearn_vbjfa.robot._estimate import least_squares
 
-    model = load_arm_model()
+    model = load_paper_robot("arm")
     theta = np.append(np.ravel(nominal_parameters(model)), np.full(model.nv, 0.5))
     rng = np.random.default_rng(seed)
     stats, factor, weight = None, np.zeros((0, theta.size + 1)), None

@@ -27,6 +27,11 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
+from _paper_robots import (
+    draw_motion,
+    make_closed_loop_recording,
+    simulate_tracking,
+)
 from _report import add_root_to_path, parser, publish, rst_table, rst_title
 from sklearn.linear_model import LassoCV, RidgeCV
 from sklearn.model_selection import KFold
@@ -42,12 +47,7 @@ from sklearn_vbjfa import (
     load_identified,
 )
 from sklearn_vbjfa._core._lowpass import BlockFilter, Lowpass
-from sklearn_vbjfa.datasets import (
-    draw_motion,
-    make_closed_loop_recording,
-    rigid_torques,
-    simulate_tracking,
-)
+from sklearn_vbjfa.datasets import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
 from sklearn_vbjfa.robot import JointMoments
 from sklearn_vbjfa.robot import _fit as course

@@ -43,10 +43,13 @@ def _model(robot):
     """Model of a robot by name."""
     from importlib import resources
 
+    from _paper_robots import load_paper_robot
+
     from sklearn_vbjfa.model import load_model
 
-    files = {"demo_arm": "demo_arm.urdf", "head": "head.urdf"}
-    name = files.get(robot, "kr300_nominal.urdf")
+    if robot == "head":
+        return load_paper_robot("head")
+    name = "demo_arm.urdf" if robot == "demo_arm" else "kr300_nominal.urdf"
     return load_model(str(resources.files("sklearn_vbjfa.datasets") / "robots" / name))
 
 

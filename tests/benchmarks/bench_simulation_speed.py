@@ -201,10 +201,12 @@ def saved(label, folder, seconds=4.0, dt=0.002):
     seconds, dt : float
         Length of the motion and sample period [s].
     """
-    from sklearn_vbjfa import RobotIdentifier, load_identified
-    from sklearn_vbjfa.datasets import load_head_model, make_robot_recording
+    from _paper_robots import load_paper_robot
 
-    model = load_head_model()
+    from sklearn_vbjfa import RobotIdentifier, load_identified
+    from sklearn_vbjfa.datasets import make_robot_recording
+
+    model = load_paper_robot("head")
     recording = make_robot_recording(
         model, duration=seconds, dt=dt, encoder_noise=0.0, random_state=SEED
     )

@@ -5,10 +5,8 @@ import difflib
 import os
 import re
 import shlex
-import shutil
 import signal
 import sys
-import textwrap
 
 from sklearn_vbjfa import _lazily
 from sklearn_vbjfa._cli._run import (
@@ -16,15 +14,9 @@ from sklearn_vbjfa._cli._run import (
     EPILOG,
     REFUSED,
     USABLE,
-    Stopped,
     exit_line,
-    ignore_stops,
-    open_streams,
     run,
     say,
-    stoppable,
-    stopped_by,
-    without_collection,
     wrapped,
 )
 
@@ -38,7 +30,6 @@ _MODULES = {
         "no_formula",
         "sources",
     ),
-    "_run": ("STOPS",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)
 
@@ -355,13 +346,22 @@ _COMMANDS = {
 
 
 class _Parser(argparse.ArgumentParser):
-    """Parser that tells the exit codes, whose refusals are as short as a run's."""
+    """Parser that shows the exit codes, and suggests a command or an option."""
 
-    def __init__(self, **given):
-        super().__init__(epilog=EPILOG, **given)
+    def __init__(self, **settings):
+        super().__init__(epilog=EPILOG, **settings)
 
     def error(self, message):
-        super().error(one_line(message))
+        """End with exit code 2 and one line."""
+        found = re.search(r"invalid choice: '([^']*)'", message)
+        if found and "COMMAND" in message:
+            message = f"{found[1]!r} is not a command{_suggestion(found[1], _COMMANDS)}"
+        self.exit(REFUSED, f"{self.prog}: {one_line(message)}; see {self.prog} -h\n")
+
+
+def _suggestion(word, known):
+    near = difflib.get_close_matches(word, known, 1)
+    return f"; did you mean {near[0]}?" if near else ""
 
 
 def _parser():
@@ -395,58 +395,27 @@ def _add(commands, name, *, run, arguments="", own=None, **told):
     command.set_defaults(run=run, command=name, defaults=defaults)
 
 
-def _arguments(argv):
-    """Parse arguments; what a parser prints may meet a reader that has left."""
-    try:
-        words = sys.argv[1:] if argv is None else argv
-        parser = _parser()
-        arguments, more = parser.parse_known_args(_joined(list(map(str, words))))
-        files = getattr(arguments, "recording", None)
-        options = [word for word in more if word.startswith("-") and word != "-"]
-        if isinstance(files, list) and not options:
-            # Recordings behind an option, which argparse leaves over.
-            files += more
-        elif more:
-            parser.error(_not_taken(options or more, arguments.command))
-        own = vars(arguments)
-        arguments.given = {name for name in own if own[name] not in (None, [])}
-        for name, value in arguments.defaults.items():
-            if own[name] is None:
-                own[name] = value
-        arguments.written, arguments.doubts, arguments.page = False, (), False
-        return arguments
-    finally:
-        _flush()
-
-
-def _not_taken(words, command):
-    """Say what a command does not take, and where it belongs."""
-    told = f"unrecognized arguments: {' '.join(words)}"
-    option = words[0].partition("=")[0]
-    takes = {name: one.get("arguments", "").split() for name, one in _COMMANDS.items()}
-    others = [name for name, own in takes.items() if option in own]
-    near = difflib.get_close_matches(option, takes.get(command, ()), 1, 0.75)
-    if others:
-        told += f"; {option} belongs to {', '.join(others)}"
-    elif near:
-        told += f" (close to it: {near[0]})"
-    whose = "" if command is None else f" {command}"
-    return f"{told}. sklearn-vbjfa{whose} --help lists what there is"
-
-
-# Options whose lists of numbers may begin with a minus.
-_SIGNED = ("--start", "--gain", "--base-orientation")
-
-
-def _joined(words):
-    """Join options and the lists of numbers behind them that begin with a minus."""
-    found = []
-    for word in words:
-        if found and found[-1] in _SIGNED and re.match(r"-\.?\d", word):
-            found[-1] += f"={word}"
-        else:
-            found.append(word)
-    return found
+def _parse(words):
+    """Parse the words of a command line."""
+    parser = _parser()
+    arguments, more = parser.parse_known_args(words)
+    files = getattr(arguments, "recording", None)
+    unknown = [word for word in more if word.startswith("-") and word != "-"]
+    if isinstance(files, list) and not unknown:
+        # Recordings after an option, which argparse leaves over.
+        files += more
+    elif more:
+        option = (unknown or more)[0].partition("=")[0]
+        known = _COMMANDS.get(arguments.command, {}).get("arguments", "").split()
+        near = _suggestion(option, known)
+        parser.error(f"unrecognized arguments: {' '.join(unknown or more)}{near}")
+    values = vars(arguments)
+    arguments.given = {name for name in values if values[name] not in (None, [])}
+    for name, value in arguments.defaults.items():
+        if values[name] is None:
+            values[name] = value
+    arguments.written, arguments.doubts, arguments.page = False, (), False
+    return arguments
 
 
 def spelled(name):
@@ -460,64 +429,53 @@ def spelled(name):
 
 
 def program():
-    """Run the command line as a program of its own; return the exit code of `main`."""
-    try:
-        open_streams()
-        return main()
-    except KeyboardInterrupt:
-        # Before or after a run takes care of it.
-        _tell("interrupted")
-        return 128 + signal.SIGINT
-    finally:
-        ignore_stops()
+    """Run the command line as a program; return the exit code of `main`."""
+    return main()
 
 
 def main(argv=None):
     """Run the command line; return its exit code, see `EPILOG`."""
-    arguments = None
+    words = list(map(str, sys.argv[1:] if argv is None else argv))
+    arguments = argparse.Namespace(written=False, doubts=(), page=False)
     try:
-        with stoppable():
-            # Imports take a second, in which a run may be stopped as well.
-            arguments = _arguments(argv)
-            with without_collection():
-                from sklearn_vbjfa.physical._solver import one_blas_thread
+        try:
+            arguments = _parse(words)
+            from sklearn_vbjfa.physical._solver import one_blas_thread
 
             # The matrices are small: threads would only wait for each other.
             with one_blas_thread():
                 run(arguments)
-            _flush()
+        finally:
+            sys.stdout.flush()
     except BrokenPipeError:
-        # The reader (head, less) has seen enough: the rest goes nowhere.
+        # The reader (head, less) has left: what follows goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-    except (KeyboardInterrupt, Stopped) as stop:
-        return _tell_stop(getattr(stop, "number", signal.SIGINT), arguments)
+    except KeyboardInterrupt:
+        _tell("interrupted")
+        return 128 + signal.SIGINT
     except MemoryError:
         _tell(
             "not enough memory; give a shorter recording or fewer effects (--effects)"
         )
         return _given_up(arguments)
     except (ValueError, OSError, ImportError) as error:
-        if stopped_by() is not None:
-            return _tell_stop(stopped_by(), arguments)
-        _refuse(one_line(_in_words(error, arguments)), _remedy(error, argv))
+        _refuse(one_line(_in_words(error, arguments)), _remedy(error, words))
         return _given_up(arguments)
-    if arguments is None or not arguments.doubts:
+    if not arguments.doubts:
         return USABLE
-    told = exit_line(arguments.doubts, arguments.page)
-    say(wrapped(one_line(f"note: {told}"), sys.stderr))
+    last = exit_line(arguments.doubts, arguments.page)
+    say(wrapped(one_line(f"note: {last}"), sys.stderr))
     return DOUBTFUL
 
 
 def _given_up(arguments):
-    """Return the exit code of a run that could not go on to its end."""
-    is_written = arguments is not None and arguments.written
-    return DOUBTFUL if is_written else REFUSED
+    """Return the exit code of a run that ended before its end."""
+    return DOUBTFUL if arguments.written else REFUSED
 
 
 def _in_words(error, arguments):
-    """Return what a refusal says, without what only concerns callers of a function."""
-    done = arguments is not None and arguments.written
-    written = "; all files were written" if done else ""
+    """Return the message of a refusal."""
+    written = "; all files were written" if arguments.written else ""
     if isinstance(error, OSError) and error.strerror:
         # Writing to a stream names no file.
         what = error.filename or "the standard output"
@@ -525,68 +483,45 @@ def _in_words(error, arguments):
     return f"{getattr(error, 'reason', error)}{written}"
 
 
-def _remedy(error, argv):
-    """Say which command, or which file, would work; "" for none."""
-    options, content = (getattr(error, name, "") for name in ("options", "content"))
+def _remedy(error, words):
+    """Return the command with the options of an error in place of those typed."""
+    options = {spelled(k): v for k, v in getattr(error, "options", {}).items()}
     if not options:
-        return f"a file with {content}" if content else ""
-    if "drive" in options:
-        # It has gains of its own.
-        options = {**options, "gains": None}
-    words, changed = [], {spelled(key): value for key, value in options.items()}
-    given = iter(sys.argv[1:] if argv is None else argv)
-    for word in given:
-        option = str(word).partition("=")[0]
-        if option not in changed:
-            words.append(str(word))
-        elif "=" not in str(word):
-            next(given, None)
-    for option, value in changed.items():
+        return ""
+    if "--drive" in options:
+        # A drive has gains of its own.
+        options["--gain"] = None
+    kept, rest = [], iter(words)
+    for word in rest:
+        option = word.partition("=")[0]
+        if option not in options:
+            kept.append(word)
+        elif "=" not in word:
+            next(rest, None)
+    for option, value in options.items():
         if value is True:
-            words.append(option)
+            kept.append(option)
         elif value is not None:
-            text = _typed(value)
             # A list that begins with a minus would be taken for an option.
-            words += [f"{option}={text}"] if text.startswith("-") else [option, text]
-    return f"python -m sklearn_vbjfa {shlex.join(words)}"
+            kept.append(f"{option}={_typed(value)}")
+    return f"python -m sklearn_vbjfa {shlex.join(kept)}"
 
 
 def _typed(value):
-    """Return a value of an option as it is typed."""
+    """Return the value of an option as it is typed."""
     if isinstance(value, tuple):
         return ",".join(map(_typed, value))
     return value if isinstance(value, str) else f"{value:.15g}"
 
 
-def _tell_stop(number, arguments):
-    """Say that a signal has stopped the run; the exit code."""
-    name = signal.Signals(number).name
-    how = "interrupted" if number == signal.SIGINT else f"stopped ({name})"
-    written = arguments is not None and arguments.written
-    _tell(f"{how}, {'all files were' if written else 'nothing was'} written")
-    return 128 + number
-
-
-def _flush():
-    # A process without a standard output has none.
-    if sys.stdout is not None:
-        sys.stdout.flush()
-
-
 def _refuse(message, remedy):
-    """Print a refusal: one line, which a terminal gets wrapped but for a command."""
-    if remedy:
-        message += "; this would work:"
-    if sys.stderr is not None and sys.stderr.isatty():
-        width = max(shutil.get_terminal_size().columns, 40)
-        name = "sklearn-vbjfa: "
-        lines = textwrap.fill(
-            message, width, initial_indent=name, break_on_hyphens=False
-        )
-        message = "\n".join(filter(None, [lines.removeprefix(name), remedy]))
-    elif remedy:
-        message += f" {remedy}"
-    _tell(message)
+    """Print a refusal in one line, wrapped on a terminal except for the command."""
+    if not remedy:
+        _tell(wrapped(message, sys.stderr))
+    elif sys.stderr is not None and sys.stderr.isatty():
+        _tell(wrapped(f"{message}; this would work:", sys.stderr) + f"\n{remedy}")
+    else:
+        _tell(f"{message}; this would work: {remedy}")
 
 
 def _tell(message):
@@ -595,7 +530,7 @@ def _tell(message):
 
 
 def one_line(message):
-    """Return a message as one line; of a huge one the middle is left out, and said."""
+    """Return a message as one line, without the middle of a huge one."""
     text = " ".join(str(message).split())
     if len(text) > _LONGEST:
         left = len(text) - _LONGEST

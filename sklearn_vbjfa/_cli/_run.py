@@ -1,21 +1,13 @@
-"""One run of a command: read, compute, write and print; signals, streams, exit code.
-
-A signal ends a run like an exception, so that files are written completely or not at
-all. Nothing is imported here but the standard library: it has to be in place before
-what takes its time to import.
-"""
+"""One run of a command: compute, write, print, and decide on the exit code."""
 
 import contextlib
-import gc
 import importlib
 import os
 import re
 import shutil
-import signal
 import sys
 import tempfile
 import textwrap
-import threading
 import warnings
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -41,7 +33,6 @@ class Done:
 
 def run(arguments):
     """Run the command that arguments name."""
-    # A command sets its doubts before it prints: the reader of its output may leave.
     from sklearn_vbjfa._core._progress import show_progress
 
     module, _, name = arguments.run.partition(":")
@@ -69,7 +60,7 @@ def _write(arguments, done, caught):
     if done.fresh and any((done.folder / name).exists() for name in done.files):
         done = replace(done, folder=free(done.folder))
     try:
-        with undisturbed(), stage("writing"):
+        with stage("writing"):
             done.folder.mkdir(parents=True, exist_ok=True)
             with tempfile.TemporaryDirectory(
                 dir=done.folder, prefix=".writing-"
@@ -139,8 +130,7 @@ USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 EPILOG = (
     "exit code: 0 if the result can be used; 2 if nothing was done, and one line on "
     "stderr says why; 3 if it was done with a doubt that is stated: something was left "
-    "out, failed, could not be judged, or is not to be trusted; 128 plus the number of "
-    "a signal that ended the run, 130 for an interrupt"
+    "out, failed, could not be judged, or is not to be trusted; 130 for an interrupt"
 )
 
 # Doubts that the last line names; all of them are in what was printed before, or on
@@ -171,25 +161,6 @@ def _doubts_of(caught):
     return list(dict.fromkeys(texts))
 
 
-# -- start ----------------------------------------------------------------------------
-
-
-@contextlib.contextmanager
-def without_collection():
-    """Import without looking for garbage, of which imports leave none."""
-    is_first = gc.isenabled() and "sklearn" not in sys.modules
-    if not is_first:
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-        # Nor is it looked for in them afterwards.
-        gc.freeze()
-    finally:
-        gc.enable()
-
-
 # -- terminals -------------------------------------------------------------------------
 
 
@@ -217,94 +188,3 @@ def wrapped(text, stream):
         return text
     width = shutil.get_terminal_size().columns
     return textwrap.fill(text, max(width, 40), break_on_hyphens=False)
-
-
-# -- signals and streams ---------------------------------------------------------------
-
-# Of these, SIGINT raises KeyboardInterrupt already; Windows has no SIGHUP.
-STOPS = [
-    getattr(signal, name)
-    for name in ("SIGINT", "SIGTERM", "SIGHUP")
-    if hasattr(signal, name)
-]
-
-
-class Stopped(BaseException):
-    """The process was asked to end by a signal, whose number is given."""
-
-    def __init__(self, number):
-        super().__init__(signal.Signals(number).name)
-        self.number = int(number)
-
-
-@contextlib.contextmanager
-def _handlers(handle):
-    """Handle all stop signals by a function; possible in the main thread only."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    # A signal that is ignored, as under nohup, stays ignored.
-    before = {
-        number: signal.getsignal(number)
-        for number in STOPS
-        if signal.getsignal(number) is not signal.SIG_IGN
-    }
-    for number in before:
-        signal.signal(number, handle)
-    try:
-        yield
-    finally:
-        for number, old in before.items():
-            signal.signal(number, old)
-
-
-# Signals that came since a run began.
-_CAME = []
-
-
-def _stop(number, frame):
-    _CAME.append(number)
-    raise Stopped(number)
-
-
-def stopped_by():
-    """Return the number of the signal that has stopped the run, or None."""
-    # Compiled modules may turn the exception into an error of their own.
-    return _CAME[0] if _CAME else None
-
-
-def stoppable():
-    """Let signals end a run like an exception, so that it tidies up."""
-    _CAME.clear()
-    return _handlers(_stop)
-
-
-def ignore_stops():
-    """Let a process that has done its work end in peace."""
-    for number in STOPS:
-        signal.signal(number, signal.SIG_IGN)
-
-
-@contextlib.contextmanager
-def undisturbed():
-    """Postpone signals until a few files are written."""
-    waiting = []
-    with _handlers(lambda number, frame: waiting.append(number)):
-        yield
-    if waiting:
-        signal.raise_signal(waiting[0])
-
-
-def open_streams():
-    """Give the process the standard streams that it was started without."""
-    # Otherwise the next file that is opened would take the place of one, and its
-    # messages would go there.
-    for number in range(3):
-        try:
-            os.fstat(number)
-        except OSError:
-            # The lowest number that is free, which is this one.
-            os.open(os.devnull, os.O_RDWR)
-    for name in ("stdout", "stderr"):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, "w", encoding="utf-8"))

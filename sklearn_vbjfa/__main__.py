@@ -2,7 +2,7 @@
 
 import sys
 
-from sklearn_vbjfa._cli import program
+from sklearn_vbjfa._cli import main
 
 if __name__ == "__main__":
-    sys.exit(program())
+    sys.exit(main())

@@ -203,11 +203,6 @@ _ARGUMENTS = {
         "help": "positions at which the motion begins and ends [rad or m], one for "
         "each joint with commas between them; by default the best",
     },
-    "--limits": {
-        "metavar": "FILE",
-        "help": "limits in place of those of the description: CSV or JSON with joint "
-        "and any of lower, upper, velocity, acceleration, torque, in SI units",
-    },
     "--velocity": {
         "metavar": "LIMITS",
         "help": _LIMITS.format("velocity", "rad/s or m/s"),
@@ -245,23 +240,22 @@ _READ = (
 )
 _READ += "--gain --drive"
 _IDENTIFIED = "--friction --known-mass --bodies --alike --cutoff"
-_REQUIRED = {"recording": {"nargs": "+"}, "--urdf": {"required": True}}
+_REQUIRED = {"recording": {"nargs": "+"}}
+
+_WITH_URDF = ("close-loop", "inspect")
 
 # Command -> where it is done, its arguments, what is different of them, and its help.
 _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
-        f"{_IDENTIFIED} --effects --seed --quiet",
+        f"{_IDENTIFIED} --effects --quiet",
         "own": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
             "--effects": {
                 "default": "all",
                 "help": "effects to look for, by default all; see the command effects",
-            },
-            "--seed": {
-                "help": "recorded in the report; nothing of the search is random"
             },
         },
         "help": "find what the model of your robot lacks",
@@ -300,14 +294,13 @@ _COMMANDS = {
         "measured motion. A robot whose --drive is told positions is told the recorded "
         "ones and nothing else, over windows and whole recordings. The first 70 % of "
         "every recording are identified and windows of the rest are simulated; with "
-        "--model, windows of the whole recording. "
-        "Without RECORDING, the one that comes with the package. Writes simulation.csv "
-        "and, with matplotlib, a picture of each recording.",
+        "--model, windows of the whole recording. Without RECORDING, the one that "
+        "comes with the package. Writes simulation.csv.",
     },
     "design": {
         "run": "_design:run",
         "arguments": "--urdf --base-orientation --report --duration --out --force --dt "
-        "--joints --start --limits --velocity --acceleration --torque --scale "
+        "--joints --start --velocity --acceleration --torque --scale "
         "--effects --seed --quiet",
         "own": {
             "--urdf": {
@@ -360,7 +353,7 @@ class _Parser(argparse.ArgumentParser):
 
 
 def _suggestion(word, known):
-    near = difflib.get_close_matches(word, known, 1)
+    near = difflib.get_close_matches(word, known, 1, 0.7)
     return f"; did you mean {near[0]}?" if near else ""
 
 
@@ -408,8 +401,11 @@ def _parse(words):
         option = (unknown or more)[0].partition("=")[0]
         known = _COMMANDS.get(arguments.command, {}).get("arguments", "").split()
         near = _suggestion(option, known)
+        parser.prog = " ".join(filter(None, [parser.prog, arguments.command]))
         parser.error(f"unrecognized arguments: {' '.join(unknown or more)}{near}")
     values = vars(arguments)
+    if values.get("urdf", "") is None and arguments.command in _WITH_URDF:
+        parser.error("give --urdf FILE, the description of the robot")
     arguments.given = {name for name in values if values[name] not in (None, [])}
     for name, value in arguments.defaults.items():
         if values[name] is None:
@@ -428,11 +424,6 @@ def spelled(name):
 # -- a run and its end -----------------------------------------------------------------
 
 
-def program():
-    """Run the command line as a program; return the exit code of `main`."""
-    return main()
-
-
 def main(argv=None):
     """Run the command line; return its exit code, see `EPILOG`."""
     words = list(map(str, sys.argv[1:] if argv is None else argv))
@@ -446,7 +437,7 @@ def main(argv=None):
             with one_blas_thread():
                 run(arguments)
         finally:
-            sys.stdout.flush()
+            print(end="", flush=True)
     except BrokenPipeError:
         # The reader (head, less) has left: what follows goes nowhere.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

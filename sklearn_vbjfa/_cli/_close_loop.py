@@ -35,7 +35,7 @@ def run(arguments, folder):
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
     ranges = _input.ranges_file(arguments)
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    seed, taken = _input.seed(arguments.seed), _input.taken(arguments, folder)
+    taken = _input.taken(arguments, folder)
     recording = taken.recording
     taken.check(settings)
     signals = taken.signals(arguments.signals)
@@ -44,7 +44,6 @@ def run(arguments, folder):
             recording,
             str(taken.urdf),
             effects=library,
-            seed=seed,
             torque_noise=recording.torque_noise,
             signals=signals,
             several=_input.is_several(arguments),
@@ -121,7 +120,6 @@ def close(
     alike="auto",
     effects="all",
     cutoff="auto",
-    seed=0,
     torque_noise=None,
     gains=None,
     known_masses=None,
@@ -148,7 +146,7 @@ def close(
         drive=drive,
         n_jobs=-1,
     )
-    loop = EffectDiscovery(identifier, effects=effects, random_state=seed)
+    loop = EffectDiscovery(identifier, effects=effects)
     if several or drive is not None:
         # The report calls recordings after their files.
         return loop.fit_recording(recording, signals)

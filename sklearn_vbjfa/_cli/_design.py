@@ -1,8 +1,5 @@
 """The command ``design``: the motion to record next, as a file and a page."""
 
-import csv
-import io
-import json
 import math
 import shlex
 from dataclasses import dataclass, replace
@@ -14,14 +11,13 @@ from sklearn_vbjfa._cli import DURATION, PERIOD, _input
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
 
-# Columns of a file of limits beside the joint.
-_LIMITS = ("lower", "upper", "velocity", "acceleration", "torque")
-_OPTIONS = _LIMITS[2:]
+# Options that replace limits of the description.
+_LIMITS = ("velocity", "acceleration", "torque")
 # Descriptions whose joints lie farther apart [m, or cosines] are of different robots.
 _APART = 1e-4
 # What to give where the description lacks a limit.
 _ADVICE = {
-    "position": "give --limits FILE with its range in metres",
+    "position": "give its range in metres in the description",
     "velocity": "Give those of the robot by --velocity",
     "torque": "Give those of the drives by --torque, or --acceleration",
 }
@@ -55,7 +51,7 @@ def run(arguments, folder):
     report = None if arguments.report is None else _input.expanded(arguments.report)
     found = None if report is None else read_report(report)
     robot = _robot(arguments, report, found, folder)
-    limits, file_of_limits = _limits(arguments, robot)
+    limits = _limits(arguments, robot)
     motion = _motion(arguments, robot, limits, asked, found, seed)
     noise = np.array(robot.known.torque_noise)
     background = _page.Background(
@@ -65,7 +61,7 @@ def run(arguments, folder):
         found=found,
         measured=np.isfinite(noise) & (noise > 0),
         seed=seed,
-        settings=_settings(arguments, file_of_limits, limits),
+        settings=_settings(arguments, limits),
         held=robot.held,
         file=out.name,
         commands=_next(arguments, robot, found),
@@ -333,198 +329,53 @@ def _period(robot, found):
 
 
 def _limits(arguments, robot):
-    """Collect the limits, joints in the order of the robot; and what was read."""
+    """Collect the limits, joints in the order of the robot."""
     from sklearn_vbjfa.design import MotionLimits
+    from sklearn_vbjfa.design._limits import MotionRefused
     from sklearn_vbjfa.model import joint_names
 
-    given, source = _given_limits(arguments, robot)
     # Limits of the description are in its own order.
     names, described = robot.known.joint_names, joint_names(robot.model)
     order = [names.index(name) for name in described]
     back = [described.index(name) for name in names]
-    position = np.column_stack([given["lower"], given["upper"]])[order]
-    more = {name: given[name][order] for name in _OPTIONS}
-    try:
-        found = MotionLimits.of(robot.model, position=position, **more)
-    except ValueError as error:
-        raise _refused(error, robot, given, source, back) from error
-    return (
-        MotionLimits(
-            found.position[back],
-            arguments.scale * found.velocity[back],
-            arguments.scale * found.acceleration[back],
-            found.torque[back],
-        ),
-        source,
-    )
-
-
-def _given_limits(arguments, robot):
-    """Read the limits of a file and of options, nan for none; and what was read."""
-    names, source = robot.known.joint_names, ""
-    given = {name: np.full(len(names), np.nan) for name in _LIMITS}
-    if arguments.limits is not None:
-        path = _input.expanded(arguments.limits)
-        source = str(path)
-        given = _read_limits(path, names, robot.model)
-    for option in _OPTIONS:
-        numbers = _numbers(f"--{option}", getattr(arguments, option), names)
-        given[option] = given[option] if numbers is None else numbers
-    free = np.isnan(given["acceleration"]) & np.isnan(given["torque"])
-    if robot.is_relative and free.any():
+    typed = {}
+    for name in _LIMITS:
+        values = _numbers(f"--{name}", getattr(arguments, name), names)
+        typed[name] = None if values is None else values[order]
+    if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
         raise _input.Refused(
             "the gains of the torque channels are relative, so that the description's "
             "limits of torque in N m or N do not hold; give --acceleration, or "
             "--torque in the units of the channels",
-            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit))},
+            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit)[back])},
         )
-    return given, source
-
-
-def _refused(error, robot, given, source, back):
-    """Word a refusal of limits, with options or a file that would do."""
-    # back: where each joint is among those of the description.
-    options = {
-        name: tuple(np.array(values)[back].tolist())
-        for name, values in getattr(error, "options", {}).items()
-    }
-    lacks = getattr(error, "lacks", "")
-    wrong = f"{error.wrong} {_ADVICE[lacks]}" if lacks else str(error).removesuffix(".")
-    if options:
-        return _input.Refused(wrong, options)
-    wrong = f"{source}: {wrong}" if source else wrong
-    content = _template(robot.known.joint_names, robot.model, given)
-    return _input.Refused(wrong, content=content)
-
-
-def _read_limits(path, names, model):
-    """Read limits of joints from CSV or JSON, dict of str to ndarray (nv,)."""
     try:
-        return _by_joint(_rows(path), path, names)
-    except ValueError as wrong:
-        raise _input.Refused(str(wrong), content=_template(names, model)) from wrong
-
-
-def _by_joint(rows, path, names):
-    """Sort rows of a file of limits by joints, dict of str to ndarray (nv,)."""
-    # What is not given is nan.
-    found = {name: np.full(len(names), np.nan) for name in _LIMITS}
-    seen = set()
-    for row in rows:
-        joint = str(row.pop("joint", "")).strip()
-        if joint not in names:
-            raise ValueError(
-                f"{path} has limits of {joint!r}; the joints that move are "
-                f"{', '.join(names)}"
-            )
-        if joint in seen:
-            raise ValueError(f"{path} has limits of {joint} twice")
-        seen.add(joint)
-        for key, cell in row.items():
-            if key not in found:
-                raise ValueError(
-                    f"{path} has {key!r}; expected joint and any of "
-                    f"{', '.join(_LIMITS)}"
-                )
-            if cell is not None and str(cell).strip():
-                found[key][names.index(joint)] = _limit(path, joint, key, cell)
-    return found
-
-
-def _limit(path, joint, key, cell):
-    """Return a limit, refused if it cannot be one."""
-    value, sign_is_free = _input.number(cell), key in ("lower", "upper")
-    if math.isnan(value) or not (sign_is_free or value > 0):
-        kind = "a number" if sign_is_free else "a positive number"
-        raise ValueError(f"{path} has {key} {cell!r} of {joint}; expected {kind}")
-    return value
-
-
-def _rows(path):
-    """Rows of a file of limits, dicts with the key joint."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{path} is not a text file: {error}") from None
-    except FileNotFoundError:
-        raise ValueError(f"{path}: no such file of limits") from None
-    if text.lstrip()[:1] in ("{", "["):
-        return _rows_of_json(path, text)
-    table = list(csv.reader(io.StringIO(text)))
-    table = [[cell.strip() for cell in row] for row in table if any(row)]
-    heads = table[0] if table else []
-    if "joint" not in heads:
-        raise ValueError(
-            f"{path} has no column joint; expected joint,{','.join(_LIMITS)}"
-        )
-    for k, row in enumerate(table[1:], 2):
-        if len(row) != len(heads):
-            raise ValueError(
-                f"{path} has {len(row)} cells in row {k} and {len(heads)} columns"
-            )
-    return [dict(zip(heads, row)) for row in table[1:]]
-
-
-def _rows_of_json(path, text):
-    """Rows of limits by joints, or of a list of them."""
-    try:
-        found = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not readable as JSON: {error}") from error
-    if isinstance(found, dict):
-        found = [
-            {"joint": name, **row} if isinstance(row, dict) else row
-            for name, row in found.items()
-        ]
-    if not all(isinstance(row, dict) for row in found):
-        raise ValueError(f"{path} must hold limits by joints")
-    return found
-
-
-def _template(names, model, given=None):
-    """Return the content of a file of limits that would do, JSON in one line."""
-    # Limits that the description lacks are left as they were given, or guessed: half a
-    # turn to each side, through half of the range in a second, and ten times that speed
-    # in a second.
-    from sklearn_vbjfa.model import joint_names
-
-    described = joint_names(model)
-    rows = {}
-    for j, name in enumerate(names):
-        k = described.index(name)
-        low, high = model.lowerPositionLimit[k], model.upperPositionLimit[k]
-        if not (np.isfinite([low, high]).all() and low < high and high - low < 1e3):
-            low, high = -1.0, 1.0
-        speed, torque = model.velocityLimit[k], model.effortLimit[k]
-        if not 0 < speed < 1e9:
-            speed = 0.5 * (high - low)
-        row = {
-            "lower": low,
-            "upper": high,
-            "velocity": speed,
-            "acceleration": 2 * speed,
+        found = MotionLimits.of(robot.model, **typed)
+    except MotionRefused as error:
+        options = {
+            name: tuple(np.array(values)[back].tolist())
+            for name, values in error.options.items()
         }
-        if 0 < torque < 1e9:
-            row["torque"] = torque
-        for key in row if given is not None else ():
-            value = given[key][j]
-            if np.isfinite(value) and key not in ("lower", "upper"):
-                row[key] = value
-        rows[name] = {key: float(f"{value:.4g}") for key, value in row.items()}
-    return json.dumps(rows)
+        raise _input.Refused(f"{error.wrong} {_ADVICE[error.lacks]}", options) from None
+    return MotionLimits(
+        found.position[back],
+        arguments.scale * found.velocity[back],
+        arguments.scale * found.acceleration[back],
+        found.torque[back],
+    )
 
 
 # -- what is told and written ----------------------------------------------------------
 
 
-def _settings(arguments, file_of_limits, limits):
+def _settings(arguments, limits):
     """Return what was asked for, as rows of the provenance."""
-    own = [
+    typed = [
         f"--{name} {getattr(arguments, name)}"
-        for name in _OPTIONS
+        for name in _LIMITS
         if getattr(arguments, name) is not None
     ]
-    source = ", ".join([file_of_limits or "of the description", *own])
+    source = ", ".join(["of the description", *typed])
     scale = f"{arguments.scale:.0%} of those of velocity and acceleration"
     if arguments.scale < 1 and np.isinf(limits.acceleration).any():
         scale += " (some joints have none of acceleration; their torque limits them)"

@@ -29,19 +29,11 @@ _LEFT_OUT = ("coarse_torque", "still_joint", "unusable_signal")
 
 
 class Refused(ValueError):
-    """An argument, or a file, in whose place another would do.
+    """An argument that is refused, with options that would be accepted."""
 
-    Attributes
-    ----------
-    options : dict
-        What would do, by the names of arguments.
-    content : str
-        Or a line of a file that would do.
-    """
-
-    def __init__(self, reason, options=None, content=""):
+    def __init__(self, reason, options=None):
         super().__init__(reason)
-        self.options, self.content = options or {}, content
+        self.options = options or {}
 
 
 def refuse_given(arguments, names, why):
@@ -223,13 +215,13 @@ def library(text):
     return text if text == "all" else names("--effects", text, effects.available())
 
 
-def free_folder(arguments, default, names, inputs, endings=()):
+def free_folder(arguments, default, names, inputs):
     """Return the folder for files, refused if it holds what is not to be lost."""
     out = expanded(arguments.out or default)
     check_folder(out)
     if arguments.force:
         return out
-    check_overwriting(out, names, inputs, endings)
+    check_overwriting(out, names, inputs)
     there = [name for name in names if (out / name).exists()]
     if not there:
         return out
@@ -479,10 +471,9 @@ def no_formula(cell):
     return f"'{text}" if is_formula else text
 
 
-def check_overwriting(out, names, inputs, endings=()):
+def check_overwriting(out, names, inputs):
     """Refuse, before the work begins, to write over or among files of others."""
-    # names: what a run writes to the folder; endings: of further files that are its own
-    # where one of `names` is there.
+    # names: what a run writes to the folder.
     if not out.is_dir():
         return
     for name in names:
@@ -495,10 +486,7 @@ def check_overwriting(out, names, inputs, endings=()):
                 )
     # Hidden files are those of folders and editors.
     held = {p.name for p in out.iterdir() if not p.name.startswith(".")}
-    ours = held.intersection(names)
-    foreign = sorted(
-        name for name in held - ours if not (ours and name.endswith(endings))
-    )
+    foreign = sorted(held.difference(names))
     if foreign:
         more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
         raise Refused(

@@ -27,7 +27,6 @@ class Done:
     files: tuple = ()  # their names
     # writes them to a folder, given the warnings; returns lines to print behind `text`
     write: object = None
-    left: str = ""  # what is said of files that are not written
     page: bool = False  # whether the first of them tells all that a terminal leaves out
 
 
@@ -44,6 +43,7 @@ def run(arguments):
     ):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
+        # Before anything is printed: the reader of the output may leave.
         arguments.doubts = [*done.doubts, *_doubts_of(caught)]
         arguments.page = done.page
         lines = [] if done.write is None else _write(arguments, done, caught)
@@ -77,7 +77,7 @@ def _write(arguments, done, caught):
         raise
     moved = filter(None, [getattr(arguments, "moved", "")])
     names = _named_files(done, len(_told(caught)))
-    return [*lines, *moved, f"written: {names}{done.left}"]
+    return [*lines, *moved, f"written: {names}"]
 
 
 def _named_files(done, n_notes):

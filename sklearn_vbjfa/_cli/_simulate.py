@@ -1,13 +1,8 @@
 """The command ``simulate``: the identified robot in motion, beside the measured one."""
 
 import csv
-import importlib
-import importlib.util
 import io
-import os
-import re
 import textwrap
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -15,7 +10,7 @@ import numpy as np
 from sklearn_vbjfa._cli import READING, _close_loop, _input
 from sklearn_vbjfa._cli._run import Done, blaming
 
-# What a run writes beside pictures.
+# What a run writes.
 _TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
@@ -32,10 +27,9 @@ _OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
 _OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
 # What a robot is called whose bodies are those of the description.
 _DESCRIBED = "as described"
-# Most pictures, and most windows that failed and are named.
-_MOST_PICTURES, _MOST_NAMED = 12, 5
+# Most windows that failed and are named.
+_MOST_NAMED = 5
 _WIDTH = 80  # characters of a line
-_RESOLUTION = 120  # dots per inch
 
 
 def run(arguments, folder):
@@ -45,27 +39,16 @@ def run(arguments, folder):
     source, default = _input.named(files), _input.default_folder(files, "simulation")
     given = filter(None, (arguments.urdf, arguments.model))
     inputs = (*files, *map(_input.expanded, given))
-    out = _input.free_folder(arguments, default, (_TABLE,), inputs, (".png",))
+    out = _input.free_folder(arguments, default, (_TABLE,), inputs)
     take = _identified if arguments.model is None else _saved
     task = take(arguments, source, folder)
     with blaming(source):
         found = _simulated(task, arguments.window, timed=arguments.model is None)
     text = errors_text(found, arguments.window)
-    files, left = {_TABLE: errors_table(found).encode("utf-8")}, ""
-    if importlib.util.find_spec("matplotlib") is not None:
-        drawn, left = pictures(found)
-        files |= drawn
-    else:
-        warnings.warn(
-            "no pictures were drawn, as matplotlib is not installed; install it with "
-            "pip install matplotlib.",
-            UserWarning,
-            stacklevel=2,
-        )
 
     def write(folder, warned):
-        for name, content in files.items():
-            folder.joinpath(name).write_bytes(content)
+        table = errors_table(found)
+        folder.joinpath(_TABLE).write_text(table, encoding="utf-8", newline="")
         return [""]
 
     return Done(
@@ -73,9 +56,8 @@ def run(arguments, folder):
         doubts=doubts_of(found),
         folder=out,
         fresh=not arguments.force,
-        files=tuple(files),
+        files=(_TABLE,),
         write=write,
-        left=left,
     )
 
 
@@ -618,32 +600,3 @@ def errors_table(simulated):
                 row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers[:, k, j]]
                 table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
     return file.getvalue()
-
-
-def pictures(simulated):
-    """Draw each recording; name -> PNG file, and what is to be said of the others."""
-    windows = simulated.windows
-    from sklearn_vbjfa.diagnosis import SimulationDisplay
-
-    # Files are drawn, no windows opened.
-    os.environ.setdefault("MPLBACKEND", "Agg")
-    pyplot = importlib.import_module("matplotlib.pyplot")
-    one = next(iter(windows.values()))
-    labels = simulated.recording.groups[simulated.rows[one.starts]]
-    found = {}
-    shown = np.unique(labels)
-    for label in shown[:_MOST_PICTURES]:
-        own = {name: w.select(labels == label) for name, w in windows.items()}
-        display = SimulationDisplay(windows=own).plot()
-        file = io.BytesIO()
-        display.figure_.savefig(file, format="png", dpi=_RESOLUTION)
-        pyplot.close(display.figure_)
-        name = re.sub(r"[^\w-]+", "_", _name(simulated.recording, label))[:60]
-        name = f"{name}.png"
-        if name in found:
-            name = f"{label + 1}_{name}"
-        found[name] = file.getvalue()
-    left = ""
-    if shown.size > _MOST_PICTURES:
-        left = f" (pictures of {_MOST_PICTURES} of {shown.size} recordings)"
-    return found, left

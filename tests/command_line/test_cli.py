@@ -36,7 +36,8 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
     assert code == 0
     assert err == ""  # no terminal, no progress
     lines = out.splitlines()
-    assert len(lines) <= 40
+    # A terminal shows it without scrolling.
+    assert len(lines) <= 17
     assert max(map(len, lines)) <= 80
     assert lines[0] == (
         "Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings"
@@ -82,7 +83,8 @@ def test_wrong_arguments_end_with_two(capsys, argv):
     assert stop.value.code == 2
     captured = capsys.readouterr()
     assert captured.out == ""
-    assert "usage: sklearn-vbjfa" in captured.err
+    (line,) = captured.err.splitlines()
+    assert line.startswith("sklearn-vbjfa")
 
 
 def test_effects_are_listed(capsys):
@@ -100,18 +102,6 @@ def test_version(capsys):
         main(["--version"])
     assert stop.value.code == 0
     assert capsys.readouterr().out.strip() == sklearn_vbjfa.__version__
-
-
-def test_as_a_module(capsys):
-    done = subprocess.run(
-        [sys.executable, "-m", "sklearn_vbjfa", "effects"],
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    main(["effects"])
-    assert done.stdout == capsys.readouterr().out
-    assert done.stderr == ""
 
 
 def test_a_reader_that_leaves_is_no_error():

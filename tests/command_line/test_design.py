@@ -4,7 +4,6 @@ import contextlib
 import csv
 import io
 import json
-import os
 import re
 import shlex
 from dataclasses import replace
@@ -14,7 +13,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._cli import _design, main
+from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.design import design_motion
 from tests.command_line.test_close_loop import LINK, URDF
@@ -85,22 +84,6 @@ def designed(home):
     return out, text.getvalue(), argv
 
 
-@pytest.mark.parametrize("has_shapes", [False, True])
-def test_progress_says_from_its_start_whether_links_are_kept_apart(
-    has_shapes, here, monkeypatch
-):
-    shape = "<collision><geometry><sphere radius='0.01'/></geometry></collision>"
-    if has_shapes:
-        (here / "arm.urdf").write_text(URDF.replace("<inertial>", shape + "<inertial>"))
-    stages = []
-    monkeypatch.setattr(
-        _design, "stage", lambda text: stages.append(text) or contextlib.nullcontext()
-    )
-    main(["design", "--urdf", "arm.urdf", *FAST])
-    (begun,) = stages
-    assert begun.endswith("SELF-COLLISION IS NOT CHECKED") == (not has_shapes)
-
-
 @pytest.fixture
 def here(tmp_path, monkeypatch):
     """Working folder with a robot alone."""
@@ -163,73 +146,13 @@ def test_the_file_is_a_motion_within_its_limits(designed):
         assert np.abs(a).max() <= 0.98 * 20
 
 
-def test_what_is_printed_fits_a_screen(designed):
-    out, text, _ = designed
-    lines = text.splitlines()
-    assert len(lines) < 30
-    assert lines[0].startswith("Motion of arm.urdf for what ")
-    assert "2 joints, 4 s at 100 Hz" in lines[0]
-    pair = next(x for x in lines if x.startswith("- joint 1 (shoulder), "))
-    assert re.search(r"from [\d.]+ N m: Stribeck friction or friction with", pair)
-    assert "elbow" in text
-    assert "98 %" in text
-    never = " ".join(text.split()).partition("Not identifiable by any motion: ")[2]
-    assert re.match(r"rotor inertia [^;]*encoder zero [^;]*shoulder", never)
-    assert "(absorbed by other parameters)" in never
-    assert "no <collision>" in text
-    assert "repeats" not in text
-    assert "1 of 1 intervals become narrower" in text
-    assert lines[-1] == f"written: {out}, {out.with_suffix('.html')}"
-    urdf = out.parents[1] / "arm.urdf"
-    assert f"close-loop slow.csv recording.csv --urdf {urdf}" in lines[-2]
-    assert "with the columns of slow.csv" in lines[-3]
-
-
-def test_all_recordings_of_a_report_go_into_the_next_one(home, tmp_path, capsys):
-    told = json.loads((home / "report" / "report.json").read_text())
-    told["provenance"]["file"] = ["runs/a.csv", "-", "runs/b.csv"]
-    told["repeated"] = [
-        {"seconds": 23.55, "count": 1.98, "recordings": [0, 2]},
-        {"seconds": 4.0, "count": 5.0, "recordings": [1]},
-    ]
-    (tmp_path / "report.json").write_text(json.dumps(told))
-    (tmp_path / "identified.json").write_bytes(
-        (home / "report" / "identified.json").read_bytes()
-    )
-    out = tmp_path / "motion.csv"
-    argv = ["--report", str(tmp_path), *FAST, "--out", str(out)]
-    assert main(["design", *argv]) == UNCHECKED
-    text = capsys.readouterr().out
-    # What came through a pipe is not there any more.
-    assert "close-loop runs/a.csv before.csv runs/b.csv recording.csv --urdf" in text
-    page = out.with_suffix(".html").read_text(encoding="utf-8")
-    assert "(of runs/a.csv, - and runs/b.csv)" in page
-    # Lines break where the width of a terminal ends.
-    for shown in (" ".join(text.split()), page.replace("\u00a0", " ")):
-        (why,) = re.findall(r"The motion so far repeats.*?another --seed\.", shown)
-        assert "(1.98 times 23.6 s and 5 times 4 s)" in why
-        assert "This one does not within its 4 s: record it once" in why
-    # with step 0, of what was not checked
-    assert len(text.splitlines()) < 34
-
-
-def test_the_page_has_what_was_printed(designed):
-    out, _, _ = designed
-    page = out.with_suffix(".html").read_text(encoding="utf-8")
-    assert page.count('<figure class="wide"') == 8
-    for said in ("Stribeck friction", "times narrower", "slow.csv", "no &lt;collision"):
-        assert said in page
-    assert "src=" not in page
-    assert "@import" not in page
-
-
 def test_the_same_again_gives_the_same(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
     line = refusal(capsys, *argv)
     assert "motion.csv and " in line
     assert "--force to replace them" in line
-    assert offered(line)[-1] == str(out.with_name("motion-2.csv"))
+    assert offered(line)[-1] == f"--out={out.with_name('motion-2.csv')}"
     out.write_text("mine")
     assert "exist" in refusal(capsys, *argv)
     assert out.read_text() == "mine"
@@ -268,20 +191,15 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     (here / "arm.urdf").write_text(
         URDF.replace("</robot>", LINK.format(**more, centre=0.1, mass=1) + "</robot>")
     )
-    Path("limits.csv").write_text(
-        "joint,lower,upper,velocity\nelbow,-1,0.5,\nshoulder,,,2\n"
-    )
     argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
-    argv += ["--limits", "limits.csv", "--scale", "0.5", "--dt", "0.02"]
+    argv += ["--velocity", "2", "--scale", "0.5", "--dt", "0.02"]
     argv += ["--duration", "5"]
-    argv += ["--start", "-1,0", "--effects", "stribeck,spring", "--seed", "3"]
+    argv += ["--start=-1,0", "--effects", "stribeck,spring", "--seed", "3"]
     assert main(["design", *argv]) == UNCHECKED
     text = capsys.readouterr().out
     found = read(here / "motion.csv")
     assert found["q_shoulder"][0] == -1
     assert found["q_elbow"][0] == 0
-    assert -0.99 <= found["q_elbow"].min()
-    assert found["q_elbow"].max() <= 0.49
     assert np.abs(found["v_shoulder"]).max() <= 0.98
     assert np.abs(found["a_elbow"]).max() <= 0.98 * 1.5
     assert np.diff(found["t"])[0] == pytest.approx(0.02)
@@ -293,6 +211,7 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     assert "50% of those of velocity" in page
 
 
+@pytest.mark.slow
 def test_bodies_are_kept_apart_where_the_description_has_shapes(here, capsys):
     shape = "<collision><origin xyz='{} 0 0'/><geometry><sphere radius='0.1'/>"
     shape += "</geometry></collision></link>"
@@ -371,11 +290,12 @@ def test_what_a_robot_lacks_is_a_number_that_works(
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2], "--start", "0,0")
     assert said in line
     argv = offered(line)
-    assert option in argv
+    assert any(word.startswith(f"{option}=") for word in argv)
     assert "limits=" not in line
     assert main([*argv, "--acceleration", "3"]) == UNCHECKED
 
 
+@pytest.mark.slow
 def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     recording = make_robot_recording(
         str(home / "arm.urdf"), duration=8.0, dt=0.01, n_harmonics=4, random_state=0
@@ -389,11 +309,12 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     (folder / "report.json").write_text((home / "report/report.json").read_text())
     line = refusal(capsys, "--report", folder, "--duration", "4")
     assert "gains of the torque channels are relative" in line
-    assert offered(line)[-2:] == ["--acceleration", "20,20"]
+    assert offered(line)[-1] == "--acceleration=20,20"
     assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
     assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
 
+@pytest.mark.slow
 def test_what_a_slow_motion_does_not_tell_apart_is_said(home, here, capsys):
     assert main(["design", "--report", str(home / "report"), *QUICK]) == 3
     captured = capsys.readouterr()
@@ -417,13 +338,13 @@ def test_durations_and_starts_that_would_do(here, capsys):
     line = refusal(capsys, *short)
     assert "too short for shoulder" in line
     argv = offered(line)
-    wanted = float(argv[argv.index("--duration") + 1])
+    (wanted,) = [float(x.split("=")[1]) for x in argv if x.startswith("--duration")]
     # (1 - cos) / 2 through a quarter of the range of 6 rad
     assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
     assert main(argv) == UNCHECKED
     capsys.readouterr()
     out = ("--out", "other.csv")
-    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", "-4,0.5")
+    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start=-4,0.5")
     assert "shoulder at -4, outside its limits [-3, 3]" in line
     assert "--start=-3,0.5" in offered(line)
     for start, said in (("1", "has 1 numbers"), ("1,nan", "must be positions")):
@@ -445,7 +366,7 @@ def test_durations_and_starts_that_would_do(here, capsys):
 def test_numbers_that_are_none(option, value, here, capsys):
     line = refusal(capsys, "--urdf", "arm.urdf", f"{option}={value}")
     assert f"{option} must be" in line
-    assert option in offered(line)
+    assert any(word.startswith(f"{option}=") for word in offered(line))
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "1,-2", "a,b", "inf,1", ""])
@@ -456,63 +377,18 @@ def test_limits_that_are_none(text, here, capsys):
     assert "elbow" in line
 
 
-@pytest.mark.parametrize(
-    ("content", "said"),
-    [
-        ("joint,lower,upper\nelbow,1,-1\n", "elbow no room: position from 1 to -1"),
-        ("joint,velocity\nelbow,nan\n", "velocity 'nan' of elbow"),
-        ("joint,velocity\nknee,1\n", "limits of 'knee'"),
-        ("joint,velocity\nelbow,1\nelbow,2\n", "elbow twice"),
-        ("joint,speed\nelbow,1\n", "'speed'"),
-        ("lower,upper\n1,2\n", "no column joint"),
-        ("joint,velocity\nelbow\n", "1 cells in row 2"),
-        ('{"elbow": 3}', "limits by joints"),
-        ('[{"joint": "elbow"', "not readable as JSON"),
-        ('[{"joint": "elbow", "torque": [1]}]', "torque [1] of elbow"),
-    ],
-)
-def test_a_file_of_limits_that_does_not_do_shows_one(content, said, here, capsys):
-    Path("limits.txt").write_text(content)
-    line = refusal(capsys, "--urdf", "arm.urdf", "--limits", "limits.txt")
-    assert said in line
-    shown = line.partition("this would work: a file with ")[2]
-    rows = json.loads(shown)
-    assert list(rows) == JOINTS
-    assert rows["elbow"]["lower"] == -3
-    assert rows["elbow"]["torque"] == 100
-
-
-def test_the_file_that_is_shown_works(here, capsys):
-    line = refusal(capsys, "--urdf", "arm.urdf", "--limits", "none.json")
-    shown = line.partition("this would work: a file with ")[2]
-    Path("none.json").write_text(shown)
-    argv = ["--urdf", "arm.urdf", "--limits", "none.json", "--duration", "4"]
-    assert main(["design", *argv, "--acceleration", "3"]) == UNCHECKED
-
-
 def test_places_where_nothing_can_be_written(here, capsys):
     urdf = ("--urdf", "arm.urdf")
     Path("folder").mkdir()
     line = refusal(capsys, *urdf, "--out", "folder")
-    assert offered(line)[-1] == os.path.join("folder", "motion.csv")
+    assert offered(line)[-1] == "--out=folder/motion.csv"
     line = refusal(capsys, *urdf, "--out", "arm.urdf/motion.csv")
     assert "arm.urdf is a file" in line
-    assert offered(line)[-1] == "arm-motion.csv"
-    assert offered(refusal(capsys, *urdf, "--out", "a.html"))[-1] == "a.csv"
+    assert offered(line)[-1] == "--out=arm-motion.csv"
+    assert offered(refusal(capsys, *urdf, "--out", "a.html"))[-1] == "--out=a.csv"
     Path("b.html").write_text("mine")
     assert "b.html exists" in refusal(capsys, *urdf, "--out", "b.csv")
     assert Path("b.html").read_text() == "mine"
-
-
-@pytest.mark.parametrize("start", ["-1,2", "-.5,2"])
-def test_lists_may_begin_with_a_minus(start, here, capsys):
-    urdf = ("--urdf", "arm.urdf")
-    line = refusal(capsys, *urdf, "--start", start, "--dt", "-1")
-    assert "--dt must be a positive number" in line
-    assert f"--start {start}" in line or f"--start={start}" in line
-    with pytest.raises(SystemExit):
-        main(["design", *urdf, "--start", "--dt", "1"])
-    assert "--start: expected one argument" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("folder", [".", "new/folder"])
@@ -524,9 +400,7 @@ def test_a_run_that_is_interrupted_writes_nothing(folder, here, capsys, monkeypa
     monkeypatch.setattr("sklearn_vbjfa.design.design_motion", stopped)
     argv = ["--urdf", "arm.urdf", "--out", f"{folder}/motion.csv"]
     assert main(["design", *argv]) == 130
-    assert capsys.readouterr().err == (
-        "sklearn-vbjfa: interrupted, nothing was written\n"
-    )
+    assert capsys.readouterr().err == "sklearn-vbjfa: interrupted\n"
     assert [x.name for x in here.iterdir()] == ["arm.urdf"]
 
 

@@ -5,9 +5,7 @@ import os
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -15,9 +13,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa._cli import EPILOG, exit_line, main
-from sklearn_vbjfa._cli._close_loop import close, report_doubts
-from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa._cli import EPILOG, main
 from tests._quick import checkered
 from tests.command_line.test_close_loop import LINK
 from tests.hostile._case import DT, URDF, N, cells, columns
@@ -246,65 +242,6 @@ def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
         assert "The low-pass at 0.05 Hz is" in line
 
 
-@pytest.mark.parametrize(
-    ("status", "text"),
-    [
-        ("few", "no verdict: moves for 2 s only"),
-        ("no data", "no samples that count"),
-        ("failed", "WORSE than its mean torque"),
-        ("worse", "WORSE on held-out data"),
-        ("unknown", "noise unknown"),
-        ("floor", ""),
-        ("above", ""),
-        ("unexplained", ""),
-    ],
-)
-def test_verdicts_on_a_joint(status, text, report):
-    first, *rest = report.joints
-    changed = (replace(first, status=status, text=text), *rest)
-    doubts = report_doubts(SimpleNamespace(outcome=report.outcome, joints=changed))
-    assert doubts == ([f"{text} ({first.label})"] if text else [])
-
-
-def test_joints_with_the_same_doubt_are_named_together(report):
-    changed = [
-        replace(x, status="unknown", text="noise unknown") for x in report.joints
-    ]
-    told = SimpleNamespace(outcome=report.outcome, joints=changed)
-    assert report_doubts(told) == ["noise unknown (all joints)"]
-    told.joints = changed[:4]
-    assert report_doubts(told) == ["noise unknown (joints 1, 2, 3 and 4)"]
-
-
-def test_the_last_line_is_brief_where_a_page_has_it_whole():
-    long = "a/b.csv: 3 gap(s) of more than 5 periods: the recording is split. Mend it."
-    doubts = [long, "short: one.", "x: y", "z"]
-    assert (
-        exit_line(doubts) == f"exit code 3: {long[:-1]}; short: one; x: y; and 1 more"
-    )
-    assert exit_line(doubts, page=True) == (
-        "exit code 3: a/b.csv: 3 gap(s) of more than 5 periods; short: one; x: y; and "
-        "1 more"
-    )
-    # The name of a file says nothing alone, and a sentence has an end.
-    name = f"{'folder/' * 12}b.csv"
-    assert exit_line([f"{name}: a gap: split"], page=True) == (
-        f"exit code 3: {name}: a gap"
-    )
-    assert (
-        exit_line(["word " * 30], page=True) == f"exit code 3: {'word ' * 30}".strip()
-    )
-
-
-@pytest.fixture(scope="module")
-def report():
-    """Report of a recording without fault."""
-    arm = load_demo_recording()
-    loop = close(arm, arm.urdf, friction=("viscous", "coulomb"), effects=())
-    assert report_doubts(loop.report_) == []
-    return loop.report_
-
-
 def test_a_simulation_goes_without_an_effect(here, capsys):
     table = columns()
     q, tau = (np.column_stack([table[f"{x}{j}"] for j in (1, 2)]) for x in ("q", "tau"))
@@ -314,22 +251,6 @@ def test_a_simulation_goes_without_an_effect(here, capsys):
     code, _, err = run(capsys, "simulate", write(table), "--model", "arm.json")
     assert code == 3
     assert "The simulation leaves out jerk on shoulder" in err[-1]
-
-
-def test_two_models_are_judged_by_the_last(here, capsys, monkeypatch):
-    from sklearn_vbjfa.diagnosis import SimulatedWindows
-
-    judged, better = [], SimulatedWindows.clearly_better.fget
-
-    def beaten(self):
-        judged.append(better(self))
-        return judged[-1] & (len(judged) > 1)
-
-    monkeypatch.setattr(SimulatedWindows, "clearly_better", property(beaten))
-    argv = (write(columns()), "--urdf", "arm.urdf", "--effects", "spring")
-    code, out, err = run(capsys, "simulate", *argv)
-    assert "declared: not clearly better than" in out
-    assert (code, err) == (0, [])
 
 
 def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
@@ -348,11 +269,6 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
         "exit code 3: .*on joint 1 .shoulder. is not identifiable by any motion",
         err[-1],
     )
-
-
-def test_lists_are_never_in_doubt(capsys):
-    assert main(["effects"]) == 0
-    assert "exit code" not in capsys.readouterr().err
 
 
 @pytest.mark.skipif(os.name == "nt", reason="descriptors of POSIX")
@@ -393,22 +309,9 @@ def test_what_was_written_but_not_said_is_a_doubt(here, capsys, monkeypatch):
     assert Path("out", "report.html").is_file()
 
 
-def test_the_line_names_three_doubts():
-    assert exit_line(["a."]) == "exit code 3: a"
-    assert exit_line(["a\n b.", "c"]) == "exit code 3: a b; c"
-    assert exit_line([*"abcde"]) == "exit code 3: a; b; c; and 2 more"
-
-
 @pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects"])
 def test_help_tells_them(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])
     assert stop.value.code == 0
     assert EPILOG in " ".join(capsys.readouterr().out.split())
-
-
-def test_the_guide_tells_them():
-    page = Path(__file__).resolve().parents[2] / "docs" / "own_robot.rst"
-    section = page.read_text(encoding="utf-8").partition("Exit codes\n----")[2]
-    codes = re.findall(r"^   \* - (\d+)$", section, re.M)
-    assert codes == ["0", "1", "2", "3", "130"]

@@ -75,7 +75,7 @@ def test_a_refusal_names_the_command(made, tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
     assert command.startswith("inspect ")
-    assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")
+    assert command.endswith("'--columns=q=angle{i},tau=torque{i}'")
 
 
 def test_a_refused_option_is_replaced_not_added(made, tmp_path, capsys):

@@ -175,17 +175,3 @@ def test_a_follower_needs_no_columns(write, tmp_path, capsys):
     bodies = [robot.followers[0].parameters for robot in read]
     np.testing.assert_allclose(*bodies, atol=1e-9)
     assert bodies[0][0] > 0
-
-
-def test_what_stands_against_a_file_is_one_line(write, table, capsys):
-    loop = '<equality><connect name="rod" body1="lower" anchor="0 0 0"/></equality>'
-    path = write(ROBOT.format(hand="", more="", after=loop))
-    for command in ("inspect", "close-loop", "simulate"):
-        code, out, err = run(capsys, command, table, "--urdf", path)
-        assert code == 2
-        assert not out
-        (line,) = err.splitlines()
-        assert (
-            "<connect> 'rod' of <equality>, between lower and world, closes a" in line
-        )
-        assert line.startswith("sklearn-vbjfa: ")

@@ -1,15 +1,11 @@
 """Where files go: folders that take none are told first, earlier reports stay."""
 
-import errno
-import os
 import sys
-import tempfile
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 
-from sklearn_vbjfa._cli import _input, main
+from sklearn_vbjfa._cli import main
 from tests.hostile._case import URDF, clean_text
 
 pytest.importorskip("pinocchio")
@@ -57,22 +53,10 @@ def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):
     assert run("--out", "v1.2") == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert "v1.2 has report.json of an earlier run" in line
-    assert line.endswith("--out v1.2-2")
+    assert line.endswith("--out=v1.2-2")
     assert Path("v1.2/report.json").read_text() == "{}"
     with pytest.raises(AssertionError, match="was read"):
         run("--out", "v1.2", "--force")
-
-
-def test_simulations_of_earlier_runs_stay_as_well(here):
-    Path("arm-simulation").mkdir()
-    Path("arm-simulation/simulation.csv").write_text("")
-    given = SimpleNamespace(out=None, force=False)
-    names = ("simulation.csv",)
-    found = _input.free_folder(given, "arm-simulation", names, ())
-    assert str(found) == "arm-simulation-2"
-    given.force = True
-    found = _input.free_folder(given, "arm-simulation", names, ())
-    assert str(found) == "arm-simulation"
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
@@ -82,38 +66,6 @@ def test_a_folder_that_takes_no_files_is_told_first(here, capsys, nothing_read, 
     (line,) = capsys.readouterr().err.splitlines()
     expected = f"/proc cannot be written to (it takes no files); give another {option}"
     assert expected in line
-
-
-@pytest.mark.parametrize("number", [errno.ENOSPC, errno.EDQUOT])
-def test_a_full_disk_is_told_first(here, capsys, nothing_read, number, monkeypatch):
-    class Full:
-        def __enter__(self):
-            return self
-
-        def __exit__(self, *exception):
-            return None
-
-        def write(self, content):
-            raise OSError(number, os.strerror(number))
-
-    monkeypatch.setattr(tempfile, "TemporaryFile", lambda **given: Full())
-    with pytest.raises(ValueError, match=r"8 MB that the files of a run may take"):
-        _input.check_folder(Path("new/deep"))
-    assert not Path("new").exists()
-
-
-@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
-def test_a_limit_on_the_size_of_files_is_found_by_trying(here):
-    resource = pytest.importorskip("resource")
-    before = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, before[1]))
-    try:
-        with pytest.raises(ValueError, match=r"cannot be written to \(File too large"):
-            _input.check_folder(Path("out"))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, before)
-    _input.check_folder(Path("out"))
-    assert not list(Path().glob("tmp*"))
 
 
 def test_a_xacro_file_is_refused_with_the_command_that_expands_it(here, capsys):

@@ -1,7 +1,6 @@
 """What a command leaves on a terminal: twenty lines, and one for each effect."""
 
 import json
-import re
 import shutil
 import textwrap
 from pathlib import Path
@@ -48,27 +47,6 @@ def close_loop(capsys, *more):
     code = main(argv)
     report = json.loads(Path("log-report/report.json").read_text(encoding="utf-8"))
     return code, lines_on_a_terminal(capsys.readouterr()), report
-
-
-def test_the_demonstration(capsys):
-    assert main([]) == 0
-    lines = lines_on_a_terminal(capsys.readouterr())
-    assert len(lines) <= 17
-    assert max(map(len, lines)) <= WIDTH
-
-
-def test_currents_without_a_known_factor(arm, log, capsys):
-    """Effects, gains, what to record and what is written, each in a line."""
-    log(arm.tau / [9.0, 9.0, 9.0, 5.0, 5.0, 5.0])
-    code, lines, report = close_loop(capsys, "--gain", "unknown", "--friction", "none")
-    assert code == 0
-    count = len(report["effects"])
-    assert count >= 1
-    assert len(lines) <= 20 + count
-    assert sum(x.startswith("- ") for x in lines) <= count + 1
-    (gains,) = [x for x in lines if x.startswith("Gains are relative to")]
-    assert gains.endswith("(page).")
-    assert re.match(r"written: log-report/report.html \(more.*\), 5 files$", lines[-1])
 
 
 def test_a_log_with_two_problems(arm, log, capsys):

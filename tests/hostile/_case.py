@@ -2,7 +2,7 @@
 
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -40,29 +40,20 @@ OPTIONS = ("--urdf", "arm.urdf", "--effects", "spring", "--out", "out")
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One input.
+    """One input, written when it is run.
 
-    Attributes
-    ----------
-    name : str
-        Name of the test.
-    build : callable
-        Writes files into a folder, which has ``arm.urdf``, drawing from a generator;
-        returns the arguments of ``close-loop``.
-    expect : {"refused", "read", "same", "either"}
-        Refused in one line; read; read with the verdict of the recording without
-        fault; or one of refused and read.
-    message : str
-        Regular expression that the refusal or a note must match.
-    slow : bool
-        Whether the case is run with the slow tests only.
+    ``build(folder, rng)`` writes files into a folder, which has ``arm.urdf``, and
+    returns the arguments of ``close-loop``. ``expect``: ``"refused"`` in one line;
+    ``"read"``; read with the ``"same"`` verdict as the recording without fault; or
+    ``"either"``. ``message`` matches the refusal or a note. ``slow`` cases are left to
+    the full set.
     """
 
     name: str
     build: Callable[[Path, np.random.Generator], list]
     expect: str = "either"
     message: str = ""
-    slow: bool = field(default=False)
+    slow: bool = False
 
     def rng(self):
         """Return the generator of this case, whatever the others draw."""

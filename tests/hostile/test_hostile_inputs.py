@@ -8,6 +8,7 @@ import sys
 import threading
 import warnings
 import xml.etree.ElementTree as ElementTree
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -16,47 +17,18 @@ if sys.platform != "linux":
     pytest.skip("processes with limits are Linux's here", allow_module_level=True)
 pytest.importorskip("pinocchio")
 
-pytest.importorskip("rosbags")
-pytest.importorskip("openpyxl")
-pytest.importorskip("python_calamine")
+if None in map(find_spec, ("rosbags", "openpyxl", "python_calamine")):
+    pytest.skip("formats that are not installed", allow_module_level=True)
 
-from tests.hostile import (
-    _archives,
-    _descriptions,
-    _drives,
-    _formats,
-    _motions,
-    _several,
-    _tables,
-    _times,
-)
+from tests.hostile import _known, _mutations
 from tests.hostile._case import URDF, argv, clean_text
 from tests.hostile._runner import MEMORY, SECONDS, Runner
-from tests.hostile._sample import pairs_of, pairwise
 
-CASES = [
-    case
-    for family in (
-        _tables,
-        _archives,
-        _formats,
-        _descriptions,
-        _motions,
-        _times,
-        _several,
-        _drives,
-    )
-    for case in family.cases()
-]
+CASES = [*_known.cases(), *_mutations.cases()]
 # Every so many cases are simulated as well: reading is the same, what follows is not.
-EVERY = 9
-# The search alone has a seed.
-SIMULATED = [case for case in CASES if not (case.slow or "--seed" in case.name)]
-# Simulated in so many small steps that they are slow tests.
-LONG = {"parquet: flags", "friction that drives"}
-# Each case with its command.
-RUNS = [(case, "close-loop") for case in CASES]
-RUNS += [(case, "simulate") for case in SIMULATED[::EVERY]]
+SIMULATED = CASES[::11]
+# Most cases of the quick sample.
+MOST = 80
 FILES = {"parameters.csv", "report.html", "report.json"}
 FILES |= {"identified.json", "identified.urdf", "identified.xml"}
 # Longer lines are read by nobody.
@@ -142,55 +114,35 @@ def check_report(out):
     assert json.loads((out / "identified.json").read_text(encoding="utf-8"))
 
 
-def test_there_are_enough_cases():
-    assert len(CASES) >= 400
-    names = [case.name for case in CASES]
-    assert len(set(names)) == len(names)
-
-
-QUICK = [
-    (case, command)
-    for case, command in RUNS
-    if not (case.slow or (command == "simulate" and case.name in LONG))
-]
-SAMPLE = {(QUICK[k][0].name, QUICK[k][1]) for k in pairwise(QUICK)}
-
-
-def test_any_two_factors_meet_in_the_sample():
-    chosen = [run for run in QUICK if (run[0].name, run[1]) in SAMPLE]
-    pairs = pairs_of(QUICK)
-    assert len(set().union(*pairs)) > 1000
-    kept = (x for x, run in zip(pairs, QUICK) if (run[0].name, run[1]) in SAMPLE)
-    assert set().union(*kept) == set().union(*pairs)
-    assert len(chosen) < len(QUICK) / 3
-    families = {case.name.split(":")[0] for case in CASES}
-    for command in ("close-loop", "simulate"):
-        found = {case.name.split(":")[0] for case, x in chosen if x == command}
-        assert found == families, command
-    assert {case.expect for case, _ in chosen} == {"refused", "read", "same", "either"}
-
-
-def params(command):
-    """Return the cases of a command; those out of the sample are slow tests."""
+def params(cases):
+    """Return cases as parameters, those out of the quick sample marked as slow."""
     return [
-        pytest.param(
-            case,
-            id=case.name,
-            marks=[] if (case.name, command) in SAMPLE else [pytest.mark.slow],
-        )
-        for case, x in RUNS
-        if x == command
+        pytest.param(case, id=case.name, marks=[pytest.mark.slow] * case.slow)
+        for case in cases
     ]
 
 
-@pytest.mark.parametrize("case", params("close-loop"))
+def test_the_quick_sample_is_small_and_has_every_kind():
+    names = [case.name for case in CASES]
+    assert len(set(names)) == len(names) >= 400
+    quick = [case for case in CASES if not case.slow]
+    simulated = sum(not case.slow for case in SIMULATED)
+    assert len(quick) + simulated <= MOST
+    # A name ends with the number of the case of its kind.
+    of_bytes = (*_mutations.BYTES, *_mutations.TEXT, *_mutations.XML)
+    for mutate in (*of_bytes, *_mutations.COLUMNS, *_mutations.STAMPS):
+        assert any(f"{mutate.__name__} " in case.name for case in quick), mutate
+    assert {case.expect for case in quick} == {"refused", "read", "same", "either"}
+
+
+@pytest.mark.parametrize("case", params(CASES))
 def test_hostile_input(case, runner, clean, tmp_path):
     before = {}
 
     def build(folder):
         arguments = case.build(folder, case.rng())
-        if case.expect == "either" and not case.name.startswith("motion"):
-            # What is read or refused here is the file, not the motion.
+        if case.expect == "either" and "--effects" not in case.name:
+            # What is read or refused here is the file.
             arguments += ["--effects", "none"]
         before.update((p, p.is_file()) for p in folder.rglob("*"))
         return arguments
@@ -321,11 +273,9 @@ def check_ending(outcome, made, out):
     table = (out / "simulation.csv").read_text(encoding="utf-8")
     assert table.startswith("model,recording,from_s,to_s,joint,")
     assert table.endswith("\n")
-    for path in out.glob("*.png"):
-        assert path.read_bytes().endswith(b"IEND\xaeB`\x82")
 
 
-@pytest.mark.parametrize("case", params("simulate"))
+@pytest.mark.parametrize("case", params(SIMULATED))
 def test_hostile_input_is_simulated_or_refused(case, runner, tmp_path):
     before = set()
 
@@ -389,10 +339,8 @@ MODELS = {
 }
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [pytest.param(x, marks=[pytest.mark.slow] if x in LONG else []) for x in MODELS],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("damage", MODELS)
 def test_hostile_models_are_simulated_or_refused(damage, runner, saved, tmp_path):
     text = MODELS[damage](saved)
 

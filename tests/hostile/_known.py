@@ -1,0 +1,251 @@
+"""Cases whose result is known: read as without fault, read, or refused in words."""
+
+import zipfile
+from dataclasses import replace
+
+import numpy as np
+
+from tests.hostile._case import (
+    URDF,
+    Case,
+    N,
+    argv,
+    clean_lines,
+    clean_text,
+    table_case,
+    text_case,
+)
+from tests.hostile._mutations import FILES, matrices, npz
+
+
+def _units():
+    heads, *rows = clean_lines()
+    return "\n".join([heads, "s,rad,rad,Nm,Nm", *rows])
+
+
+def _header_twice():
+    lines = clean_lines()
+    return "\n".join([*lines[:500], lines[0], *lines[500:]])
+
+
+def _commented(comment, encoding="utf-8"):
+    return lambda: f"# {comment}\n{clean_text()}".encode(encoding)
+
+
+def _replaced(*pairs):
+    def text():
+        found = clean_text()
+        for old, new in pairs:
+            found = found.replace(old, new)
+        return found
+
+    return text
+
+
+TEXTS = {
+    "byte order mark": (lambda: clean_text().encode("utf-8-sig"), "same"),
+    "utf-16": (lambda: clean_text().encode("utf-16"), "same"),
+    "latin-1": (_commented("in °", "latin-1"), "same", "cp1252"),
+    "separator told": (lambda: "sep=,\n" + clean_text(), "same"),
+    "semicolons": (_replaced((",", ";")), "same"),
+    "decimal commas": (_replaced((",", ";"), (".", ",")), "same"),
+    "row of units": (_units, "same"),
+    "header twice": (_header_twice, "refused", "501"),
+    "last line cut": (lambda: clean_text()[:-12], "read", "the last line is cut"),
+    "header only": (lambda: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),
+    "NUL": (lambda: clean_text()[:900] + "\0", "refused", "binary"),
+    "long comment": (_commented("x" * 3_000_000), "same"),
+    "escape codes": (lambda: "\x1b[31mt,q1,tau1\n1,2,3\n", "refused"),
+}
+
+
+def _all(kind, value):
+    def change(table, rng):
+        return table | {f"{kind}{j}": np.full_like(table["t"], value) for j in "12"}
+
+    return change
+
+
+TABLES = {
+    "positions constant": (_all("q", 0.5), "refused", "o joint moves"),
+    "torques constant": (_all("tau", 0.5), "refused", "constant"),
+    "torques of two values": (
+        lambda x, rng: x | {k: np.sign(x[k]) for k in ("tau1", "tau2")},
+        "refused",
+        "two values only",
+    ),
+    "torques without signs": (
+        lambda x, rng: x | {k: np.abs(x[k]) for k in ("tau1", "tau2")},
+        "refused",
+        "signs were not logged",
+    ),
+    "Chinese name": (lambda x, rng: x | {"温度": x["q1"]}, "same"),
+    "column of text": (lambda x, rng: x | {"mode": ["run"] * len(x["t"])}, "same"),
+    "rows shuffled": (
+        lambda x, rng: {
+            k: v[np.random.default_rng(0).permutation(N)] for k, v in x.items()
+        },
+        "same",
+        "sorted by it",
+    ),
+    "columns shuffled": (lambda x, rng: {k: x[k] for k in sorted(x)[::-1]}, "same"),
+    "no torques": (
+        lambda x, rng: {k: x[k] for k in ("t", "q1", "q2")},
+        "refused",
+        "no torques",
+    ),
+}
+
+ARRAYS = {
+    "Fortran order": ({"q": np.asfortranarray}, "same"),
+    "big-endian": ({"q": lambda x: x.astype(">f8")}, "same"),
+    "32 bits": ({"q": lambda x: x.astype("f4")}, "same"),
+    "complex": ({"q": lambda x: x + 1j}, "refused", "numbers"),
+    "text": ({"q": lambda x: x.astype(str)}, "refused", "numbers"),
+    "objects": ({"q": lambda x: x.astype(object)}, "refused", "Python objects"),
+    "transposed": ({"q": np.transpose}, "refused"),
+    "three axes": ({"q": lambda x: x[:, :, None]}, "refused", "no positions"),
+    "lengths": ({"tau": lambda x: x[:-1]}, "refused", "1599 rows"),
+}
+
+
+def _laughs(levels):
+    entities = ['<!ENTITY e0 "ha">']
+    entities += [f'<!ENTITY e{k} "{f"&e{k - 1};" * 10}">' for k in range(1, levels)]
+    head = f"<?xml version='1.0'?><!DOCTYPE robot [{''.join(entities)}]>"
+    return head + URDF.replace('name="arm"', f'name="&e{levels - 1};"')
+
+
+OUTSIDE = "<!DOCTYPE robot [<!ENTITY a SYSTEM 'file:///etc/passwd'>]>"
+ROBOTS = {
+    "Unicode names": (lambda: URDF.replace("shoulder", "肩関節"), "same"),
+    "name with HTML": (
+        lambda: URDF.replace('name="shoulder"', 'name="&lt;script&gt;"'),
+        "same",
+    ),
+    "billion laughs": (lambda: _laughs(10), "refused"),
+    "external entity": (
+        lambda: OUTSIDE + URDF.replace('name="arm"', 'name="&a;"'),
+        "refused",
+    ),
+    "nested": (lambda: "<robot>" + "<a>" * 100_000 + "</a>" * 100_000, "refused"),
+    "many links": (
+        lambda: URDF.replace(
+            "</robot>",
+            "".join(f'<link name="x{k}"/>' for k in range(2000)) + "</robot>",
+        ),
+        "refused",
+    ),
+    "heavy mass": (
+        lambda: URDF.replace('value="3"', 'value="heavy"'),
+        "refused",
+        "mass",
+    ),
+}
+QUICK = {"latin-1", "decimal commas", "header twice", "last line cut", "NUL"}
+QUICK |= {"torques without signs", "rows shuffled", "32 bits", "objects"}
+QUICK |= {"billion laughs", "external entity", "heavy mass", "name with HTML"}
+
+
+def _bomb(n_bytes):
+    """Write an archive that is a thousandth of the zeros that it holds."""
+
+    def build(folder, rng):
+        shape = (n_bytes // 16, 2)
+        text = str({"descr": "<f8", "fortran_order": False, "shape": shape})
+        head = b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text.encode()
+        zeros = bytes(1 << 24)
+        with zipfile.ZipFile(
+            folder / "arm.npz", "w", zipfile.ZIP_DEFLATED, compresslevel=1
+        ) as archive:
+            for name in ("q", "tau"):
+                with archive.open(f"{name}.npy", "w", force_zip64=True) as member:
+                    member.write(head)
+                    for _ in range(n_bytes // len(zeros)):
+                        member.write(zeros)
+        return argv("arm.npz", "--dt", "0.005")
+
+    return build
+
+
+def _rows_at_rest(n):
+    def build(folder, rng):
+        block = "0.1234567,-1.1234567,3.25,-0.75\n" * 10_000
+        with (folder / "arm.csv").open("w") as file:
+            file.write("q1,q2,tau1,tau2\n")
+            for _ in range(n // 10_000):
+                file.write(block)
+        return argv("arm.csv", "--dt", "0.005")
+
+    return build
+
+
+def _wide(n):
+    def build(folder, rng):
+        names = ",".join(f"x{k}" for k in range(n))
+        values = ",".join(["0.5"] * n)
+        heads, *rows = clean_lines()
+        lines = [f"{heads},{names}", *(f"{row},{values}" for row in rows[:40])]
+        (folder / "arm.csv").write_text("\n".join(lines))
+        return argv()
+
+    return build
+
+
+def _text_case(name, text, *expected):
+    return text_case(name, lambda rng: text(), *expected)
+
+
+def _array_case(name, changes, expect, message=""):
+    def build(folder, rng):
+        arrays = matrices()
+        arrays |= {key: change(arrays[key]) for key, change in changes.items()}
+        (folder / "arm.npz").write_bytes(npz(arrays))
+        return argv("arm.npz")
+
+    return Case(name=name, build=build, expect=expect, message=message)
+
+
+def _robot_case(name, text, expect, message=""):
+    def build(folder, rng):
+        (folder / "arm.urdf").write_text(text(), encoding="utf-8")
+        (folder / "arm.csv").write_text(clean_text())
+        return argv()
+
+    return Case(name=name, build=build, expect=expect, message=message)
+
+
+def _whole(name):
+    def build(folder, rng):
+        (folder / name).write_bytes(FILES[name]())
+        return argv(name)
+
+    return Case(name=f"whole: {name}", build=build, expect="same", slow=True)
+
+
+def cases():
+    """Return all cases."""
+    found = [_whole(name) for name in FILES if name != "arm.urdf"]
+    tables = (
+        (
+            "text",
+            TEXTS,
+            lambda name, make, *rest: text_case(name, lambda _: make(), *rest),
+        ),
+        ("table", TABLES, table_case),
+        ("npz", ARRAYS, _array_case),
+        ("robot", ROBOTS, _robot_case),
+    )
+    for kind, known, case in tables:
+        for name, (change, *rest) in known.items():
+            one = case(f"{kind}: {name}", change, *rest)
+            found.append(replace(one, slow=name not in QUICK))
+    large = {
+        "npz: bomb of 400 MB": (_bomb(400 << 20), "refused"),
+        "text: 2,000 columns": (_wide(2000), "read"),
+        "text: 200,000 columns": (_wide(200_000), "either"),
+        "text: 10,000,000 rows at rest": (_rows_at_rest(10_000_000), "refused"),
+    }
+    for name, (build, expect) in large.items():
+        found.append(Case(name=name, build=build, expect=expect, slow=True))
+    return found

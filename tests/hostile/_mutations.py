@@ -206,20 +206,25 @@ TEXT = (_word, _line_lost, _line_doubled, _ragged, _separated, _ended, _renamed)
 # -- mutations of descriptions ---------------------------------------------------------
 
 
+def _any(found, rng):
+    found = list(found)
+    return found[rng.integers(len(found))]
+
+
 def _attribute(root, rng):
-    one = rng.choice([x for x in root.iter() if x.attrib])
-    one.set(rng.choice(list(one.attrib)), str(rng.choice(WORDS)))
+    one = _any((x for x in root.iter() if x.attrib), rng)
+    one.set(_any(one.attrib, rng), _any(WORDS, rng))
 
 
 def _attribute_lost(root, rng):
-    one = rng.choice([x for x in root.iter() if x.attrib])
-    del one.attrib[rng.choice(list(one.attrib))]
+    one = _any((x for x in root.iter() if x.attrib), rng)
+    del one.attrib[_any(one.attrib, rng)]
 
 
 def _element(root, rng):
     """Return a parent and one of its children."""
-    parent = rng.choice([x for x in root.iter() if len(x)])
-    return parent, parent[rng.integers(len(parent))]
+    parent = _any((x for x in root.iter() if len(x)), rng)
+    return parent, _any(parent, rng)
 
 
 def _element_lost(root, rng):
@@ -235,16 +240,16 @@ def _element_doubled(root, rng):
 def _element_moved(root, rng):
     parent, child = _element(root, rng)
     parent.remove(child)
-    rng.choice(list(root.iter())).append(child)
+    _any(root.iter(), rng).append(child)
 
 
 def _tag_changed(root, rng):
-    rng.choice(list(root.iter())).tag = str(rng.choice(["link", "joint", "mimic", "a"]))
+    _any(root.iter(), rng).tag = _any(("link", "joint", "mimic", "a"), rng)
 
 
 def _type_changed(root, rng):
-    kinds = ["fixed", "floating", "planar", "ball", "REVOLUTE", "prismatic", ""]
-    rng.choice(root.findall("joint")).set("type", str(rng.choice(kinds)))
+    kinds = ("fixed", "floating", "planar", "ball", "REVOLUTE", "prismatic", "")
+    _any(root.findall("joint"), rng).set("type", _any(kinds, rng))
 
 
 XML = (_attribute, _attribute_lost, _element_lost, _element_doubled, _element_moved)

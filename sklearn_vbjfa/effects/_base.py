@@ -174,10 +174,9 @@ class Effect(TransformerMixin, BaseEstimator):
     # -- what a new effect says ---------------------------------------------------
 
     def law(self, maths):
-        """Return its torques as a function of a state, once for floats and arrays.
+        """Return its torques as a function of a state, for floats and arrays alike.
 
-        Where `columns` say more than this, such as a memory, both are defined, and
-        agree.
+        An effect that defines `columns` as well, such as one with a memory, agrees.
 
         Parameters
         ----------
@@ -188,10 +187,9 @@ class Effect(TransformerMixin, BaseEstimator):
         Returns
         -------
         callable or None
-            `State` -> tuple with one value for each coefficient. The signals of a
-            state are by joint, such as ``state.q[joint]``: arrays (n,) in a recording,
-            floats where torques are asked for state by state. None, the default, for
-            an effect that defines `columns` alone.
+            State -> tuple with one value for each coefficient. Signals of a state are
+            by joint, such as ``state.q[joint]``: arrays (n,) of a recording, or floats.
+            None for an effect that defines `columns` alone.
         """
         return None
 
@@ -220,20 +218,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return out
 
     def simulated(self, table, *coef):
-        """Enter it into the forward dynamics of a robot; by default its `terms`.
-
-        Parameters
-        ----------
-        table : TermTable
-            Takes what a simulation knows; see `sklearn_vbjfa.simulation`.
-        *coef : float
-            Coefficients.
-
-        Returns
-        -------
-        bool
-            Whether it is entered; False if it is to be simulated by its own columns.
-        """
+        """Enter it into a `TermTable` of forward dynamics; False if it has no terms."""
         known = dict(zip(self.coefficients, coef))
         done = bool(self.terms)
         for kind, *names in self.terms:
@@ -246,10 +231,9 @@ class Effect(TransformerMixin, BaseEstimator):
         return [{}]
 
     def applies(self, motion):
-        """Say why the effect cannot be looked for, or return an empty string.
+        """Say why the effect cannot be looked for; empty if it can.
 
-        A reason that begins with "needs" names a signal that another recording may
-        have: a report lists the effect as hidden.
+        A reason that begins with "needs" is one that another recording may remove.
         """
         for need in self.needs:
             if need == "time" and motion.t is None:
@@ -268,10 +252,9 @@ class Effect(TransformerMixin, BaseEstimator):
         return all(fitted[name] >= 0 for name in self.nonnegative)
 
     def opposite(self):
-        """Return the effect mirrored in what must have a sign, such as a delay in time.
+        """Return the effect with the opposite sign, as of a delay; None for others.
 
-        Where the mirror image explains nearly as much, the data show something
-        symmetric, and a search finds neither. None where there is no such image.
+        If it explains nearly as much, the cause is symmetric: a search takes neither.
         """
         return None
 
@@ -306,37 +289,14 @@ class Effect(TransformerMixin, BaseEstimator):
 
     @classmethod
     def describe(cls, shape, joint_label):
-        """Say what to call the effect in a sentence, with what matters of its shape.
+        """Return a label for a sentence, with what matters of its shape (a mapping).
 
-        Parameters
-        ----------
-        shape : mapping of str to object
-            Shape parameters; those that are missing are not spoken of.
-        joint_label : callable
-            Joint, from zero -> what to call it.
-
-        Returns
-        -------
-        str
-            Label.
+        ``joint_label`` turns a joint, counted from zero, into its label.
         """
         return cls.label or cls.name.replace("_", " ")
 
     def told_beside(self, other):
-        """Return what to call the effect among the rivals of another one.
-
-        Its name; one of several uses on a joint says what sets it apart.
-
-        Parameters
-        ----------
-        other : Effect
-            What it cannot be told from.
-
-        Returns
-        -------
-        str
-            Name.
-        """
+        """Return its name among the rivals of another effect."""
         return self.name
 
     # -- derived ------------------------------------------------------------------
@@ -422,7 +382,7 @@ class Effect(TransformerMixin, BaseEstimator):
     def _motion(self, X, t=None, load=None, groups=None, signals=None):
         self.check()
         X = check_array(X, dtype=np.float64)
-        nv = X.shape[1] // 3
+        n, nv = X.shape[0], X.shape[1] // 3
         if X.shape[1] % 3:
             raise ValueError(
                 f"X must hold states [q | v | a], three columns a joint; got "
@@ -433,26 +393,18 @@ class Effect(TransformerMixin, BaseEstimator):
                 f"joint must be one of 0 to {nv - 1}, for {nv} joints; got "
                 f"{self.joint!r}."
             )
-        if t is not None:
-            t = check_array(t, ensure_2d=False, dtype=np.float64)
-            if t.shape != X.shape[:1]:
-                raise ValueError(
-                    f"t must hold one time per row, shape {X.shape[:1]}; got {t.shape}."
-                )
-        if load is not None:
-            load = check_array(load, dtype=np.float64)
-            if load.shape != (X.shape[0], nv):
-                raise ValueError(
-                    f"load must have shape {(X.shape[0], nv)}; got {load.shape}."
-                )
+        q, v, a = np.split(X, 3, axis=1)
         return Motion(
-            q=X[:, :nv],
-            v=X[:, nv : 2 * nv],
-            a=X[:, 2 * nv :],
-            t=t,
-            load=load,
-            parts=_parts(groups, X.shape[0]),
-            signals=_checked(signals, X.shape[0]),
+            q=q,
+            v=v,
+            a=a,
+            t=None if t is None else _checked("t", t, (n,)),
+            load=None if load is None else _checked("load", load, (n, nv)),
+            parts=_parts(groups, n),
+            signals={
+                name: _checked(f"signals[{name!r}]", values, (n,))
+                for name, values in ({} if signals is None else signals).items()
+            },
         )
 
     def get_feature_names_out(self, input_features=None):
@@ -658,14 +610,9 @@ def _parts(groups, n):
     return tuple(slice(int(a), int(b)) for a, b in itertools.pairwise(edges))
 
 
-def _checked(signals, n):
-    """Return signals as arrays (n,) of floats, by name."""
-    found = {}
-    for name, values in ({} if signals is None else signals).items():
-        found[name] = check_array(values, ensure_2d=False, dtype=np.float64)
-        if found[name].shape != (n,):
-            raise ValueError(
-                f"signals[{name!r}] must hold one value per row, shape ({n},); got "
-                f"{found[name].shape}."
-            )
-    return found
+def _checked(name, values, shape):
+    """Return an argument as an array of floats of this shape."""
+    values = check_array(values, ensure_2d=False, dtype=np.float64)
+    if values.shape != shape:
+        raise ValueError(f"{name} must have shape {shape}; got {values.shape}.")
+    return values

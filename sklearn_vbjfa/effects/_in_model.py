@@ -135,13 +135,7 @@ class InModel(Effect):
                 )
 
     def correct(self, robot):
-        """Correct a robot by the present values.
-
-        Parameters
-        ----------
-        robot : CorrectedModel
-            Takes the corrections.
-        """
+        """Correct a robot, a `CorrectedModel`, by the present values."""
         raise NotImplementedError(f"{type(self).__name__} must define correct(robot).")
 
     def bounds(self):

@@ -81,29 +81,7 @@ def available():
 
 
 def resolve(effects="all"):
-    """Turn names, classes and instances into effects, one of each.
-
-    Parameters
-    ----------
-    effects : "all", str, Effect or iterable of these, default="all"
-        What to look for.
-
-    Returns
-    -------
-    tuple of Effect
-        Effects.
-
-    Raises
-    ------
-    ValueError
-        If a name is unknown or comes twice.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa import effects
-    >>> effects.resolve(["coulomb", effects.Spring])
-    (Coulomb(), Spring())
-    """
+    """Return the effects of "all", names, classes and instances, one of each."""
     if isinstance(effects, str) and effects == "all":
         return tuple(effect() for effect in _LIBRARY.values())
     if isinstance(effects, (str, Effect, type)):

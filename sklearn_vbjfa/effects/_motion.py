@@ -123,64 +123,31 @@ def mean_sign(v, a, rest, smoothing=0.0):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
-    """Signals of one or several recordings, all at the full sample rate.
+    """Signals of one or several recordings, all at the full sample rate."""
 
-    Attributes
-    ----------
-    q, v, a : ndarray of shape (n, nv)
-        Positions [rad or m], velocities, accelerations.
-    t : ndarray of shape (n,) or None
-        Time [s], rising over all recordings.
-    load : ndarray of shape (n, nv) or None
-        Torques of the rigid bodies alone, without friction [N m or N].
-    torque : ndarray of shape (n, nv) or None
-        Torques of the whole model [N m or N].
-    parts : tuple of slice
-        Recordings; nothing is remembered across their borders.
-    prismatic : ndarray of shape (nv,), bool
-        Which joints slide.
-    rigid : callable or None
-        (q, v, a) -> torques (n, nv) of the rigid bodies.
-    last_body : callable or None
-        () -> regressor of the last body's inertial parameters, (n, nv, 10).
-    derivatives : object or None
-        Derivatives of the rigid bodies' torques by the robot's geometry; see
-        `ModelEffect`.
-    bandwidth : float
-        Highest frequency [Hz] that will be looked at.
-    begins : tuple of float or None
-        When recordings begin [s], if their first rows are left out here; None takes
-        the first rows of all parts.
-    rest : Rest or None
-        What to take for the sign of the velocity of a joint that may be standing; None
-        takes the sign itself, as a fit does, whose equations are masked there.
-    since : float or None
-        First time of the fit [s]: before it an effect of time is as it was then. None
-        if that is not known, or this is the fit.
-    signals : mapping of str to ndarray of shape (n,)
-        What was recorded beside the motion (a temperature, a voltage), by name, in
-        units of its own.
-    command : ndarray of shape (n, nv) or None
-        Torques that follow from commands alone, see `CommandDelay`.
-    """
-
-    q: np.ndarray
+    q: np.ndarray  # (n, nv): positions [rad or m], with velocities and accelerations
     v: np.ndarray
     a: np.ndarray
-    t: np.ndarray | None = None
-    load: np.ndarray | None = None
-    torque: np.ndarray | None = None
-    parts: tuple = ()
-    prismatic: np.ndarray | None = None
-    rigid: Callable | None = None
+    t: np.ndarray | None = None  # (n,): time [s], rising over all recordings
+    load: np.ndarray | None = None  # (n, nv): torques of the rigid bodies [N m or N]
+    torque: np.ndarray | None = None  # (n, nv): torques of the whole model
+    parts: tuple = ()  # slices: recordings, across whose borders there is no memory
+    prismatic: np.ndarray | None = None  # (nv,), bool
+    rigid: Callable | None = None  # (q, v, a) -> torques (n, nv) of the rigid bodies
+    # () -> regressor of the last body's inertial parameters, (n, nv, 10)
     last_body: Callable | None = None
+    # of the rigid bodies' torques by the robot's geometry; see `InModel`
     derivatives: object | None = None
-    bandwidth: float = np.inf
+    bandwidth: float = np.inf  # highest frequency that will be looked at [Hz]
+    # when recordings begin [s], if their first rows are left out here
     begins: tuple | None = None
+    # for the mean sign of velocities; None takes the sign itself, as a fit does, whose
+    # equations are masked where a joint may be standing
     rest: Rest | None = None
+    # first time of the fit [s]: before it an effect of time is as it was then
     since: float | None = None
-    signals: Mapping = field(default_factory=dict)
-    command: np.ndarray | None = None
+    signals: Mapping = field(default_factory=dict)  # (n,) by name, in their own units
+    command: np.ndarray | None = None  # (n, nv): torques by commands, `CommandDelay`
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):
@@ -209,10 +176,7 @@ class Motion:
         return self._speeds[joint]
 
     def sign(self, joint, smoothing=0.0):
-        """Sign of a joint's velocity (n, 1), tanh(v / smoothing) where one is given.
-
-        Where `rest` is known this is its mean; see `Rest`.
-        """
+        """Mean sign of a joint's velocity (n, 1), or tanh(v / smoothing)."""
         rest = None if self.rest is None else self.rest.pick(joint)
         return mean_sign(self.v[:, [joint]], self.a[:, [joint]], rest, smoothing)
 

@@ -368,18 +368,7 @@ class Payload(Shaped, OfTime):
         return columns * after[:, None, None]
 
     def inertial(self, coef):
-        """Return what the last body's inertial parameters change by, ndarray (10,).
-
-        Parameters
-        ----------
-        coef : array-like of shape (5,)
-            Coefficients.
-
-        Returns
-        -------
-        ndarray of shape (10,)
-            Changes of m, mc_x, ..., I_zz [kg, kg m, kg m^2].
-        """
+        """Return the changes (10,) of the last body's inertial parameters."""
         return _ball(np.asarray(self.centre, dtype=float)) @ np.asarray(coef)
 
     def simulated(self, table, *coef):

@@ -671,7 +671,7 @@ def test_wrong_joints_are_refused(joint):
 @pytest.mark.parametrize(
     ("given", "message"),
     [
-        ({"t": T[:-1]}, "t must hold one time per row"),
+        ({"t": T[:-1]}, r"t must have shape \(600,\)"),
         ({"load": LOAD[:, :1]}, r"load must have shape \(600, 2\)"),
         (
             {"groups": np.zeros(5)},

@@ -115,8 +115,8 @@ def test_what_cannot_vary_is_refused():
 @pytest.mark.parametrize(
     ("values", "message"),
     [
-        (WARM[:-1], r"signals\['temperature'\] must hold one value per row"),
-        (np.column_stack([WARM, WARM]), "must hold one value per row"),
+        (WARM[:-1], r"signals\['temperature'\] must have shape"),
+        (np.column_stack([WARM, WARM]), "must have shape"),
         (np.where(T > 1, np.nan, WARM), "NaN"),
     ],
 )

@@ -32,10 +32,6 @@ def test_columns_are_those_of_the_effects(joint, rest):
         assert_array_equal(columns[:, [joint], k], own)
 
 
-def test_nothing_declared_is_no_column():
-    assert effects.declared_columns((), V, A).shape == (*V.shape, 0)
-
-
 def test_units_and_signs_are_those_of_the_effects():
     for effect in effects.resolve(effects.declarable()):
         ((revolute, prismatic),) = effect.units
@@ -56,15 +52,3 @@ def test_units_and_signs_are_those_of_the_effects():
 def test_other_names_are_refused(names, message):
     with pytest.raises(ValueError, match=message):
         effects.check_declared(names)
-
-
-def test_one_name_is_a_tuple_of_one():
-    assert effects.check_declared("coulomb") == ("coulomb",)
-
-
-def test_a_column_must_be_defined():
-    class Nothing(JointEffect):
-        name = "nothing"
-
-    with pytest.raises(NotImplementedError, match="Nothing must define column"):
-        Nothing().fit_transform(X)

@@ -8,7 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
-from sklearn.pipeline import make_union
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa.effects import Effect, Motion, dahl, play
@@ -165,24 +164,6 @@ def test_scikit_learn_contract(name):
         assert clone(effect).set_params(**shape).shape() == effect.shape() | shape
 
 
-def test_effects_unite_into_a_matrix():
-    union = make_union(effects.Coulomb(joint=1), effects.Spring(joint=0))
-    columns = union.fit_transform(X)
-    assert_array_equal(columns, np.column_stack([np.sign(V[:, 1]), Q[:, 0], 1 + 0 * T]))
-
-
-def test_names_classes_and_instances_are_resolved():
-    own = effects.Ripple(period=0.3)
-    found = effects.resolve(["coulomb", effects.Spring, own])
-    assert [e.name for e in found] == ["coulomb", "spring", "ripple"]
-    assert found[2] is not own
-    assert found[2].period == 0.3
-    assert effects.resolve("offset")[0].name == "offset"
-    assert effects.resolve(own)[0].period == 0.3
-    assert effects.resolve(effects.Offset)[0].name == "offset"
-    assert effects.resolve(()) == ()
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -330,13 +311,6 @@ def test_dahl_is_the_differential_equation():
     assert_allclose(column, dahl_in_small_steps(q, 0.04, 50), atol=1e-4)
     assert np.abs(column).max() <= 1.0
     assert np.ptp(column) > 0.5
-
-
-def test_dahl_keeps_still_where_the_joint_does():
-    q = np.r_[np.linspace(0, 0.1, 30), np.full(20, 0.1), np.linspace(0.1, 0.05, 30)]
-    z = dahl(q, 0.02)
-    assert_array_equal(z[29:50], z[29])
-    assert_allclose(z, dahl_in_small_steps(q, 0.02), atol=1e-5)
 
 
 walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
@@ -514,34 +488,6 @@ def test_most_effects_have_one_shape_and_the_others_say_which():
         assert len({tuple(sorted(s.items())) for s in shapes}) == len(shapes)
 
 
-def test_shapes_stay_within_the_motion():
-    now = signals()
-    reach, fast = np.ptp(Q[:, 0]), np.quantile(np.abs(V[:, 0]), 0.995)
-
-    def values(name, key):
-        effect = library_effect(name)
-        return np.array([s[key] for s in effect.shapes(now)])
-
-    for name in ("coulomb", "load_friction"):
-        assert values(name, "smoothing").min() == 0
-        assert values(name, "smoothing").max() < 0.5 * fast
-    assert 0 < values("stribeck", "vs").min()
-    assert values("stribeck", "vs").max() < fast
-    assert set(values("stribeck", "k")) == {1, 2}
-    assert 0 < values("presliding", "displacement").min()
-    assert values("presliding", "displacement").max() < reach / 4
-    assert 0 < values("backlash", "width").min()
-    assert values("backlash", "width").max() < reach / 2
-    assert reach / 100 < values("ripple", "period").min()
-    assert values("ripple", "period").max() < reach / 2
-    assert np.abs(values("delay", "delay")).max() <= 0.03
-    assert 0 < values("drift", "time_constant").min()
-    assert values("drift", "time_constant").max() <= 3.01 * np.ptp(T)
-    instants = values("payload", "instant")
-    assert T[0] < instants.min()
-    assert instants.max() < T[-1]
-
-
 def test_payload_may_change_between_recordings():
     half = T.size // 2 - 7
     parts = (slice(0, half), slice(half, T.size))
@@ -588,15 +534,6 @@ def test_millimetres_give_the_same_columns(name):
         b = clone(effect).set_params(**there).columns(millimetres)
         a, b = (x / np.sqrt(np.mean(x**2, axis=0)) for x in (a, b))
         assert_allclose(a, b, atol=1e-6)
-
-
-@settings(deadline=None, max_examples=25)
-@given(factor=st.floats(1e-3, 1e3), name=st.sampled_from(["stribeck", "presliding"]))
-def test_shapes_scale_with_the_motion(factor, name):
-    effect = library_effect(name)
-    now, scaled = (effect.shapes(signals((True, True), s)) for s in (1.0, factor))
-    key = effect.continuous[0]
-    assert_allclose([s[key] for s in scaled], [factor * s[key] for s in now])
 
 
 # -- parameters
@@ -685,13 +622,6 @@ def test_wrong_signals_are_refused(given, message):
         transform(effects.LoadFriction(), **given)
 
 
-def test_wrong_states_are_refused():
-    with pytest.raises(ValueError, match="three columns a joint; got 5"):
-        effects.Viscous().fit(X[:, :5])
-    with pytest.raises(ValueError, match="NaN"):
-        effects.Viscous().fit(X * np.nan)
-
-
 @pytest.mark.parametrize(
     "effect", [effects.Drift(of="inertia"), effects.Coupling(of="both")]
 )
@@ -740,11 +670,6 @@ def test_friction_does_not_drive(cls):
     assert not cls().plausible([-0.1])
 
 
-def test_a_spring_may_have_either_sign():
-    assert effects.Spring().plausible([-1.0, -1.0])
-    assert effects.ViscousQuadratic().plausible([-1.0])
-
-
 # -- an effect of one's own
 
 
@@ -766,11 +691,6 @@ def test_an_effect_needs_a_name_units_and_columns_only():
     assert cubic.parameter_units(prismatic=True) == {"k3": "N/m^3"}
     assert effects.resolve(["coulomb", Cubic])[1].name == "cubic"
     assert cubic.shapes(signals()) == [{}]
-
-
-def test_an_effect_without_columns_says_so():
-    with pytest.raises(NotImplementedError, match=r"must define columns\(motion\)"):
-        Effect().fit_transform(X)
 
 
 # -- settings that cannot be

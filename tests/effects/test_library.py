@@ -10,13 +10,6 @@ def plain_label(joint):
     return f"joint {joint + 1}"
 
 
-def test_effects_are_found_by_name():
-    (spring,) = effects.resolve("spring")
-    assert type(spring) is effects.Spring
-    with pytest.raises(ValueError, match="Unknown effect 'leak'"):
-        effects.resolve("leak")
-
-
 def test_every_effect_says_what_reports_and_guide_need():
     for effect in effects.resolve():
         assert effect.label
@@ -68,17 +61,6 @@ def test_every_effect_says_what_reports_and_guide_need():
 )
 def test_labels_say_what_matters_of_the_shape(effect, expected):
     assert effect.describe(effect.shape(), plain_label) == expected
-
-
-@pytest.mark.parametrize(
-    ("J", "expected"),
-    [
-        (0.05, "jerk: position lags torque, or flexibility"),
-        (-0.05, "jerk: torque lags position, or flexibility"),
-    ],
-)
-def test_the_sign_of_a_jerk_says_which_channel_is_late(J, expected):
-    assert effects.Jerk.describe({"J": J}, plain_label) == expected
 
 
 def test_an_effect_of_ones_own_is_called_by_its_name():

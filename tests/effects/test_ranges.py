@@ -115,14 +115,6 @@ def test_what_is_not_known_or_not_used_holds_nothing(given):
     assert dataclasses.replace(SPRING, **given).within(motion) is motion
 
 
-def test_margin_is_a_share_of_the_width():
-    assert_allclose(SPRING.margin("position"), 0.2 * 4.0, rtol=1e-6)
-    # Both directions.
-    assert_allclose(SPRING.margin("speed"), 0.2 * 2 * 1.5, rtol=1e-6)
-    curved = dataclasses.replace(SPRING, curved=True)
-    assert_allclose(curved.margin("load"), 0.1 * 10.0, rtol=1e-6)
-
-
 @pytest.mark.parametrize(
     ("degree", "share", "factor"), [(1, STRAIGHT, 1.31), (2, CURVED, 1.46)]
 )
@@ -139,13 +131,6 @@ def test_what_is_not_known_is_never_outside():
     unknown = dataclasses.replace(SPRING, position=(NAN, NAN))
     assert_array_equal(unknown.excess("position", [-9.0, 9.0]), [0.0, 0.0])
     assert judged([unknown], [9.0] * 10) == ()
-
-
-@pytest.mark.parametrize(
-    ("value", "expected"), [(3.79, False), (3.81, True), (-1.79, False), (-1.81, True)]
-)
-def test_a_prediction_is_outside_beyond_the_margin(value, expected):
-    assert bool(judged([SPRING], [value] * 10)) == expected
 
 
 def test_what_is_outside_is_told_with_its_size():
@@ -298,14 +283,6 @@ def test_columns_that_go_on_changing_are_declared(name, quantity):
     assert grows == (quantity in effect.depends)
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_quantities_are_known_ones(name):
-    effect = library_effect(name)
-    assert set(effect.depends) <= {*QUANTITIES, "direction"}
-    assert effect.growth in ("straight", "curved", "bounded")
-    assert effect.depends or effect.growth == "straight"
-
-
 def test_straight_lines_are_straight_and_others_are_not():
     for name in NAMES:
         effect = library_effect(name)
@@ -370,8 +347,3 @@ def test_what_depends_on_the_motion_is_bounded_or_held(name):
         widths = 1.4 if effect.growth == "straight" else 1.2
         most = own.columns(motion_over(widths * TURN))
         assert_allclose(abs(held).max(axis=0), abs(most).max(axis=0), rtol=1e-8)
-
-
-def test_an_effect_of_ones_own_says_nothing_by_default():
-    assert effects.Effect.depends == ()
-    assert effects.Effect.growth != "bounded"

@@ -16,10 +16,6 @@ def rest(speed=0.05, time=0.0, noise=0.0, nv=1):
     )
 
 
-def test_without_rest_it_is_the_sign():
-    np.testing.assert_array_equal(mean_sign(V, 0 * V, None), np.sign(V))
-
-
 def test_without_speed_it_is_the_error_function():
     found = mean_sign(V, 0 * V, rest(speed=0.0, noise=0.1))
     np.testing.assert_allclose(found, erf(V / (np.sqrt(2) * 0.1)), rtol=1e-12)

@@ -62,18 +62,6 @@ def test_units_name_the_signal():
     assert effects.Signal().parameter_units()["k"] == "N m per unit of the signal"
 
 
-def test_it_says_what_varies_with_which_signal():
-    describe = effects.Signal.describe
-    assert describe({}, label) == "variation with a recorded signal"
-    assert describe({"signal": "load cell"}, label) == "variation with load cell"
-    for of, words in (
-        ("coulomb", "Coulomb friction that varies with temperature"),
-        ("viscous", "viscous friction that varies with temperature"),
-        ("offset", "offset that varies with temperature"),
-    ):
-        assert describe({"signal": "temperature", "of": of}, label) == words
-
-
 def test_rivals_are_told_apart():
     warm = effects.Signal(signal="temperature")
     assert effects.Signal(signal="voltage").told_beside(warm) == "signal: voltage"

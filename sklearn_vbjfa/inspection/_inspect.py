@@ -9,15 +9,19 @@ from sklearn_vbjfa.inspection._geometry import (
     torque_signs,
     unseen_signs,
 )
+from sklearn_vbjfa.inspection._hypotheses import explained
 from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
+from sklearn_vbjfa.inspection._rows import unlike_channels
 from sklearn_vbjfa.inspection._units import (
     OF_SIZE,
     commanded_sizes,
+    common_lag,
     counts,
-    degrees,
-    delays,
     gear_factors,
+    moved_zeros,
+    position_units,
     sample_periods,
+    silent_torques,
     too_fast,
     unsigned_torques,
     velocities,
@@ -257,6 +261,9 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
     revolute = ~is_prismatic(model)
     numbers = rows + first
     findings, usable, q = inspect_samples(names, q, tau, dt, parts, numbers, revolute)
+    findings += unlike_channels(names, q, tau, dt, parts)
+    if _names(findings, "velocity_as_torque", "copied_position"):
+        return findings, False
     impossible, ratio = too_fast(model, names, q, dt, parts)
     findings += counts(model, names, q, ratio)
     # Such positions allow no further question.
@@ -270,28 +277,79 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
     signals = channel_signals(q, tau, dt, parts, usable)
     if signals is None or not signals.informative().any():
         return findings + impossible, False
-    found, signals = degrees(model, names, q, signals)
-    if not found:
+    found, factor = position_units(model, names, q, signals)
+    if found:
+        q, signals = q * factor, signals.scaled(factor)
+        impossible, ratio = too_fast(model, names, q, dt, parts)
+    else:
         found = velocities(model, names, q, tau, dt, parts, usable, signals)
-    if not found:
-        found = impossible or sample_periods(model, names, dt, ratio, signals)
     findings += found
-    # These two cannot be corrected, and would show in everything that follows.
-    if not _names(findings, "velocity_as_position", "wrong_dt"):
-        found, right = _with_model(model, names, dt, signals, drive)
-        return findings + found, right
-    return findings, False
-
-
-def _with_model(model, names, dt, signals, drive):
-    """Check, with the robot's model, that channels are what their names say."""
-    findings, signals = misplaced(model, names, signals)
+    if _names(findings, "velocity_as_position"):
+        return findings, False
+    commanded = drive is not None and drive.told in COMMANDS
+    whole = []
+    if not commanded:
+        whole, model, signals = explained(
+            model, names, signals, lambda x: _corrected(model, names, x)
+        )
+        if not whole:
+            whole, signals = moved_zeros(model, names, q, signals)
+        findings += whole
+    if not whole:
+        findings += impossible or sample_periods(model, names, dt, ratio, signals)
+    # This cannot be corrected, and would show in everything that follows.
+    if _names(findings, "wrong_dt"):
+        return findings, False
+    found, signals = misplaced(model, names, signals)
+    findings += found
     found, right, signals = torque_signs(model, names, signals)
-    findings += found
-    if drive is not None and drive.told in COMMANDS:
+    findings = _mirrored(names, findings, found)
+    if commanded:
         return findings + commanded_sizes(model, names, signals, drive), right
     findings += gear_factors(model, names, signals)
-    return findings + delays(model, names, dt, signals), right
+    findings += silent_torques(model, names, signals)
+    if not _severe(findings):
+        findings += common_lag(
+            model, names, dt, lambda k: _shifted(q, tau, dt, parts, usable, k)
+        )
+    return findings, right
+
+
+def _mirrored(names, findings, signs):
+    """Join findings: a joint turned round whose torque has its sign is one position."""
+    turned = {x.joints for x in findings if x.kind == "flipped_joint"}
+    both = turned & {x.joints for x in signs if x.kind == "torque_sign"}
+    message = (
+        "The position of {} has the wrong sign: with the other one it agrees with the "
+        "torques of all joints; multiply it by -1."
+    )
+    joined = [
+        ChannelFinding("position_sign", j, "error", message.format(names[j[0]]))
+        for j in sorted(both)
+    ]
+    return joined + [x for x in [*findings, *signs] if x.joints not in both]
+
+
+def _corrected(model, names, signals):
+    """Signals with the faults of single channels corrected."""
+    _, signals = misplaced(model, names, signals)
+    return torque_signs(model, names, signals)[2]
+
+
+def _severe(findings):
+    """Whether positions and torques are not what a lag could be looked for in."""
+    return any(one.severity == "error" for one in findings)
+
+
+def _shifted(q, tau, dt, parts, usable, samples):
+    """Signals of torques that are read some samples later; None if none are left."""
+    if samples:
+        first, last = max(0, -samples), max(0, samples)
+        tau, q, usable = tau.copy(), q, usable.copy()
+        for part in parts:
+            tau[part] = np.roll(tau[part], -samples, axis=0)
+            usable[part][:first], usable[part][len(tau[part]) - last :] = False, False
+    return channel_signals(q, tau, dt, parts, usable)
 
 
 def _names(findings, *kinds):

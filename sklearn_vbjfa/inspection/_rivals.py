@@ -255,7 +255,7 @@ class ChannelEquations:
         # What is left of a torque that is zero in every motion is rounding.
         size = np.abs(self._nominal).max(axis=0)
         self._nominal[:, size < 1e-9 * size.max(initial=0.0)] = 0.0
-        self._spread = _spread(model)
+        self._spread = body_spread(model)
         self._signals = signals
 
     def sizes(self):
@@ -516,7 +516,7 @@ def _spread_of(x, w):
     return _rms(x - w @ x / w.sum(), w)
 
 
-def _spread(model):
+def body_spread(model):
     """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
     parameters = nominal_parameters(model)
     mass = np.maximum(parameters[:, 0], 0.02 * parameters[:, 0].max() + 1e-12)

@@ -2,18 +2,26 @@
 
 import numpy as np
 
+from sklearn_vbjfa.inspection._hypotheses import (
+    DECISIVE,
+    INTERVAL,
+    PRIOR,
+    lag,
+    log_odds_of,
+    zeros,
+)
 from sklearn_vbjfa.inspection._rivals import (
     NOMINAL_SHARE,
     SURE,
     ChannelEquations,
     channel_signals,
+    fits_of,
     fits_to,
     gain,
     total,
 )
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import UNSIGNED, ChannelFinding, listed_joints
-from sklearn_vbjfa.robot._bodies import TOO_LIGHT, of_another_unit
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
 from sklearn_vbjfa.robot._signs import most_explaining, signed_columns
 from sklearn_vbjfa.robot._states import StateEstimator
@@ -22,8 +30,9 @@ from sklearn_vbjfa.robot._states import StateEstimator
 _GEAR_FACTOR = 20.0
 # What is found of torques whose unit is not N m or N, or not known.
 OF_SIZE = ("torque_unit", "gear_factor")
-# Standard errors that the factor of a torque may be off.
-_OFF = 3.0
+# A torque is noise if it is less than this share of the described one, and its relative
+# error above this.
+_SILENT, _UNRELATED = 0.3, 0.9
 # Commanded torques of all joints together are asked for one order of magnitude.
 _COMMANDED = 10.0
 # A joint without limits does not turn farther than this within a recording [rad].
@@ -63,9 +72,13 @@ _FEW_ROWS = 900
 _FACTORS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1000.0)
 # Another period must lower the squared errors of all joints by this factor.
 _PERIOD_GAIN = np.log(2.0)
-# A delay must lower the squared errors by this factor, and the relative error to this.
-_DELAY_GAIN = np.log(2.0)
-_DELAY_ERROR = 0.3
+# Positions begin at zero within this share of their range, and a zero is another one
+# from this angle on [rad].
+_AT_ZERO, _MOVED = 1e-3, 0.05
+# A lag is told from none if it is this many times its deviation; longer lags than the
+# shifts of the signals are followed by this many moves.
+_LEAST_LAG = 3.0
+_MOST_MOVES = 6
 
 
 # -- positions -------------------------------------------------------------------------
@@ -112,39 +125,46 @@ def counts(model, names, q, ratio):
     ]
 
 
-def degrees(model, names, q, signals):
-    """Find positions (n, nv) in degrees; also return the signals in radians."""
+def position_units(model, names, q, signals):
+    """Find positions (n, nv) in degrees or turns; also return factors (nv,) to rad."""
     revolute = ~is_prismatic(model)
+    same = np.ones(model.nv)
     if not revolute.any():
-        return [], signals
-    factor = np.where(revolute, np.pi / 180, 1.0)
-    beyond = [_beyond(model, q * unit) * revolute for unit in (1.0, factor)]
-    # A joint without limits may turn a hundred times.
-    far = (beyond[0] > _FAR_BEYOND) & (beyond[1] == 0.0) & _limited(model)
-    # A single joint somewhat beyond its limits may be another joint's channel.
-    many = np.count_nonzero(beyond[0] > 0.1) > 0.5 * np.count_nonzero(revolute)
-    if not (far.any() or many):
-        return [], signals
-    scaled = signals.scaled(factor)
-    fits = [fits_to(model, x) for x in (scaled, signals)]
-    better, better_t = gain(total(fits[0]), total(fits[1]))
-    worse = better < -0.1 and better_t < -3
-    prefers = better > _UNIT_GAIN and better_t > SURE
-    if worse or not (prefers or far.any()):
-        return [], signals
-    j = int(np.argmax(beyond[0]))
-    found = ChannelFinding(
-        "position_degrees",
-        tuple(int(k) for k in np.flatnonzero(revolute)),
-        "error",
-        f"The positions look like degrees: {names[j]} runs from {q[:, j].min():.4g} to "
-        f"{q[:, j].max():.4g}, {beyond[0][j]:.3g} rad more than it can, and read as "
-        f"degrees the squared torque errors change by the factor "
-        f'{np.exp(-better):.2g}; say so by the mapping "q=q{{i}} [deg]", with the '
-        "names of your columns (columns=, or --columns), or multiply the positions of "
-        "revolute joints by pi/180.",
+        return [], same
+    beyond = _beyond(model, q) * revolute
+    far = (beyond > _FAR_BEYOND) & _limited(model)
+    many = np.count_nonzero(beyond > 0.1) > 0.5 * np.count_nonzero(revolute)
+    tried = []
+    if far.any() or many:
+        tried = [(revolute, np.pi / 180, "degrees", "deg")]
+        if far.any() and not far[revolute].all():
+            tried.append((far, np.pi / 180, "degrees", "deg"))
+    elif not beyond.any():
+        tried = [(revolute, 2 * np.pi, "turns", "rev")]
+    found = []
+    for joints, unit, called, short in tried:
+        factor = np.where(joints, unit, 1.0)
+        # Of a joint without limits any angle may be right.
+        if (_beyond(model, q * factor) * joints > 0).any():
+            continue
+        log_odds = log_odds_of(model, signals.scaled(factor), signals)
+        found.append((log_odds, factor, called, short))
+    if not found:
+        return [], same
+    log_odds, factor, called, short = max(found, key=lambda x: x[0])
+    if log_odds < (-DECISIVE if far.any() else DECISIVE):
+        return [], same
+    which = tuple(int(k) for k in np.flatnonzero(factor != 1.0))
+    j = max(which, key=lambda k: np.ptp(q[:, k]))
+    column = "{i}" if len(which) == np.count_nonzero(revolute) else str(j + 1)
+    message = (
+        f"The positions of {listed_joints(names, which)} look like {called}: "
+        f"{names[j]} runs from {q[:, j].min():.4g} to {q[:, j].max():.4g}, and in "
+        f"{called} they explain the torques better (log odds {log_odds:.0f}). Give the "
+        f'mapping "q=q{column} [{short}]" with the names of your columns (columns=, or '
+        "--columns)."
     )
-    return [found], scaled
+    return [ChannelFinding(f"position_{called}", which, "error", message)], factor
 
 
 def _limits(model):
@@ -230,33 +250,52 @@ def _without_mass(model):
 
 
 def gear_factors(model, names, signals):
-    """Find torques of another size than the model's, of single joints or of all."""
-    # These are doubts and not errors: the loop is right in whatever unit all channels
-    # share, and a robot description with invented inertias looks the same. Factors that
-    # differ between joints, however, would be compensated by spurious effects.
+    """Find torques of single joints of another size than the model's."""
+    # These are doubts and not errors: factors that differ between joints would be
+    # compensated by spurious effects, but a description with invented inertias looks
+    # the same.
     if _without_mass(model):
         return []
-    equations, sizes, most = ChannelEquations(model, signals), {}, {}
+    equations, sizes = ChannelEquations(model, signals), {}
     for j in map(int, np.flatnonzero(signals.informative())):
         scale, scale_t, share = equations.nominal_scale(j)
         if scale_t < SURE or share < NOMINAL_SHARE:
             continue
-        most[j] = scale * (1.0 + _OFF / scale_t)
         if scale >= _GEAR_FACTOR:
             # The rotor behind a gear may be many times its link.
             scale, scale_t, _ = equations.nominal_scale(j, rotor=True)
             if scale_t < SURE:
                 continue
         sizes[j] = scale
-    if most and np.median(list(most.values())) < TOO_LIGHT:
-        told = list(sizes.values())
-        message = of_another_unit(np.median(told), told, len(names))
-        every = tuple(range(len(names)))
-        return [ChannelFinding("torque_unit", every, "doubt", message)]
     return [
         _gear_factor(names, j, scale)
         for j, scale in sizes.items()
         if not 1 / _GEAR_FACTOR < scale < _GEAR_FACTOR
+    ]
+
+
+def silent_torques(model, names, signals):
+    """Find torques that do not follow a motion that should load them: noise."""
+    if _without_mass(model):
+        return []
+    equations = ChannelEquations(model, signals)
+    sizes = equations.sizes()
+    silent = [
+        j
+        for j, fit in fits_of(equations, signals).items()
+        if sizes[j] < _SILENT and fit.error[0] > _UNRELATED
+    ]
+    return [
+        ChannelFinding(
+            "silent_torque",
+            (j,),
+            "error",
+            f"The torque of {names[j]} does not follow the motion and is "
+            f"{sizes[j]:.2g} times what the description requires: only noise was "
+            "recorded. Check the cable or the column, or leave the joint out "
+            "(--joints).",
+        )
+        for j in silent
     ]
 
 
@@ -457,54 +496,48 @@ def _inertia_too_large(model, names, signals):
     return None
 
 
-def delays(model, names, dt, signals):
-    """Find torques that are out of step with the positions: one warning or none."""
-    equations = ChannelEquations(model, signals)
-    middle = signals.shifts.size // 2
-    step = signals.shifts[1] - signals.shifts[0]
-    known, clear = {}, {}
-    for j in np.flatnonzero(signals.informative()):
-        fit = equations.fit(j, signals.tau[:, j])
-        best = int(np.argmin(fit.error))
-        if fit.error[best] > _DELAY_ERROR:
-            continue
-        inside = 0 < best < signals.shifts.size - 1
-        known[j] = (
-            best - middle + (_vertex(fit.error[best - 1 : best + 2]) if inside else 0)
-        )
-        better, better_t = gain(fit.log_error[:, best], fit.log_error[:, middle])
-        if inside and better > _DELAY_GAIN and better_t > SURE:
-            clear[j] = known[j], better, better_t
-    if not clear:
+def common_lag(model, names, dt, signals_after):
+    """Find a lag common to all torques: one warning or none."""
+    # signals_after: makes signals of torques that are read some samples later.
+    samples, gained = 0.0, 0.0
+    for _ in range(_MOST_MOVES):
+        signals = signals_after(round(samples))
+        if signals is None:
+            return []
+        more, spread, gain_of = lag(model, signals)
+        samples, gained = samples + more, gained + gain_of
+        if np.isfinite(spread):
+            break
+    log_odds = gained + PRIOR
+    if not (log_odds > DECISIVE and abs(samples) > _LEAST_LAG * spread):
         return []
-    common = float(np.median([x[0] for x in clear.values()]))
-    agree = [j for j in clear if abs(clear[j][0] - common) <= 1.0]
-    others = [j for j in known if j not in agree]
-    # Either all joints are equally late, or some are and the others are in step: the
-    # lag of elasticity or hysteresis differs from joint to joint.
-    if abs(common) < 0.75 or not (
-        len(agree) > len(known) / 2 or all(abs(known[j]) < 1.0 for j in others)
-    ):
-        return []
-    samples = common * step
-    reduction = np.exp(np.median([clear[j][1] for j in agree]))
-    who = listed_joints(names, agree)
+    seconds, error = samples * dt, INTERVAL * spread * dt
     way = "late" if samples > 0 else "early"
-    return [
-        ChannelFinding(
-            "delay",
-            tuple(int(j) for j in agree),
-            "warning",
-            f"The torque of {who} is {abs(samples):.2g} samples "
-            f"({1e3 * abs(samples) * dt:.3g} ms) {way} against the positions: shifted, "
-            f"the squared torque errors fall by the factor {reduction:.2g}; shift the "
-            "torque columns by as much, or record both with one clock.",
-        )
-    ]
+    message = (
+        f"All torques are {1e3 * abs(seconds):.3g} ± {1e3 * error:.2g} ms {way} "
+        f"against the positions (log odds {log_odds:.0f}): two clocks, or a filter of "
+        "the torques. Shift the torque columns by as much, or record both with one "
+        "clock."
+    )
+    every = tuple(range(len(names)))
+    return [ChannelFinding("delay", every, "warning", message)]
 
 
-def _vertex(error):
-    """Offset of the minimum of a parabola through three squared errors."""
-    low, middle, high = np.asarray(error) ** 2
-    bend = low - 2 * middle + high
-    return 0.5 * (low - high) / bend if bend > 0 else 0.0
+def moved_zeros(model, names, q, signals):
+    """Find encoders that were set to zero where the robot stood when the log began."""
+    # A log that begins at the zero of the description looks the same.
+    begins = np.abs(q[0]) <= _AT_ZERO * np.ptp(q, axis=0)
+    if not begins.all() or _without_mass(model):
+        return [], signals
+    offset, log_odds = zeros(model, signals)
+    moved = tuple(np.flatnonzero(np.abs(offset) > _MOVED).tolist())
+    if log_odds < DECISIVE or not moved:
+        return [], signals
+    values = ", ".join(f"{names[j]} {offset[j]:+.2f}" for j in moved)
+    message = (
+        "All positions begin at zero, and the torques ask for other zeros (log odds "
+        f"{log_odds:.0f}): the encoders were set to zero at power-up. Add to the "
+        f"positions, about [rad]: {values}."
+    )
+    found = ChannelFinding("position_zeros", moved, "error", message)
+    return [found], signals.shifted(offset)

@@ -65,9 +65,9 @@ class Hypothesis:
     signals: Callable = _as_it_is
 
 
-def explained(model, names, signals, rival=None):
+def explained(model, names, signals, rivals=None):
     """Return findings about the whole log, and model and signals as they should be."""
-    # rival: makes signals in which single channels are corrected, another explanation.
+    # rivals: yields signals in which something else is corrected.
     robot = DescribedRobot(model, signals)
     known = robot.bodies.reshape(-1, 10)[:, 0].min() > 0
     if not (robot.joints.size and robot.size and known):
@@ -78,9 +78,9 @@ def explained(model, names, signals, rival=None):
     if not found:
         return [], model, signals
     best = max(found, key=lambda x: x.log_odds)
-    if rival is not None:
-        other = DescribedRobot(model, rival(signals)).fit().evidence - now
-        if other + _RIVAL > best.log_odds:
+    for other in rivals(signals) if rivals is not None else ():
+        evidence = DescribedRobot(model, other).fit().evidence
+        if evidence - now + _RIVAL > best.log_odds:
             return [], model, signals
     return [best.finding], best.model(model), best.signals(signals)
 

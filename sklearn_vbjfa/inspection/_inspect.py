@@ -14,6 +14,7 @@ from sklearn_vbjfa.inspection._rivals import channel_signals, long_parts
 from sklearn_vbjfa.inspection._rows import unlike_channels
 from sklearn_vbjfa.inspection._units import (
     OF_SIZE,
+    PERIODS,
     commanded_sizes,
     common_lag,
     counts,
@@ -290,7 +291,7 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
     whole = []
     if not commanded:
         whole, model, signals = explained(
-            model, names, signals, lambda x: _corrected(model, names, x)
+            model, names, signals, lambda x: _corrected(model, names, ratio, x)
         )
         if not whole:
             whole, signals = moved_zeros(model, names, q, signals)
@@ -330,10 +331,13 @@ def _mirrored(names, findings, signs):
     return joined + [x for x in [*findings, *signs] if x.joints not in both]
 
 
-def _corrected(model, names, signals):
-    """Signals with the faults of single channels corrected."""
+def _corrected(model, names, ratio, signals):
+    """Yield signals with faults of single channels, or of the period, corrected."""
+    for factor in PERIODS:
+        if ratio.max() * factor < 1.0:
+            yield signals.retimed(factor)
     _, signals = misplaced(model, names, signals)
-    return torque_signs(model, names, signals)[2]
+    yield torque_signs(model, names, signals)[2]
 
 
 def _severe(findings):

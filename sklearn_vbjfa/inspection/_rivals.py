@@ -259,9 +259,10 @@ class ChannelEquations:
         self._signals = signals
 
     def sizes(self):
-        """Root mean square of each torque over that of the nominal robot's, (nv,)."""
+        """Median deviation of each torque over that of the nominal robot's, (nv,)."""
         ours, nominal = (
-            np.sqrt((x**2).mean(axis=0)) for x in (self._signals.now, self._nominal)
+            np.median(np.abs(x - np.median(x, axis=0)), axis=0)
+            for x in (self._signals.now, self._nominal)
         )
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(nominal > 0, ours / nominal, np.nan)

@@ -69,7 +69,7 @@ _LONG_PERIOD = 0.15
 _LARGEST_INERTIA = 400.0
 # Rows with which other sample periods are tried, and the factors.
 _FEW_ROWS = 900
-_FACTORS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1000.0)
+PERIODS = (1e-3, 1e-2, 0.1, 10.0, 100.0, 1000.0)
 # Another period must lower the squared errors of all joints by this factor.
 _PERIOD_GAIN = np.log(2.0)
 # Positions begin at zero within this share of their range, and a zero is another one
@@ -457,7 +457,7 @@ def _other_period(model, signals, ratio, dt):
         return None
     special = (1e3, dt**2) if dt >= _LONG_PERIOD else ()
     best = None
-    for factor in (*_FACTORS, *special):
+    for factor in (*PERIODS, *special):
         if ratio.max() * factor > 1.0:
             continue
         trial = total_or_none(model, few.retimed(factor))

@@ -1,0 +1,145 @@
+"""What was done to a whole log is named, with its strength; sound logs stay silent."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
+from sklearn_vbjfa.inspection import inspect_channels
+
+
+@pytest.fixture(scope="module")
+def log():
+    """One recording of the demonstration arm, its model and the weight it carries."""
+    recording = load_demo_recording().select(0)
+    model = recording.robot_model()
+    data = model.createData()
+    weight = [pin.computeGeneralizedGravity(model, data, q).copy() for q in recording.q]
+    return recording, model, np.array(weight)
+
+
+def grave(log, q=None, tau=None, model=None):
+    """Kinds of findings that are more than warnings, and the first message."""
+    recording, described, _ = log
+    found = inspect_channels(
+        described if model is None else model,
+        recording.q if q is None else q,
+        recording.tau if tau is None else tau,
+        recording.dt,
+    )
+    return [x.kind for x in found if x.severity != "warning"], found
+
+
+@pytest.mark.parametrize("factor", [10.197, 8.8507, 4.0, 0.2, 1e-3])
+def test_a_factor_of_all_torques_has_an_interval_that_holds_it(log, factor):
+    kinds, found = grave(log, tau=factor * log[0].tau)
+    assert kinds == ["torque_unit"]
+    low, high = (
+        float(x) for x in found[0].message.split("(")[1].split(")")[0].split(" to ")
+    )
+    assert low < factor < high
+
+
+def test_torques_without_weight(log):
+    kinds, found = grave(log, tau=log[0].tau - log[2])
+    assert kinds == ["no_gravity"]
+    assert "joint_2" in found[0].message
+
+
+def test_torques_of_the_weight_alone(log):
+    kinds, _ = grave(log, tau=log[2])
+    assert "gravity_only" in kinds
+    assert "wrong_dt" not in kinds
+
+
+@pytest.mark.parametrize("down", [(0, 0, 1), (1, 0, 0)], ids=["ceiling", "wall"])
+def test_a_base_in_another_orientation(log, down):
+    recording, model, weight = log
+    turned = model.copy()
+    turned.gravity.linear = 9.81 * np.array(down, dtype=float)
+    data = turned.createData()
+    other = [pin.computeGeneralizedGravity(turned, data, q).copy() for q in recording.q]
+    kinds, found = grave(log, tau=recording.tau - weight + np.array(other))
+    assert kinds == ["base_orientation"]
+    shown = found[0].message.split("(")[1].split(")")[0]
+    assert [float(x) for x in shown.split(", ")] == pytest.approx(down, abs=0.1)
+
+
+def test_positions_in_turns(log):
+    assert grave(log, q=log[0].q / (2 * np.pi))[0] == ["position_turns"]
+
+
+def test_one_joint_in_degrees(log):
+    q = log[0].q.copy()
+    q[:, 4] = np.rad2deg(q[:, 4])
+    kinds, found = grave(log, q=q)
+    assert kinds == ["position_degrees"]
+    assert found[0].joints == (4,)
+
+
+def test_encoders_that_were_zeroed_at_power_up(log):
+    q = log[0].q
+    kinds, found = grave(log, q=q - q[0])
+    assert kinds == ["position_zeros"]
+    told = dict(
+        x.split() for x in found[0].message.split("[rad]: ")[1][:-1].split(", ")
+    )
+    assert float(told["joint_4"]) == pytest.approx(q[0, 3], abs=0.1)
+
+
+@pytest.mark.parametrize("seconds", [0.05, 0.01, -0.02])
+def test_a_lag_of_all_torques(log, seconds):
+    recording, model, _ = log
+    k = round(seconds / recording.dt)
+    q, tau = recording.q, recording.tau
+    q, tau = (q[k:], tau[:-k]) if k > 0 else (q[:k], tau[-k:])
+    (finding,) = inspect_channels(model, q, tau, recording.dt)
+    assert (finding.kind, finding.severity) == ("delay", "warning")
+    words = finding.message.split()
+    assert float(words[3]) == pytest.approx(1e3 * abs(seconds), abs=1.0)
+    assert ("late" if seconds > 0 else "early") in words
+
+
+def test_a_copied_joint(log):
+    q, tau = log[0].q.copy(), log[0].tau.copy()
+    q[:, 1], tau[:, 1] = q[:, 0], tau[:, 0]
+    assert grave(log, q=q, tau=tau)[0] == ["copied_position", "copied_torque"]
+
+
+def test_velocities_as_torques(log):
+    recording = log[0]
+    speed = np.gradient(recording.q, recording.dt, axis=0)
+    assert grave(log, tau=speed)[0] == ["velocity_as_torque"]
+
+
+def test_a_torque_that_is_noise(log):
+    tau = log[0].tau.copy()
+    tau[:, 4] = np.random.default_rng(0).normal(0, 0.05, len(tau))
+    assert grave(log, tau=tau)[0] == ["silent_torque"]
+
+
+def test_efforts_that_were_never_written(log):
+    assert "constant_torque" in grave(log, tau=1e-310 * log[0].tau)[0]
+
+
+def test_an_encoder_that_freezes(log):
+    q = log[0].q.copy()
+    q[len(q) // 2 :, 3] = q[len(q) // 2, 3]
+    kinds, found = grave(log, q=q)
+    assert kinds == ["stuck_position"]
+    assert found[0].joints == (3,)
+
+
+def test_a_mirrored_position(log):
+    q = log[0].q.copy()
+    q[:, 3] *= -1
+    assert grave(log, q=q)[0] == ["position_sign"]
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_descriptions_that_are_off_by_half_raise_no_doubt(seed):
+    recording = make_robot_recording(perturbation=0.5, random_state=seed)
+    found = inspect_channels(
+        recording.robot_model(), recording.q, recording.tau, recording.dt
+    )
+    assert found == ()

@@ -32,7 +32,7 @@ _GEAR_FACTOR = 20.0
 OF_SIZE = ("torque_unit", "gear_factor")
 # A torque is noise if it is less than this share of the described one, and its relative
 # error above this.
-_SILENT, _UNRELATED = 0.3, 0.9
+_SILENT, _UNRELATED = 0.1, 0.9
 # Commanded torques of all joints together are asked for one order of magnitude.
 _COMMANDED = 10.0
 # A joint without limits does not turn farther than this within a recording [rad].

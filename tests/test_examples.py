@@ -1,8 +1,7 @@
-"""The gallery runs, offline, in less than 30 s a script."""
+"""The gallery runs offline."""
 
 import re
 import sys
-import time
 from pathlib import Path
 from unittest import mock
 
@@ -16,22 +15,8 @@ MEASURED, RUNS = (
 )
 
 
-def test_there_are_examples():
-    assert EXAMPLES
-
-
-@pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
-def test_example_has_cells_and_a_title(path):
-    text = path.read_text(encoding="utf-8")
-    assert text.startswith('"""\n=')
-    assert text.count("\n# %%\n") >= 3
-
-
 def run(path):
-    """Run a script; how many figures it made, within 30 s of processor time.
-
-    As the gallery does it: the script's name is in sys.argv, there is no __file__.
-    """
+    """Run a script as the gallery does; return the number of its figures."""
     pytest.importorskip("pinocchio")
     matplotlib = pytest.importorskip("matplotlib")
     matplotlib.use("Agg")
@@ -39,7 +24,6 @@ def run(path):
 
     # Figures that other tests left open do not count.
     plt.close("all")
-    started = time.process_time()
     code = compile(path.read_text(encoding="utf-8"), str(path), "exec")
     beside = [str(path.parent), *sys.path]
     with (
@@ -49,14 +33,13 @@ def run(path):
         exec(code, {"__name__": "__main__"})
     figures = plt.get_fignums()
     plt.close("all")
-    # Processor time: other work on the machine does not count.
-    assert time.process_time() - started < 30.0
     return len(figures)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", EXAMPLES, ids=lambda path: path.stem)
 def test_example_runs(path, monkeypatch, tmp_path):
+    assert path.read_text(encoding="utf-8").startswith('"""\n=')
     monkeypatch.chdir(tmp_path)
     assert run(path)
 
@@ -67,7 +50,6 @@ def test_measured_robots_are_diagnosed(measured_data_home, monkeypatch, capsys):
     assert run(MEASURED) == 1
     out = capsys.readouterr().out
     assert len(re.findall("^--- ", out, re.MULTILINE)) == 4
-    assert "not here" not in out
     # The wrist of the TX40 is coupled, as was published with the recording.
     assert re.search("^joint_[56]: coupling, ", out, re.MULTILINE)
 
@@ -76,9 +58,6 @@ def test_without_measured_robots_the_table_is_shown(monkeypatch, capsys, tmp_pat
     monkeypatch.setenv("SKLEARN_VBJFA_DATA", str(tmp_path))
     assert run(MEASURED) == 1
     out = capsys.readouterr().out
-    line = out.splitlines()[0]
-    for name in ("emps", "ur5", "staubli_tx40", "kuka_kr300", "SKLEARN_VBJFA_DATA"):
-        assert name in line
     for stage in ("development", "confirmation"):
         table = MEASURED.parents[2] / "docs" / "tables" / f"measured_sets_{stage}.rst"
         assert table.read_text(encoding="utf-8").strip() in out
@@ -93,7 +72,6 @@ def test_ten_runs_give_what_is_shown_without_them(
         monkeypatch.setenv("SKLEARN_VBJFA_DATA", str(home))
         assert run(RUNS) == count
         out = capsys.readouterr().out
-        assert ("not here" in out) == (count == 1)
         rows = re.findall(r"^(free|prior|fixed) +([\d. ]+)$", out, re.MULTILINE)
         assert [way for way, _ in rows] == [
             w for w in ("free", "prior", "fixed") for _ in range(3)
@@ -101,12 +79,3 @@ def test_ten_runs_give_what_is_shown_without_them(
         shown.append([np.array(row.split(), dtype=float) for _, row in rows])
     # In thousandths of kg m^2, of up to 46.
     np.testing.assert_allclose(*shown, atol=0.3)
-
-
-def test_without_the_ten_runs_their_rotors_are_shown(monkeypatch, capsys, tmp_path):
-    monkeypatch.setenv("SKLEARN_VBJFA_DATA", str(tmp_path))
-    assert run(RUNS) == 1
-    out = capsys.readouterr().out
-    assert "unitree_go2" in out.splitlines()[0]
-    assert "SKLEARN_VBJFA_DATA" in out.splitlines()[0]
-    assert len(re.findall("^(free|prior|fixed) ", out, re.MULTILINE)) == 9

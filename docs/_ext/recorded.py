@@ -1,9 +1,10 @@
-"""The tables in ``docs/tables`` as values: what benchmarks measured is not typed twice.
+"""The tables in ``docs/tables`` as values.
 
-A benchmark writes paragraphs and tables of reStructuredText, the latter between lines
-of equals signs, which tell where columns begin.
+A benchmark writes NAME.rst, paragraphs and tables between lines of equals signs, and
+NAME.json with the same tables, the script, and the commits that they were made at.
 """
 
+import json
 import re
 from dataclasses import dataclass
 from pathlib import Path
@@ -57,6 +58,29 @@ class RecordedTable:
 def read(name, folder=TABLES):
     """Text of a file of tables, by its name without the ending."""
     return (folder / f"{name}.rst").read_text(encoding="utf-8")
+
+
+def made(name, folder=TABLES):
+    """Return the commits that a table was made at, as a sentence."""
+    record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    note = f" ({record['note']})" if "note" in record else ""
+    return f"Made at {' and '.join(record['commits'])}{note}."
+
+
+def write(name, text, script, commits, folder=TABLES):
+    """Write NAME.rst and NAME.json."""
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{name}.rst").write_text(text, encoding="utf-8")
+    tables = [{"headers": x.headers, "rows": x.rows} for x in tables_in(text)]
+    record = {"script": script, "commits": commits}
+    (folder / f"{name}.json").write_text(_json(record, tables), encoding="utf-8")
+
+
+def _json(record, tables):
+    """Write one line for each table."""
+    lines = ",\n".join(json.dumps(table, ensure_ascii=False) for table in tables)
+    begin = json.dumps(record, ensure_ascii=False)[:-1]
+    return f'{begin}, "tables": [\n{lines}\n]}}\n'
 
 
 def tables_in(text):

@@ -8,8 +8,7 @@ redundant (convex combinations of the noisy relevant ones) or irrelevant. Models
 fitted to noisy data and judged on noiseless data, with signal-to-noise ratios of two
 (Fig. 2) and five (Fig. 3) in the inputs and five in the output.
 
-All estimators run with their defaults. Two trials per cell keep this page short; the
-benchmark ``tests/benchmarks/bench_synthetic.py`` runs ten.
+All estimators run with their defaults. Two trials per cell keep this page short.
 """
 
 # %%

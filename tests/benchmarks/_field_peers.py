@@ -5,19 +5,16 @@ has no viscous or Coulomb friction, offset or rotor inertia is not compared with
 """
 
 import contextlib
-import inspect
 import io
-import json
 import sys
-import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from pathlib import Path
 
+import _servo as servo
 import bench_commands as commands
-import bench_servo as servo
 import numpy as np
+import pinocchio as pin
 from _commanded_rivals import (
     HIGHEST,
     LATEST,
@@ -31,21 +28,12 @@ from _commanded_rivals import (
     vectors,
 )
 from _commanded_robots import DT, ClosedLoop, Log, is_physical, mjcf
-from _servo_models import fitted as servo_by_evolution
-from _servo_models import voltage
-from _simulated_models import simulated, torque_model, torques
-from bench_figaroh import (
-    SCRIPTS,
-    Contestant,
-    count_lines,
-    recordings,
-    run_script,
-    user_lines,
-)
-from sklearn.linear_model import HuberRegressor, LinearRegression, TheilSenRegressor
+from _figaroh import SCRIPTS, recordings, run_figaroh
+from _rivals import settings_of
+from _undeclared_robots import inverse_dynamics
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, StateEstimator
-from sklearn_vbjfa.robot import PDDrive, methods
+from sklearn_vbjfa.robot import PDDrive
 
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 OURS, SEARCH, FIGAROH = "RobotIdentifier", "EffectDiscovery", "FIGAROH"
@@ -58,20 +46,6 @@ RUNS, LENGTH, LONGEST_STEP = 8, 0.5, 2e-3  # number, [s], [s]
 LARGEST_BIAS = 5.0  # of the Go2's joints [N m]
 THICKNESS = 1e-2  # [m]
 SERVO = "bam_xl330"
-
-
-def regressors(n_parameters):
-    """Return name -> scikit-learn's regressor."""
-    tuned = methods(n_parameters)
-    robust = {"fit_intercept": False}
-    return {
-        "LinearRegression": LinearRegression(**robust),
-        **{name: tuned[name]["regressor"] for name in ("ridge", "LASSO", "PLS")},
-        "Huber": HuberRegressor(alpha=0.0, max_iter=500, **robust),
-        "Theil-Sen": TheilSenRegressor(
-            max_subpopulation=200, max_iter=50, random_state=0, **robust
-        ),
-    }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -111,7 +85,7 @@ class Answer:
         Torques of the held-out part.
     told : ndarray of shape (n, nv) or None
         Torques that were measured there, where they depend on a delay that was found.
-    seconds, lines, consistent, named
+    seconds, consistent, named
         As in the table.
     simulate : callable or None
         Torque-driven simulation: torques (m, nv), positions and velocities at the start
@@ -122,7 +96,6 @@ class Answer:
 
     predicted: np.ndarray
     seconds: float
-    lines: int
     consistent: str
     named: str = "nothing"
     told: np.ndarray | None = None
@@ -153,11 +126,6 @@ def fit(robot, part):
     return robot.fit(part["q"], part["tau"], groups=part["groups"])
 
 
-def lines_of(function):
-    """Lines of one of these, without its docstring."""
-    return count_lines(inspect.getsource(function), ".py")
-
-
 # -- this package, and regressors on its columns ---------------------------------------
 
 
@@ -165,13 +133,10 @@ def identified(case, part, peer):
     """Answer of this package, or of a regressor on its columns."""
     model = case.recording.robot_model()
     started = time.process_time()
-    more, lines = {}, lines_of(declared)
-    if peer not in (OURS, SEARCH):
-        regressor = regressors(14 * case.recording.nv)[peer]
-        more, lines = {"regressor": regressor, "projector": None}, lines + 2
+    more = {} if peer in (OURS, SEARCH) else settings_of(peer)
     robot = declared(model, case, part, **more)
     if peer == SEARCH:
-        robot, lines = EffectDiscovery(robot, random_state=0), lines + 1
+        robot = EffectDiscovery(robot, random_state=0)
     robot = fit(robot, part)
     held_out = case.held_out
     predicted = robot.predict(held_out["q"], groups=held_out["groups"])
@@ -186,7 +151,6 @@ def identified(case, part, peer):
         predicted=predicted,
         told=told,
         seconds=seconds,
-        lines=lines,
         consistent=_yes((robot.min_eigenvalues_ > 0).all()),
         named=names_of(effects, case.recording.joint_names),
         simulate=robot.simulate,
@@ -235,19 +199,15 @@ def _yes(condition):
 # -- FIGAROH ---------------------------------------------------------------------------
 
 
-def figaroh_settings(case, folder):
-    """Write FIGAROH's settings of a set, made of those of the UR5."""
+def figaroh_settings(case):
+    """Return FIGAROH's settings of a set, made of those of the UR5."""
     text = (SCRIPTS / "figaroh_ur5.yaml").read_text(encoding="utf-8")
     head, rest = text.split("active_joints:\n")
     rest = rest[rest.index("    coupling:") :]
-    joints = case.recording.joint_names
-    names = "".join(f"        - {joint}\n" for joint in joints)
+    names = "".join(f"        - {joint}\n" for joint in case.recording.joint_names)
     text = f"{head}active_joints:\n{names}{rest}"
     text = text.replace("125.0", f"{1 / case.recording.dt:.6g}")
-    text = text.replace("12.5", f"{1.5 * case.cutoff:.6g}")
-    path = folder / f"figaroh_{case.name}.yaml"
-    path.write_text(text, encoding="utf-8")
-    return path
+    return text.replace("12.5", f"{1.5 * case.cutoff:.6g}")
 
 
 def figaroh(case, part, python):
@@ -258,30 +218,19 @@ def figaroh(case, part, python):
     if any(unit != "rad" for unit in recording.position_units):
         raise RuntimeError("its script is for joints that turn")
     standing = 0.02 if isinstance(case.standstill, str) else case.standstill
-    row = Contestant(
-        label=FIGAROH,
-        files=("figaroh_user.py", "figaroh_user_kept.py"),
-        arguments=("10", str(standing)),
-        stage="physical_fit",
-    )
-    parts = part, case.held_out
-    with tempfile.TemporaryDirectory() as folder:
-        settings = figaroh_settings(case, Path(folder))
-        given = python, recording.urdf, parts, settings
-        outcome = run_script(row, *given, kept="parameters.json")
-        refused = "Reported estimate: none" in outcome.said
-        if refused:
-            outcome = run_script(replace(row, stage="fit"), *given)
-    script, _, setting = user_lines(row, "ur5")
-    simulate = None
-    if not refused and outcome.kept is not None:
-        simulate = figaroh_robot(recording, json.loads(outcome.kept))
+    text, parts = figaroh_settings(case), (part, case.held_out)
+    given = python, recording.urdf, parts
+    words = "10", str(standing)
+    predicted, refused, seconds, kept = run_figaroh(*given, text, words)
+    if refused:
+        text = text.replace("select_stage: physical_fit", "select_stage: fit")
+        predicted, _, seconds, _ = run_figaroh(*given, text, words)
+        kept = None
     return Answer(
-        predicted=outcome.predicted,
-        seconds=outcome.seconds,
-        lines=script + setting,
+        predicted=predicted,
+        seconds=seconds,
         consistent=_yes(not refused),
-        simulate=simulate,
+        simulate=figaroh_robot(recording, kept) if kept else None,
     )
 
 
@@ -296,7 +245,7 @@ def figaroh_robot(recording, values):
         name: np.array([values[f"{word}_{j}"] for j in joints])
         for name, word in terms.items()
     }
-    robot = torque_model(model, bodies=bodies, friction=friction, dt=recording.dt)
+    robot = torque_model(model, bodies, friction, recording.dt)
     return lambda tau, q0, v0: simulated(robot, tau, q0, v0)
 
 
@@ -312,12 +261,6 @@ def sysid_user():
     if not hasattr(mujoco_sysid_user.sysid, "optimize"):
         raise RuntimeError('it needs pip install "mujoco[sysid]"')
     return mujoco_sysid_user
-
-
-def sysid_lines():
-    """Lines of that script."""
-    text = (SCRIPTS / "mujoco_sysid_user.py").read_text(encoding="utf-8")
-    return count_lines(text, ".py")
 
 
 def sysid_by_torque(case, part):
@@ -367,12 +310,11 @@ def sysid_by_torque(case, part):
     armature, viscous, coulomb, offset = friction_of(found, values).values()
     friction = dict(zip(PLAIN, (viscous, coulomb, offset, armature)))
     bodies = user.dynamic_parameters(found)
-    robot = torque_model(model, bodies=bodies, friction=friction, dt=dt)
+    robot = torque_model(model, bodies, friction, dt)
     predicted = torques_of_model(robot, case)
     return Answer(
         predicted=predicted,
         seconds=time.process_time() - started,
-        lines=sysid_lines(),
         consistent=_yes(is_physical(bodies)),
         simulate=lambda tau, q0, v0: simulated(robot, tau, q0, v0),
     )
@@ -404,9 +346,40 @@ def stretches(part, length, number):
     return [found[k] for k in chosen]
 
 
+def torque_model(model, bodies, friction, dt):
+    """Return a robot with bodies (nv, 10) and coefficients (nv,) of the plain terms."""
+    from sklearn_vbjfa.simulation import TorqueModel
+
+    return TorqueModel(
+        model=model,
+        bodies=bodies,
+        friction_names=tuple(friction),
+        friction=np.transpose(list(friction.values())),
+        effects=(),
+        coefficients=(),
+        gains=np.ones(model.nv),
+        dt=dt,
+    )
+
+
+def simulated(robot, tau, q0, v0):
+    """States (n, 3 nv) of a `TorqueModel`."""
+    from sklearn_vbjfa.simulation import simulate
+
+    return np.asarray(simulate(robot, tau, q0, v0, None))
+
+
 def torques_of_model(robot, case):
     """Torques (n, nv) of a `TorqueModel` on the held-out part."""
-    return torques(robot, *np.split(held_out_states(case), 3, axis=1))
+    q, v, a = np.split(held_out_states(case), 3, axis=1)
+    columns = (v, np.sign(v), np.ones_like(v), a)
+    columns = dict(zip(PLAIN, columns, strict=True))
+    model = robot.model.copy()
+    for k, values in enumerate(robot.bodies):
+        model.inertias[k + 1] = pin.Inertia.FromDynamicParameters(values)
+    terms = zip(robot.friction_names, robot.friction.T)
+    friction = sum(columns[name] * values for name, values in terms)
+    return inverse_dynamics(model, q, v, a) + friction
 
 
 def held_out_states(case):
@@ -435,9 +408,6 @@ def by_commands(case, part, peer):
         else:
             found.append(sysid_by_commands(described, gains, log))
         seconds.append(time.process_time() - started)
-    function = evolution if peer == CMA else sysid_by_commands
-    lines = sysid_lines() if peer == SYSID else 0
-    lines += lines_of(function)
     robots = [commands.mean_of(found), *found]
     times = [sum(seconds), *seconds]
     return [
@@ -450,7 +420,6 @@ def by_commands(case, part, peer):
             ),
             told=delayed(case, one.numbers.delay),
             seconds=time_taken,
-            lines=lines,
             consistent=_yes(is_physical(one.numbers.bodies)),
             follow=_in_loop(case, described, one.numbers),
         )
@@ -510,14 +479,12 @@ def servo_by_commands(case, part):
     smoother.fit(case.fitted["q"], groups=case.fitted["groups"])
     own = smoother.transform(part["q"], groups=part["groups"])
     started = time.process_time()
-    told = servo.told_to(fitted, own)
-    p = servo_by_evolution("M1", told, part["dt"], evaluations=EVALUATIONS)
+    p = servo.fitted(fitted, own, EVALUATIONS)
     seconds = time.process_time() - started
     later = held_out_states(case)
     return Answer(
-        predicted=voltage(p, *later.T)[:, None],
+        predicted=servo.voltage(p, *later.T)[:, None],
         seconds=seconds,
-        lines=lines_of(servo_by_evolution),
         consistent="yes",
         follow=lambda window: servo.swung(p, held_out, later, window)[:, None],
     )

@@ -17,6 +17,7 @@ from sklearn_vbjfa.datasets import (
     fetch_kuka_kr300,
     fetch_staubli_tx40,
     fetch_ur5,
+    load_demo_recording,
 )
 
 ALL_FRICTION = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -113,7 +114,17 @@ def gain_of_name(name):
     return name.partition("_")[0]
 
 
+def load_demo(data_home):
+    """Load the embedded recording, for quick runs."""
+    return load_demo_recording()
+
+
+DEMO = FrozenSet(
+    stage="quick", load=load_demo, cutoff=20.0, standstill="auto", leave_out=own_name
+)
+
 PAIRED_SETS = {
+    "demo": DEMO,
     "emps": FrozenSet(
         stage="development",
         load=fetch_emps,
@@ -156,6 +167,7 @@ PAIRED_SETS = {
 # Recordings into which a known fault is put. The Panda is on the list of confirmation
 # sets; here it is judged by what is put in, not by how well it is predicted.
 MANIPULATED_SETS = {
+    "demo": DEMO,
     "staubli_tx40": FrozenSet(
         stage="development", load=fetch_staubli_tx40, cutoff=25.0, standstill="auto"
     ),

@@ -1,9 +1,10 @@
-"""What the benchmarks share: versions, tables, and writing them for the guide."""
+"""Shared by the benchmarks: arguments, results in files, tables and their origin."""
 
 import argparse
 import datetime
 import functools
 import importlib.metadata
+import json
 import os
 import platform
 import re
@@ -16,30 +17,118 @@ from tabulate import tabulate
 import sklearn_vbjfa
 
 ROOT = Path(__file__).resolve().parents[2]
-TABLES = ROOT / "docs" / "tables"
 PACKAGE = Path(sklearn_vbjfa.__file__).parent
-# The packages whose versions go below every table; pin where robots are in play.
+# The packages whose versions go below every table.
 PACKAGES = ("numpy", "scipy", "scikit-learn", "clarabel", "pin", "numba", "cvxopt")
 
 sys.path.append(str(ROOT / "docs" / "_ext"))
 
-import provenance  # noqa: E402
+import recorded  # noqa: E402
+
+# -- arguments -------------------------------------------------------------------------
 
 
-def _stamps():
-    """When the files of the package were last written, and their sizes."""
-    found = ((path, path.stat()) for path in PACKAGE.rglob("*.py"))
-    return {path: (seen.st_mtime_ns, seen.st_size) for path, seen in found}
+def parser(description, *, data=False, out=False, jobs=False, seeds=None):
+    """Arguments of a benchmark."""
+    arguments = argparse.ArgumentParser(description=description.splitlines()[0])
+    arguments.add_argument("--write", action="store_true", help="write docs/tables")
+    arguments.add_argument("--quick", action="store_true", help="a small run")
+    if data:
+        arguments.add_argument("--data-home", help="folder of the measured sets")
+    if out:
+        arguments.add_argument(
+            "--out",
+            nargs="+",
+            metavar="FILE",
+            help="results as JSON lines, the first to continue, the others to read",
+        )
+    if jobs:
+        arguments.add_argument("--jobs", type=int, default=1, help="processes")
+    if seeds is not None:
+        arguments.add_argument(
+            "--seeds", nargs=2, type=int, default=seeds, metavar=("FIRST", "LAST")
+        )
+    return arguments
 
 
-# As it was when the script began: what is written later was perhaps not what ran.
-_BEGAN = _stamps()
+# -- results ---------------------------------------------------------------------------
 
 
-def add_root_to_path():
-    """Make the folder of tests importable when a benchmark runs as a script."""
-    if str(ROOT) not in sys.path:
-        sys.path.insert(0, str(ROOT))
+class Ledger:
+    """Results by key, each written to the first of several JSON-lines files at once."""
+
+    def __init__(self, paths, keys):
+        self.paths = [Path(path) for path in paths or ()]
+        self.keys = tuple(keys)
+        self.results = []
+        for path in self.paths:
+            self.results += self.missing(_lines(path))
+
+    def key(self, result):
+        return tuple(_frozen(result[name]) for name in self.keys)
+
+    def missing(self, tasks):
+        """Tasks, dicts with the keys, that have no result."""
+        done = {self.key(result) for result in self.results}
+        return [task for task in tasks if self.key(task) not in done]
+
+    def of(self, tasks):
+        """Results of the tasks that are done, in the order of the tasks."""
+        found = {self.key(result): result for result in self.results}
+        return [found[self.key(task)] for task in tasks if self.key(task) in found]
+
+    def add(self, result):
+        """Keep a result, with the commit that it was made at."""
+        result = {**result, "commit": commit()}
+        self.results.append(result)
+        if self.paths:
+            with self.paths[0].open("a", encoding="utf-8") as file:
+                file.write(json.dumps(result) + "\n")
+
+    def commits(self, tasks=None):
+        """Return the commits of the results, or of those of some tasks."""
+        made = self.results if tasks is None else self.of(tasks)
+        return list(dict.fromkeys(r.get("commit") or "unknown" for r in made))
+
+
+def _frozen(value):
+    return tuple(map(_frozen, value)) if isinstance(value, list | tuple) else value
+
+
+def _lines(path):
+    """Values of a file of JSON lines, the last of which may be cut."""
+    found = []
+    if path.exists():
+        for line in path.read_text(encoding="utf-8").splitlines():
+            try:
+                found.append(json.loads(line))
+            except json.JSONDecodeError:
+                continue
+    return found
+
+
+def results_of(function, tasks, jobs=1):
+    """Yield the result of each task as soon as it is computed."""
+    if jobs == 1:
+        yield from map(function, tasks)
+        return
+    from joblib import Parallel, delayed
+
+    calls = (delayed(function)(task) for task in tasks)
+    yield from Parallel(n_jobs=jobs, return_as="generator_unordered")(calls)
+
+
+def run_study(function, tasks, keys, *, out=None, jobs=1, line=None):
+    """Compute the missing results of a study; return its ledger."""
+    ledger = Ledger(out, keys)
+    for result in results_of(function, ledger.missing(tasks), jobs):
+        ledger.add(result)
+        if line is not None:
+            print(line(result), flush=True)
+    return ledger
+
+
+# -- tables ----------------------------------------------------------------------------
 
 
 def environment():
@@ -54,8 +143,9 @@ def environment():
     return f"{today}; {', '.join(versions)}; {os.cpu_count()} CPUs, not idle otherwise"
 
 
+@functools.cache
 def commit():
-    """Short name of the version of the package, "+" where its files differ from it."""
+    """Commit of the package, with "+" where its files differ from it."""
 
     def ask(*words):
         command = ["git", "-C", str(PACKAGE), *words]
@@ -64,34 +154,13 @@ def commit():
 
     try:
         name = ask("rev-parse", "--short", "HEAD")
-        differs = ask("status", "--porcelain", "--", ".")
+        return f"{name}+" if ask("status", "--porcelain", "--", ".") else name
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
-    return f"{name}+" if differs or _stamps() != _BEGAN else name
-
-
-@functools.cache
-def code():
-    """Commit and digests of the package's files, as ``provenance.state`` has them.
-
-    A file that was written since the script began has no digest: it is not known what
-    of it ran.
-    """
-    now = _stamps()
-    written = {path for path in now if now[path] != _BEGAN.get(path)}
-    texts = provenance.sources(ROOT, [provenance.PACKAGE], PACKAGE)
-    found = provenance.state(commit(), texts)
-    for path in written:
-        name = f"{provenance.PACKAGE}/{path.relative_to(PACKAGE).as_posix()}"
-        found["files"][name] = "written while it ran"
-    return found
 
 
 def rst_table(rows, headers, n_labels=1):
-    """Table that both a terminal and the guide can show; cells are strings.
-
-    The first `n_labels` columns are words, the others numbers.
-    """
+    """Table whose first `n_labels` columns are words, the others numbers."""
     cells = [[str(cell) for cell in row] for row in rows]
     align = ["left"] * n_labels + ["right"] * (len(headers) - n_labels)
     return tabulate(
@@ -100,39 +169,25 @@ def rst_table(rows, headers, n_labels=1):
 
 
 def fixed(values, digits=1):
-    """Numbers with the same digits; a dash for what does not exist."""
+    """Numbers with the same digits; a dash for nan."""
     return [f"{v:.{digits}f}" if v == v else "–" for v in values]
 
 
 def rst_title(text, mark="-"):
-    """Section title of the guide."""
+    """Section title."""
     return f"{text}\n{mark * len(text)}"
 
 
-def parser(description):
-    """Arguments of every benchmark."""
-    arguments = argparse.ArgumentParser(description=description)
-    arguments.add_argument(
-        "--write", action="store_true", help="write docs/tables for the guide"
-    )
-    return arguments
+def publish(name, text, arguments, *, command="", commits=None):
+    """Print a report; with ``--write`` keep it in docs/tables.
 
-
-def publish(name, text, *, write, command=None, states=None):
-    """Print a report; write it to docs/tables/NAME.rst if asked to.
-
-    The command that made it is that of the benchmark of the same name unless given.
-    Beside the table, NAME.json says which files of the package its script enters and
-    how they were; `states` are those of results that were kept (``Ledger.states``),
-    the code as it is unless given.
+    `command` is the script and its arguments, by default the script of that name.
     """
-    command = command or f"python tests/benchmarks/bench_{name}.py"
-    commits = provenance.commits_of(states) if states else commit()
-    text = f"{text.rstrip()}\n\nMade by ``{command}`` at {commits}, {environment()}.\n"
+    command = f"python tests/benchmarks/bench_{command or name + '.py'}"
+    commits = commits or [commit()]
+    made = f"Made by ``{command}`` at {' and '.join(commits)}, {environment()}."
+    text = f"{text.rstrip()}\n\n{made}\n"
     print(text)
-    if write:
+    if arguments.write and not arguments.quick:
         script = re.search(r"tests/benchmarks/\w+\.py", command)[0]
-        files = provenance.entered(script, provenance.sources(ROOT, package=PACKAGE))
-        TABLES.mkdir(parents=True, exist_ok=True)
-        (TABLES / f"{name}.rst").write_text(text, encoding="utf-8")
-        provenance.write(name, script, states or [code()], files, folder=TABLES)
+        recorded.write(name, text, script, commits)

@@ -37,8 +37,7 @@ import time
 import warnings
 
 import numpy as np
-from _ledger import Ledger
-from _report import fixed, parser, publish, rst_table, rst_title
+from _report import fixed, parser, publish, rst_table, rst_title, run_study
 from _undeclared_robots import (
     draw_motion,
     inverse_dynamics,
@@ -333,30 +332,25 @@ def report(results, first, last):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument(
-        "--seeds", nargs=2, type=int, default=(0, 49), metavar=("FIRST", "LAST")
-    )
-    arguments.add_argument("--out", nargs="+", metavar="FILE", help="results so far")
-    arguments = arguments.parse_args(argv)
+    arguments = parser(__doc__, out=True, seeds=(0, 49)).parse_args(argv)
     first, last = arguments.seeds
+    if arguments.quick:
+        last = first
     tasks = [
         {"seed": seed, "motion": motion, "bodies": bodies}
         for seed in range(first, last + 1)
         for motion in MOTIONS
         for bodies in BODIES
     ]
-    ledger = Ledger(arguments.out, KEYS)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        for task in ledger.missing(tasks):
-            ledger.add(run(task))
+        ledger = run_study(run, tasks, KEYS, out=arguments.out)
     publish(
         "bodies",
         report(ledger.of(tasks), first, last),
-        write=arguments.write,
-        command=f"python tests/benchmarks/bench_bodies.py --seeds {first} {last}",
-        states=ledger.states(tasks),
+        arguments,
+        command=f"bodies.py --seeds {first} {last}",
+        commits=ledger.commits(tasks),
     )
 
 

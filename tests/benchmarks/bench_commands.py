@@ -91,8 +91,7 @@ from _commanded_robots import (
     is_physical,
     recorded,
 )
-from _ledger import Ledger, results_of
-from _report import fixed, parser, publish, rst_table, rst_title
+from _report import fixed, parser, publish, rst_table, rst_title, run_study
 from _undeclared_robots import inverse_dynamics
 from bench_bodies import changed
 
@@ -697,16 +696,10 @@ def measured(data_home, ways, cma_runs=SEARCHED):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments.add_argument("--out", nargs="+", default=None, metavar="FILE")
-    arguments.add_argument("--seeds", type=int, nargs=2, default=(0, 19))
+    arguments = parser(__doc__, data=True, out=True, jobs=True, seeds=(0, 19))
     known = [*WAYS, *ORACLES, TOGETHER]
-    arguments.add_argument("--ways", nargs="+", choices=known, default=None)
-    arguments.add_argument("--jobs", type=int, default=1)
-    arguments.add_argument(
-        "--measured", action="store_true", help="the ten runs of the measured robot"
-    )
+    arguments.add_argument("--ways", nargs="+", choices=known)
+    arguments.add_argument("--measured", action="store_true", help="the measured Go2")
     arguments.add_argument(
         "--cma-runs",
         type=int,
@@ -716,38 +709,38 @@ def main(argv=None):
     )
     arguments = arguments.parse_args(argv)
     first, last = arguments.seeds
-    ways = [*ORACLES, *WAYS]
     if arguments.measured:
         asked = arguments.ways or (*WAYS, TOGETHER)
         chosen = [way for way in (*WAYS, TOGETHER) if way in asked]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             text = measured(arguments.data_home, chosen, arguments.cma_runs)
-        command = "python tests/benchmarks/bench_commands.py --measured"
-        publish("commands_measured", text, write=arguments.write, command=command)
+        command = "commands.py --measured"
+        publish("commands_measured", text, arguments, command=command)
         return
-    ledger = Ledger(arguments.out, KEYS)
+    ways = arguments.ways or (*ORACLES, *WAYS)
+    if arguments.quick:
+        last, ways = first, (*ORACLES, DRIVE, "least squares, grid")
     tasks = [
         {"seed": seed, "way": way, "data_home": arguments.data_home}
         for seed in range(first, last + 1)
-        for way in ways
-        if way != CMA or (seed - first) % CMA_EVERY == 0
+        for way in (*ORACLES, *WAYS)
+        if way in ways and (way != CMA or (seed - first) % CMA_EVERY == 0)
     ]
-    asked = [t for t in tasks if arguments.ways is None or t["way"] in arguments.ways]
-    for result in results_of(run, ledger.missing(asked), arguments.jobs):
-        ledger.add(result)
-        print(result["seed"], result["way"], f"{result['seconds']:.1f} s", flush=True)
-    done = ledger.of(tasks)
-    name = "commands" if first < 5000 else "commands_confirmation"
-    if first > 5000:
-        # Seeds that were run later.
-        name += f"_{first}"
+    ledger = run_study(
+        run,
+        tasks,
+        KEYS,
+        out=arguments.out,
+        jobs=arguments.jobs,
+        line=lambda one: f"{one['seed']} {one['way']} {one['seconds']:.1f} s",
+    )
     publish(
-        name,
-        report(done, first, last),
-        write=arguments.write,
-        command=f"python tests/benchmarks/bench_commands.py --seeds {first} {last}",
-        states=ledger.states(tasks),
+        f"commands_confirmation_{first}" if first >= 5000 else "commands",
+        report(ledger.of(tasks), first, last),
+        arguments,
+        command=f"commands.py --seeds {first} {last}",
+        commits=ledger.commits(tasks),
     )
 
 

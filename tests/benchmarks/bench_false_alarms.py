@@ -28,16 +28,14 @@ Seeds below 200 are for development, 200 to 1999 were used for tables of the sea
 rules; the table uses 2000 and above.
 """
 
-import sys
 import time
 import warnings
 from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from _ledger import Ledger
 from _perhaps import calibration, stated, undecided
-from _report import parser, publish, rst_table
+from _report import parser, publish, rst_table, run_study
 from _undeclared_effects import ADDED, World, can_carry
 from _undeclared_robots import (
     draw_motion,
@@ -380,23 +378,21 @@ def _put_in(made, world, states, scale, seed, rng):
     return made._replace(tau=tau, truth=truth, joint=joint, size=size)
 
 
-def judge(kind, joints, seed, with_effect, **settings):
-    """Close the loop on one recording; what was found, as plain data for JSON.
-
-    With other parameters of `EffectDiscovery`, if they are given.
-    """
+def run(task):
+    """Close the loop on one recording, plain data for JSON."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
-    made = recording(kind, joints, seed, with_effect)
+    kind, joints, seed, which = (task[key] for key in KEYS)
+    made = recording(kind, joints, seed, which == "power")
     name, contains = made.truth[:1], made.truth[1:]
     verdict = {
-        **dict(zip(KEYS, (kind, joints, seed, _study(with_effect)), strict=True)),
+        **{key: task[key] for key in KEYS},
         "truth": list(made.truth),
         "joint": made.joint,
         "size": made.size,
     }
     identifier = RobotIdentifier(made.model, dt=made.dt, friction=DECLARED[joints])
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.process_time()
     try:
         with warnings.catch_warnings():
@@ -422,62 +418,7 @@ def judge(kind, joints, seed, with_effect, **settings):
     }
 
 
-def _study(with_effect):
-    return "power" if with_effect else "null"
-
-
 # -- studies ---------------------------------------------------------------------------
-
-
-def study(
-    trials,
-    seed,
-    studies=("null", "power"),
-    results=None,
-    joints=tuple(DURATIONS),
-    residuals=tuple(RESIDUALS),
-):
-    """Verdicts on all cells, seed by seed, so that a study cut short is balanced.
-
-    Parameters
-    ----------
-    trials : int
-        Recordings of a cell.
-    seed : int
-        First seed.
-    studies : sequence of {"null", "power"}
-        Without and with an effect.
-    results : path-like or sequence of these, default=None
-        Files of JSON lines: the first to continue, the others to read.
-    joints : sequence of int
-        Numbers of joints.
-    residuals : sequence of str
-        Keys of `RESIDUALS`.
-    """
-    ledger = Ledger(results, KEYS)
-    tasks = [
-        dict(zip(KEYS, (kind, nv, s, which), strict=True))
-        for s in range(seed, seed + trials)
-        for kind in residuals
-        for nv in joints
-        for which in studies
-    ]
-    for task in ledger.missing(tasks):
-        kind, nv, s, which = task.values()
-        verdict = judge(kind, nv, s, which == "power")
-        ledger.add(verdict)
-        if "error" in verdict:
-            print(f"{task}: {verdict['error']}", file=sys.stderr, flush=True)
-    return ledger.results
-
-
-def read(paths):
-    """Read the verdicts of some files."""
-    return Ledger(paths, KEYS).results
-
-
-def _key(verdict):
-    return tuple(verdict[k] for k in KEYS)
 
 
 def _of(verdicts, which):
@@ -497,84 +438,50 @@ def power(verdicts, what="found"):
     return float(np.mean(own)) if own else np.nan
 
 
-def compared(verdicts, old):
-    """Those of both studies that are on the same recordings."""
-    common = {_key(v) for v in verdicts} & {_key(v) for v in old}
-    return tuple([v for v in x if _key(v) in common] for x in (verdicts, old))
-
-
 def _percent(x):
     return "–" if np.isnan(x) else f"{100 * x:.1f}"
 
 
-def rows(verdicts, old=()):
+def rows(verdicts):
     """Rows of the table: cells, then all of them for each number of joints, and all."""
     out = []
-    same, before = compared(verdicts, old)
     cells = [(kind, nv) for kind in RESIDUALS for nv in DURATIONS]
     cells += [(None, nv) for nv in DURATIONS] + [(None, None)]
     for kind, nv in cells:
-        own, new, past = (
-            [
-                v
-                for v in x
-                if kind in (None, v["residual"]) and nv in (None, v["joints"])
-            ]
-            for x in (verdicts, same, before)
-        )
-        if not own:
-            continue
-        pairs = len(_of(past, "power"))
-        out.append(
-            [
-                "all" if nv is None else f"{kind or 'all'}, {DURATIONS[nv]:.0f} s",
-                nv or "",
-                len(_of(own, "null")),
-                _percent(alarms(own)),
-                _percent(alarms(own, "perhaps")),
-                _percent(alarms(past)),
-                len(_of(own, "power")),
-                _percent(power(own)),
-                _percent(power(own, "found or perhaps")),
-                pairs,
-                _percent(power(past)),
-                _percent(power(new) - power(past)) if pairs else "–",
-            ]
-        )
+        own = [
+            v
+            for v in verdicts
+            if kind in (None, v["residual"]) and nv in (None, v["joints"])
+        ]
+        if own:
+            out.append(
+                [
+                    "all" if nv is None else f"{kind or 'all'}, {DURATIONS[nv]:.0f} s",
+                    nv or "",
+                    len(_of(own, "null")),
+                    _percent(alarms(own)),
+                    _percent(alarms(own, "perhaps")),
+                    len(_of(own, "power")),
+                    _percent(power(own)),
+                    _percent(power(own, "found or perhaps")),
+                ]
+            )
     return out
 
 
-HEADERS = [
-    "residual",
-    "joints",
-    "recordings",
-    "false alarms, %",
-    "any perhaps, %",
-    "old",
-    "with an effect",
-    "found, %",
-    "or perhaps, %",
-    "of these old",
-    "old, %",
-    "change, points",
-]
+HEADERS = ["residual", "joints", "recordings", "false alarms, %", "any perhaps, %"]
+HEADERS += ["with an effect", "found, %", "or perhaps, %"]
 
 
-def by_kind(verdicts, old=()):
+def by_kind(verdicts):
     """Rows of power by effect."""
-    same, before = compared(verdicts, old)
-    out = []
-    for name in ALL:
-        own, new, past = (
-            [v for v in _of(x, "power") if v["truth"][0] == name]
-            for x in (verdicts, same, before)
-        )
-        change = power(new) - power(past) if past else np.nan
-        out.append([name, len(own), *map(_percent, (power(own), power(past), change))])
-    return out
+    effects = {name: [] for name in ALL}
+    for v in _of(verdicts, "power"):
+        effects[v["truth"][0]].append(v)
+    return [[k, len(own), _percent(power(own))] for k, own in effects.items() if own]
 
 
-def report(verdicts, old=()):
+def report(verdicts):
     """Text with the tables."""
     seeds = [v["seed"] for v in verdicts]
     seconds = []
@@ -591,10 +498,10 @@ def report(verdicts, old=()):
         f"recording: {', '.join(seconds)}. Targets: at most 2 % false alarms pooled "
         "and 5 % in a cell."
     )
-    parts = [text, rst_table(rows(verdicts, old), HEADERS)]
-    kinds = [row for row in by_kind(verdicts, old) if row[1]]
+    parts = [text, rst_table(rows(verdicts), HEADERS)]
+    kinds = by_kind(verdicts)
     if kinds:
-        headers = ["effect", "recordings", "found, %", "old, %", "change, points"]
+        headers = ["effect", "recordings", "found, %"]
         parts += ["The power by effect:", rst_table(kinds, headers)]
     parts += [
         calibration(verdicts),
@@ -612,7 +519,7 @@ def report(verdicts, old=()):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, out=True, jobs=True)
     arguments.add_argument(
         "--joints", nargs="+", type=int, choices=DURATIONS, default=list(DURATIONS)
     )
@@ -621,36 +528,21 @@ def main(argv=None):
     )
     arguments.add_argument("--trials", type=int, default=200, help="of each cell")
     arguments.add_argument("--seed", type=int, default=2000, help="seed of the first")
-    arguments.add_argument("--study", choices=("null", "power", "both"), default="both")
-    arguments.add_argument(
-        "--results",
-        nargs="+",
-        metavar="FILE",
-        help="JSON lines, the first to continue and to keep, the others to read",
-    )
-    arguments.add_argument(
-        "--old", nargs="+", metavar="FILE", help="JSON lines of another version"
-    )
     arguments = arguments.parse_args(argv)
-    import sklearn_vbjfa
-
-    print(f"Judging {sklearn_vbjfa.__file__}", file=sys.stderr)
-    verdicts = study(
-        arguments.trials,
-        arguments.seed,
-        ("null", "power") if arguments.study == "both" else (arguments.study,),
-        arguments.results,
-        arguments.joints,
-        arguments.residuals,
-    )
-    if not verdicts:
-        raise SystemExit("No recording was judged, and the files hold none.")
-    publish(
-        "false_alarms",
-        report(verdicts, read(arguments.old) if arguments.old else ()),
-        write=arguments.write,
-        states=Ledger(arguments.results, KEYS).states(),
-    )
+    joints, residuals = arguments.joints, arguments.residuals
+    trials = arguments.trials
+    if arguments.quick:
+        joints, residuals, trials = [1], residuals[:2], 1
+    # Seed by seed, so that a study cut short is balanced.
+    tasks = [
+        dict(zip(KEYS, (kind, nv, seed, which), strict=True))
+        for seed in range(arguments.seed, arguments.seed + trials)
+        for kind in residuals
+        for nv in joints
+        for which in ("null", "power")
+    ]
+    ledger = run_study(run, tasks, KEYS, out=arguments.out, jobs=arguments.jobs)
+    publish("false_alarms", report(ledger.results), arguments, commits=ledger.commits())
 
 
 if __name__ == "__main__":

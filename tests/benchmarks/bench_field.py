@@ -18,7 +18,7 @@ rotor inertia of every joint (on EMPS the rotor is the mass again).
   EffectDiscovery: the same with the search for what is missing.
 - scikit-learn's regressors: on the regressor columns of this package, behind its
   filter, mask, weights of joints, and its delay on the Go2: what is compared is the
-  regressor alone. LinearRegression is least squares with the four plain terms. Ridge,
+  regressor alone. WLS is least squares with the four plain terms. Ridge,
   LASSO and PLS choose their strength by cross-validation over blocks of time.
 - FIGAROH: the user script and settings of ``side_by_side`` for the UR5, with joints,
   rate and filter (1.5 times the set's) of the set put in; physical fit, base parameters
@@ -35,7 +35,7 @@ rotor inertia of every joint (on EMPS the rotor is the mass again).
 CMA-ES and mujoco.sysid take minutes for a run of the Go2: they are fitted to runs 0 and
 6 alone, and the means of both are judged.
 
-- error: of the torque, mean over the joints, `bench_figaroh.held_out_error`. On the Go2
+- error: of the torque, mean over the joints, `_figaroh.held_out_error`. On the Go2
   the torque is that of the PD law as late as the peer says.
 - scatter: the two halves of the fitted part (of every recording; on the Go2 runs 0 to 3
   and 4 to 6, or the two runs) are fitted each alone; half the difference of the torques
@@ -49,17 +49,15 @@ CMA-ES and mujoco.sysid take minutes for a run of the Go2: they are fitted to ru
   has which stays or goes on at its velocity, and so much if its simulation fails.
 - consistent: whether all bodies are physically consistent (pseudo-inertia).
 - seconds: of one processor (FIGAROH: by the clock, imports not counted).
-- lines: that a user writes, settings included.
 - named: what is said to be missing, with a name, and on how many joints.
 """
 
-import time
 import warnings
 from dataclasses import replace
 
+import _servo as servo
 import bench_commands as commands
 import bench_protocol_emps as emps
-import bench_servo as servo
 import numpy as np
 from _field_peers import (
     CMA,
@@ -72,11 +70,10 @@ from _field_peers import (
     answer,
     by_commands,
     names_of,
-    regressors,
 )
-from _ledger import Ledger
-from _report import fixed, parser, publish, rst_table, rst_title
-from bench_figaroh import held_out_error, recordings
+from _figaroh import held_out_error, recordings
+from _report import fixed, parser, publish, rst_table, rst_title, run_study
+from _rivals import settings_of
 from scipy import signal
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, StateEstimator
@@ -85,7 +82,8 @@ from sklearn_vbjfa.datasets import fetch_emps, protocols
 KEYS = ("set", "peer")
 GO2 = "unitree_go2"
 SETS = tuple(name for name in protocols() if name != "demo")
-PEERS = (OURS, SEARCH, *regressors(10), FIGAROH, SYSID, CMA)
+RIVALS = ("WLS", "ridge", "LASSO", "PLS", "Huber", "Theil-Sen")
+PEERS = (OURS, SEARCH, *RIVALS, FIGAROH, SYSID, CMA)
 COLUMNS = ("q", "v", "tau", "t", "weight", "states")
 WINDOW, WINDOWS = 1.0, 20  # length [s], and most of them where torques drive
 MARGIN = 0.1  # before the first of a recording [s]
@@ -123,7 +121,8 @@ def part_of(recording, rows, commands=False):
 def load(name, data_home):
     """Return the `Case` of a set."""
     protocol = protocols()[name]
-    recording = protocol.load(data_home=data_home)
+    given = {} if name == "demo" else {"data_home": data_home}
+    recording = protocol.load(**given)
     rows, gains = protocol.split(recording), None
     if name == SERVO:
         recording = servo.prepared(recording)
@@ -138,7 +137,7 @@ def load(name, data_home):
     fitted, held_out = (part_of(recording, own, told) for own in rows)
     return Case(
         name=name,
-        cutoff=protocol.cutoff,
+        cutoff=10.0 if name == "demo" else protocol.cutoff,
         standstill=protocol.standstill,
         recording=recording,
         fitted=fitted,
@@ -283,7 +282,6 @@ def run(task):
         consistent=whole.consistent,
         named=whole.named,
         seconds=whole.seconds,
-        lines=whole.lines,
     )
     return result
 
@@ -333,8 +331,7 @@ def by_the_board(data_home):
     rows = [["published, least squares", *fixed(emps.PUBLISHED_ERRORS[1:], 2), ""]]
     settings = {"friction": emps.FRICTION, "cutoff": emps.CUTOFF, "standstill": None}
     chosen = {OURS: {}, SEARCH: {}}
-    for name, regressor in regressors(13).items():
-        chosen[name] = {"regressor": regressor, "projector": None}
+    chosen |= {name: settings_of(name) for name in RIVALS}
     for name, own in chosen.items():
         robot = RobotIdentifier(
             recording.robot_model(), dt=recording.dt, **settings, **own
@@ -364,7 +361,7 @@ def table_of(name, results):
     rows = []
     for result in results:
         if "failure" in result:
-            rows.append([result["peer"], *["–"] * 6, f"not run: {result['failure']}"])
+            rows.append([result["peer"], *["–"] * 5, f"not run: {result['failure']}"])
             continue
         values = [result["error"], result["scatter"], result.get("positions", np.nan)]
         rows.append(
@@ -373,11 +370,10 @@ def table_of(name, results):
                 *shown(values),
                 result["consistent"],
                 *fixed([result["seconds"]], 1),
-                str(result["lines"]),
                 result["named"],
             ]
         )
-    headers = ["error [%]", "scatter [%]", "positions [%]", "consistent", "s", "lines"]
+    headers = ["error [%]", "scatter [%]", "positions [%]", "consistent", "s"]
     table = rst_table(rows, [name, *headers, "named"])
     others = [r["goes_on"] for r in results if "goes_on" in r]
     if others:
@@ -453,46 +449,32 @@ def places(results):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
+    arguments = parser(__doc__, data=True, out=True)
     arguments.add_argument("--data", nargs="+", choices=SETS, default=SETS)
     arguments.add_argument("--peers", nargs="+", choices=PEERS, default=PEERS)
-    arguments.add_argument("--figaroh-python", default=None, metavar="PYTHON")
-    arguments.add_argument("--out", nargs="+", default=None, metavar="FILE")
+    arguments.add_argument("--figaroh-python", metavar="PYTHON")
     arguments = arguments.parse_args(argv)
+    sets, peers = arguments.data, arguments.peers
+    if arguments.quick:
+        sets, peers = ("demo",), (OURS, "WLS", FIGAROH)
+    shared = {"data_home": arguments.data_home, "python": arguments.figaroh_python}
     every = [
-        {
-            "set": name,
-            "peer": peer,
-            "data_home": arguments.data_home,
-            "python": arguments.figaroh_python,
-        }
-        for name in SETS
+        {"set": name, "peer": peer, **shared}
+        for name in (sets if arguments.quick else SETS)
         for peer in PEERS
     ]
-    tasks = [
-        task
-        for task in every
-        if task["set"] in arguments.data and task["peer"] in arguments.peers
-    ]
-    ledger = Ledger(arguments.out, KEYS)
+    tasks = [task for task in every if task["set"] in sets and task["peer"] in peers]
     with warnings.catch_warnings():
         # How rivals converge is shown by their errors.
         warnings.simplefilter("ignore")
-        for task in ledger.missing(tasks):
-            started = time.perf_counter()
-            ledger.add(run(task))
-            taken = time.perf_counter() - started
-            print(ledger.results[-1], f"{taken:.0f} s in all", flush=True)
-        board = by_the_board(arguments.data_home) if "emps" in arguments.data else ""
+        ledger = run_study(run, tasks, KEYS, out=arguments.out, line=str)
+        board = by_the_board(arguments.data_home) if "emps" in sets else ""
     done = ledger.of(every)
     parts = [places(done), summary(done), board]
     for name in dict.fromkeys(r["set"] for r in done):
         own = [r for r in done if r["set"] == name]
         parts += [rst_title(name, "~"), table_of(name, own)]
-    publish(
-        "field", "\n\n".join(parts), write=arguments.write, states=ledger.states(every)
-    )
+    publish("field", "\n\n".join(parts), arguments, commits=ledger.commits(every))
 
 
 if __name__ == "__main__":

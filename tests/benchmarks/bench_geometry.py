@@ -45,8 +45,7 @@ import warnings
 from collections import Counter
 
 import numpy as np
-from _ledger import Ledger, results_of
-from _report import parser, publish, rst_table, rst_title
+from _report import parser, publish, rst_table, rst_title, run_study
 from _undeclared_faults import PARAMETERS
 from _undeclared_geometry import FRICTION, KINDS, simulate
 from _undeclared_told_apart import SEPARATE
@@ -533,27 +532,25 @@ def report(results):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, out=True, jobs=True)
     arguments.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     arguments.add_argument("--seed", type=int, default=0, help="seed of the first")
     arguments.add_argument("--cases", type=int, default=10, help="of each kind")
-    arguments.add_argument("--jobs", type=int, default=1)
-    arguments.add_argument(
-        "--out", default=None, metavar="FILE", help="results so far, as JSON lines"
-    )
     arguments = arguments.parse_args(argv)
-    tasks = tasks_of(arguments.kinds, arguments.seed, arguments.cases)
-    ledger = Ledger(arguments.out, KEYS)
-    for result in results_of(run, ledger.missing(tasks), arguments.jobs):
-        ledger.add(result)
-        print(line(result), flush=True)
-    name = "geometry" + ("" if arguments.seed < 100 else "_confirmation")
-    command = "python tests/benchmarks/bench_geometry.py"
-    command += "" if arguments.seed == 0 else f" --seed {arguments.seed}"
-    seeds = f"Seeds {arguments.seed} to {arguments.seed + arguments.cases - 1}."
-    text = f"{seeds}\n\n{report(ledger.of(tasks))}"
-    states = ledger.states(tasks)
-    publish(name, text, write=arguments.write, command=command, states=states)
+    kinds, first, cases = arguments.kinds, arguments.seed, arguments.cases
+    if arguments.quick:
+        kinds, cases = ("tilt",), 1
+    tasks = tasks_of(kinds, first, cases)
+    ledger = run_study(
+        run, tasks, KEYS, out=arguments.out, jobs=arguments.jobs, line=line
+    )
+    publish(
+        "geometry" + ("" if first < 100 else "_confirmation"),
+        f"Seeds {first} to {first + cases - 1}.\n\n{report(ledger.of(tasks))}",
+        arguments,
+        command=f"geometry.py --seed {first} --cases {cases}",
+        commits=ledger.commits(tasks),
+    )
 
 
 if __name__ == "__main__":

@@ -18,13 +18,13 @@ import warnings
 from dataclasses import dataclass, field
 
 import numpy as np
-from _report import add_root_to_path, parser, publish, rst_table
+from _report import ROOT, parser, publish, rst_table
 from scipy import signal, stats
 
-add_root_to_path()
+sys.path.append(str(ROOT))
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
 VISCOUS = (0.8, 0.5, 0.3)
@@ -292,15 +292,16 @@ def report(cells):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__)
     arguments.add_argument("--trials", type=int, default=200)
     arguments.add_argument("--seed", type=int, default=100)
     arguments.add_argument("--study", choices=STUDIES, action="append")
     arguments = arguments.parse_args(argv)
     cells = []
     for name in arguments.study or STUDIES:
-        cells += STUDIES[name](arguments.trials, arguments.seed)
-    publish("interval_coverage", report(cells), write=arguments.write)
+        trials = 2 if arguments.quick else arguments.trials
+        cells += STUDIES[name](trials, arguments.seed)
+    publish("interval_coverage", report(cells), arguments)
 
 
 if __name__ == "__main__":

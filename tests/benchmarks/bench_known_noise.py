@@ -148,12 +148,12 @@ def report(draws=20):
     )
 
 
-def main():
-    """Run from the command line."""
+def main(argv=None):
+    """Print the tables."""
     arguments = parser(__doc__)
     arguments.add_argument("--draws", type=int, default=20)
-    arguments = arguments.parse_args()
-    publish("known_noise", report(arguments.draws), write=arguments.write)
+    arguments = arguments.parse_args(argv)
+    publish("known_noise", report(2 if arguments.quick else arguments.draws), arguments)
 
 
 if __name__ == "__main__":

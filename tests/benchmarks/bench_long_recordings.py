@@ -16,20 +16,17 @@ Data, simulated without the code of the library (``_undeclared_robots.py``), see
 (``n_jobs=2``), and the report's text, each in a process of its own; the data are made
 in another one and read from a file, so that the peak memory (``ru_maxrss``) is that of
 reading, the loop and the report.
-Seconds by stage are those inside of a function of the loop, without what it calls of
-the other stages; processor time stands beside the time on the wall. Exponents are
-those of straight lines through the logarithms of figures and of lengths, from 3 minutes
-on, or of joints, from 7 on: what any recording costs shows in the smallest.
+Exponents are slopes of straight lines through the logarithms of figures and of lengths,
+from 3 minutes on, or of joints, from 7 on.
 Targets: 30 minutes in 120 s with 2 GB and the right name; 23 joints in 60 s.
-``--write`` draws the picture of the guide as well (``docs/images/long_recordings.py``).
 
-With ``--out`` figures go to a file of JSON lines, with the peak memory after each
-stage; the table has all cases of the file, and what it holds is not run again. One case
-alone, and the table with those before it:
+With ``--out`` figures are kept in a file of JSON lines. One case alone, and the table
+with those before it:
 ``--cases "7 joints, 30 min" --out FILE --write``.
 A gigabyte is 1e9 bytes.
 """
 
+import argparse
 import json
 import os
 import resource
@@ -39,17 +36,13 @@ import tempfile
 import time
 import warnings
 from pathlib import Path
-from unittest import mock
 
 import numpy as np
-from _ledger import Ledger
-from _report import ROOT, parser, publish, rst_table
+from _report import Ledger, parser, publish, rst_table
 from _undeclared_robots import Motion, inverse_dynamics, nominal_robot, true_robot
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.diagnosis import _discovery
 
-PICTURE = ROOT / "docs" / "images" / "long_recordings.py"
 DT = 0.001
 SEED = 0
 NOISE, FRICTION, UNDECLARED = 0.1, 0.15, 0.15
@@ -67,17 +60,6 @@ CASES = {name: ((7,), m * 60_000) for name, m in LENGTHS.items()}
 CASES |= {name: (arms, MANY_ROWS) for name, arms in zip(JOINTS, ARMS, strict=True)}
 QUICK = {"2 joints, 40 s": ((2,), 40_000), "4 joints, 40 s": ((2, 2), 40_000)}
 TARGETS = {"7 joints, 30 min": (120.0, 2.0), "23 joints": (60.0, np.inf)}
-# Functions that the loop calls, by the name of their stage.
-STAGES = {
-    "channels": "inspect_channels",
-    "split": "split_in_time",
-    "fits": "_fitted",
-    "view": "RecordingView",
-    "search": "search",
-    "judging": "judge",
-    "tuning": "tuned_on",
-    "outcome": "make_outcome",
-}
 
 
 def robot(arms):
@@ -122,41 +104,6 @@ def recording(arms, rows, first=0):
     return q, tau
 
 
-class Stages:
-    """Seconds in the functions of the loop, each without the others."""
-
-    def __init__(self):
-        self.seconds = dict.fromkeys([*STAGES, "rest"], 0.0)
-        self.gigabytes = {}
-        self._open, self._since = ["rest"], time.perf_counter()
-
-    def _turn(self):
-        now = time.perf_counter()
-        self.seconds[self._open[-1]] += now - self._since
-        self._since = now
-
-    def timed(self, stage):
-        """Return the function of a stage, timed."""
-        function = getattr(_discovery, STAGES[stage])
-
-        def call(*given, **named):
-            self._turn()
-            self._open.append(stage)
-            try:
-                return function(*given, **named)
-            finally:
-                self._turn()
-                self._open.pop()
-                self.gigabytes[stage] = peak_gigabytes()
-
-        return call
-
-    def done(self):
-        """Return the seconds by stage."""
-        self._turn()
-        return self.seconds
-
-
 def peak_gigabytes():
     """Peak memory of this process so far [GB, 1e9 bytes]."""
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
@@ -176,20 +123,15 @@ def run_here(arms, path):
     declared = {"friction": ("viscous", "coulomb"), "n_jobs": 2}
     identifier = RobotIdentifier(robot(arms), dt=DT, **declared)
     loop = EffectDiscovery(identifier, random_state=0)
-    stages = Stages()
-    timed = {name: stages.timed(stage) for stage, name in STAGES.items()}
-    with warnings.catch_warnings(), mock.patch.multiple(_discovery, **timed):
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         with np.load(path) as file:
             loop.fit(file["q"], file["tau"])
-    found = stages.done()
     text = str(loop.report_)
     return {
         "seconds": time.perf_counter() - started,
         "processor": time.process_time() - used,
         "gigabytes": peak_gigabytes(),
-        "stages": found,
-        "peaks": stages.gigabytes,
         "named": [[e.name, int(e.joint)] for e in loop.effects_],
         "error": [
             float(np.mean(loop.error_before_)),
@@ -243,7 +185,7 @@ def growth(found):
 
 FIGURES = ("seconds", "gigabytes")
 HEADERS = ["recording", "rows", "time [s]", "processor time", "memory [GB]"]
-HEADERS += ["named", "mean before [%]", "mean after", *STAGES, "rest", "target"]
+HEADERS += ["named", "mean before [%]", "mean after", "target"]
 
 
 def row(name, rows, figures):
@@ -260,7 +202,6 @@ def row(name, rows, figures):
         f"{figures['gigabytes']:.2f}",
         named or "nothing",
         *(f"{100 * error:.1f}" for error in figures["error"]),
-        *(f"{figures['stages'][stage]:.0f}" for stage in (*STAGES, "rest")),
         ", ".join(target),
     ]
 
@@ -279,14 +220,11 @@ def report(cases, chosen, ledger):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, out=True)
     arguments.add_argument("--cases", nargs="+", help="names of the table")
-    arguments.add_argument(
-        "--quick", action="store_true", help="small robots for 40 s, as a smoke test"
-    )
-    arguments.add_argument("--out", help="file of figures, to run the cases in pieces")
-    arguments.add_argument("--make", help="for the script itself")
-    arguments.add_argument("--run", help="for the script itself")
+    # what the script starts itself with
+    arguments.add_argument("--make", help=argparse.SUPPRESS)
+    arguments.add_argument("--run", help=argparse.SUPPRESS)
     arguments = arguments.parse_args(argv)
     if arguments.make:
         make(**json.loads(arguments.make))
@@ -295,14 +233,10 @@ def main(argv=None):
         given = json.loads(arguments.run)
         print(json.dumps(run_here(given["arms"], given["path"])))
         return
-    cases, name = (QUICK if arguments.quick else CASES), "long_recordings"
-    command = "python tests/benchmarks/bench_long_recordings.py"
+    cases = QUICK if arguments.quick else CASES
     ledger = Ledger(arguments.out, ("case",))
     text = report(cases, arguments.cases or list(cases), ledger)
-    states = ledger.states([{"case": name} for name in cases])
-    publish(name, text, write=arguments.write, command=command, states=states)
-    if arguments.write and cases is CASES:
-        subprocess.run([sys.executable, str(PICTURE)], check=True)
+    publish("long_recordings", text, arguments, commits=ledger.commits())
 
 
 if __name__ == "__main__":

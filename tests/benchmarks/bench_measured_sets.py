@@ -3,7 +3,7 @@
 Run ``python tests/benchmarks/bench_measured_sets.py --sets development --data-home DIR
 [--write]``; how often the sets were run stands in ``README.md``.
 
-Filters and masks are those of ``bench_measured_robots.py``, but for EMPS (20 Hz).
+Filters and masks are those of `datasets.protocols`, but for EMPS (20 Hz).
 Split: the loop's own. Every model is fitted to the rows that the loop searched and
 judged on those that it held out, in the same band and with the same mask; errors
 are root mean squares over the spread of the torque in the moving time of the whole
@@ -17,8 +17,8 @@ recording, as in the report.
 Methods, all with the four terms:
 
 - WLS: least squares, joints weighted by their noise.
-- ridge, LASSO, PLS: their strength or number of components (up to the rank of the
-  equations) is chosen by cross-validation over five blocks of time of the fitted rows.
+- ridge, LASSO, PLS: strength or number of components by cross-validation over five
+  blocks of time of the fitted rows.
 - stepwise: forwards and backwards by F-tests.
 - IDIM-IV: two-stage least squares. The equations are made of the positions of every
   other sample, the instruments are the regressor matrices of the samples in between,
@@ -27,14 +27,13 @@ Methods, all with the four terms:
   loop would take, the controller.
 """
 
-import json
 import time
 import warnings
 
 import numpy as np
-from _ledger import Ledger
 from _perhaps import undecided
-from _report import fixed, parser, publish, rst_table
+from _report import fixed, parser, publish, rst_table, run_study
+from _rivals import settings_of
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -42,7 +41,6 @@ from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.recording import take_arrays
-from sklearn_vbjfa.robot import OURS, collect_residuals, compare_methods, methods
 
 SETS = {
     "development": ("emps", "ur5", "staubli_tx40", "bam_xl330", "tflex_1dof"),
@@ -54,15 +52,7 @@ SETS = {
         "tiago",
     ),
 }
-# Name in the table -> name in the comparison of methods.
-RIVALS = {
-    "WLS": "WLS",
-    "ridge": "ridge",
-    "LASSO": "LASSO",
-    "PLS": "PLS",
-    "stepwise": "stepwise",
-    "IDIM-IV": "IV",
-}
+RIVALS = ("WLS", "ridge", "LASSO", "PLS", "stepwise", "IDIM-IV")
 # Errors of one model computed in two ways agree to this.
 SAME = 1e-6
 DECLARED = ("viscous",)
@@ -78,7 +68,8 @@ LENGTHS = {"tflex_1dof": 80.0}
 def load(name, data_home):
     """Return the recording, its rows in use, and the declared model."""
     protocol = protocols()[name]
-    recording = protocol.load(data_home=data_home)
+    given = {} if name == "demo" else {"data_home": data_home}
+    recording = protocol.load(**given)
     if name in RECORDINGS:
         recording = recording.select(*RECORDINGS[name])
     rows = np.flatnonzero(recording.t < LENGTHS.get(name, np.inf))
@@ -118,104 +109,54 @@ def split_of(loop, q, tau, groups):
     return tuple((part.q, part.tau, part.groups) for part in parts)
 
 
-def _rank(pieces):
-    """Rank of the equations of all pieces, their columns in units of their length."""
-    gram = 0.0
-    for piece in pieces:
-        rows = (piece.Phi * np.sqrt(piece.weight)[:, :, None]).reshape(
-            -1, piece.Phi.shape[2]
-        )
-        gram = gram + rows.T @ rows
-    length = np.sqrt(np.diag(gram))
-    gram = gram[np.ix_(length > 0, length > 0)]
-    length = length[length > 0]
-    return int(np.linalg.matrix_rank(gram / np.outer(length, length), hermitian=True))
-
-
-def partial_least_squares(base, train, test):
-    """Errors of PLS on the held-out part, of components up to the equations' rank."""
-    settings = dict(methods(len(base.parameter_names_))["PLS"])
-    robot = base.robot_
-    pieces = robot.pieces(*train)
-    counts = sorted({int(c) for c in np.geomspace(1, _rank(pieces), 8)})
-    settings["regressor"] = clone(settings["regressor"]).set_params(components=counts)
-    model = clone(base).set_params(**settings)
-    found = model.estimated(pieces, robot.plan)
-    return collect_residuals(robot.pieces(*test), found.theta).normalised_error()
-
-
-def judge_set(q, tau, groups, identifier, names=tuple(RIVALS), **settings):
-    """Close the loop on a recording and judge the other methods beside it.
-
-    Parameters
-    ----------
-    q, tau, groups : ndarray
-        Recording.
-    identifier : RobotIdentifier
-        Declared model.
-    names : sequence of str
-        Methods, of `RIVALS`.
-    **settings
-        Further parameters of `EffectDiscovery`.
-
-    Returns
-    -------
-    dict
-        ``errors``: method -> errors of the joints; effects, failures and times.
-    """
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
-    started = time.perf_counter()
-    loop.fit(q, tau, groups)
-    seconds = time.perf_counter() - started
-    train, test = split_of(loop, q, tau, groups)
-    rest = loop.declared_.residuals(test[0], test[1], groups=test[2])
-    declared = rest.rms() / loop.torque_spread_
-    if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):
-        raise RuntimeError(
-            f"The declared model has {declared} on the held-out part; the loop says "
-            f"{loop.error_before_}: not the same rows."
-        )
-    chosen = [OURS, *(RIVALS[name] for name in names if name != "PLS")]
-    fuller = clone(identifier).set_params(friction=PLAIN)
-    results, base = compare_methods(fuller, train, test, names=chosen)
-    by_name = {result.name: result for result in results}
-    rest = base.residuals(test[0], test[1], groups=test[2])
-    # the comparison divides by the spread of the held-out part alone
-    with np.errstate(divide="ignore", invalid="ignore"):
-        scale = rest.rms() / rest.normalised_error() / loop.torque_spread_
-    errors = {
-        "declared": loop.error_before_,
-        "four terms": by_name[OURS].error * scale,
-        "completed": loop.error_after_,
-    }
-    for name in names:
-        if name == "PLS":
-            error = partial_least_squares(base, train, test)
-        else:
-            error = by_name[RIVALS[name]].error
-        errors[name] = error * scale
-    return {
-        "errors": {name: np.asarray(x).tolist() for name, x in errors.items()},
-        "failures": {
-            name: result.message
-            for name in names
-            if (result := by_name.get(RIVALS[name])) and result.message
-        },
-        "effects": [[e.name, e.joint] for e in loop.effects_],
-        "perhaps": [[e.name, e.joint] for e in undecided(loop)],
-        "cutoff": float(base.cutoff_),
-        "seconds": seconds,
-    }
-
-
-def run(name, data_home=None):
-    """Judge all methods on one set, as a dict."""
-    recording, rows, identifier = load(name, data_home)
-    parts = recording.q[rows], recording.tau[rows], recording.groups[rows]
+def run(task):
+    """Close the loop on a set and judge the other methods on its held-out part."""
+    recording, rows, identifier = load(task["set"], task["data_home"])
+    given = recording.q[rows], recording.tau[rows], recording.groups[rows]
     with warnings.catch_warnings():
         # How rivals converge is shown by their errors.
         warnings.simplefilter("ignore")
-        return {"set": name, **judge_set(*parts, identifier)}
+        return {"set": task["set"], **judge(*given, identifier)}
+
+
+def judge(q, tau, groups, identifier):
+    """Errors of the joints by method, effects, failures and seconds."""
+    loop = EffectDiscovery(identifier, random_state=0)
+    started = time.perf_counter()
+    loop.fit(q, tau, groups)
+    seconds = time.perf_counter() - started
+    (X, y, labels), (X_test, y_test, labels_test) = split_of(loop, q, tau, groups)
+
+    def error(model):
+        left = model.residuals(X_test, y_test, groups=labels_test)
+        return left.rms() / loop.torque_spread_
+
+    declared = error(loop.declared_)
+    if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):
+        raise RuntimeError("the declared model was not judged on the same rows")
+    fuller = clone(identifier).set_params(friction=PLAIN)
+    plain = clone(fuller).set_params(bodies="free", alike=None).fit(X, y, groups=labels)
+    errors = {
+        "declared": loop.error_before_,
+        "four terms": error(plain),
+        "completed": loop.error_after_,
+    }
+    failures = {}
+    for name in RIVALS:
+        model = clone(fuller).set_params(**settings_of(name))
+        try:
+            errors[name] = error(model.fit(X, y, groups=labels))
+        except ValueError as refused:
+            errors[name] = np.full_like(declared, np.nan)
+            failures[name] = str(refused)
+    return {
+        "errors": {name: np.asarray(x).tolist() for name, x in errors.items()},
+        "failures": failures,
+        "effects": [[e.name, e.joint] for e in loop.effects_],
+        "perhaps": [[e.name, e.joint] for e in undecided(loop)],
+        "cutoff": float(plain.cutoff_),
+        "seconds": seconds,
+    }
 
 
 def _mean(values):
@@ -312,35 +253,21 @@ def report(results):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, data=True, out=True)
     arguments.add_argument("--sets", choices=SETS, default="development")
-    arguments.add_argument(
-        "--data", nargs="*", default=None, help="some of the sets only"
-    )
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments.add_argument(
-        "--out", default=None, metavar="FILE", help="results so far, as JSON lines"
-    )
+    arguments.add_argument("--data", nargs="*", help="some of the sets only")
     arguments = arguments.parse_args(argv)
-    known = SETS[arguments.sets]
-    chosen = arguments.data or known
-    if not set(chosen) <= set(known):
-        raise SystemExit(f"--data must name some of {', '.join(known)}.")
-    tasks = [{"set": name} for name in chosen]
-    ledger = Ledger(arguments.out, ("set",))
-    for task in ledger.missing(tasks):
-        result = run(task["set"], arguments.data_home)
-        ledger.add(result)
-        means = {name: _mean(x) for name, x in result["errors"].items()}
-        words = " ".join(f"{name} {100 * x:.1f}" for name, x in means.items())
-        print(f"{task['set']}: {words}; {json.dumps(result['effects'])}", flush=True)
+    chosen = arguments.data or SETS[arguments.sets]
+    if arguments.quick:
+        chosen = ("demo",)
+    tasks = [{"set": name, "data_home": arguments.data_home} for name in chosen]
+    ledger = run_study(run, tasks, ("set",), out=arguments.out, line=str)
     publish(
         f"measured_sets_{arguments.sets}",
         report(ledger.of(tasks)),
-        write=arguments.write,
-        command="python tests/benchmarks/bench_measured_sets.py "
-        f"--sets {arguments.sets}",
-        states=ledger.states(tasks),
+        arguments,
+        command=f"measured_sets.py --sets {arguments.sets}",
+        commits=ledger.commits(tasks),
     )
 
 

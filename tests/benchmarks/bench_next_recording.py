@@ -12,14 +12,12 @@ the recording that was left out, over the same spread. Joints whose range of tor
 speed was not fitted count as well: the promise does not exclude them.
 """
 
-import sys
 import time
 import warnings
 
 import numpy as np
-from _ledger import Ledger
 from _protocol_sets import PAIRED_SETS, pairs
-from _report import fixed, parser, publish, rst_table
+from _report import fixed, parser, publish, rst_table, run_study
 
 from sklearn_vbjfa import EffectDiscovery
 
@@ -27,8 +25,10 @@ KEYS = ("set", "judged", "fitted", "search")
 COUNTS = {"all others": None, "two": 2, "one": 1}
 
 
-def judge(name, label, fitted, judged, search, data_home=None):
+def judge(task):
     """Promise and truth of one case, plain data for JSON."""
+    name, search, data_home = task["set"], task["search"], task["data_home"]
+    fitted, judged = task["names"]
     frozen = PAIRED_SETS[name]
     recording = frozen.recording(data_home)
     identifier = frozen.identifier(recording.robot_model(), recording.dt)
@@ -45,10 +45,7 @@ def judge(name, label, fitted, judged, search, data_home=None):
     known = np.isfinite(promised.error) & np.isfinite(error)
     low, high = promised.interval
     return {
-        "set": name,
-        "judged": label,
-        "fitted": len(fitted),
-        "search": search,
+        **{key: task[key] for key in KEYS},
         "source": promised.source,
         "promised": float(promised.error[known].mean()),
         "true": float(error[known].mean()),
@@ -65,7 +62,7 @@ def judge(name, label, fitted, judged, search, data_home=None):
 
 
 def tasks(names, data_home=None, search=False):
-    """Yield (set, label, fitted names, judged names)."""
+    """Yield the tasks of some sets."""
     for name in names:
         frozen = PAIRED_SETS[name]
         recording = frozen.recording(data_home)
@@ -73,7 +70,14 @@ def tasks(names, data_home=None, search=False):
             for count in (None,) if search else COUNTS.values():
                 some = fitted if count is None else fitted[:count]
                 if count is None or count < len(fitted):
-                    yield name, label, tuple(some), judged
+                    yield {
+                        "set": name,
+                        "judged": label,
+                        "fitted": len(some),
+                        "search": search,
+                        "names": (some, judged),
+                        "data_home": data_home,
+                    }
 
 
 def summary(results):
@@ -137,31 +141,21 @@ def by_case(results):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None)
+    arguments = parser(__doc__, data=True, out=True)
     arguments.add_argument("--sets", nargs="+", choices=PAIRED_SETS)
     arguments.add_argument("--search", action="store_true")
-    arguments.add_argument("--out", default=None)
     arguments = arguments.parse_args(argv)
-    ledger = Ledger(arguments.out, KEYS)
-    names = arguments.sets or tuple(PAIRED_SETS)
-    for name, label, fitted, judged in tasks(
-        names, arguments.data_home, arguments.search
-    ):
-        key = {
-            "set": name,
-            "judged": label,
-            "fitted": len(fitted),
-            "search": arguments.search,
-        }
-        if ledger.missing([key]):
-            found = judge(
-                name, label, fitted, judged, arguments.search, arguments.data_home
-            )
-            ledger.add(found)
-            print(found, file=sys.stderr, flush=True)
+    names = arguments.sets or [n for n in PAIRED_SETS if n != "demo"]
+    given = arguments.data_home, arguments.search
+    ledger = run_study(
+        judge,
+        list(tasks(["demo"] if arguments.quick else names, *given)),
+        KEYS,
+        out=arguments.out,
+        line=str,
+    )
     text = "\n\n".join([summary(ledger.results), by_case(ledger.results)])
-    publish("next_recording", text, write=arguments.write, states=ledger.states())
+    publish("next_recording", text, arguments, commits=ledger.commits())
 
 
 if __name__ == "__main__":

@@ -179,13 +179,11 @@ def report(recording, **settings):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments = arguments.parse_args(argv)
+    arguments = parser(__doc__, data=True).parse_args(argv)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         text = report(fetch_emps(data_home=arguments.data_home))
-    publish("protocol_emps", text, write=arguments.write)
+    publish("protocol_emps", text, arguments)
 
 
 if __name__ == "__main__":

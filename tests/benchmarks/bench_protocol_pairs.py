@@ -372,39 +372,29 @@ def _over(reduce, values):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, data=True)
     arguments.add_argument("--sets", choices=STAGES, default="development")
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments.add_argument("--data", nargs="*", default=None, help="some of the sets")
-    arguments.add_argument(
-        "--judged", nargs="*", default=None, help="some of the pairs, by their label"
-    )
-    arguments.add_argument(
-        "--friction", nargs="*", default=None, help="another declared friction"
-    )
+    arguments.add_argument("--data", nargs="*", help="some of the sets")
+    arguments.add_argument("--judged", nargs="*", help="some labels of pairs")
     arguments = arguments.parse_args(argv)
-    names = [n for n, frozen in PAIRED_SETS.items() if frozen.stage == arguments.sets]
+    stage = "quick" if arguments.quick else arguments.sets
+    names = [n for n, frozen in PAIRED_SETS.items() if frozen.stage == stage]
     if arguments.data:
         names = [name for name in names if name in arguments.data]
-    friction = None if arguments.friction is None else tuple(arguments.friction)
     paragraphs, rows = [], []
     for name in names:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)
-            found = run_set(
-                name, arguments.data_home, arguments.judged, friction=friction
-            )
-        paragraphs += section(name, *found, friction=friction)
+            found = run_set(name, arguments.data_home, arguments.judged)
+        paragraphs += section(name, *found)
         if found[2]:
             rows.append(summary(name, found[2], found[1].spread))
     part = f" Only the pairs {', '.join(arguments.judged)}." if arguments.judged else ""
-    text = "\n\n".join([INTRODUCTION + part, rst_table(rows, SUMMARY), *paragraphs])
     publish(
         f"protocol_pairs_{arguments.sets}",
-        text,
-        write=arguments.write,
-        command="python tests/benchmarks/bench_protocol_pairs.py --sets "
-        f"{arguments.sets}",
+        "\n\n".join([INTRODUCTION + part, rst_table(rows, SUMMARY), *paragraphs]),
+        arguments,
+        command=f"protocol_pairs.py --sets {arguments.sets}",
     )
 
 

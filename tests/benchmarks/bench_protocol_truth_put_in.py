@@ -452,33 +452,6 @@ Stamps are off by white noise, rows are lost at random, never two in a row; both
 come through a file, as a user's recording does. Seed {SEED}."""
 
 
-def main(argv=None):
-    """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments.add_argument(
-        "--data", nargs="*", default=list(MANIPULATED_SETS), choices=MANIPULATED_SETS
-    )
-    arguments.add_argument(
-        "--put-in", nargs="*", default=None, choices=list(EXPECTED), help="some kinds"
-    )
-    arguments = arguments.parse_args(argv)
-    part = f" Only: {', '.join(arguments.put_in)}." if arguments.put_in else ""
-    for name in arguments.data:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", UserWarning)
-            answers, recording = run_set(name, arguments.data_home, arguments.put_in)
-        counts = [(a.case.kind, verdict(a, answers[0])[0]) for a in answers[1:]]
-        # A table for each robot, as a run takes its time.
-        publish(
-            f"protocol_truth_put_in_{name}",
-            "\n\n".join([*section(name, answers, recording, part), totals(counts)]),
-            write=arguments.write,
-            command="python tests/benchmarks/bench_protocol_truth_put_in.py --data "
-            f"{name}",
-        )
-
-
 def totals(counts):
     """Table of verdicts by what was put in, from pairs of kind and verdict."""
     verdicts = list(dict.fromkeys(text for _, text in counts))
@@ -488,6 +461,31 @@ def totals(counts):
         for numbers in [[counts.count((kind, text)) for text in verdicts]]
     ]
     return rst_table(rows, ["put in", "should be named", *verdicts], n_labels=2)
+
+
+def main(argv=None):
+    """Print the tables."""
+    arguments = parser(__doc__, data=True)
+    arguments.add_argument("--data", nargs="*", choices=MANIPULATED_SETS)
+    arguments.add_argument("--put-in", nargs="*", choices=EXPECTED, help="some kinds")
+    arguments = arguments.parse_args(argv)
+    names = arguments.data or [n for n in MANIPULATED_SETS if n != "demo"]
+    put_in = arguments.put_in
+    if arguments.quick:
+        names, put_in = ["demo"], ["gain"]
+    part = f" Only: {', '.join(put_in)}." if put_in else ""
+    for name in names:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", UserWarning)
+            answers, recording = run_set(name, arguments.data_home, put_in)
+        counts = [(a.case.kind, verdict(a, answers[0])[0]) for a in answers[1:]]
+        # A table for each robot, as a run takes its time.
+        publish(
+            f"protocol_truth_put_in_{name}",
+            "\n\n".join([*section(name, answers, recording, part), totals(counts)]),
+            arguments,
+            command=f"protocol_truth_put_in.py --data {name}",
+        )
 
 
 if __name__ == "__main__":

@@ -1,13 +1,12 @@
 """The TX40 by FIGAROH's protocol: torque as recorded, standstill included.
 
-Run as ``python tests/benchmarks/bench_protocol_tx40.py --data-home DIR``, with
-``--figaroh-python PYTHON`` where an interpreter has FIGAROH. Rows 0:24750 are fitted
+Run as ``python tests/benchmarks/bench_protocol_tx40.py --data-home DIR``.
+Rows 0:24750 are fitted
 with viscous and Coulomb friction, offset and rotor inertia declared, low-pass 25 Hz;
 the model predicts rows 29250:45000 from the measured positions, and 600 of those rows
 are compared with the torque as it was recorded.
 """
 
-import sys
 import warnings
 
 import numpy as np
@@ -68,45 +67,14 @@ def measure(recording, loop):
     return rows
 
 
-def measure_figaroh(recording, python):
-    """Label -> error of each joint [N m] of FIGAROH's user scripts, coupled wrist."""
-    import bench_figaroh
-
-    parts = [
-        {
-            "q": recording.q[rows],
-            "tau": recording.tau[rows],
-            "groups": np.zeros(rows.stop - rows.start, dtype=int),
-            "dt": recording.dt,
-        }
-        for rows in (FITTED, JUDGED)
-    ]
-    found = {}
-    for row in bench_figaroh.contestants("staubli_tx40", CUTOFF, recording.dt):
-        if row.tool != "figaroh" or "coupled" not in row.label:
-            continue
-        outcome = bench_figaroh.run_script(
-            row,
-            python,
-            recording.urdf,
-            parts,
-            bench_figaroh.SCRIPTS / "figaroh_staubli_tx40.yaml",
-        )
-        print(f"{row.label}: {outcome.seconds:.1f} s", file=sys.stderr)
-        found[row.label] = errors(recording.tau[JUDGED], outcome.predicted)
-    return found
-
-
-def report(recording, loop, figaroh=None):
-    """Text of the table; `figaroh` is what `measure_figaroh` gave, None without."""
-    rows = {"FIGAROH, as published": PUBLISHED, **(figaroh or {})}
-    rows.update(measure(recording, loop))
+def report(recording, loop):
+    """Text of the table."""
+    rows = {"FIGAROH, as published": PUBLISHED, **measure(recording, loop)}
     cells = [
         [label, *fixed(values, 2), *fixed([values.mean()], 2)]
         for label, values in rows.items()
     ]
     found = ", ".join(f"{e.name} {e.joint + 1}" for e in loop.effects_) or "nothing"
-    note = "" if figaroh else " FIGAROH was not run: its row is what was published."
     return "\n\n".join(
         [
             f"Rows {FITTED.start}:{FITTED.stop} of the 5 kHz recording fitted, "
@@ -114,7 +82,7 @@ def report(recording, loop, figaroh=None):
             f"{COMPARED.size} rows, equally spaced from {COMPARED[0]} to "
             f"{COMPARED[-1]} of rows {JUDGED.start}:{JUDGED.stop}, against the torque "
             "as recorded, standstill included; prediction from the measured positions. "
-            f"Root mean square [N m].{note}",
+            "Root mean square [N m]. The row of FIGAROH is the published one.",
             rst_table(
                 cells,
                 ["error [N m]", *(f"j{j + 1}" for j in range(recording.nv)), "mean"],
@@ -126,18 +94,12 @@ def report(recording, loop, figaroh=None):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None, metavar="DIR")
-    arguments.add_argument("--figaroh-python", default=None, metavar="PYTHON")
-    arguments = arguments.parse_args(argv)
+    arguments = parser(__doc__, data=True).parse_args(argv)
     recording = fetch_staubli_tx40(data_home=arguments.data_home)
-    figaroh = None
-    if arguments.figaroh_python:
-        figaroh = measure_figaroh(recording, arguments.figaroh_python)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        text = report(recording, fit_loop(recording), figaroh)
-    publish("protocol_tx40", text, write=arguments.write)
+        text = report(recording, fit_loop(recording))
+    publish("protocol_tx40", text, arguments)
 
 
 if __name__ == "__main__":

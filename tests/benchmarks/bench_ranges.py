@@ -8,10 +8,11 @@ often they are within 1.645 standard deviations of the fit alone, which says not
 how recordings differ.
 """
 
+import sys
 import warnings
 
 import numpy as np
-from _report import add_root_to_path, parser, publish, rst_table
+from _report import ROOT, parser, publish, rst_table
 
 RECORDINGS, SHARES = (2, 4, 8, 16), (0.1, 0.3)
 HEADERS = [
@@ -29,7 +30,7 @@ _ORDER = [3, 0, 1, 2]
 
 def measure(urdf, n, share, trials):
     """Return how often each value is in its range (4,), and in that of noise alone."""
-    add_root_to_path()
+    sys.path.append(str(ROOT))
     from tests.robot._differing import held, share_of
 
     with warnings.catch_warnings():
@@ -45,7 +46,7 @@ def report(trials=200, recordings=RECORDINGS, shares=SHARES):
     import tempfile
     from pathlib import Path
 
-    add_root_to_path()
+    sys.path.append(str(ROOT))
     from tests.robot._differing import URDF
 
     table = []
@@ -60,12 +61,12 @@ def report(trials=200, recordings=RECORDINGS, shares=SHARES):
     return rst_table(table, HEADERS)
 
 
-def main():
-    """Run from the command line."""
+def main(argv=None):
+    """Print the table."""
     arguments = parser(__doc__)
     arguments.add_argument("--trials", type=int, default=200)
-    arguments = arguments.parse_args()
-    publish("ranges", report(arguments.trials), write=arguments.write)
+    arguments = arguments.parse_args(argv)
+    publish("ranges", report(4 if arguments.quick else arguments.trials), arguments)
 
 
 if __name__ == "__main__":

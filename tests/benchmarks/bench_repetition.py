@@ -17,16 +17,14 @@ Seeds 0 to 99 are for work, 1000 to 1059 were seen once; from 2000 on to confirm
 Split: that of `EffectDiscovery`.
 """
 
-import sys
 import time
 import warnings
 from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from _ledger import Ledger
 from _perhaps import stated, undecided
-from _report import fixed, parser, publish, rst_table
+from _report import fixed, parser, publish, rst_table, run_study
 from _undeclared_effects import ADDED, World, can_carry
 from _undeclared_robots import (
     feels_gravity,
@@ -196,10 +194,11 @@ def recording(row, seed):
     return nominal, position, tau, groups, truth, joint
 
 
-def judge(name, seed):
+def run(task):
     """Close the loop on one recording, plain data for JSON."""
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
+    name, seed = task["row"], task["seed"]
     row = ROWS[name]
     model, q, tau, groups, truth, joint = recording(row, seed)
     identifier = RobotIdentifier(model, dt=DT, friction=PLAIN)
@@ -222,17 +221,6 @@ def judge(name, seed):
         "repeats": bool(loop.report_.outcome.repeated),
         "seconds": time.process_time() - started,
     }
-
-
-def study(trials, seed, results=None, rows=tuple(ROWS)):
-    """Run what is missing; returns the `Ledger`."""
-    ledger = Ledger(results, KEYS)
-    tasks = [
-        {"row": row, "seed": s} for s in range(seed, seed + trials) for row in rows
-    ]
-    for task in ledger.missing(tasks):
-        ledger.add(judge(task["row"], task["seed"]))
-    return ledger
 
 
 def report(results):
@@ -263,23 +251,24 @@ def report(results):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, out=True, jobs=True)
     arguments.add_argument("--trials", type=int, default=10)
     arguments.add_argument("--seed", type=int, default=0)
-    arguments.add_argument("--results", default=None)
     arguments.add_argument("--rows", nargs="+", choices=ROWS, default=tuple(ROWS))
     arguments = arguments.parse_args(argv)
-    ledger = study(arguments.trials, arguments.seed, arguments.results, arguments.rows)
-    own = range(arguments.seed, arguments.seed + arguments.trials)
-    results = [r for r in ledger.results if r["seed"] in own]
-    seeds = f"Seeds {own[0]} to {own[-1]}."
+    rows, trials, first = arguments.rows, arguments.trials, arguments.seed
+    if arguments.quick:
+        rows, trials = rows[:1], 1
+    seeds = range(first, first + trials)
+    tasks = [{"row": row, "seed": seed} for seed in seeds for row in rows]
+    ledger = run_study(run, tasks, KEYS, out=arguments.out, jobs=arguments.jobs)
     publish(
         "repetition",
-        f"{seeds}\n\n{report(results)}",
-        write=arguments.write,
-        states=ledger.states(),
+        f"Seeds {seeds[0]} to {seeds[-1]}.\n\n{report(ledger.of(tasks))}",
+        arguments,
+        commits=ledger.commits(tasks),
     )
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    main()

@@ -36,9 +36,8 @@ import warnings
 from collections import Counter
 
 import numpy as np
-from _ledger import Ledger, results_of
 from _perhaps import PERHAPS, calibration, counts, stated, undecided
-from _report import parser, publish, rst_table, rst_title
+from _report import parser, publish, rst_table, rst_title, run_study
 from _undeclared import CHANNELS, LIBRARY, PLAIN, draw_cases, simulate
 from scipy.stats import beta
 
@@ -336,48 +335,28 @@ def report(results):
 
 def main(argv=None):
     """Print the tables."""
-    arguments = parser(__doc__.splitlines()[0])
+    arguments = parser(__doc__, out=True, jobs=True, seeds=(0, 9))
     arguments.add_argument("--studies", nargs="+", choices=STUDIES, default=STUDIES)
     arguments.add_argument("--kinds", nargs="+", choices=KINDS, default=KINDS)
     arguments.add_argument(
         "--sizes", nargs="+", type=float, choices=tuple(SIZES), default=tuple(SIZES)
     )
-    arguments.add_argument(
-        "--seeds",
-        nargs=2,
-        type=int,
-        default=(0, 9),
-        metavar=("FIRST", "LAST"),
-        help="of single effects; the others begin with the first",
-    )
-    arguments.add_argument("--cases", type=int, default=40, help="of the others")
-    arguments.add_argument("--jobs", type=int, default=1)
-    arguments.add_argument(
-        "--out", nargs="+", metavar="FILE", help="results so far, as JSON lines"
-    )
+    arguments.add_argument("--cases", type=int, default=40, help="not of single ones")
     arguments = arguments.parse_args(argv)
-    first, last = arguments.seeds
-    tasks = tasks_of(
-        arguments.studies,
-        arguments.kinds,
-        arguments.sizes,
-        first,
-        last - first + 1,
-        arguments.cases,
+    given = arguments.studies, arguments.kinds, arguments.sizes
+    (first, last), cases = arguments.seeds, arguments.cases
+    if arguments.quick:
+        given, last, cases = (("single",), KINDS[:1], (6.0,)), first, 1
+    tasks = tasks_of(*given, first, last - first + 1, cases)
+    ledger = run_study(
+        run, tasks, KEYS, out=arguments.out, jobs=arguments.jobs, line=line
     )
-    ledger = Ledger(arguments.out, KEYS)
-    for result in results_of(run, ledger.missing(tasks), arguments.jobs):
-        ledger.add(result)
-        print(line(result), flush=True)
-    name = "single_effects" + ("" if first < 100 else "_confirmation")
-    command = "python tests/benchmarks/bench_single_effects.py"
-    command += f" --seeds {first} {last} --cases {arguments.cases}"
     publish(
-        name,
+        "single_effects" + ("" if first < 100 else "_confirmation"),
         report(ledger.of(tasks)),
-        write=arguments.write,
-        command=command,
-        states=ledger.states(tasks),
+        arguments,
+        command=f"single_effects.py --seeds {first} {last} --cases {cases}",
+        commits=ledger.commits(tasks),
     )
 
 

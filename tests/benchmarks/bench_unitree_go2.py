@@ -37,7 +37,7 @@ def taken(recording, runs):
     return np.concatenate(q), np.concatenate(tau), groups
 
 
-def row_of(bodies, alike, recording):
+def row_of(bodies, alike, recording, runs=range(10)):
     """Cells of a way."""
     model = recording.robot_model()
     settings = {"dt": recording.dt, "friction": PLAIN, "cutoff": CUTOFF}
@@ -49,7 +49,7 @@ def row_of(bodies, alike, recording):
         return robot.fit(q, tau, groups=groups)
 
     rotors, masses = [], []
-    for k in range(10):
+    for k in runs:
         theta = fit([k]).theta_.reshape(12, -1)
         rotors.append(theta[:, 13])
         masses.append(theta[:, 0].sum())
@@ -73,13 +73,12 @@ def row_of(bodies, alike, recording):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument("--data-home", default=None)
-    arguments = arguments.parse_args(argv)
+    arguments = parser(__doc__, data=True).parse_args(argv)
+    ways, runs = (WAYS[2:3], range(2)) if arguments.quick else (WAYS, range(10))
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         recording = fetch_unitree_go2(data_home=arguments.data_home)
-        rows = [row_of(*way, recording) for way in WAYS]
+        rows = [row_of(*way, recording, runs) for way in ways]
         described = sum(
             one.mass for one in recording.robot_model().inertias.tolist()[1:]
         )
@@ -97,7 +96,7 @@ def main(argv=None):
     ]
     text = f"Masses of the description: {described:.1f} kg."
     table = rst_table(rows, heads, n_labels=2)
-    publish("unitree_go2", f"{text}\n\n{table}", write=arguments.write)
+    publish("unitree_go2", f"{text}\n\n{table}", arguments)
 
 
 if __name__ == "__main__":

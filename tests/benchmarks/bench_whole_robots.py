@@ -48,9 +48,8 @@ import warnings
 from itertools import combinations
 
 import numpy as np
-from _ledger import Ledger, results_of
 from _perhaps import PERHAPS, calibration, counts, gathered, stated, undecided
-from _report import parser, publish, rst_table
+from _report import parser, publish, rst_table, run_study
 from _undeclared import PLAIN
 from _undeclared_whole import NV, whole_robot
 
@@ -309,38 +308,29 @@ def _counted(counts):
 
 def main(argv=None):
     """Print the table."""
-    arguments = parser(__doc__.splitlines()[0])
-    arguments.add_argument(
-        "--seeds", nargs=2, type=int, default=(0, 29), metavar=("FIRST", "LAST")
-    )
+    arguments = parser(__doc__, out=True, jobs=True, seeds=(0, 29))
     arguments.add_argument("--starts", nargs="+", choices=STARTS, default=list(STARTS))
-    arguments.add_argument("--jobs", type=int, default=1)
-    arguments.add_argument(
-        "--out", nargs="+", metavar="FILE", help="results so far, as JSON lines"
-    )
-    arguments.add_argument(
-        "--confirm",
-        action="store_true",
-        help=f"seeds {CONFIRMATION[0]} to {CONFIRMATION[-1]}, a table of its own",
-    )
     arguments = arguments.parse_args(argv)
-    first, last = arguments.seeds
-    seeds = CONFIRMATION if arguments.confirm else range(first, last + 1)
-    tasks = [{"seed": s, "start": start} for s in seeds for start in arguments.starts]
-    ledger = Ledger(arguments.out, ("seed", "start"))
-    for result in results_of(run, ledger.missing(tasks), arguments.jobs):
-        ledger.add(result)
-        print(line(result), flush=True)
-        own = [x for x in ledger.of(tasks) if x["seed"] == result["seed"]]
-        if len(own) == len(arguments.starts) > 1:
-            uneven = words(differences(own))
-            print(f"seed {result['seed']} not from all starts: {uneven}", flush=True)
-    name = "whole_robots" + ("" if seeds[0] < 100 else "_confirmation")
-    text = report(ledger.of(tasks), arguments.starts, seeds)
-    command = "python tests/benchmarks/bench_whole_robots.py"
-    command += " --confirm" if arguments.confirm else f" --seeds {first} {last}"
-    states = ledger.states(tasks)
-    publish(name, text, write=arguments.write, command=command, states=states)
+    (first, last), starts = arguments.seeds, arguments.starts
+    if arguments.quick:
+        last, starts = first, starts[-1:]
+    seeds = range(first, last + 1)
+    tasks = [{"seed": seed, "start": start} for seed in seeds for start in starts]
+    ledger = run_study(
+        run,
+        tasks,
+        ("seed", "start"),
+        out=arguments.out,
+        jobs=arguments.jobs,
+        line=line,
+    )
+    publish(
+        "whole_robots" + ("" if first < 100 else "_confirmation"),
+        report(ledger.of(tasks), starts, seeds),
+        arguments,
+        command=f"whole_robots.py --seeds {first} {last}",
+        commits=ledger.commits(tasks),
+    )
 
 
 if __name__ == "__main__":

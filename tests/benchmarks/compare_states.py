@@ -286,7 +286,10 @@ def identifiers(data_home):
         "output error": (plain, {"criterion": "simulation", "window": 0.3}),
     }
     found = {}
+    known = set(inspect.signature(RobotIdentifier).parameters)
     for name, (recording, settings) in cases.items():
+        if not known.issuperset(settings):
+            continue
         q, tau, groups = recording.q, recording.tau, recording.groups
         settings = {"friction": ("viscous", "coulomb"), **settings}
         robot = RobotIdentifier("arm.urdf", dt=0.01, **settings)

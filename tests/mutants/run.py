@@ -29,7 +29,7 @@ HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
 # What the tests need of a checkout, and what no copy needs.
 _PARTS = ("sklearn_vbjfa", "tests", "pyproject.toml")
-_LEFT_OUT = shutil.ignore_patterns("__pycache__", ".asv")
+_LEFT_OUT = shutil.ignore_patterns("__pycache__")
 # A test that takes longer does not answer [s].
 _LONGEST = 600.0
 

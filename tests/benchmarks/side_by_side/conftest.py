@@ -1,3 +1,3 @@
-"""These scripts run in folders and interpreters of their own, see bench_figaroh.py."""
+"""These scripts run in folders and interpreters of their own, see _figaroh.py."""
 
 collect_ignore_glob = ["*_user*.py"]

@@ -52,7 +52,7 @@ def _times(A, x):
     return out
 
 
-def _mixed(A, axes):
+def mixed(A, axes):
     """Products of a matrix (m, 3) and the second index of axes (3, 3, n)."""
     # Not by `matmul`, which adds few samples up in another order than many.
     out = A[:, 0, None] * axes[:, :1]
@@ -102,20 +102,20 @@ class _MovedLink:
             self.field_above = np.repeat(tree.base[j][:, None], n, axis=1)
         else:
             axes, w, dw = above.axes, above.spin, above.gain
-            arm = _mixed(tree.offsets[j][None], axes)[:, 0]
+            arm = mixed(tree.offsets[j][None], axes)[:, 0]
             self.spin_above, self.gain_above = w, dw
             self.base = above.origin + arm
             self._swing = swing = cross(w, arm)
             self.field_above = above.field + cross(dw, arm) + cross(w, swing)
         # Rows of `frames` are the axes of the joint in those of its parent.
-        self.placed = _mixed(tree.frames[j], axes)
+        self.placed = mixed(tree.frames[j], axes)
         direction = tree.axes[j]
-        self.axis = _mixed(direction[None], self.placed)[:, 0]
+        self.axis = mixed(direction[None], self.placed)[:, 0]
         angle, about = turns * q, _skew(direction)
         self.axes = (
             self.placed
-            + np.sin(angle) * _mixed(about.T, self.placed)
-            + (1 - np.cos(angle)) * _mixed((about @ about).T, self.placed)
+            + np.sin(angle) * mixed(about.T, self.placed)
+            + (1 - np.cos(angle)) * mixed((about @ about).T, self.placed)
         )
         w, dw = self.spin_above, self.gain_above
         across = cross(w, self.axis)
@@ -237,80 +237,6 @@ def links_of(tree, q, v, a):
         above = links[parent] if parent >= 0 else None
         links.append(_MovedLink(q[j], v[j], a[j], tree, j, above))
     return links
-
-
-class _Body:
-    """A body in some samples, in its own axes: its motion, then its joint's wrench."""
-
-    # `motion` (3, 3, n): its angular velocity and acceleration, and the acceleration of
-    # its origin, less gravity; `wrench` (3, 2, n): force and moment about its origin
-    # that the motion of it and of what it carries takes.
-
-    def __init__(self, q, v, a, tree, j, above, inertial):
-        turns, slides, axis = tree.turns[j], tree.slides[j], tree.axes[j][:, None]
-        self._slides, self._shift = slides * axis[:, 0], slides * q * axis
-        self._turns, self._arm = turns * axis[:, 0], tree.offsets[j]
-        # Rows of `frames` are the axes of the joint in those of its parent.
-        frame, about = tree.frames[j], _skew(axis[:, 0])
-        self._axes = np.sin(turns * q) * (about.T @ frame)[:, :, None]
-        self._axes += (1 - np.cos(turns * q)) * (about @ about @ frame)[:, :, None]
-        self._axes += frame[:, :, None]
-        if above is None:
-            placed = np.zeros((3, 3, 1))
-            placed[:, 1, 0], placed[:, 2, 0] = tree.base_angular, tree.base[j]
-        else:
-            placed = above.motion.copy()
-            placed[:, 2] += _swung(placed[:, 0], placed[:, 1], self._arm)
-        self.motion = _times(self._axes, placed)
-        w, dw, field = self.motion.transpose(1, 0, 2)
-        across = about.T @ w
-        if slides:
-            field += cross(dw, self._shift) + cross(w, cross(w, self._shift))
-            field += 2 * slides * v * across + slides * a * axis
-        w += turns * v * axis
-        dw += turns * a * axis + turns * v * across
-        m, first = inertial[0], inertial[1:4]
-        xx, xy, yy, xz, yz, zz = inertial[4:]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        self.wrench = np.empty((3, 2, q.size))
-        self.wrench[:, 0] = m * field + _swung(w, dw, first)
-        own = inertia @ dw + cross(w, inertia @ w)
-        self.wrench[:, 1] = own + _skew(first) @ field
-
-    def torque(self):
-        """Torque or force of the joint (n,)."""
-        return self._slides @ self.wrench[:, 0] + self._turns @ self.wrench[:, 1]
-
-    def lean_on(self, above):
-        """Add the wrench to that of the body that carries the joint."""
-        if self._slides.any():
-            self.wrench[:, 1] += cross(self._shift, self.wrench[:, 0])
-        wrench = _times(self._axes.transpose(1, 0, 2), self.wrench)
-        wrench[:, 1] += _skew(self._arm) @ wrench[:, 0]
-        above.wrench += wrench
-
-
-def _swung(w, dw, arm):
-    """Acceleration (3, n) of the tip of an arm (3,) relative to its tail."""
-    return w * (arm @ w) - arm[:, None] * dot(w, w) - _skew(arm) @ dw
-
-
-def inverse_dynamics(tree, q, v, a, inertial):
-    """Torques (n, nv) of a `Tree`; its bodies (nv, 10) need not be possible."""
-    torque = np.empty(q.shape)
-    for begin in range(0, q.shape[0], _ROWS):
-        rows = slice(begin, min(begin + _ROWS, q.shape[0]))
-        states = [np.ascontiguousarray(x[rows].T) for x in (q, v, a)]
-        bodies = []
-        for j, parent in enumerate(tree.parents):
-            above = bodies[parent] if parent >= 0 else None
-            own = _Body(*(x[j] for x in states), tree, j, above, inertial[j])
-            bodies.append(own)
-        for j in range(len(bodies) - 1, -1, -1):
-            torque[rows, j] = bodies[j].torque()
-            if tree.parents[j] >= 0:
-                bodies[j].lean_on(bodies[tree.parents[j]])
-    return torque
 
 
 class TorqueDerivatives:

@@ -90,10 +90,10 @@ class JointDynamics:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Servo:
-    """Drives that are told positions, in place of motors that are told torques."""
+    """Position servos instead of torque motors."""
 
-    # (nv,): gains, and largest torques, infinite for none; a joint without a gain of
-    # the position is told torques
+    # (nv,): gains, and largest torques, infinite for none; a joint with kp = 0 has a
+    # torque motor
     kp: np.ndarray
     kd: np.ndarray
     most: np.ndarray

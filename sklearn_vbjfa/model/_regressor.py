@@ -10,7 +10,7 @@ times the forces on what it carries.
 
 import numpy as np
 
-from sklearn_vbjfa.model._corrected import cross, dot, inverse_dynamics, links_of
+from sklearn_vbjfa.model._corrected import cross, dot, links_of, mixed
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
 
 # Root mean square below which an entry of the regressor matrix is the rounding of a
@@ -115,20 +115,49 @@ class TreeRegressor:
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
-        return inverse_dynamics(
-            self._tree, q, v, a, np.reshape(inertial, (self.nv, 10))
-        )
+        inertial = np.reshape(inertial, (self.nv, 10))
+        torque = np.empty(q.shape)
+        for begin in range(0, q.shape[0], _ROWS):
+            rows = slice(begin, begin + _ROWS)
+            links = links_of(self._tree, q[rows], v[rows], a[rows])
+            # Force and moment of all that each joint carries.
+            carried = list(map(_wrench, links, inertial))
+            for j in range(self.nv - 1, -1, -1):
+                (force, moment), parent = carried[j], self._tree.parents[j]
+                link = links[j]
+                torque[rows, j] = dot(link.force, force) + dot(link.moment, moment)
+                if parent >= 0:
+                    carried[parent][0] += force
+                    carried[parent][1] += moment
+        return torque
+
+
+def _swung(link):
+    """Accelerations (3, 3, n) of the tips of a body's axes relative to its origin."""
+    w, dw = link.spin[:, None], link.gain[:, None]
+    return cross(dw, link.axes) + cross(w, cross(w, link.axes))
+
+
+def _wrench(link, body):
+    """Force and moment about the world's origin (3, n) that a body (10,) takes."""
+    xx, xy, yy, xz, yz, zz = body[4:]
+    inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
+    d = _swung(link)
+    force = body[0] * link.field + mixed(body[None, 1:4], d)[:, 0]
+    arm = mixed(body[None, 1:4], link.axes)[:, 0]
+    turned = cross(link.axes, mixed(second, d)).sum(axis=1)
+    return [force, cross(link.origin, force) + cross(arm, link.field) + turned]
 
 
 def _forces_and_moments(link):
     """Return forces (3, 4, n) by m and mc, and moments (3, 10, n) by all ten."""
-    e, w, dw = link.axes, link.spin[:, None], link.gain[:, None]
-    d = cross(dw, e) + cross(w, cross(w, e))
+    e, d = link.axes, _swung(link)
     origins = np.concatenate([link.origin[:, None], e], axis=1)
     forces = np.concatenate([link.field[:, None], d], axis=1)
     # [:, k, l]: the k-th of (p, e_1, e_2, e_3) times the l-th of (a, d_1, d_2, d_3)
     crossed = cross(origins[:, :, None], forces[:, None])
-    moments = np.empty((3, 10, w.shape[2]))
+    moments = np.empty((3, 10, e.shape[2]))
     moments[:, 0] = crossed[:, 0, 0]
     moments[:, 1:4] = crossed[:, 0, 1:] + crossed[:, 1:, 0]
     # A moment of inertia sums the squares of the other two coordinates, a product of

@@ -16,4 +16,4 @@ from sklearn_vbjfa.simulation._simulate import (
 from sklearn_vbjfa.simulation._stepper import Stepper, causal, why_left_out
 from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
 
-__all__ = ["Load", "SimulationError", "TorqueModel"]
+__all__ = ["SimulationError"]

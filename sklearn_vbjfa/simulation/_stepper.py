@@ -66,25 +66,11 @@ def causal(model):
 
 
 class Stepper:
-    """Torques of a robot state by state, for control loops.
+    """Torques of a `TorqueModel` state by state, for control loops."""
 
-    Parameters
-    ----------
-    model : TorqueModel
-        Robot.
-
-    Attributes
-    ----------
-    left_out_ : tuple of LeftOutEffect
-        Effects that need what comes after a state, and are left out.
-
-    Notes
-    -----
-    Hysteresis, play, delays and lags remember the states since `reset`, up to the last
-    turning point or as long as they last; the torque of a state takes as long whatever
-    came before. Everything else depends on the state alone. An object is not for
-    several threads.
-    """
+    # Hysteresis, play, delays and lags remember the states since `reset`, up to the
+    # last turning point or as long as they last. `left_out_`: effects that need what
+    # comes after a state. An object is not for several threads.
 
     def __init__(self, model):
         self._model, self.left_out_ = causal(model)
@@ -147,31 +133,9 @@ class Stepper:
         return _ByMotion(self._model, effect, self._needs_load)
 
     def step(self, q, v, a, t=None, signals=None):
-        """Torques of the next state.
-
-        Parameters
-        ----------
-        q, v, a : array-like of shape (nv,)
-            Positions [rad or m], velocities and accelerations, taken as noiseless.
-        t : float, default=None
-            Time [s] on the clock of the fit, later than that of the state before; used
-            where effects vary with time. None counts the sample period from the start
-            of the fit.
-        signals : mapping of str to float, default=None
-            What is recorded beside the motion, for effects that vary with it.
-
-        Returns
-        -------
-        ndarray of shape (nv,)
-            Joint torques [N m] or forces [N], friction included, as the channels read
-            them.
-
-        Raises
-        ------
-        ValueError
-            If a state is not of the robot's size or not finite, a signal or the time
-            is missing, or time does not go on.
-        """
+        """Torques (nv,) of the next state, friction included, as the channels read."""
+        # q, v, a (nv,): taken as noiseless; t: time [s] on the clock of the fit, None
+        # for one sample period after the last state; signals: name -> value.
         row = self._row
         q = np.asarray(q, dtype=float)
         v = np.asarray(v, dtype=float)

@@ -14,72 +14,33 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Load:
-    """Parameters that the load and the torque in effects' columns are made with.
+    """Parameters that the load and the torque in effects' columns are made with."""
 
-    They are those of the fit before the last one, and differ a little from the final
-    ones; see `sklearn_vbjfa.robot._equations.make_motion`.
-
-    Attributes
-    ----------
-    bodies : ndarray of shape (nv, 10)
-        Inertial parameters.
-    friction : ndarray of shape (nv, n_friction)
-        Coefficients of the declared friction.
-    coefficients : tuple of ndarray
-        Those of each effect; empty arrays for effects that need a load themselves.
-    """
-
-    bodies: np.ndarray
-    friction: np.ndarray
-    coefficients: tuple
+    # They are those of the fit before the last one, and differ a little from the final
+    # ones; see `sklearn_vbjfa.robot._equations.make_motion`.
+    bodies: np.ndarray  # (nv, 10)
+    friction: np.ndarray  # (nv, n_friction): of the declared friction
+    coefficients: tuple  # of each effect; empty for effects that need a load themselves
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TorqueModel:
-    """An identified robot: bodies, friction, effects, and what its channels read.
+    """An identified robot: bodies, friction, effects, and what its channels read."""
 
-    Attributes
-    ----------
-    model : pinocchio.Model
-        Geometry and gravity, as the effects in the model correct them. Its inertias
-        are not used.
-    bodies : ndarray of shape (nv, 10)
-        Identified inertial parameters, Pinocchio's order.
-    friction_names : tuple of str
-        Declared friction columns, such as ("viscous", "coulomb").
-    friction : ndarray of shape (nv, n_friction)
-        Their coefficients.
-    effects : tuple of Effect
-        Effects in use, those in the model (`in_model`) among them.
-    coefficients : tuple of ndarray
-        Linear coefficients of each effect; of one in the model its values, which act
-        through `model` and `gains` alone.
-    ranges : tuple of EffectRange or None
-        What each effect is held within, None where nothing is held; empty holds none.
-    gains : ndarray of shape (nv,)
-        What each torque channel reads over the true torque.
-    load : Load or None
-        None if no effect needs a load.
-    rest : Rest or None
-        Speeds at or below which joints may be standing; see `Rest`.
-    since : float or None
-        First time of the fit [s], where effects of time begin; None without such.
-    dt : float or None
-        Sample period of the fit [s].
-    """
-
+    # Geometry and gravity, as the effects in the model correct them, without inertias.
     model: "pin.Model"
-    bodies: np.ndarray
-    friction_names: tuple
-    friction: np.ndarray
-    effects: tuple = ()
+    bodies: np.ndarray  # (nv, 10): inertial parameters in Pinocchio's order
+    friction_names: tuple  # declared columns, such as ("viscous", "coulomb")
+    friction: np.ndarray  # (nv, n_friction): their coefficients
+    effects: tuple = ()  # those in the model (`in_model`) among them
+    # Of each effect; those of one in the model act through `model` and `gains` alone.
     coefficients: tuple = ()
-    ranges: tuple = ()
-    gains: np.ndarray
-    load: Load | None = None
-    rest: Rest | None = None
-    since: float | None = None
-    dt: float | None = None
+    ranges: tuple = ()  # `EffectRange` of each effect or None; empty holds none
+    gains: np.ndarray  # (nv,): what each torque channel reads over the true torque
+    load: Load | None = None  # None if no effect needs a load
+    rest: Rest | None = None  # speeds at or below which joints may be standing
+    since: float | None = None  # first time of the fit [s], where effects of time begin
+    dt: float | None = None  # sample period of the fit [s]
 
     @property
     def held(self):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.effects import Elastic, Jerk, Ripple, Signal, Spring
+from sklearn_vbjfa.effects import Elastic, Jerk, Spring
 from sklearn_vbjfa.simulation import SimulationError, simulate
 from tests.simulation._machines import Arm, machine, pendulum, point, slider, wheel
 
@@ -19,14 +19,6 @@ def refused(message, *args, robot=None, error=ValueError, **keywords):
     with pytest.raises(error, match=message) as caught:
         simulate(robot, *args, **keywords)
     return caught.value
-
-
-@pytest.mark.parametrize(
-    "tau",
-    [np.zeros(20), np.zeros((20, 3)), np.zeros((0, 2)), np.zeros((2, 20, 2)), 1.0],
-)
-def test_shape_of_torques(tau):
-    refused(r"one column per joint .shoulder, elbow., shape .n, 2.; got", tau, [0, 0])
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -98,12 +90,6 @@ def test_a_joint_that_stops_more_often_than_is_followed_is_told(dt):
     assert (found[1:, 1] == 0).all()
 
 
-def test_nothing_is_said_of_a_robot_within_its_limits():
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        simulate(limited(-1.0, 1.0), TAU, [0.1, 0.0])
-
-
 def test_times():
     t = 0.01 * np.arange(20)
     refused(r"tau has 20 rows and t has shape \(19,\)", TAU, [0, 0], t=t[:-1])
@@ -119,30 +105,6 @@ def test_times():
     )
 
 
-def test_no_sample_period():
-    robot = Arm().robot(dt=None)
-    refused("without a sample period; give the times", TAU, [0, 0], robot=robot)
-    assert simulate(robot, TAU, [0, 0], t=0.02 * np.arange(20)).shape == (20, 6)
-
-
-def test_one_joint_takes_torques_in_a_row():
-    one = simulate(wheel(), np.ones(20), [0.0])
-    np.testing.assert_array_equal(one, simulate(wheel(), np.ones((20, 1)), [0.0]))
-
-
-def test_one_row():
-    states = simulate(wheel(0.5), [[2.0]], [0.3], [0.1])
-    np.testing.assert_allclose(states, [[0.3, 0.1, 4.0]])
-
-
-def test_signals():
-    robot = Arm().robot(effects=[(Signal(1, "grease", "offset"), [0.4])])
-    refused("recorded signal 'grease'", TAU, [0, 0], robot=robot)
-    for bad in (np.zeros(19), np.full(20, np.nan)):
-        message = r"signals\['grease'\] must hold one finite value per row"
-        refused(message, TAU, [0, 0], robot=robot, signals={"grease": bad})
-
-
 def test_negative_friction_is_found_by_its_energy():
     robot = slider(2.0, {"viscous": -1.0})
     message = "J more than was put in.* friction of rail has a negative coefficient"
@@ -151,12 +113,6 @@ def test_negative_friction_is_found_by_its_energy():
     )
     # More than 1 % is there after 10 ms, and looked for every few rows.
     assert 0 < error.time <= 0.1
-
-
-def test_ripple_with_a_negative_coefficient_is_no_friction():
-    effects = [(Ripple(0, 0.1), [-2.0, -1.0])]
-    states = simulate(slider(2.0, effects=effects), np.ones((100, 1)), [0.0], [1.0])
-    assert np.isfinite(states).all()
 
 
 def test_negative_inertia():
@@ -202,11 +158,3 @@ def test_noise_of_the_torques_is_no_energy_from_nothing(seed):
     robot = Arm().robot(FRICTION if seed % 2 else None, chosen)
     states = simulate(robot, tau, rng.normal(size=2), rng.normal(size=2))
     assert np.isfinite(states).all()
-
-
-def test_a_robot_that_rests_is_no_energy_from_nothing():
-    robot = pendulum()
-    for q0 in (0.0, np.pi):
-        simulate(robot, np.zeros((200, 1)), [q0])
-    held = Arm().robot({"coulomb": [30.0, 10.0]})
-    simulate(held, TAU, [1.0, 1.0])

@@ -23,7 +23,7 @@ def nothing(n, nv=1):
     return np.zeros((n, nv))
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.01, 0.07])
+@pytest.mark.parametrize("dt", [0.001, 0.07])
 @pytest.mark.parametrize("way", [-1, 1])
 def test_mass_with_coulomb_friction_stops(dt, way):
     mass, Fc, v0 = 2.0, 3.0, 1.5 * way
@@ -78,7 +78,7 @@ def test_sticks_below_breakaway_under_any_torque():
     assert (states == [0.7, 0.0, 0.0]).all()
 
 
-@pytest.mark.parametrize("rate", [1.0, 1e1, 1e2, 1e3, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("rate", [1.0, 1e3, 1e6])
 def test_viscous_decay(rate):
     t = 0.01 * np.arange(101)
     robot = wheel(0.5, {"viscous": 0.5 * rate})

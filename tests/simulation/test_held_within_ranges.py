@@ -18,7 +18,6 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Spring,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.robot import slopes  # noqa: E402
 from sklearn_vbjfa.simulation import (  # noqa: E402
     Stepper,
     _dynamics,
@@ -192,33 +191,6 @@ def test_a_bounded_law_is_followed_beyond_the_range(effect, coef, law):
         assert_array_equal(alone[:, [0, 2]], 0.0)
 
 
-def test_sensitivities_are_those_of_what_is_held_and_what_is_followed():
-    rng = np.random.default_rng(2)
-    free, X = with_effect(rng, Spring(1), [3.0, 0.4]), random_motion(rng, 3)
-    both = replace(
-        free,
-        plan=replace(free.plan, effects=(Spring(1), Ripple(1, period=0.4))),
-        theta_=np.r_[free.theta_, 0.6, 0.0],
-        load_parameters=np.r_[free.load_parameters, 0.6, 0.0],
-    )
-    own = held(both)
-    bare = replace(own, theta_=np.r_[own.theta_[:-4], np.zeros(4)])
-    found, without = (slopes(one, own.prepare(X).recording, X) for one in (own, bare))
-    q = X[:, 1]
-    low, high = widened(-0.2, 0.25, 0.2)
-    spring = 3.0 * ((q > low) & (q < high))
-    assert 10 < np.count_nonzero(spring) < len(q) - 10
-    assert_allclose(
-        (found.stiffness - without.stiffness)[:, 1, 1],
-        spring - 0.6 * 5 * np.pi * np.sin(5 * np.pi * q),
-        rtol=0,
-        atol=1e-6,
-    )
-    columns = np.cos(5 * np.pi * q), np.sin(5 * np.pi * q)
-    expected = np.column_stack([np.clip(q, low, high), np.ones_like(q), *columns])
-    assert_allclose(found.Phi[:, 1, -4:], expected, rtol=0, atol=1e-12)
-
-
 def stepped(predictor, X):
     stepper = Stepper(predictor.torque_model())
     return np.array([stepper.step(*row.reshape(3, -1)) for row in X])
@@ -229,13 +201,6 @@ def stepped(predictor, X):
 def test_states_one_by_one_have_the_torques_of_all(name, seed):
     rng = np.random.default_rng(seed)
     predictor = held(random_predictor(rng, 3, [name, "load_friction"]))
-    X = random_motion(rng, 3)
-    assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
-
-
-def test_an_effect_of_ones_own_one_by_one():
-    rng = np.random.default_rng(0)
-    predictor = held(with_effect(rng, Cubic(1), [3.0]))
     X = random_motion(rng, 3)
     assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
 
@@ -336,65 +301,3 @@ def test_beyond_its_end_quadratic_friction_is_a_constant_force(twin):
     )
     assert 50 < (t < reaches).sum() < 150
     assert_allclose(found[:, 1], -speed, rtol=0, atol=1e-7)
-
-
-@pytest.mark.parametrize("smoothing", [0.0, 0.01])
-def test_beyond_its_end_load_friction_is_coulomb_friction(twin, smoothing):
-    mass, mu = 2.0, 0.2
-    friction = LoadFriction(0, smoothing)
-    own = (range_of(friction, load=(-1.0, 4.0)),)
-    _, high = widened(-1.0, 4.0, 0.2)
-    robot = slider(mass, effects=[(friction, [mu])], ranges=own)
-    force = np.array([2.0, 4.5, 9.0, 30.0, -0.5, -3.0, -30.0])
-    # m a + mu |m a| = F inside, for velocities forward; ends are alike both ways.
-    load = np.where(force > 0, force / (1 + mu), force / (1 - mu))
-    load = np.where(load > high, force - mu * high, load)
-    load = np.where(load < -high, force - mu * high, load)
-    dynamics = _dynamics.ForwardDynamics(robot)
-    still, moves = np.zeros(1), np.array([5.0])
-    dynamics.start(still)
-    mode, stuck = np.ones(1), np.zeros(1, dtype=bool)
-    found = [
-        dynamics.accelerate(still, moves, np.array([F]), mode, stuck)[0] for F in force
-    ]
-    assert_allclose(found, load / mass, rtol=1e-12)
-
-
-def test_two_frictions_over_the_load_of_a_joint_have_their_own_ends(twin):
-    used = [(LoadFriction(0, s), [mu]) for s, mu in ((0.0, 0.2), (0.01, 0.1))]
-    own = tuple(
-        range_of(effect, load=(-high, high)) for (effect, _), high in zip(used, (4, 6))
-    )
-    robot = slider(2.0, effects=used, ranges=own)
-    (_, one), (_, other) = (widened(-high, high, 0.2) for high in (4, 6))
-    states = simulate(robot, np.full((20, 1), 12.0), [0.0], [5.0])
-    # Both beyond their ends.
-    assert_allclose(states[:, 2], (12.0 - 0.2 * one - 0.1 * other) / 2.0, rtol=1e-9)
-
-
-@pytest.mark.parametrize("name", [n for n in DEPENDENT if n != "load_friction"])
-def test_derivatives_are_those_of_the_held_torque(name, twin):
-    rng = np.random.default_rng(1)
-    predictor = held(random_predictor(rng, 1, [name], gravity=np.zeros(3)))
-    if name == "counterbalance" and not predictor.effects_:
-        pytest.skip("the joint slides")
-    dynamics = _dynamics.ForwardDynamics(predictor.torque_model())
-    dynamics.start(np.zeros(1))
-    mode, stuck = np.zeros(1), np.zeros(1, dtype=bool)
-    (effect,) = predictor.effects_
-    (quantity, *_) = effect.depends
-    step = 1e-6
-
-    def needed(q, v):
-        state = np.array([q]), np.array([v]), np.zeros(1)
-        a = dynamics.accelerate(*state, mode, stuck)
-        return -(dynamics.mass @ a)[0]
-
-    for far in (0.1, 0.2 - 1e-3, 0.3, 5.0, -0.15, -4.0, 1.0):
-        q, v = (far, 0.3) if quantity == "position" else (0.0, 2.0 * far)
-        by = {"position": (step, 0.0), "speed": (0.0, step)}[quantity]
-        rise = needed(q + by[0], v + by[1]) - needed(q - by[0], v - by[1])
-        needed(q, v)
-        slope = dynamics.by_position if quantity == "position" else dynamics.by_velocity
-        expected = rise / (2 * step)
-        assert_allclose(slope, expected, rtol=1e-5, atol=1e-5)

@@ -18,7 +18,7 @@ from sklearn_vbjfa.effects import (
     Stribeck,
     ViscousQuadratic,
 )
-from sklearn_vbjfa.simulation import Integrator, _dynamics, _integrate, simulate
+from sklearn_vbjfa.simulation import Integrator, _dynamics, simulate
 from tests.simulation._machines import Arm, machine, random_machine
 
 FRICTION = {"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4], "offset": [0.1, 0.0]}
@@ -54,34 +54,6 @@ def twin(request, monkeypatch):
         pytest.importorskip("numba")
 
 
-def accelerations(robot, q, v, tau, mode, stuck):
-    dynamics = _dynamics.ForwardDynamics(robot)
-    dynamics.set_time(0.4)
-    dynamics.start(q - 0.03)
-    dynamics.accelerate(q, v, tau, mode, stuck)
-    own = dynamics
-    found = [own.a, own.needed, own.limit, own.by_position, own.by_velocity]
-    return np.array([*found, np.full(q.size, own.power)])
-
-
-@pytest.mark.parametrize("effects", [[], *[[e] for e in EFFECTS], EFFECTS])
-def test_twins_agree_at_single_states(effects, monkeypatch):
-    pytest.importorskip("numba")
-    rng = np.random.default_rng(0)
-    robot = Arm().robot(FRICTION, effects)
-    for _ in range(10):
-        q, v, tau = rng.normal(size=(3, 2))
-        stuck = rng.random(2) < 0.3
-        v[stuck] = 0.0
-        state = robot, q, v, 5 * tau, np.where(stuck, 0.0, np.sign(v)), stuck
-        one = accelerations(*state)
-        with monkeypatch.context() as patched:
-            patched.setattr(_dynamics, "compiled", lambda: None)
-            other = accelerations(*state)
-        size = 1 + np.abs(one).max()
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-12 * size)
-
-
 @pytest.mark.parametrize("effects", [[], EFFECTS])
 def test_twins_agree_on_motions(effects, monkeypatch):
     pytest.importorskip("numba")
@@ -92,7 +64,7 @@ def test_twins_agree_on_motions(effects, monkeypatch):
     np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-9)
 
 
-def test_order_of_effects(twin):
+def test_order_of_effects():
     one = simulate(Arm().robot(FRICTION, EFFECTS), TAU, *START)
     other = simulate(Arm().robot(FRICTION, EFFECTS[::-1]), TAU, *START)
     np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
@@ -112,13 +84,6 @@ def test_scale_of_masses_and_torques(factor, twin):
     np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
 
 
-def test_time_shift_of_a_robot_that_does_not_change_with_time():
-    robot = Arm().robot(FRICTION)
-    one = simulate(robot, TAU, *START, T)
-    other = simulate(robot, TAU, *START, T + 1000.0)
-    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-7)
-
-
 BENT = Coupling, Backlash
 
 
@@ -131,15 +96,6 @@ def test_half_the_sample_period_with_torques_between(effects):
     one = simulate(Arm().robot(FRICTION, effects, dt=0.01), TAU, *START)
     other = simulate(Arm().robot(FRICTION, effects, dt=0.005), tau, *START)
     np.testing.assert_allclose(one[:, :4], other[::2, :4], rtol=0, atol=1e-4)
-
-
-def test_a_motion_goes_on_from_its_middle():
-    """Without memory, the second half alone is the same."""
-    robot = Arm().robot(FRICTION)
-    whole = simulate(robot, TAU, *START)
-    row = 40
-    rest = simulate(robot, TAU[row:], whole[row, :2], whole[row, 2:4])
-    np.testing.assert_allclose(rest[:, :4], whole[row:, :4], rtol=0, atol=1e-6)
 
 
 def steps_per_row(robot, tau, q0, v0=None, rows=100):
@@ -178,18 +134,3 @@ def test_random_robots_move_the_same_by_both_twins(monkeypatch):
             other = simulate(robot, tau, q0, v0)
         size = np.abs(one).max()
         np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * size)
-
-
-def test_order_conditions_of_the_implicit_method():
-    """Those of a W method of order three, for any Jacobian matrix."""
-    A, G = np.zeros((2, 4, 4))
-    A[:, :3], G[:, :3] = _integrate._TO, _integrate._MIXED
-    G += _integrate._GAMMA * np.eye(4)
-    b, lower, one = _integrate._WEIGHTS, _integrate._LOWER, np.ones(4)
-    c = A @ one
-    for weights in (b, lower):
-        expected = [1, 1 / 2, 0]
-        found = [weights @ one, weights @ c, weights @ G @ one]
-        np.testing.assert_allclose(found, expected, atol=1e-14)
-    found = [b @ c**2, b @ A @ c, b @ A @ G @ one, b @ G @ c, b @ G @ G @ one]
-    np.testing.assert_allclose(found, [1 / 3, 1 / 6, 0, 0, 0], atol=1e-14)

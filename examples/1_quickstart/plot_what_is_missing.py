@@ -57,8 +57,10 @@ for step in loop.rounds_:
     )
 for effect in loop.effects_:
     print(f"{effect.name} saves {100 * effect.evidence.gain:.0f} %")
-for effect in loop.perhaps_:
-    print(f"perhaps {effect.name}, {100 * effect.probability:.0f} %: {effect.doubt}")
+for effect in loop.possible_:
+    print(
+        f"possible: {effect.name}, {100 * effect.probability:.0f} %: {effect.warning}"
+    )
 
 # %%
 # The held-out part

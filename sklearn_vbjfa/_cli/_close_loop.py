@@ -90,7 +90,7 @@ def run_demo(arguments, folder):
 
 def report_doubts(report):
     """Doubts that a report states, a list of str."""
-    from sklearn_vbjfa.diagnosis.report import contradiction, gain_doubts, words
+    from sklearn_vbjfa.diagnosis.report import contradiction, gain_warnings, words
 
     outcome = report.outcome
     texts = {}
@@ -106,7 +106,7 @@ def report_doubts(report):
         *filter(None, [contradiction(outcome)]),
         *_input.channel_doubts(doubted),
         *joints,
-        *gain_doubts(outcome),
+        *gain_warnings(outcome),
         *_input.channel_doubts(others),
     ]
 

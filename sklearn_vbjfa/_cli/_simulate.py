@@ -323,7 +323,7 @@ def _robots(recording, urdf, library, known, settings):
     loop = _close_loop.close(recording, urdf, effects=library, **known, **settings)
     robots = {"declared": loop.declared_}
     if loop.added_:
-        robots["four plain terms"] = loop.plain_
+        robots["four plain terms"] = loop.baseline_
     return {**robots, "completed": loop.identifier_}
 
 

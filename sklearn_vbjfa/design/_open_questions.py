@@ -136,7 +136,7 @@ def open_effects(data, names):
     """Return what a report leaves open, and then what else the joints may have."""
     _check_joints(data, names)
     weights = {}
-    completed = (*data["effects"], *data.get("perhaps", ()))
+    completed = (*data["effects"], *data.get("possible", ()))
     doubted = {(found["name"], found["joint"]) for found in completed}
     weights |= dict.fromkeys(doubted, _ASKED)
     for step in data.get("rounds", ()):

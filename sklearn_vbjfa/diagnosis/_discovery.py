@@ -57,7 +57,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     friction, an offset and the rotor's inertia, on every joint), and looks for the most
     probable set of effects beside them: every effect of the library on every joint has
     posterior odds. An effect that is probable enough and predicts motion that was not
-    fitted is named; the others that are more probable than not are listed as "perhaps".
+    fitted is named; the others that are more probable than not are listed as possible.
     Residuals that no effect explains are reported as unexplained. Part of the motion is
     held out for the errors of the declared model, with the plain terms, and with the
     effects; finally the completed model is fitted to all data.
@@ -97,8 +97,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         `probability`, `rivals` (what would take its place within three nats),
         `parameters`, `units`, `intervals` (of 90 %), `ranges` (of the motion that it
         was fitted on). The values are those of `identifier_`.
-    perhaps_ : tuple of DiscoveredEffect
-        Effects that are more probable than not but not named; `doubt` says why. They
+    possible_ : tuple of DiscoveredEffect
+        Effects that are more probable than not but not named; `warning` says why. They
         are part of `identifier_` and `judged_` like those that are named.
     rounds_ : tuple of Round
         The path to the most probable model: what was added, replaced or dropped
@@ -115,7 +115,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     torque_spread_ : ndarray of shape (nv,)
         Standard deviation of each joint's torque in the moving time of the whole
         recording, behind the low-pass [N m or N]: times an error, the error in N m.
-    projection_price_ : ndarray of shape (nv,)
+    consistency_cost_ : ndarray of shape (nv,)
         By how much physically consistent parameters raise `error_after_`; 0 where not
         by more than chance, nan where it cannot be said or they were not asked for.
         ``report_.outcome.projection`` has the body and the channel that it comes from.
@@ -129,7 +129,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     judged_ : RobotIdentifier
         The model with the effects, fitted to the search part: the one whose errors are
         reported.
-    declared_, plain_ : RobotIdentifier
+    declared_, baseline_ : RobotIdentifier
         The declared model, and the same with the four plain terms, fitted to the same
         part.
     joint_names_ : tuple of str
@@ -389,9 +389,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         with stage("declared model"):
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            self.declared_ = self.plain_ = _fitted(clone(self.identifier), part)
+            self.declared_ = self.baseline_ = _fitted(clone(self.identifier), part)
             if set(declarable()) - set(self.declared_.features_.friction_):
-                self.plain_ = _fitted(self._with_plain_terms(), part)
+                self.baseline_ = _fitted(self._with_plain_terms(), part)
         begins = tuple(whole.t[rows.start] for rows in whole.segments)
         repetition = find_repetition(whole.q, whole.t, whole.segments)
         if not repetition:
@@ -406,12 +406,12 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             given = {"origin": near.origin, **known}
             found = self._search(seen, silent, given, library)
         with stage("held-out judgement"):
-            self.judged_ = self.plain_
+            self.judged_ = self.baseline_
             if found.effects:
-                again = self._with(found.effects).begin_with(self.plain_)
+                again = self._with(found.effects).begin_with(self.baseline_)
                 self.judged_ = _fitted(again, part)
             models = Models(
-                declared=self.declared_, plain=self.plain_, judged=self.judged_
+                declared=self.declared_, plain=self.baseline_, judged=self.judged_
             )
             # Copies of most rows are not needed any more.
             del part, seen
@@ -509,13 +509,13 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _seen(self, recording, moving):
         """Return the rows of a recording that are looked at, and their stretches."""
-        return stretches(recording.segments, moving, self.plain_.robot_.plan.lowpass)
+        return stretches(recording.segments, moving, self.baseline_.robot_.plan.lowpass)
 
     def _search(self, part, silent, given, library):
         """Search the robot, or its branches one by one where there are many joints."""
         settings = SearchSettings() if self.settings is None else self.settings
-        view = RecordingView(self.plain_, part, silent, **given)
-        branches = branches_of(self.plain_, library, self.max_effects)
+        view = RecordingView(self.baseline_, part, silent, **given)
+        branches = branches_of(self.baseline_, library, self.max_effects)
         if len(branches) == 1 and view.precision.any():
             return search(view, library, settings, self.alpha, self.max_effects)
         heard = [b for b in branches if view.precision[b.joints].any()]
@@ -524,14 +524,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         found = []
         for branch in heard:
             own = branch.recording(part)
-            plain = _fitted(branch.identifier(self.plain_), own)
+            plain = _fitted(branch.identifier(self.baseline_), own)
             mute = branch.local(silent)
             alone = RecordingView(plain, own, mute, **given)
             found.append(search(alone, library, share, self.alpha))
         if not found:
             return search(view, (), settings, self.alpha)
-        theta = self.plain_.theta_unconstrained_
-        motion = view.motion_of(self.plain_.robot_.linear_part(theta))
+        theta = self.baseline_.theta_unconstrained_
+        motion = view.motion_of(self.baseline_.robot_.linear_part(theta))
         return put_together(view, motion, heard, found)
 
     def _with_plain_terms(self):
@@ -543,9 +543,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _with(self, effects):
         """Return the model with the plain terms and effects, not fitted."""
-        asked = _asked_again(self.plain_)
+        asked = _asked_again(self.baseline_)
         asked["effects"] = (*asked["effects"], *effects)
-        return clone(self.plain_).set_params(**asked)
+        return clone(self.baseline_).set_params(**asked)
 
     def _hand_over(self, found, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
@@ -562,28 +562,28 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             seen = take_rows(whole, rows, pieces)
         origin = whole.groups[rows]
         given = {"origin": origin, "all_samples": True, **known}
-        view = RecordingView(self.plain_, seen, silent, **given)
+        view = RecordingView(self.baseline_, seen, silent, **given)
         effects = tuned_on(view, found.effects, found.settings)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         share = seen.n_samples / whole.n_samples
-        final = FinalFit(self.plain_, self.identifier_, view, effects, share)
+        final = FinalFit(self.baseline_, self.identifier_, view, effects, share)
         self.identifier_.tell_spreads(final.effect_estimates)
         return final
 
     def _set(self, outcome):
         """Set the results and the report."""
-        self.effects_, self.perhaps_ = outcome.effects, outcome.perhaps
+        self.effects_, self.possible_ = outcome.effects, outcome.possible
         self.rounds_ = outcome.rounds
         self.added_ = outcome.added
         self.error_before_ = outcome.error_before
         self.error_plain_ = outcome.error_plain
         self.error_after_ = outcome.error_after
         self.torque_spread_ = outcome.spread
-        self.projection_price_ = np.full(outcome.spread.size, np.nan)
+        self.consistency_cost_ = np.full(outcome.spread.size, np.nan)
         if outcome.projection is not None:
-            self.projection_price_ = outcome.projection.price
+            self.consistency_cost_ = outcome.projection.price
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
         self.report_ = Report(outcome)
         return self

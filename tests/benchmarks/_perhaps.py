@@ -1,6 +1,6 @@
 """What a loop says with a probability, and whether that share of it is right.
 
-A loop that decides everything has no `perhaps_`, and its effects no `probability`: the
+A loop that decides everything has no `possible_`, and its effects no `probability`: the
 same study runs on a version from before there were any.
 """
 
@@ -17,7 +17,7 @@ STATED = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 def undecided(loop):
     """Effects that a fitted `EffectDiscovery` gives as perhaps."""
-    return tuple(getattr(loop, "perhaps_", ()))
+    return tuple(getattr(loop, "possible_", ()))
 
 
 def stated(effects, wrong):

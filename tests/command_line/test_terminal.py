@@ -59,7 +59,7 @@ def test_a_log_with_two_problems(arm, log, capsys):
     assert code == 3
     assert len(lines) <= 20 + len(report["effects"])
     text = " ".join(lines)
-    assert "Mend the recording first. The torque of joint_2 is clipped at" in text
+    assert "Fix the recording first. The torque of joint_2 is clipped at" in text
     assert "Record with a wider range, or a slower motion." in text
     last = text[text.index("note: exit code 3: ") :]
     assert "The torque of joint_2 is clipped at" in last

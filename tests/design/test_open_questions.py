@@ -73,11 +73,12 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
     assert asked[0]["spring", 1] == max(weights) > min(weights)
 
 
-def test_what_is_perhaps_there_is_asked_as_what_has_a_name(loop):
+def test_what_is_possible_is_asked_as_what_has_a_name(loop):
     data = loop.report_.to_dict()
-    perhaps = {**data, "effects": [], "perhaps": data["effects"], "rounds": []}
+    possible = {**data, "effects": [], "possible": data["effects"], "rounds": []}
     named, open_ = (
-        asked_of(problem_of(loop.identifier_, report=one)[0]) for one in (data, perhaps)
+        asked_of(problem_of(loop.identifier_, report=one)[0])
+        for one in (data, possible)
     )
     assert open_["spring", 1] == named["spring", 1]
 

@@ -188,7 +188,7 @@ def test_no_false_alarm(seed):
     loop = recording.discover(recording.torque(), [*PLAIN, "ripple", "coupling"])
     assert loop.effects_ == ()
     assert loop.unexplained_ == ()
-    assert loop.judged_ is loop.plain_
+    assert loop.judged_ is loop.baseline_
     assert_array_equal(loop.error_after_, loop.error_plain_)
 
 
@@ -225,10 +225,10 @@ def test_effects_carry_what_is_needed(one):
     assert high > 3.95
     assert effect.probability > 0.95
     assert effect.log_odds > np.log(19.0)
-    assert effect.doubt == ""
+    assert effect.warning == ""
     assert effect.effect.name == "spring"
     assert effect.effect.joint == 0
-    at = one.plain_.theta_.size
+    at = one.baseline_.theta_.size
     coef = one.identifier_.theta_[at:]
     assert effect.parameters == pytest.approx(effect.effect.parameters(coef))
     assert one.error_before_.shape == one.error_after_.shape == (2,)
@@ -338,7 +338,7 @@ def test_the_model_that_is_handed_over_knows_all_data(one):
     (effect,) = one.effects_
     again = ARM.robot(
         effects=(effect.effect,),
-        friction=one.plain_.features_.friction_,
+        friction=one.baseline_.features_.friction_,
         cutoff=one.judged_.cutoff_,
         standstill=one.judged_.standstill_,
     ).fit(ARM.position, torque)
@@ -588,7 +588,7 @@ def test_plain_terms_that_the_bodies_hold_as_well_are_not_known_alone(one):
     # A slider's weight is an offset.
     recording = record("zY", seed=0, size=0.4)
     loop = recording.discover(recording.torque(), ["spring"], max_effects=0)
-    known = dict(zip(loop.plain_.parameter_names_, loop.plain_.identifiable_))
+    known = dict(zip(loop.baseline_.parameter_names_, loop.baseline_.identifiable_))
     assert not known["joint_1:offset"]
     assert known["joint_2:offset"]
 
@@ -845,5 +845,5 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     left_out = r"not looked for: jerk \(.*; torque_filter \("
     with pytest.warns(UserWarning, match=left_out):
         made.fit_recording(told)
-    assert made.effects_ + made.perhaps_ == ()
+    assert made.effects_ + made.possible_ == ()
     assert max(made.unexplained_, key=lambda one: one.rms).joint == 1

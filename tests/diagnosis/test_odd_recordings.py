@@ -218,8 +218,8 @@ def test_a_torque_in_another_unit_is_told_before_anything(sound):
     q, tau, groups = two_motions()
     true_of_a_complete_robot(sound)
     report = close(q, tau * [1.0, 1e-3], groups=groups).report_
-    assert report.status == "doubtful"
-    assert report.headline.startswith("Mend the recording first. The torque of joint_2")
+    assert report.status == "faulty"
+    assert report.headline.startswith("Fix the recording first. The torque of joint_2")
     assert "gear ratio" in report.headline
     assert report.to_html().index("gear ratio") < report.to_html().index(
         "Error of each"
@@ -231,7 +231,7 @@ def test_forgotten_groups_are_told_before_anything():
     q[q.shape[0] // 2 :] += 0.3  # the second begins elsewhere
     with pytest.warns(UserWarning, match="groups"):
         report = close(q, tau).report_
-    assert report.status == "doubtful"
+    assert report.status == "faulty"
     assert "jumps" in report.headline
     assert "groups" in report.headline
 

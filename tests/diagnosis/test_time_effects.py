@@ -47,7 +47,7 @@ def test_what_faded_within_the_first_seconds_is_over(share, seed):
     """It may have a name, but nothing of it is promised for the time after."""
     recording = record("ZY", duration=LENGTH, seed=seed)
     loop = close(lambda s: 3.0 * np.exp(-s / share), recording)
-    found = (*loop.effects_, *loop.perhaps_)
+    found = (*loop.effects_, *loop.possible_)
     assert {effect.name for effect in found} <= {"drift"}
     for drift in found:
         assert abs(drift.afterwards.left["D"]) < 1e-3 * abs(drift.parameters["D"])

@@ -435,7 +435,7 @@ class SimulationDisplay(Display):
             return {"simulated": estimator}
         robots = {"declared model": estimator.declared_}
         if estimator.added_:
-            robots["with the four plain terms"] = estimator.plain_
+            robots["with the four plain terms"] = estimator.baseline_
         return {**robots, "completed model": estimator.identifier_}
 
     def plot(self, ax=None, *, shown=None, measured_kwargs=None, line_kwargs=None):

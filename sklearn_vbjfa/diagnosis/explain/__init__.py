@@ -12,7 +12,7 @@ _MODULES = {
         "Parts",
         "contradictions",
     ),
-    "_drawn": (
+    "_curves": (
         "FrictionCurves",
         "SpectrumCurves",
         "TimeLine",
@@ -57,7 +57,7 @@ _MODULES = {
         "error_intervals",
         "next_recording",
     ),
-    "_judgement": ("Models", "ProjectionPrice", "Pushed", "concerned", "judge"),
+    "_judgement": ("Models", "ConsistencyCost", "Pushed", "concerned", "judge"),
     "_outcome": (
         "DiscoveredEffect",
         "Outcome",

@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.diagnosis.explain._drawn import TimeLine, over_time
+from sklearn_vbjfa.diagnosis.explain._curves import TimeLine, over_time
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.robot._from_commands import Follower
 from sklearn_vbjfa.robot._windows import tell_once

@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.search._moments import Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
     Family,
     Fit,
-    Member,
+    SelectedEffect,
     declared_alone,
     rescaled,
     spectrum_of,
@@ -157,7 +157,7 @@ class _Deviations:
         self.settings, self.view = settings, fit.view
         base = declared_alone(fit.view).base
         self.problem = base.problem
-        self.heard = np.flatnonzero(self.problem.heard)
+        self.used_joints = np.flatnonzero(self.problem.used_joints)
         self.recordings = np.unique(fit.view.origin)
         effects = [
             Family.of(self.problem, (e,), fit.view.columns([e], fit.motion))
@@ -204,10 +204,10 @@ class _Deviations:
                     yield _Group(name, (j,), (int(r),), False)
                 if len(every) >= _SCATTER:
                     yield _Group(name, (j,), every, False)
-        wide = ("gain", "friction") if self.heard.size > 1 else ()
+        wide = ("gain", "friction") if self.used_joints.size > 1 else ()
         for name in (*wide, Payload.name, "model"):
             for r in suspects:
-                yield _Group(name, tuple(self.heard.tolist()), (int(r),), True)
+                yield _Group(name, tuple(self.used_joints.tolist()), (int(r),), True)
 
     def _evidence(self, regression, family):
         """Log Bayes factor of a group, tempered by its scatter in time."""
@@ -286,10 +286,10 @@ class _Deviations:
     def _kind(self, name, torque=None):
         """Columns of each joint that is heard, a dict of (m, k)."""
         if name == "gain":
-            return {int(j): torque[j][:, None] for j in self.heard}
+            return {int(j): torque[j][:, None] for j in self.used_joints}
         effects = (Offset(),) if name == Offset.name else (Viscous(), Coulomb())
         out = {}
-        for j in self.heard:
+        for j in self.used_joints:
             own = [clone(e).set_params(joint=int(j)) for e in effects]
             made = [self.view.columns([e], self.fit.motion)[0, :, 0] for e in own]
             out[int(j)] = np.concatenate(made, axis=1)
@@ -355,7 +355,7 @@ def _turned(regression, i):
 
 def _member(family, scale):
     """Group as a member of a fit."""
-    return Member(
+    return SelectedEffect(
         effect=family.effects[0],
         moments=family.moments,
         unit=family.unit[0],

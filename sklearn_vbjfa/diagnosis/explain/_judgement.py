@@ -15,7 +15,7 @@ from sklearn_vbjfa.diagnosis.explain._commands_alone import (
     CommandsAlone,
     commands_alone,
 )
-from sklearn_vbjfa.diagnosis.explain._drawn import Spectra, TimeLine
+from sklearn_vbjfa.diagnosis.explain._curves import Spectra, TimeLine
 from sklearn_vbjfa.diagnosis.explain._evidence import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._identified import Band, measure_band
 from sklearn_vbjfa.diagnosis.explain._intervals import (
@@ -70,7 +70,7 @@ class Pushed:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class ProjectionPrice:
+class ConsistencyCost:
     """Errors on held-out data with and without physically consistent parameters."""
 
     # (nv,): error of the completed model with `theta_unconstrained_` and with `theta_`,
@@ -105,7 +105,7 @@ def without_constraints(robot):
 
 
 def price_of(robot, untouched, searched, spread, step):
-    """Price of the constraints of a fitted identifier, a `ProjectionPrice`."""
+    """Price of the constraints of a fitted identifier, a `ConsistencyCost`."""
     # untouched, searched: pairs of `TorqueResiduals`, with its unconstrained and with
     # its own parameters; spread (nv,): of the torque [N m or N]; step: time between
     # rows [s].
@@ -115,7 +115,7 @@ def price_of(robot, untouched, searched, spread, step):
         material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
         price = np.where((interval[0] > 0) & material, held - free, 0.0)
     price[~np.isfinite(held - free)] = np.nan
-    found = ProjectionPrice(free=free, held=held, interval=interval, price=price)
+    found = ConsistencyCost(free=free, held=held, interval=interval, price=price)
     if not found.costs.any():
         return found
     channel, share = _channel(robot)
@@ -294,7 +294,7 @@ class Judgement:
     guard: float  # time left out next to the search part [s]
     band: Band  # of the fit
     # what consistent parameters cost; None if they were not made consistent
-    price: ProjectionPrice | None
+    price: ConsistencyCost | None
     spectra: tuple = ()  # of the residuals before and after, see `SpectrumCurves`
     # where the held-out part leaves what the completed model was fitted on
     outside: tuple = ()

@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Parts,
     contradictions,
 )
-from sklearn_vbjfa.diagnosis.explain._drawn import (
+from sklearn_vbjfa.diagnosis.explain._curves import (
     effect_curves,
     friction_curves,
     time_line,
@@ -42,7 +42,7 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
     next_recording,
     quantile,
 )
-from sklearn_vbjfa.diagnosis.explain._judgement import ProjectionPrice
+from sklearn_vbjfa.diagnosis.explain._judgement import ConsistencyCost
 from sklearn_vbjfa.diagnosis.search._found import Evidence
 from sklearn_vbjfa.effects import EffectRange, OfTime, declarable, resolve
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
@@ -106,7 +106,7 @@ class DiscoveredEffect:
     ranges: EffectRange | None = None
     # what an effect of time is taken to do after the recording
     afterwards: Afterwards | None = None
-    doubt: str = ""  # why it is told as "perhaps" only; empty for one that has a name
+    warning: str = ""  # why it is only possible; empty for one that is named
 
     @property
     def log_odds(self):
@@ -155,7 +155,7 @@ class Outcome:
     declared: dict
     effects: tuple  # those that have a name
     # those that are more probable than not and have none; in the completed model too
-    perhaps: tuple
+    possible: tuple
     rounds: tuple  # the path of the search
     unexplained: tuple  # joints that stay above their noise floor
     hidden: tuple  # effects that could not be looked for
@@ -188,7 +188,7 @@ class Outcome:
     settings: dict  # thresholds, split, blocks, what intervals are of, seed, versions
     band: Band | None = None  # of the fit; None if nothing is known of it
     # what physically consistent parameters cost; None if they were not asked for
-    projection: ProjectionPrice | None = None
+    projection: ConsistencyCost | None = None
     recordings: tuple = ()  # what each recording is called
     motion_limits: tuple = ()  # what joints do in no recording
     next_recording: NextRecording | None = None
@@ -251,8 +251,8 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
             "standstill": robot.standstill_.tolist(),
             **_drive(robot.drive, whole),
         },
-        effects=tuple(effect for effect in effects if not effect.doubt),
-        perhaps=tuple(effect for effect in effects if effect.doubt),
+        effects=tuple(effect for effect in effects if not effect.warning),
+        possible=tuple(effect for effect in effects if effect.warning),
         rounds=tuple(_rounds(search, names)),
         unexplained=rest,
         hidden=hidden(search, names),
@@ -342,7 +342,7 @@ def _effects(search, final, names, prismatic, seconds):
         }
         told = (named_beside(r.effect, finding.effect, names) for r in finding.rivals)
         known = search.settings.known
-        doubt = finding.doubt or _unknown(effect, values, deviations, intervals, known)
+        why = finding.warning or _unknown(effect, values, deviations, intervals, known)
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -356,7 +356,7 @@ def _effects(search, final, names, prismatic, seconds):
             effect=effect,
             ranges=fitted,
             afterwards=_afterwards(effect, estimate, seconds),
-            doubt=doubt,
+            warning=why,
         )
 
 
@@ -517,7 +517,7 @@ def _curves(models, final, judgement, effects, whole):
         "effects": tuple(
             own
             for own, effect in zip(effect_curves(final), effects)
-            if not effect.doubt
+            if not effect.warning
         ),
         "friction": friction_curves(models.declared, final),
         "spectra": judgement.spectra,

@@ -14,7 +14,7 @@ _MODULES = {
         "source_of",
         "torque_figures",
     ),
-    "_limits": ("contradiction", "delay_sentence", "gain_doubts"),
+    "_limits": ("contradiction", "delay_sentence", "gain_warnings"),
     "_pictures": (
         "HEIGHT",
         "WIDTH",

@@ -5,7 +5,7 @@ import re
 from sklearn_vbjfa.diagnosis.report import _plain
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._limits import (
-    doubts,
+    channel_warnings,
     is_measured,
     next_sentences,
 )
@@ -75,22 +75,22 @@ def _called(outcome, effect):
     )
 
 
-def perhaps(outcome, verdict):
-    """Say what is more probable than not and is not named."""
+def possible(outcome, verdict):
+    """Tabulate effects that are more probable than not and are not named."""
     rows, told = [], []
-    for e in outcome.perhaps:
+    for e in outcome.possible:
         joint, label, rivals = _called(outcome, e)
         probability = words.probability_text(e.probability)
         cell = tuple(words.parameter_text(e))
         cannot = words.join(rivals, len(rivals), "or")
-        rows.append((joint, label, cell, probability, e.doubt, cannot))
+        rows.append((joint, label, cell, probability, e.warning, cannot))
         at = "" if joint == "robot" else f" on {joint}"
         told.append(f"{_short_label(label)}{at} ({probability})")
     # The page has the others.
-    short = f"- perhaps {words.first_of(told)}" if told else ""
+    short = f"- possible: {words.first_of(told)}" if told else ""
     heads = ("joint", "effect", "parameters (90 %)", "probability", "why not named")
     return Section(
-        heading="Perhaps",
+        heading="Possible effects",
         table=table_of((*heads, "cannot be told from"), rows),
         note="Part of the completed model: leaving them out would predict no better."
         if rows
@@ -119,8 +119,8 @@ def to_do(outcome, verdict):
         for e in own
     ]
     channels = [" ".join(c.message.split()) for c in outcome.channels]
-    # The headline has the first doubt already; of warnings a terminal has the subject.
-    first = " ".join("".join(doubts(outcome)[:1]).split())
+    # The headline has the first fault; of the others a terminal has the subject.
+    first = " ".join("".join(channel_warnings(outcome)[:1]).split())
     short = [
         message if c.severity == "doubt" else f"{_subject(message)}."
         for c, message in zip(outcome.channels, channels)

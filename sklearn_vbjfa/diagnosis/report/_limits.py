@@ -537,7 +537,7 @@ def _where_another(outcome, cause):
 # -- channels ---------------------------------------------------------------------
 
 
-def doubts(outcome):
+def channel_warnings(outcome):
     """Messages on channels that are wrong, so that no result can be trusted."""
     return [c.message for c in outcome.channels if c.severity == "doubt"]
 
@@ -636,11 +636,11 @@ def gain_sentences(outcome):
     if gains is None:
         return ()
     if not gains.references:
-        return gain_doubts(outcome)
-    return (_unit_of_gains(outcome, gains), *gain_doubts(outcome))
+        return gain_warnings(outcome)
+    return (_unit_of_gains(outcome, gains), *gain_warnings(outcome))
 
 
-def gain_doubts(outcome):
+def gain_warnings(outcome):
     """Say which gains are unknown or hardly credible, and which masses do not help."""
     gains = outcome.gains
     if gains is None:

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.explain._drawn import extremes
+from sklearn_vbjfa.diagnosis.explain._curves import extremes
 from sklearn_vbjfa.diagnosis.report import _words as words
 
 WIDTH, HEIGHT = 400, 200

@@ -127,8 +127,8 @@ def remedies(outcome):
         for one in own:
             joint = words.joint_label(outcome.joint_names, one.joint)
             told.append(Remedy(name=name, joint=one.joint, text=text(one, joint)))
-    # Nobody mends a robot on a perhaps, nor on what may as well be nothing.
-    open_ = {(one.name, one.joint) for one in outcome.perhaps}
+    # Nobody mends a robot on a possible, nor on what may as well be nothing.
+    open_ = {(one.name, one.joint) for one in outcome.possible}
     return tuple(
         one
         for one in told

@@ -28,7 +28,7 @@ SECTIONS = (
     _verdict.headline,
     _verdict.joints,
     _findings.effects,
-    _findings.perhaps,
+    _findings.possible,
     _findings.to_do,
     _render.paragraph(
         "Drive", _limits.drive_sentences, terminal_of=_limits.drive_found
@@ -78,7 +78,7 @@ class Report:
     joints : tuple of JointVerdict
         Verdict on each joint.
     status : {"complete", "nothing", "partial", "exhausted", "unsettled", "unknown", \
-            "worse", "failed", "no data", "unsearched", "doubtful"}
+            "worse", "failed", "no data", "unsearched", "faulty"}
         Effects found and only noise left; nothing was missing; effects found and
         something remains; nothing found though something is missing; at the noise
         floor in the search but not on held-out data; no noise floor to compare with;
@@ -126,7 +126,7 @@ class Report:
         dict
             Lists instead of arrays, None instead of nan, joints from zero;
             ``"schema_version"`` changes when keys do. ``"effects"`` have a name,
-            ``"perhaps"`` are more probable than not and have none; both with
+            ``"possible"`` are more probable than not and have none; both with
             ``"log_odds"`` and ``"probability"``. Values are in SI units; an effect
             of the robot model has them in degrees, mm or per cent as well, under
             ``"plain"``, and ``"corrections"`` has what is to be changed: the tilt of
@@ -142,7 +142,7 @@ class Report:
         for field in dataclasses.fields(self.outcome):
             if field.name not in _NOT_DATA:
                 data[field.name] = _json(getattr(self.outcome, field.name))
-        for key in ("effects", "perhaps"):
+        for key in ("effects", "possible"):
             for told, effect in zip(data[key], getattr(self.outcome, key)):
                 told |= {"log_odds": effect.log_odds, "probability": effect.probability}
                 if _plain.in_model(self.outcome, effect):

@@ -6,7 +6,11 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.diagnosis.report._limits import contradiction, doubts, interval_text
+from sklearn_vbjfa.diagnosis.report._limits import (
+    channel_warnings,
+    contradiction,
+    interval_text,
+)
 from sklearn_vbjfa.diagnosis.report._render import Section, Table
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
@@ -26,7 +30,7 @@ _COLOURS = {
     "failed": "bad",
     "no data": "bad",
     "unsearched": "bad",
-    "doubtful": "bad",
+    "faulty": "bad",
 }
 _JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "bad"}
 
@@ -160,8 +164,8 @@ def _is_worse(outcome, j):
 def _status(outcome, joints):
     """Name the outcome in one word, the worst that is true of any joint."""
     kinds = {v.status for v in joints}
-    if doubts(outcome):
-        return "doubtful"
+    if channel_warnings(outcome):
+        return "faulty"
     if kinds <= {"no data", "few"}:
         return "no data"
     if kinds <= {"no data", "few", "unsearched"}:
@@ -213,7 +217,7 @@ def _errors_sentence(outcome, errors):
     if not np.isfinite(errors.after):
         return ""
     text = f"Mean error on held-out data {words.percent(errors.before)}"
-    completed = outcome.effects or outcome.perhaps
+    completed = outcome.effects or outcome.possible
     if completed or outcome.added:
         text += " before"
         if outcome.added:
@@ -230,7 +234,7 @@ def _errors_sentence(outcome, errors):
 
 def _headline(outcome, joints, status):
     """Say in a sentence what was found and what is still open."""
-    if status in ("doubtful", "no data", "unsearched"):
+    if status in ("faulty", "no data", "unsearched"):
         return _unjudged(outcome, joints, status)
     if status in ("failed", "worse", "unsettled", "unknown"):
         return _unsure(outcome, joints, status)
@@ -241,11 +245,11 @@ def _headline(outcome, joints, status):
         more = ""
         if outcome.added:
             more = f"{words.capital(plain_words(outcome))} were added; beyond these n"
-        if outcome.perhaps:
+        if outcome.possible:
             return (
-                f"{more or 'N'}o effect is sure to be missing, perhaps "
-                f"{_named(outcome, outcome.perhaps)}; what remains is {near} the noise "
-                f"floor.{silent}"
+                f"{more or 'N'}o effect is sure to be missing, possibly "
+                f"{_named(outcome, outcome.possible)}; what remains is {near} the "
+                f"noise floor.{silent}"
             )
         return (
             f"{more or 'N'}othing is missing: the residual is {near} the noise "
@@ -278,11 +282,11 @@ def _where(outcome, joints, kind):
 
 def _unjudged(outcome, joints, status):
     """Say why nothing is judged."""
-    if status == "doubtful":
-        first, *more = doubts(outcome)
-        others = f" ({words.plural(len(more), 'more doubt')} below.)" if more else ""
+    if status == "faulty":
+        first, *more = channel_warnings(outcome)
+        others = f" ({words.plural(len(more), 'more warning')} below.)" if more else ""
         return (
-            f"Mend the recording first. {first}{others} Until then nothing below can "
+            f"Fix the recording first. {first}{others} Until then nothing below can "
             "be trusted."
         )
     if status == "no data":
@@ -310,7 +314,7 @@ def _unsure(outcome, joints, status):
         return f"{found} added, but {text}" if count else words.capital(text)
     if status == "worse":
         which, one = _where(outcome, joints, "worse")
-        what = found if count else "What is perhaps missing was"
+        what = found if count else "What is possibly missing was"
         if not count and outcome.added:
             what = f"{words.capital(plain_words(outcome))} were"
         declared = any(

@@ -6,9 +6,9 @@ from sklearn_vbjfa import _lazily
 _MODULES = {
     "_cosines": ("Cosines", "Spectrum"),
     "_found": ("Evidence",),
-    "_held_out": ("HeldOut", "Worth", "fold_of"),
+    "_held_out": ("HeldOut", "CrossValidatedGain", "fold_of"),
     "_posterior": ("SMALL", "UNDECIDED", "search"),
-    "_problem": ("Family", "Fit", "Member", "Problem", "spectrum_of"),
+    "_problem": ("Family", "Fit", "SelectedEffect", "Problem", "spectrum_of"),
     "_view": ("RecordingView",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

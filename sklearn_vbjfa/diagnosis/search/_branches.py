@@ -147,7 +147,7 @@ def put_together(view, motion, branches, found):
             for one in (_on_robot(finding, branch) for finding in own.findings)
             if one.effect.key() not in known
         ]
-    findings.sort(key=lambda one: bool(one.doubt))
+    findings.sort(key=lambda one: bool(one.warning))
     first = found[0]
     return Found(
         model=FoundModel(

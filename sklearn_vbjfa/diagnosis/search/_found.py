@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.special import expit, ndtr
 
-from sklearn_vbjfa.diagnosis.search._held_out import Worth
+from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain
 from sklearn_vbjfa.diagnosis.search._problem import Fit
 from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
@@ -13,7 +13,7 @@ from sklearn_vbjfa.effects import Effect, Motion
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence(Worth):
+class Evidence(CrossValidatedGain):
     """What speaks for an effect beside the others of its model."""
 
     log_odds: float  # logarithm of the posterior odds that the model lacks it
@@ -40,7 +40,7 @@ class Finding:
     evidence: Evidence  # what speaks for it
     # what would take its place within the rivals' nats, the best first
     rivals: tuple = ()
-    doubt: str = ""  # why it has no name, "" for a name
+    warning: str = ""  # why it has no name, "" for a name
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,4 +90,4 @@ class Found:
     @property
     def named(self):
         """Findings that have a name."""
-        return tuple(f for f in self.findings if not f.doubt)
+        return tuple(f for f in self.findings if not f.warning)

@@ -20,7 +20,7 @@ _TINY = 1e-6
 
 
 @dataclass(frozen=True, kw_only=True)
-class Worth:
+class CrossValidatedGain:
     """What an effect saves on stretches of time that were not fitted."""
 
     # share of the squared error that it saves: of its joint, or of the robot in units
@@ -68,7 +68,7 @@ class HeldOut:
 
     def __init__(self, view, fold=None):
         self.view = view
-        self.heard = np.flatnonzero(view.precision > 0)
+        self.used_joints = np.flatnonzero(view.precision > 0)
         self.fold = fold_of(view) if fold is None else fold
         self.order = order = view.blocks.order
         edges = np.r_[view.blocks.starts, view.index.size]
@@ -102,9 +102,9 @@ class HeldOutFit:
         self._members = [held.moments(member) for member in fit.members]
         self._moments = self._assembled(r, p)
         # What the joints weigh with the members there.
-        power = (fit.residual[held.heard] ** 2).sum(axis=1)
-        least = _TINY**2 * (view.target[held.heard] ** 2).sum(axis=1)
-        self.weight = weight = view.rows[held.heard] / np.maximum(power, least)
+        power = (fit.residual[held.used_joints] ** 2).sum(axis=1)
+        least = _TINY**2 * (view.target[held.used_joints] ** 2).sum(axis=1)
+        self.weight = weight = view.rows[held.used_joints] / np.maximum(power, least)
         weighted = np.einsum("j,bjpq->bpq", weight, self._moments)
         total = weighted.sum(axis=0)
         ridge = _RIDGE * max(np.trace(total[:r, :r]) / max(r, 1), 1.0)
@@ -122,19 +122,19 @@ class HeldOutFit:
     def _assembled(self, r, p):
         """Products of all columns and torques, (n_blocks, nj, p + 1, p + 1)."""
         held, declared = self.held, self.held.declared
-        out = np.zeros((held.of_block.size, held.heard.size, p + 1, p + 1))
-        out[:, :, :r, :r] = declared.gram[held.heard].swapaxes(0, 1)
-        out[:, :, :r, p] = declared.right[held.heard].swapaxes(0, 1)
-        out[:, :, p, p] = declared.power[held.heard].T
+        out = np.zeros((held.of_block.size, held.used_joints.size, p + 1, p + 1))
+        out[:, :, :r, :r] = declared.gram[held.used_joints].swapaxes(0, 1)
+        out[:, :, :r, p] = declared.right[held.used_joints].swapaxes(0, 1)
+        out[:, :, p, p] = declared.power[held.used_joints].T
         for a, (place, own) in enumerate(zip(self._places, self._members)):
             cross, right = own.declared(declared), own.right(declared)
-            for i, j in enumerate(held.heard):
+            for i, j in enumerate(held.used_joints):
                 if j in own.joints:
                     out[:, i, :r, place] = cross[own.joints.index(j)]
                     out[:, i, place, p] = right[own.joints.index(j)]
             for other_place, other in zip(self._places[a:], self._members[a:]):
                 between = own.between(other)
-                for i, j in enumerate(held.heard):
+                for i, j in enumerate(held.used_joints):
                     if j in between:
                         out[:, i, place, other_place] = between[j]
         # What is below the diagonal stands above it.
@@ -155,15 +155,16 @@ class HeldOutFit:
 
     def error(self):
         """Logarithms of the joints' mean squared errors, their rows as weights."""
-        rows = self.held.view.rows[self.held.heard]
+        rows = self.held.view.rows[self.held.used_joints]
         return float(rows @ np.log(self.squares.sum(axis=0) / rows))
 
     def error_of(self, joint):
         """Squared error of one joint."""
-        return float(self.squares[:, np.searchsorted(self.held.heard, joint)].sum())
+        own = np.searchsorted(self.held.used_joints, joint)
+        return float(self.squares[:, own].sum())
 
-    def worth(self, i):
-        """Return what a member is worth, `Worth`."""
+    def gain_of(self, i):
+        """Return what a member saves."""
         place, member = self._places[i], self.fit.members[i]
         without = np.empty_like(self.squares)
         unit = np.eye(self._done.size)[:, place]
@@ -173,9 +174,10 @@ class HeldOutFit:
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
             without[blocks] = self._squares(blocks, theta - inverse @ away)
         if member.effect.whole_robot or member.effect.in_model:
-            return Worth.of(without @ self.weight, self.squares @ self.weight)
-        own = int(np.searchsorted(self.held.heard, member.effect.joint))
-        return Worth.of(without[:, own], self.squares[:, own])
+            both = without @ self.weight, self.squares @ self.weight
+            return CrossValidatedGain.of(*both)
+        own = int(np.searchsorted(self.held.used_joints, member.effect.joint))
+        return CrossValidatedGain.of(without[:, own], self.squares[:, own])
 
     @property
     def residual(self):
@@ -184,7 +186,7 @@ class HeldOutFit:
         out = np.zeros_like(held.view.target)
         for blocks, _, theta in self._folds:
             rows = np.isin(held.view.blocks.label, np.flatnonzero(blocks))
-            for j in held.heard:
+            for j in held.used_joints:
                 own = held.view.target[j, rows] - held.view.Z[j, rows] @ theta[:r]
                 for place, member in zip(self._places, self._members):
                     if j in member.joints:

@@ -39,7 +39,7 @@ _EQUAL = 0.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Offer:
+class Candidate:
     """A candidate beside a model."""
 
     family: Family  # all of its shapes
@@ -67,16 +67,16 @@ class Path:
         self.view, self.library, self.settings = view, library, settings
         self.max_effects, self.turn = max_effects, 0
         self.steps, self._grids = [], {}
-        self._kept, self._stale, self._gone = {}, set(), set()
+        self._cached, self._outdated, self._rejected = {}, set(), set()
         self._held = None
         # Log odds above which an effect is in the model.
         self.least = float(logit(settings.undecided))
 
     # -- candidates -----------------------------------------------------------------
 
-    def _candidates(self):
+    def _make_families(self):
         """Families of all effects on all joints, by joint."""
-        found = {j: [] for j in np.flatnonzero(self.problem.heard)}
+        found = {j: [] for j in np.flatnonzero(self.problem.used_joints)}
         asked = [(j, effect) for j in found for effect in self.library]
         for j, effect in counted(asked, "candidates"):
             one = clone(effect).set_params(joint=int(j))
@@ -85,13 +85,13 @@ class Path:
             family = self.problem.family(one, self.motion)
             if family is not None:
                 found[j] += family.split()
-        self.candidates = found
+        self.families = found
         count = sum(map(len, found.values()))
         self.n_candidates = count
         self.log_prior = np.log(self.settings.expected / max(count, 1))
 
-    def _offer(self, fit, family, taken, excess=None):
-        """Return the best shape of a family beside a fit as an `Offer`, or None."""
+    def _candidate(self, fit, family, taken, excess=None):
+        """Return the best shape of a family beside a fit as an `Candidate`, or None."""
         groups = fit.groups(family)
         if excess is not None:
             groups = groups.tempered(excess)
@@ -115,7 +115,7 @@ class Path:
         evidence = np.where(free, evidence, -np.inf)
         whole = np.logaddexp.reduce(evidence)
         log_odds = float(whole - np.log(free.size) + self.log_prior)
-        return Offer(
+        return Candidate(
             family=family,
             best=int(np.argmax(evidence)),
             log_odds=log_odds,
@@ -123,38 +123,38 @@ class Path:
             order=log_odds,
         )
 
-    def _tempered(self, fit, offer):
-        """Return an offer whose evidence is worth what its scatter in time leaves."""
-        if offer.tempered:
-            return offer
-        family, best, coef = offer.family, offer.best, offer.coef
-        if isinstance(offer.effect, Shaped) and offer.effect.jumping:
+    def _tempered(self, fit, candidate):
+        """Discount the evidence of a candidate by its scatter in time."""
+        if candidate.tempered:
+            return candidate
+        family, best, coef = candidate.family, candidate.best, candidate.coef
+        if isinstance(candidate.effect, Shaped) and candidate.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
-            family, best = self._single(self._best_shape(fit, offer)), 0
+            family, best = self._single(self._best_shape(fit, candidate)), 0
             coef = fit.groups(family).coefficients()[0]
         excess = fit.excess(family, best, coef, self._noise)
         taken = self._taken(fit)
-        usual = self._offer(fit, offer.family, taken, excess.as_usual())
+        usual = self._candidate(fit, candidate.family, taken, excess.as_usual())
         if usual is None:
             return None
         if not np.isfinite(excess.freedom):
             return replace(usual, tempered=True)
-        strict = self._offer(fit, offer.family, taken, excess)
+        strict = self._candidate(fit, candidate.family, taken, excess)
         if strict is None:
             return None
         return replace(strict, tempered=True, order=usual.order)
 
-    def _surest(self, fit, offers, margin=0.0):
-        """Return tempered offers within a margin of the best, the best first."""
+    def _surest(self, fit, candidates, margin=0.0):
+        """Return tempered candidates within a margin of the best, the best first."""
         # Tempering takes evidence only, so that what is below the best of those that
         # are tempered need not be.
-        found, open_ = [], sorted(offers, key=lambda o: o.order)
+        found, open_ = [], sorted(candidates, key=lambda o: o.order)
         best = -np.inf
         while open_ and open_[-1].order > best - margin:
-            offer = self._tempered(fit, open_.pop())
-            if offer is not None:
-                found.append(offer)
-                best = max(best, offer.order)
+            candidate = self._tempered(fit, open_.pop())
+            if candidate is not None:
+                found.append(candidate)
+                best = max(best, candidate.order)
         found = [o for o in found if o.order > best - margin - 1e-9]
         return sorted(found, key=lambda o: -o.order)
 
@@ -172,112 +172,112 @@ class Path:
 
     def _taken(self, fit):
         """Keys of effects that do not come beside a fit, a set."""
-        return self._gone.union(*(m.effect.excludes() for m in fit.members))
+        return self._rejected.union(*(m.effect.excludes() for m in fit.members))
 
     def _contained(self, fit, joint):
         """Names of effects that a member of a joint contains, a set."""
         own = [m.effect for m in fit.members if m.effect.joint == joint]
         return set().union(*(closure(effect, self.library) for effect in own))
 
-    def _offers(self, fit, joint):
-        """Offers on a joint beside a fit."""
+    def _candidates(self, fit, joint):
+        """Candidates on a joint beside a fit."""
         self._say(fit, joint)
         taken = self._taken(fit)
         within = self._contained(fit, joint)
         found = (
-            self._offer(fit, family, taken)
-            for family in self.candidates[joint]
+            self._candidate(fit, family, taken)
+            for family in self.families[joint]
             if family.effects[0].name not in within
         )
-        return [offer for offer in found if offer is not None]
+        return [candidate for candidate in found if candidate is not None]
 
     # -- moves ------------------------------------------------------------------------
 
     def _best(self, fit):
-        """Best offer on any joint; joints whose model has not changed are not asked."""
+        """Best candidate on any joint; unchanged joints keep their candidates."""
         # What contains an effect of the model comes when nothing else does.
-        for joint in self.candidates:
-            if joint not in self._kept:
-                self._kept[joint] = self._offers(fit, joint)
+        for joint in self.families:
+            if joint not in self._cached:
+                self._cached[joint] = self._candidates(fit, joint)
         there = {(m.effect.name, m.effect.joint) for m in fit.members}
 
-        def waits(offer):
-            names = closure(offer.effect, self.library)
-            return any((name, offer.effect.joint) in there for name in names)
+        def waits(candidate):
+            names = closure(candidate.effect, self.library)
+            return any((name, candidate.effect.joint) in there for name in names)
 
         while True:
             probable = [
-                o for k in self._kept.values() for o in k if o.log_odds > self.least
+                o for k in self._cached.values() for o in k if o.log_odds > self.least
             ]
             if not probable:
-                if not self._stale:
+                if not self._outdated:
                     return None
-                for j in self._stale:
-                    self._kept[j] = self._offers(fit, j)
-                self._stale = set()
+                for j in self._outdated:
+                    self._cached[j] = self._candidates(fit, j)
+                self._outdated = set()
                 continue
             best = min(probable, key=lambda o: (waits(o), -o.order))
             joint = best.effect.joint
-            if joint in self._stale:
-                self._kept[joint] = self._offers(fit, joint)
-                self._stale.discard(joint)
+            if joint in self._outdated:
+                self._cached[joint] = self._candidates(fit, joint)
+                self._outdated.discard(joint)
             elif not best.tempered:
                 sure = self._tempered(fit, best)
-                rest = [o for o in self._kept[joint] if o is not best]
-                self._kept[joint] = rest if sure is None else [*rest, sure]
+                rest = [o for o in self._cached[joint] if o is not best]
+                self._cached[joint] = rest if sure is None else [*rest, sure]
             else:
-                plain = self._plainer(fit, best, self._kept[joint])
+                plain = self._plainer(fit, best, self._cached[joint])
                 return self._first(best, probable) if plain is best else plain
 
-    def _plainer(self, fit, best, offers):
-        """Plainer effect that an offer contains, if that is probable by itself."""
+    def _plainer(self, fit, best, candidates):
+        """Plainer effect that a candidate contains, if that is probable by itself."""
         # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
         # variable selection with related predictors", Canadian J. of Statistics 24(1),
         # 1996, doi 10.2307/3315687).
         names = closure(best.effect, self.library)
         within = [
-            o for o in offers if o.effect.name in names and o.log_odds > self.least
+            o for o in candidates if o.effect.name in names and o.log_odds > self.least
         ]
         sure = [o for o in self._surest(fit, within) if o.log_odds > self.least]
         return sure[0] if sure else best
 
-    def _first(self, best, offers):
+    def _first(self, best, candidates):
         """First in precedence of those of the geometry that say the same."""
         if not best.effect.in_model:
             return best
         near = [
-            o for o in offers if o.effect.in_model and o.order > best.order - _EQUAL
+            o for o in candidates if o.effect.in_model and o.order > best.order - _EQUAL
         ]
         return min(near, key=lambda o: (o.effect.precedence, -o.order))
 
-    def _refused(self, offer):
-        """Make the offers of a joint again without one that was refused."""
-        self._kept.pop(offer.effect.joint, None)
-        self._stale.discard(offer.effect.joint)
+    def _refused(self, candidate):
+        """Make the candidates of a joint again without one that was refused."""
+        self._cached.pop(candidate.effect.joint, None)
+        self._outdated.discard(candidate.effect.joint)
 
     def _moved(self, joints=None):
         """Note that the model of some joints, or of all, has changed."""
         if joints is None or len(joints) > 1:
-            self._kept.clear()
-            self._stale = set()
+            self._cached.clear()
+            self._outdated = set()
         else:
             for joint in joints:
-                self._kept.pop(joint, None)
-            self._stale = set(self._kept)
+                self._cached.pop(joint, None)
+            self._outdated = set(self._cached)
 
     def _scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
         return rescaled(fit, self.settings.scale)
 
-    def _member(self, fit, offer):
-        """Return an offer as a member, its shape searched between the grid's."""
-        family = self._single(self._best_shape(fit, offer))
+    def _member(self, fit, candidate):
+        """Return a candidate as a member, its shape searched between the grid's."""
+        family = self._single(self._best_shape(fit, candidate))
         best = fit.groups(family).best_scale(self.settings.scale)[0]
         return family.member(0, float(best))
 
-    def _best_shape(self, fit, offer):
-        """Effect of an offer, its shape searched between the grid's."""
-        effect, family = offer.effect, offer.family
+    def _best_shape(self, fit, candidate):
+        """Effect of a candidate, its shape searched between the grid's."""
+        effect, family = candidate.effect, candidate.family
         if not (isinstance(effect, Shaped) and effect.continuous):
             return effect
         if effect.jumping:
@@ -394,7 +394,7 @@ class Path:
 
     def _shapes(self, member):
         """Count the shapes among which a member was chosen."""
-        for family in self.candidates.get(member.effect.joint, ()):
+        for family in self.families.get(member.effect.joint, ()):
             if family.effects[0].name == member.effect.name:
                 return len(family.effects)
         return 1
@@ -440,18 +440,18 @@ class Path:
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
-        been, tuned, self._gone = {keys_of(fit)}, None, set()
+        been, tuned, self._rejected = {keys_of(fit)}, None, set()
         while True:
             full = self.max_effects is not None and len(fit.members) >= self.max_effects
-            offer = None if full else self._best(fit)
-            if offer is not None:
-                new = self._added(fit, offer)
+            candidate = None if full else self._best(fit)
+            if candidate is not None:
+                new = self._added(fit, candidate)
                 if keys_of(new) in been:
                     # What came was refused, has gone again, or led back.
-                    self._gone.add(offer.effect.key())
-                    self._refused(offer)
+                    self._rejected.add(candidate.effect.key())
+                    self._refused(candidate)
                     continue
-                self._gone.clear()
+                self._rejected.clear()
             elif fit.members and keys_of(fit) != tuned:
                 # Shapes that were found before the others were there.
                 tuned = keys_of(fit)
@@ -465,23 +465,23 @@ class Path:
             fit = new
             been.add(keys_of(fit))
 
-    def _added(self, fit, offer):
-        """Return a fit with an offer, without what becomes improbable by that."""
-        joint = offer.effect.joint
-        near = self._surest(fit, self._kept[joint], self.settings.rivals)
-        member = self._member(fit, offer)
+    def _added(self, fit, candidate):
+        """Return a fit with a candidate, without what becomes improbable by that."""
+        joint = candidate.effect.joint
+        near = self._surest(fit, self._cached[joint], self.settings.rivals)
+        member = self._member(fit, candidate)
         step = Step(
             action="add",
             effect=member.effect,
-            log_odds=offer.log_odds,
+            log_odds=candidate.log_odds,
             rivals=tuple(
                 Rival(effect=o.effect, log_odds=o.log_odds)
                 for o in near
-                if o.effect.key() != offer.effect.key()
+                if o.effect.key() != candidate.effect.key()
             ),
         )
         new = self._scaled(fit.beside(member))
-        if not self.held_out(new).worth(len(fit.members)).helps:
+        if not self.held_out(new).gain_of(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
         if not self._settles(new):
@@ -503,15 +503,15 @@ class Path:
         if len(rest) == len(fit.members) - 1:
             return fit
         base = Fit(fit.base, rest)
-        offers = [
-            offer
-            for family in self.candidates[joint]
+        candidates = [
+            candidate
+            for family in self.families[joint]
             if family.effects[0].name == last.effect.name
-            for offer in [self._offer(base, family, self._taken(base))]
-            if offer is not None
+            for candidate in [self._candidate(base, family, self._taken(base))]
+            if candidate is not None
         ]
-        for offer in offers:
-            alone = self._scaled(base.beside(self._member(base, offer)))
+        for candidate in candidates:
+            alone = self._scaled(base.beside(self._member(base, candidate)))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -546,12 +546,12 @@ class Path:
         return sure and natural
 
     def rivals(self, fit, i):
-        """Offers that would take the place of a member, the best first."""
+        """Candidates that would take the place of a member, the best first."""
         member, base = fit.members[i], fit.without(i)
         found = []
-        for joint in self.candidates:
+        for joint in self.families:
             if joint in member.joints:
-                found += self._offers(base, joint)
+                found += self._candidates(base, joint)
         near = self._surest(base, found, self.settings.rivals)
         if member.effect.in_model:
             # What turns the robot alike with more values than are needed.
@@ -563,12 +563,12 @@ class Path:
             ]
         return near
 
-    def _as_well(self, base, offers, member):
+    def _as_well(self, base, candidates, member):
         """Effects of the geometry that explain as much as a member does."""
-        offers = [self._tempered(base, o) for o in offers if o.effect.in_model]
+        candidates = [self._tempered(base, o) for o in candidates if o.effect.in_model]
         gains = {
             o: 0.5 * base.groups(o.family).gain()[o.best]
-            for o in offers
+            for o in candidates
             if o is not None
         }
         own = [g for o, g in gains.items() if o.effect.key() == member.effect.key()]
@@ -589,8 +589,8 @@ class Path:
                 and o.effect.key() != member.effect.key()
                 and member.effect.name not in closure(o.effect, self.library)
             ]
-            for offer in near[:3]:
-                other = self._member(base, offer)
+            for candidate in near[:3]:
+                other = self._member(base, candidate)
                 new = self._scaled(base.beside(other))
                 own = self.log_odds(new, usual=True)[-1]
                 if own < odds[i] + _EQUAL or keys_of(new) in been:
@@ -612,7 +612,7 @@ class Path:
     def _together(self, fit, been):
         """Begin with everything on a joint and drop what is not needed, or None."""
         # What hides another, or shows beside it alone, does not come one by one.
-        for joint in self.candidates:
+        for joint in self.families:
             new = self._needed(fit, joint)
             # One that comes alone, or in place of another, was asked before.
             if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
@@ -635,7 +635,7 @@ class Path:
                 continue
             if left_out.error() > self.held_out(fit).error():
                 continue
-            if all(left_out.worth(i).helps for i in range(len(new.members))):
+            if all(left_out.gain_of(i).helps for i in range(len(new.members))):
                 self._note(fit, new)
                 self._moved()
                 return new
@@ -645,8 +645,8 @@ class Path:
         """Return a fit with what is probable of a joint beside all the rest."""
         self._say(fit, joint)
         taken, within = self._taken(fit), self._contained(fit, joint)
-        scale, offered = self.settings.scale, []
-        for family in self.candidates[joint]:
+        scale, members = self.settings.scale, []
+        for family in self.families[joint]:
             first = family.effects[0]
             if first.in_model or first.whole_robot or first.name in within:
                 continue
@@ -654,12 +654,12 @@ class Path:
             free = groups.shown() & [e.key() not in taken for e in family.effects]
             if free.any():
                 evidence = np.where(free, groups.evidence(scale), -np.inf)
-                offered.append(family.member(int(np.argmax(evidence)), scale))
+                members.append(family.member(int(np.argmax(evidence)), scale))
         others = [m for m in fit.members if m.joints != (joint,)]
-        offered += [m for m in fit.members if m.joints == (joint,)]
+        members += [m for m in fit.members if m.joints == (joint,)]
         rest = Fit(fit.base, others)
-        odds = self.log_prior - np.log([self._shapes(m) for m in offered])
-        kept = together(rest, offered, odds - self.least, scale)
+        odds = self.log_prior - np.log([self._shapes(m) for m in members])
+        kept = together(rest, members, odds - self.least, scale)
         return self._scaled(Fit(fit.base, [*others, *kept]))
 
     def _excluded(self, fit):
@@ -690,15 +690,15 @@ class Path:
         for _ in range(self.settings.most):
             self._moved()
             added, self._noise = [], fit
-            for joint in self.candidates:
-                offers = self._offers(fit, joint)
+            for joint in self.families:
+                candidates = self._candidates(fit, joint)
                 if self.view.repetition:
                     # What comes again with each phase would all be taken for effects.
-                    offers = self._surest(fit, offers)
+                    candidates = self._surest(fit, candidates)
                 # One is expected of each joint here.
-                count = max(len(self.candidates[joint]), 1)
+                count = max(len(self.families[joint]), 1)
                 least = self.log_prior - np.log(self.settings.expected / count)
-                best = max(offers, key=lambda o: o.log_odds, default=None)
+                best = max(candidates, key=lambda o: o.log_odds, default=None)
                 if best is not None and best.log_odds > least:
                     found = best.family.member(best.best, self.settings.scale)
                     jumps = isinstance(best.effect, Shaped) and best.effect.jumping
@@ -737,11 +737,11 @@ class Path:
     def run(self):
         """Search; returns the last `Fit`."""
         fit, seen = self.begin(), None
-        self._candidates()
+        self._make_families()
         for self.turn in range(_TURNS):
             say(f"round {self.turn + 1}")
             if self.turn:
-                self._candidates()
+                self._make_families()
             start = [self._again(m) for m in fit.members]
             base = self._spectrum(Fit(fit.base, start))
             fit = self._climb(self._scaled(Fit(base, start)))

@@ -1,4 +1,4 @@
-"""Names from odds: what of the most probable model is told, and with which doubt."""
+"""Names from odds: which effects of the most probable model are named."""
 
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
@@ -38,11 +38,13 @@ def search(view, library, settings, alpha, max_effects=None):
             if (o.effect.in_model or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
         )
-        doubt = _doubt(member, evidence, settings, needed, path)
+        warning = _warning(member, evidence, settings, needed, path)
         findings.append(
-            Finding(effect=member.effect, evidence=evidence, rivals=rivals, doubt=doubt)
+            Finding(
+                effect=member.effect, evidence=evidence, rivals=rivals, warning=warning
+            )
         )
-    order = sorted(range(len(findings)), key=lambda i: bool(findings[i].doubt))
+    order = sorted(range(len(findings)), key=lambda i: bool(findings[i].warning))
     model = FoundModel(
         view=path.view,
         effects=tuple(m.effect for m in fit.members),
@@ -65,12 +67,12 @@ def search(view, library, settings, alpha, max_effects=None):
 
 
 def _settled(path, fit):
-    """Drop what speaks against the whole; the rest with its log odds and `Worth`."""
+    """Drop what speaks against the whole; the rest with log odds and gains."""
     # What the spectrum of the whole model makes improbable goes, what predicts other
     # motion worse, and what has a sign or size that it cannot have.
     while True:
         odds, left_out = path.own_odds(fit), path.held_out(fit)
-        worths = [left_out.worth(i) for i in range(odds.size)]
+        worths = [left_out.gain_of(i) for i in range(odds.size)]
         if not worths:
             return fit, odds, worths
         worst = int(np.argmin(odds))
@@ -89,7 +91,7 @@ def _settled(path, fit):
         fit = path.dropped(fit, worst, float(odds[worst]))
 
 
-def _doubt(member, evidence, settings, needed, path):
+def _warning(member, evidence, settings, needed, path):
     """Say why an effect is not named; "" for one that is."""
     if evidence.log_odds < needed:
         return UNDECIDED

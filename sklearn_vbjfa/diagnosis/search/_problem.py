@@ -42,7 +42,7 @@ class Columns:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Member(Columns):
+class SelectedEffect(Columns):
     """An effect in the model, with one shape."""
 
     effect: Effect  # with its shape
@@ -78,7 +78,7 @@ class Problem(Declared):
         mean = (view.target * view.root.T).sum(axis=1) / rows
         rest = view.target - mean[:, None] * view.root.T
         self.torque = np.sqrt((rest**2).sum(axis=1) / view.target.shape[1])
-        self.heard = view.precision > 0
+        self.used_joints = view.precision > 0
 
     def family(self, effect, motion):
         """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
@@ -136,10 +136,10 @@ class Family(Columns):
         ]
 
     def member(self, c, scale=1.0):
-        """Return one of the shapes as a `Member`."""
+        """Return one of the shapes as a `SelectedEffect`."""
         k = len(self.effects[c].coefficients)
         own = np.ascontiguousarray(self.columns[:, :, c : c + 1, :k])
-        return Member(
+        return SelectedEffect(
             effect=self.effects[c],
             moments=self.moments.of(own),
             unit=self.unit[c, :k],
@@ -398,7 +398,7 @@ class Fit:
     def _rows(self, cosines):
         """Rows that whitened cosines (nv, n, ...) stand for, where rows count."""
         found = self.problem.cosines.rows(cosines)
-        used = (self.problem.view.root.T > 0) & self.problem.heard[:, None]
+        used = (self.problem.view.root.T > 0) & self.problem.used_joints[:, None]
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
     def excess(self, family, c, coef, noise):
@@ -449,7 +449,7 @@ class Fit:
             # What is not modelled comes again with each phase, and there are few, of
             # which the fit that leaves the noise has taken as many as its parameters.
             again, late = powers(view.blocks.sums(products))
-            taken = (base.L.shape[0] + noise.n_coefficients) / problem.heard.sum()
+            taken = (base.L.shape[0] + noise.n_coefficients) / problem.used_joints.sum()
             freedom = float(max(again.size - taken, 1.0))
             fewer = again.size / freedom
             usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
@@ -493,7 +493,7 @@ class Fit:
         """Logarithm of the evidence, but for a constant of the recording."""
         # Of members with their scales, and of the spectrum that the weights are from.
         problem, density = self.problem, self.base.density
-        heard, cosines = problem.heard, problem.cosines
+        heard, cosines = problem.used_joints, problem.cosines
         count = cosines.fill[heard, None] * np.diff(cosines.edges)
         volume_of_noise = 0.5 * (count * np.log(density[heard])).sum()
         power = (density[heard] * problem.power[heard]).sum()
@@ -605,7 +605,7 @@ def spectrum_of(fit, settings, rounds=3, share=None):
     for start, share in ((fit, 1.0), *((plain, own) for own in _SHARES)):
         found = _following(start, settings, rounds, share)
         away = ((found.residual - plain.residual) ** 2).sum(axis=1)
-        if (away <= most)[problem.heard].all():
+        if (away <= most)[problem.used_joints].all():
             break
     return found
 
@@ -643,6 +643,6 @@ def weighed(fit):
     """Return a fit under one weight for each joint, by its residual."""
     problem = fit.problem
     power = (fit.residual**2).mean(axis=1)
-    heard = problem.heard & (power > 0)
+    heard = problem.used_joints & (power > 0)
     own = np.where(heard, problem.cosines.fill / np.where(heard, power, 1.0), 0.0)
     return Fit(_flat(problem, own), fit.members)

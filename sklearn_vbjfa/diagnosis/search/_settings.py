@@ -27,7 +27,7 @@ class SearchSettings:
     rivals : float, default=3.0
         What takes the place of an effect within so many nats is told as its rival.
     undecided : float, default=0.5
-        Probability from which on an effect is told as "perhaps", up to ``1 - alpha``,
+        Probability from which on an effect is listed as possible, up to ``1 - alpha``,
         from which on it has a name; what is less probable is not in the model.
     smoothness : float, default=1.0
         How far the residual's spectrum may bend: prior deviation of the change of its

@@ -32,7 +32,7 @@ def fixture_driven():
 
 def test_a_sound_recording_costs_nothing():
     loop = ARM.discover(ARM.torque(), **CLOSED)
-    assert (loop.projection_price_ == 0).all()
+    assert (loop.consistency_cost_ == 0).all()
     assert "cost" not in str(loop.report_)
     price = loop.report_.outcome.projection
     assert (price.pushed, price.channel) == ((), None)
@@ -45,7 +45,7 @@ def test_errors_are_those_of_models_with_and_without_constraints(gain):
     # A model that was never projected, fitted anew to the same rows.
     free = ARM.discover(torque, robot=ARM.robot(projector=None), **CLOSED)
     assert free.report_.outcome.projection is None
-    assert np.isnan(free.projection_price_).all()
+    assert np.isnan(free.consistency_cost_).all()
     assert [e.name for e in free.effects_] == [e.name for e in loop.effects_]
     assert price.free == pytest.approx(free.error_after_, rel=1e-6)
 
@@ -83,7 +83,7 @@ def test_the_channel_s_share_is_what_a_fit_without_it_saves(gain):
 def test_the_unit_of_the_torque_does_not_matter(gain):
     torque, loop = gain
     other = ARM.discover(1e3 * torque, **CLOSED)
-    assert other.projection_price_ == pytest.approx(loop.projection_price_, rel=1e-4)
+    assert other.consistency_cost_ == pytest.approx(loop.consistency_cost_, rel=1e-4)
     assert other.report_.outcome.projection.channel == 1
 
 
@@ -106,7 +106,7 @@ def test_friction_that_drives_is_named_with_its_value(driven):
 
 def test_the_dict_has_the_price_and_what_it_comes_from(driven):
     data = driven.report_.to_dict()["projection"]
-    assert data["price"] == driven.projection_price_.tolist()
+    assert data["price"] == driven.consistency_cost_.tolist()
     assert data["pushed"][0]["kind"] == "friction"
     assert data["channel"] == 0
 

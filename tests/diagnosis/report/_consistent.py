@@ -11,25 +11,25 @@ def assert_consistent(report):
     settings, own = outcome.settings, outcome.settings["search"]
     for effect in outcome.effects:
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
-        assert effect.doubt == "", told
+        assert effect.warning == "", told
         assert effect.probability >= 1 - settings["alpha"] - 1e-12, told
         assert effect.evidence.errors > own["chance"], told
         assert effect.evidence.gain > own["worth"], told
         assert _is_known(effect), f"{told}, {effect.intervals}"
-    for effect in outcome.perhaps:
+    for effect in outcome.possible:
         told = f"{effect.name} on joint {effect.joint}: {effect.evidence}"
-        assert effect.doubt, told
+        assert effect.warning, told
         assert effect.probability >= own["undecided"], told
-    for effect in (*outcome.effects, *outcome.perhaps):
+    for effect in (*outcome.effects, *outcome.possible):
         _assert_values(effect)
         assert 0 <= effect.evidence.helped <= 1
         assert settings["n_candidates"] > 0
     named = {_key(effect) for effect in outcome.effects}
-    perhaps = {_key(effect) for effect in outcome.perhaps}
-    assert len(named | perhaps) == len(outcome.effects) + len(outcome.perhaps)
+    possible = {_key(effect) for effect in outcome.possible}
+    assert len(named | possible) == len(outcome.effects) + len(outcome.possible)
     told = {(one.name, one.joint) for one in _plain.remedies(outcome)}
-    without = {(e.name, e.joint) for e in outcome.perhaps}
-    assert not told & without, f"to be corrected on a perhaps: {told & without}"
+    without = {(e.name, e.joint) for e in outcome.possible}
+    assert not told & without, f"to be corrected on a possible: {told & without}"
     _assert_words(report)
 
 
@@ -64,7 +64,7 @@ def _assert_words(report):
     """Compare what is printed with what was computed."""
     outcome, data = report.outcome, report.to_dict()
     markdown = report.to_markdown().replace("\\", "")
-    for key, effects in (("effects", outcome.effects), ("perhaps", outcome.perhaps)):
+    for key, effects in (("effects", outcome.effects), ("perhaps", outcome.possible)):
         for told, effect in zip(data[key], effects, strict=True):
             assert told["log_odds"] == effect.log_odds
             assert told["probability"] == effect.probability
@@ -74,13 +74,13 @@ def _assert_words(report):
         assert not odds.startswith(("1 :", "<")), odds
         assert odds in markdown
         assert gain in markdown
-    for effect in outcome.perhaps:
+    for effect in outcome.possible:
         assert words.probability_text(effect.probability) in markdown
-        assert effect.doubt in markdown
-    assert ("# Perhaps" in markdown) == bool(outcome.perhaps)
+        assert effect.warning in markdown
+    assert ("# Perhaps" in markdown) == bool(outcome.possible)
     assert ("# Effects that were missing" in markdown) == bool(outcome.effects)
     headline = report.headline
-    if outcome.effects or outcome.perhaps:
+    if outcome.effects or outcome.possible:
         assert "othing is missing" not in headline, headline
     if report.status in ("complete", "partial"):
         assert outcome.effects, headline

@@ -23,7 +23,7 @@ EVIDENCE = Evidence(
     log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52, helped=0.9
 )
 # Of probability 80 %, and of one that is sure and chance on other stretches.
-PERHAPS = Evidence(
+POSSIBLE = Evidence(
     log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52, helped=0.6
 )
 KINDS = (
@@ -63,12 +63,12 @@ def make_effect(i, joint, names):
     )
 
 
-def make_perhaps(i, joint, names, doubt=UNDECIDED, evidence=PERHAPS):
+def make_possible(i, joint, names, warning=UNDECIDED, evidence=POSSIBLE):
     """Make an effect without a name, whose values may all be zero."""
     effect = make_effect(i, joint, names)
     wide = {k: (low - high, 2 * high) for k, (low, high) in effect.intervals.items()}
     return dataclasses.replace(
-        effect, intervals=wide, evidence=evidence, doubt=doubt, rivals=()
+        effect, intervals=wide, evidence=evidence, warning=warning, rivals=()
     )
 
 
@@ -121,7 +121,7 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "cutoff": 10.0,
         },
         "effects": effects,
-        "perhaps": (),
+        "possible": (),
         "rounds": tuple(make_round(e) for e in effects),
         "unexplained": tuple(
             Unexplained(

@@ -10,25 +10,25 @@ from sklearn_vbjfa.robot import Corrections, ZeroCorrection
 from tests.diagnosis.report._consistent import assert_consistent
 from tests.diagnosis.report._outcomes import (
     EVIDENCE,
-    PERHAPS,
+    POSSIBLE,
     make_effect,
     make_outcome,
-    make_perhaps,
+    make_possible,
 )
 
 NAMES = tuple(f"joint{j + 1}" for j in range(6))
-NAMED, OPEN = make_effect(0, 1, NAMES), make_perhaps(2, 3, NAMES)
+NAMED, OPEN = make_effect(0, 1, NAMES), make_possible(2, 3, NAMES)
 
 
-def told(effects=(NAMED,), perhaps=(OPEN,), **given):
-    return Report(make_outcome(effects=effects, perhaps=perhaps, **given))
+def told(effects=(NAMED,), possible=(OPEN,), **given):
+    return Report(make_outcome(effects=effects, possible=possible, **given))
 
 
 @pytest.mark.parametrize("count", [0, 1, 4])
 def test_what_agrees_is_left_alone(count):
     effects = tuple(make_effect(i, i, NAMES) for i in range(count))
     assert_consistent(told(effects, ()))
-    assert_consistent(told(effects, (make_perhaps(3, 5, NAMES),)))
+    assert_consistent(told(effects, (make_possible(3, 5, NAMES),)))
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_what_agrees_is_left_alone(count):
         replace(NAMED, evidence=replace(EVIDENCE, errors=1.6)),
         replace(NAMED, evidence=replace(EVIDENCE, gain=0.019)),
         replace(NAMED, intervals={"mu": (-0.1, 0.324)}),
-        replace(NAMED, doubt="undecided"),
+        replace(NAMED, warning="undecided"),
         replace(NAMED, intervals={"mu": (0.2, 0.3)}),
     ],
     ids=["improbable", "chance", "small", "unknown", "doubted", "outside"],
@@ -51,15 +51,15 @@ def test_names_that_are_none_are_noticed(effect):
 @pytest.mark.parametrize(
     "effect",
     [
-        replace(OPEN, doubt=""),
-        replace(OPEN, evidence=replace(PERHAPS, log_odds=-0.1)),
-        replace(NAMED, doubt="undecided"),
+        replace(OPEN, warning=""),
+        replace(OPEN, evidence=replace(POSSIBLE, log_odds=-0.1)),
+        replace(NAMED, warning="undecided"),
     ],
     ids=["no doubt", "improbable", "twice"],
 )
 def test_perhaps_that_are_none_are_noticed(effect):
     with pytest.raises(AssertionError):
-        assert_consistent(told(perhaps=(effect,)))
+        assert_consistent(told(possible=(effect,)))
 
 
 def zero_of(value, half, **given):
@@ -95,11 +95,11 @@ def test_values_in_the_model_are_known_from_what_changes_nothing():
 
 
 def test_nothing_is_corrected_on_a_perhaps():
-    zero = zero_of(0.05, 0.01, doubt="undecided", evidence=PERHAPS)
+    zero = zero_of(0.05, 0.01, warning="undecided", evidence=POSSIBLE)
     correction = ZeroCorrection(
         joint=2, joint_name="joint3", subtract=0.05, plain=2.86, plain_unit="degrees"
     )
-    report = told(perhaps=(zero,), corrections=Corrections(zeros=(correction,)))
+    report = told(possible=(zero,), corrections=Corrections(zeros=(correction,)))
     assert_consistent(report)
     for text in (str(report), report.to_markdown(), report.to_html()):
         assert "ubtract" not in text

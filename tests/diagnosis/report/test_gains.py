@@ -5,7 +5,7 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
-from tests.diagnosis.report._outcomes import make_effect, make_outcome, make_perhaps
+from tests.diagnosis.report._outcomes import make_effect, make_outcome, make_possible
 
 NAMES = tuple(f"joint{j + 1}" for j in range(3))
 
@@ -98,9 +98,9 @@ def test_gains_are_a_line_of_a_terminal(n_effects):
         common=CommonGain(),
     )
     effects = tuple(make_effect(k, k % 6, names) for k in range(n_effects))
-    perhaps = tuple(make_perhaps(k, k + 2, names) for k in range(2))
+    possible = tuple(make_possible(k, k + 2, names) for k in range(2))
     outcome = make_outcome(
-        names=names, gains=gains, effects=effects, perhaps=perhaps, channels=()
+        names=names, gains=gains, effects=effects, possible=possible, channels=()
     )
     lines = str(Report(outcome)).splitlines()
     (line,) = (x for x in lines if "Gains are relative" in x)

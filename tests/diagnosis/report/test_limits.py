@@ -7,12 +7,12 @@ import pytest
 
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.diagnosis.explain import (
+    ConsistencyCost,
     Contradiction,
     Contradictions,
     Deviation,
     MotionLimit,
     NextRecording,
-    ProjectionPrice,
     Pushed,
 )
 from sklearn_vbjfa.diagnosis.report import judge, sections
@@ -122,7 +122,7 @@ def test_an_unknown_band_is_not_described():
 
 
 def price(**changes):
-    found = ProjectionPrice(
+    found = ConsistencyCost(
         free=np.array([0.05, 0.19, 0.08]),
         held=np.array([0.05, 0.241, 0.09]),
         interval=np.array([[-0.01, 0.02, 0.001], [0.01, 0.07, 0.02]]),

@@ -29,7 +29,7 @@ from tests.diagnosis.report._outcomes import (
     finding,
     make_effect,
     make_outcome,
-    make_perhaps,
+    make_possible,
     make_round,
 )
 
@@ -267,9 +267,9 @@ def test_a_doubt_comes_first_and_above_everything():
     doubts = (finding("Joint 2 stands still."), finding(message, "doubt"))
     for case in CASES.values():
         report = Report(make_outcome(**(case | {"channels": doubts})))
-        assert report.status == "doubtful"
-        assert report.headline.startswith(f"Mend the recording first. {message}")
-        assert str(report).startswith("Mend the recording first.")
+        assert report.status == "faulty"
+        assert report.headline.startswith(f"Fix the recording first. {message}")
+        assert str(report).startswith("Fix the recording first.")
         page = report.to_html()
         assert page.index(message) < page.index("Error of each joint")
         assert '<header class="bad">' in page
@@ -671,12 +671,12 @@ def test_nothing_is_certain(value, expected):
 
 @pytest.fixture(name="open_question")
 def fixture_open_question():
-    """One name, and two that are perhaps."""
-    perhaps = (
-        make_perhaps(2, 3, NAMES),
-        make_perhaps(1, 4, NAMES, doubt=SMALL, evidence=EVIDENCE),
+    """One name, and two that are possible."""
+    possible = (
+        make_possible(2, 3, NAMES),
+        make_possible(1, 4, NAMES, warning=SMALL, evidence=EVIDENCE),
     )
-    return make_outcome(n_effects=1, perhaps=perhaps)
+    return make_outcome(n_effects=1, possible=possible)
 
 
 def test_what_is_perhaps_missing_is_told_with_its_probability(open_question):
@@ -690,15 +690,15 @@ def test_what_is_perhaps_missing_is_told_with_its_probability(open_question):
         assert "why not named" in shown
         assert "undecided" in shown
     data = report.to_dict()
-    assert [e["doubt"] for e in data["effects"]] == [""]
-    assert [e["doubt"] for e in data["perhaps"]] == ["undecided", SMALL]
-    assert data["perhaps"][0]["probability"] == pytest.approx(0.8, abs=0.001)
-    assert data["perhaps"][0]["log_odds"] == pytest.approx(1.386)
+    assert [e["warning"] for e in data["effects"]] == [""]
+    assert [e["warning"] for e in data["possible"]] == ["undecided", SMALL]
+    assert data["possible"][0]["probability"] == pytest.approx(0.8, abs=0.001)
+    assert data["possible"][0]["log_odds"] == pytest.approx(1.386)
     assert data["effects"][0]["log_odds"] == pytest.approx(8.2)
 
 
 def test_what_is_perhaps_missing_is_no_name(open_question):
-    without = Report(replace(open_question, perhaps=()))
+    without = Report(replace(open_question, possible=()))
     report = Report(open_question)
     assert report.headline == without.headline
     assert report.status == without.status
@@ -707,8 +707,8 @@ def test_what_is_perhaps_missing_is_no_name(open_question):
 
 
 def test_with_something_perhaps_nothing_is_not_said_to_be_missing():
-    perhaps = (make_perhaps(2, 3, NAMES),)
-    outcome = make_outcome(n_effects=0, perhaps=perhaps)
+    possible = (make_possible(2, 3, NAMES),)
+    outcome = make_outcome(n_effects=0, possible=possible)
     after = outcome.error_after
     report = Report(replace(outcome, error_before=3 * after, error_plain=3 * after))
     assert report.status == "nothing"
@@ -721,7 +721,7 @@ def test_with_something_perhaps_nothing_is_not_said_to_be_missing():
 
 
 def test_what_is_perhaps_missing_and_does_harm_is_told():
-    outcome = make_outcome(n_effects=0, perhaps=(make_perhaps(2, 3, NAMES),))
+    outcome = make_outcome(n_effects=0, possible=(make_possible(2, 3, NAMES),))
     worse = replace(outcome, error_before=0.5 * outcome.error_after, intervals={})
     report = Report(worse)
     assert report.status == "worse"

@@ -45,7 +45,7 @@ class Search:
         """Return the path to the most probable model, with the declared one fitted."""
         path = Path(self.view, self.library, self.settings, self.max_effects)
         path.begin()
-        path._candidates()
+        path._make_families()
         return path
 
     def run(self):

@@ -148,17 +148,17 @@ def test_alpha_is_the_probability_that_a_name_needs():
         return 0.01 * ripple(r)
 
     found = close(torque, ["ripple"], alpha=0.4)
-    (effect,) = (*found.effects_, *found.perhaps_)
+    (effect,) = (*found.effects_, *found.possible_)
     assert 0.5 < effect.probability < 0.9999
     doubt = 1 - effect.probability
     sure = close(torque, ["ripple"], alpha=min(2 * doubt, 0.45))
     unsure = close(torque, ["ripple"], alpha=doubt / 2)
     assert names(sure) == ["ripple"]
     assert names(unsure) == []
-    (perhaps,) = unsure.perhaps_
-    assert perhaps.probability == pytest.approx(effect.probability)
+    (possible,) = unsure.possible_
+    assert possible.probability == pytest.approx(effect.probability)
     # By its odds, or by what it saves elsewhere.
-    assert perhaps.doubt
+    assert possible.warning
     # The model that is handed over is the same.
     assert (sure.error_after_ == unsure.error_after_).all()
 

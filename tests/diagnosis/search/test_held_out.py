@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis import SearchSettings
-from sklearn_vbjfa.diagnosis.search import HeldOut, Worth, fold_of
+from sklearn_vbjfa.diagnosis.search import CrossValidatedGain, HeldOut, fold_of
 from sklearn_vbjfa.effects import Coulomb, Spring
 from tests.diagnosis.search._searches import CLEAN, coulomb, search, spring
 
@@ -75,7 +75,7 @@ def test_what_an_effect_is_worth_is_what_refits_without_it_lose(fitted, i):
     joint = fit.members[i].effect.joint
     before = literal(fit, found, rest)[:, joint]
     after = literal(fit, found, [0, 1, 2])[:, joint]
-    expected, worth = Worth.of(before, after), found.worth(i)
+    expected, worth = CrossValidatedGain.of(before, after), found.gain_of(i)
     assert worth.gain == pytest.approx(expected.gain, rel=1e-4, abs=1e-6)
     assert worth.gain_std == pytest.approx(expected.gain_std, rel=1e-3, abs=1e-6)
     assert worth.n_blocks == expected.n_blocks
@@ -131,7 +131,7 @@ def test_fewer_are_left_out_in_stretches(groups):
 
 def test_worth_by_hand():
     before, after = np.array([4.0, 6.0, 10.0, 5.0]), np.array([3.0, 6.0, 5.0, 6.0])
-    worth = Worth.of(before, after)
+    worth = CrossValidatedGain.of(before, after)
     saved = np.array([1.0, 0.0, 5.0, -1.0])
     assert worth.gain == pytest.approx(5 / 25)
     assert worth.gain_std == pytest.approx(2 * saved.std() / 25)
@@ -140,6 +140,6 @@ def test_worth_by_hand():
     assert worth.errors == pytest.approx(expected, rel=1e-4)
     assert worth.helped == pytest.approx(2 / 3)
     assert worth.n_blocks == 3
-    nothing = Worth.of(before, before)
+    nothing = CrossValidatedGain.of(before, before)
     assert (nothing.gain, nothing.errors, nothing.n_blocks) == (0.0, 0.0, 0)
-    assert Worth.of(np.zeros(4), np.zeros(4)).gain == 0.0
+    assert CrossValidatedGain.of(np.zeros(4), np.zeros(4)).gain == 0.0

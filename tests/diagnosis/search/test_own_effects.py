@@ -42,7 +42,7 @@ def alone():
 
 def test_a_library_of_one_effect(alone):
     assert named(alone) == SPRING
-    assert alone.perhaps_ == ()
+    assert alone.possible_ == ()
     assert alone.report_.outcome.settings["n_candidates"] == 2
 
 
@@ -62,7 +62,7 @@ def test_what_the_model_has_already_is_never_named(kind, alone):
     inert = own(kind, INERT[kind])
     loop = close([inert, "spring"])
     assert named(loop) == SPRING
-    assert kind not in {e.name for e in loop.perhaps_}
+    assert kind not in {e.name for e in loop.possible_}
     found = loop.effects_[0].parameters["k"]
     assert found == pytest.approx(alone.effects_[0].parameters["k"], rel=1e-6)
     assert kind in {h.name for h in loop.hidden_}
@@ -80,7 +80,7 @@ def test_a_column_of_the_regressor_itself_is_never_named():
 
     loop = close([own("of_a_body", column), "spring"])
     assert named(loop) == SPRING
-    assert "of_a_body" not in {e.name for e in loop.perhaps_}
+    assert "of_a_body" not in {e.name for e in loop.possible_}
 
 
 def test_a_column_twice_is_that_column():
@@ -150,7 +150,7 @@ def test_a_joint_that_never_moves_has_nothing():
         q[:, 1] = 0.3 + reading
         loop = EffectDiscovery(ARM.robot(), effects=["spring", "coupling"])
         loop.fit(q, TORQUE)
-        assert {e.joint for e in (*loop.effects_, *loop.perhaps_)} <= {0}
+        assert {e.joint for e in (*loop.effects_, *loop.possible_)} <= {0}
         assert loop.report_.outcome.unsearched == (1,)
 
 

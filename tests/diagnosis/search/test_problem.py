@@ -15,8 +15,8 @@ from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import (
     Family,
     Fit,
-    Member,
     Problem,
+    SelectedEffect,
     Spectrum,
     spectrum_of,
 )
@@ -44,7 +44,7 @@ class Made(Problem):
     def __init__(self, Z, y, heard):
         bands = np.arange(N + 1)
         Declared.__init__(self, Z, y, bands)
-        self.heard = heard
+        self.used_joints = heard
         self.cosines = SimpleNamespace(
             fill=np.ones(NV), band=bands[:-1], edges=bands, octave=bands[:-1]
         )
@@ -67,7 +67,7 @@ def problem(seed=0, loud=1.0):
 def member(effect, joints, k, seed, scale=0.5):
     """Make an effect with columns of its own, on some joints."""
     rng = np.random.default_rng(seed)
-    return Member(
+    return SelectedEffect(
         effect=effect,
         moments=Moments(
             joints, rng.normal(size=(len(joints), N, 1, k)), np.arange(N + 1)
@@ -135,7 +135,7 @@ def log_density(fit):
     Literal: a dense normal distribution of what is orthogonal to these.
     """
     A, b, precision, mean = dense(fit)
-    heard = np.repeat(fit.problem.heard, N)
+    heard = np.repeat(fit.problem.used_joints, N)
     A, b = A[heard], b[heard]
     left, _, _ = np.linalg.svd(A[:, :R])
     K = left[:, R:]
@@ -207,14 +207,14 @@ def test_without_what_corrects_the_robot_its_corrections_are_undone():
     fit = of(MEMBERS)
     made, weights = problem()
     columns = MEMBERS[2].columns[:, :, 0, 0]
-    made = Made(made.Z, made.y + 0.3 * columns, made.heard)
+    made = Made(made.Z, made.y + 0.3 * columns, made.used_joints)
     expected = Fit(Base(made, weights, SPECTRUM), MEMBERS[:2])
     rest = fit.without(2)
     assert_allclose(rest.theta, expected.theta, rtol=1e-8)
     assert_allclose(rest.residual, expected.residual, atol=1e-8)
     found = fit.log_evidence() - rest.log_evidence()
     # The same as of an effect with all of its value still to be found.
-    whole = Member(
+    whole = SelectedEffect(
         effect=Offset(1),
         moments=MEMBERS[2].moments,
         unit=MEMBERS[2].unit,
@@ -238,7 +238,9 @@ def test_integrating_the_scale_is_the_sum_of_fits_with_one():
     prior = ratio / (1 + ratio**2)
     logs = [
         rest.beside(
-            Member(effect=own.effect, moments=own.moments, unit=own.unit, scale=scale)
+            SelectedEffect(
+                effect=own.effect, moments=own.moments, unit=own.unit, scale=scale
+            )
         ).log_evidence()
         for scale in scales
     ]
@@ -264,7 +266,7 @@ def fitted(path):
 
 
 def test_shapes_of_a_family_do_not_know_of_each_other(path, fitted):
-    whole = path.candidates[0][-1]
+    whole = path.families[0][-1]
     groups = fitted.groups(whole)
     for c in (0, len(whole.effects) // 2, len(whole.effects) - 1):
         own = Family(

@@ -29,13 +29,13 @@ from tests.diagnosis.search._searches import (
 def test_candidates_are_what_can_be_looked_for():
     robot = CLEAN.robot(friction=("viscous", "coulomb"))
     path = search(CLEAN.torque(), "all", robot=robot).path()
-    names = {family.effects[0].name for family in path.candidates[0]}
+    names = {family.effects[0].name for family in path.families[0]}
     assert not names & {"viscous", "coulomb", "payload"}
     assert {"stribeck", "coupling", "backlash"} <= names
-    for joint, families in path.candidates.items():
+    for joint, families in path.families.items():
         assert {e.joint for family in families for e in family.effects} == {joint}
-    assert "payload" in {family.effects[0].name for family in path.candidates[1]}
-    assert path.n_candidates == sum(map(len, path.candidates.values()))
+    assert "payload" in {family.effects[0].name for family in path.families[1]}
+    assert path.n_candidates == sum(map(len, path.families.values()))
     assert path.log_prior == pytest.approx(-np.log(path.n_candidates))
 
 

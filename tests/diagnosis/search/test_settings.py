@@ -110,7 +110,7 @@ def test_what_a_name_must_save_and_how_surely(usual):
     ):
         loop = close(settings=replace(SearchSettings(), **{name: value}))
         assert loop.effects_ == ()
-        (perhaps,) = loop.perhaps_
-        assert perhaps.doubt not in ("", "undecided")
+        (possible,) = loop.possible_
+        assert possible.warning not in ("", "undecided")
         # The model is the same.
         assert (loop.error_after_ == usual.error_after_).all()

@@ -50,14 +50,14 @@ def test_plain_terms_are_added_and_not_discovered(loops):
     for friction, loop in loops.items():
         assert loop.added_ == tuple(name for name in PLAIN if name not in friction)
         assert loop.declared_.features_.friction_ == friction
-        for robot in (loop.plain_, loop.judged_, loop.identifier_):
+        for robot in (loop.baseline_, loop.judged_, loop.identifier_):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
         assert not {r.name for r in loop.rounds_} & set(PLAIN)
         assert ("Added on every joint" in loop.report_.to_markdown()) == bool(
             loop.added_
         )
-    assert loops[PLAIN].declared_ is loops[PLAIN].plain_
+    assert loops[PLAIN].declared_ is loops[PLAIN].baseline_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()
 
@@ -72,7 +72,7 @@ def test_the_three_errors_are_those_of_the_three_models(loops):
     torque = lacking()
     for robot, error in (
         (loop.declared_, loop.error_before_),
-        (loop.plain_, loop.error_plain_),
+        (loop.baseline_, loop.error_plain_),
         (loop.judged_, loop.error_after_),
     ):
         rest = robot.residuals(ARM.position, torque)

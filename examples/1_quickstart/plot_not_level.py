@@ -59,8 +59,7 @@ for effect in loop.effects_:
         value, true = effect.parameters[symbol], truth[symbol]
         print(f"  {symbol} = {value:.4f} ({low:.4f} to {high:.4f}), true {true:.4f}")
 
-told = loop.report_.to_markdown()
-print(told[told.index("## Effects that were") : told.index("## What to do next")])
+print(loop.report_)
 
 # %%
 # The same without these effects

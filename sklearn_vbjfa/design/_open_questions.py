@@ -85,16 +85,6 @@ def _read_folder(path):
             f"{str(file)!r} is not a report of close-loop: it lacks 'effects' or "
             "'joint_names'."
         )
-    from sklearn_vbjfa.diagnosis.report._report import SCHEMA_VERSION
-
-    # Older ones hold all that is read here, the first without a number.
-    version = found.get("schema_version", 0)
-    if not isinstance(version, int) or version > SCHEMA_VERSION:
-        raise ValueError(
-            f"{str(file)!r}: 'schema_version' is {version!r}, and this release reads "
-            f"reports of versions up to {SCHEMA_VERSION}: install a newer "
-            "sklearn-vbjfa, or make the report again."
-        )
     return found
 
 

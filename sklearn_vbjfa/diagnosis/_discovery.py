@@ -135,8 +135,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     joint_names_ : tuple of str
         Joints in Pinocchio's order, which is the column order of X and y.
     report_ : Report
-        Report of all results: ``print(discovery.report_)``, `to_dict`, `to_markdown`,
-        `to_html`.
+        Report of all results: ``print(discovery.report_)``, `to_dict`, `to_html`.
     n_features_in_ : int
         Number of columns of X.
 
@@ -583,7 +582,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.torque_spread_ = outcome.spread
         self.consistency_cost_ = np.full(outcome.spread.size, np.nan)
         if outcome.projection is not None:
-            self.consistency_cost_ = outcome.projection.price
+            self.consistency_cost_ = outcome.projection.cost
         self.unexplained_, self.hidden_ = outcome.unexplained, outcome.hidden
         self.report_ = Report(outcome)
         return self

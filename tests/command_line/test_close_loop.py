@@ -117,7 +117,6 @@ def test_files_are_written(kind, urdf, recording, tmp_path, monkeypatch, capsys)
     folder = tmp_path / "swing-report"
     assert sorted(path.name for path in folder.iterdir()) == FILES
     report = json.loads((folder / "report.json").read_text(encoding="utf-8"))
-    assert report["schema_version"] == 11
     (effect,) = report["effects"]
     assert (effect["name"], effect["joint"]) == ("spring", 0)
     low, high = effect["intervals"]["k"]

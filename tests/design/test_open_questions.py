@@ -1,7 +1,6 @@
 """What a report leaves open becomes what the motion decides."""
 
 import json
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,8 +9,6 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import design_motion  # noqa: E402
-from sklearn_vbjfa.design._open_questions import open_effects, read_report  # noqa: E402
-from sklearn_vbjfa.diagnosis.report._report import SCHEMA_VERSION  # noqa: E402
 from sklearn_vbjfa.effects import Ripple, Spring  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
@@ -149,26 +146,9 @@ def test_reports_that_are_none(path, tmp_path, loop):
     (tmp_path / "report.json").write_text("{}", encoding="utf-8")
     with pytest.raises(ValueError, match="not a report of close-loop"):
         problem_of(path, report=tmp_path)
-    newer = loop.report_.to_dict() | {"schema_version": SCHEMA_VERSION + 1}
-    (tmp_path / "report.json").write_text(json.dumps(newer), encoding="utf-8")
-    with pytest.raises(ValueError, match=r"is \d+, and this release .* a newer"):
-        problem_of(path, report=tmp_path)
     other = chain(tmp_path, ("revolute",) * 2, name="other")
     with pytest.raises(ValueError, match="report is of joints chain_1, chain_2"):
         problem_of(other, report=loop)
-
-
-def test_a_report_of_an_older_version_is_asked():
-    # Schema 5, of the recording that comes with the package.
-    report = read_report(Path(__file__).with_name("report_of_schema_5.json"))
-    names = [f"joint_{j + 1}" for j in range(6)]
-    asked = {
-        (one.effect.name, one.effect.joint)
-        for one in open_effects(report, names)
-        if one.why == "report"
-    }
-    # What was found, and what that recording could not show.
-    assert asked == {("load_friction", 1), ("spring", 1)}
 
 
 def test_a_report_bends_the_motion_and_tells_what_it_shows(loop):

@@ -25,8 +25,7 @@ from sklearn_vbjfa.design import (
 )
 from sklearn_vbjfa.diagnosis.report import line_figure
 from sklearn_vbjfa.effects import available
-from tests.diagnosis.report.test_page import figures, numbers
-from tests.diagnosis.report.test_report import parsed
+from tests.diagnosis.report._pages import figures, numbers, parsed
 
 pytest.importorskip("pinocchio")
 

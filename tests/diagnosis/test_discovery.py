@@ -19,6 +19,7 @@ from sklearn_vbjfa.effects import Effect, Shaped
 from sklearn_vbjfa.recording import take_arrays
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.report._pages import text_of
 from tests.effects._arms import inverse_dynamics, play_sample_by_sample
 from tests.robot import test_drives as drives
 
@@ -232,7 +233,7 @@ def test_effects_carry_what_is_needed(one):
     coef = one.identifier_.theta_[at:]
     assert effect.parameters == pytest.approx(effect.effect.parameters(coef))
     assert one.error_before_.shape == one.error_after_.shape == (2,)
-    assert "spring" in one.report_.to_markdown()
+    assert "spring" in text_of(one.report_)
 
 
 def test_effects_carry_the_ranges_that_they_were_fitted_on(one):
@@ -269,9 +270,7 @@ def test_untouched_data_outside_of_the_fit_are_told():
     assert one.fitted == (low, high)
     assert max(low - one.reached, one.reached - high) > 0.2 * (high - low)
     assert 0.05 < one.share < 1.0
-    assert (
-        "Outside the range of the fit, on held-out data" in loop.report_.to_markdown()
-    )
+    assert "Outside the range of the fit, on held-out data" in text_of(loop.report_)
 
 
 def test_intervals_of_the_errors_hold_them(one):
@@ -348,7 +347,7 @@ def test_the_model_that_is_handed_over_knows_all_data(one):
     known = np.isfinite(less)
     assert known.any()
     assert np.all(more[known] < 1.2 * less[known])
-    assert "fitted to all data" in one.report_.to_markdown()
+    assert "fitted to all data" in text_of(one.report_)
 
 
 def test_prediction_is_that_of_the_completed_model(one):
@@ -519,7 +518,7 @@ def test_an_effect_of_ones_own():
     assert effect.parameters["k3"] == pytest.approx(3.0, rel=0.05)
     assert effect.units["k3"] == "N m/rad^3"
     report = loop.report_
-    for text in (str(report), report.to_markdown(), report.to_html()):
+    for text in (str(report), text_of(report), report.to_html()):
         assert "stiffening cable" in text
         # Names are for code, and for the parameters as files have them.
         told = text.split("Identified parameters")[0].split("Looked for")[0]

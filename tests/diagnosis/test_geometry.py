@@ -15,6 +15,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
 from tests.diagnosis._faulty import with_faults
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.report._pages import text_of
 from tests.diagnosis.search.test_branches import arms
 from tests.effects._arms import inverse_dynamics
 from tests.model._legs import legs_mjcf
@@ -87,7 +88,7 @@ def test_the_completed_model_holds_the_value(one_fault):
     assert_allclose(own.values, truth.values, atol=0.01)
     assert_allclose(loop.identifier_.theta_[-own.values.size :], own.values)
     assert loop.declared_.effects_ == ()
-    text = " ".join(loop.report_.to_markdown().lower().split())
+    text = " ".join(text_of(loop.report_).lower().split())
     assert f"{truth.label} " in text
     assert "was missing" in text
 

@@ -8,6 +8,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from tests._quick import one_in
 from tests.diagnosis._recordings import named
+from tests.diagnosis.report._pages import text_of
 from tests.effects._arms import arm, inverse_dynamics
 
 DT = 0.02
@@ -87,7 +88,7 @@ def test_coarse_torques_are_told_and_name_nothing(step):
         assert loop.effects_ == ()
         assert loop.report_.status == "unsearched"
         assert loop.report_.outcome.unsearched == (0, 1)
-        assert "steps of" in loop.report_.to_markdown()
+        assert "steps of" in text_of(loop.report_)
         assert np.isfinite(loop.error_after_).all()
 
 

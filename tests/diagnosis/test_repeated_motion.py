@@ -6,6 +6,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from tests.diagnosis.report._pages import text_of  # noqa: E402
 
 PERIOD, DT, TIMES = 10.0, 0.01, 6
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -64,10 +65,8 @@ def test_a_curve_of_the_phase_has_no_name(seed, recordings):
     (motion,) = loop.report_.outcome.repeated
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
     assert motion.count == pytest.approx(TIMES, rel=0.01)
-    assert "Motion that repeats: one of" in loop.report_.to_markdown()
-    assert (
-        "a motion that does not repeat (design makes one)" in loop.report_.to_markdown()
-    )
+    assert "Motion that repeats: one of" in text_of(loop.report_)
+    assert "a motion that does not repeat (design makes one)" in text_of(loop.report_)
 
 
 def test_an_effect_that_the_phases_show_is_named():

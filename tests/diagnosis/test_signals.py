@@ -10,6 +10,7 @@ from sklearn_vbjfa.diagnosis import ResidualDisplay
 from sklearn_vbjfa.effects import Signal
 from tests._quick import one_in
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.report._pages import text_of
 
 ONE = record("ZY", duration=30.0, seed=2)
 SHARE = ONE.t / ONE.t[-1]
@@ -82,7 +83,7 @@ def test_a_drift_that_explains_as_much_is_its_rival():
     loop = close(heated(warming), {"temperature": warming})
     assert named(loop) == [("signal", 0)]
     assert "drift" in the_signal(loop).rivals
-    assert "drift of the Coulomb friction with time" in loop.report_.to_markdown()
+    assert "drift of the Coulomb friction with time" in text_of(loop.report_)
 
 
 def test_a_signal_that_nothing_varies_with_is_not_named():
@@ -122,10 +123,7 @@ def test_what_varies_is_named(of):
     low, high = found.intervals["k"]
     assert low < 0.8 < high
     label = {"offset": "Offset", "viscous": "Viscous friction"}[of]
-    assert (
-        f"{label.lower()} that varies with gripper"
-        in loop.report_.to_markdown().lower()
-    )
+    assert f"{label.lower()} that varies with gripper" in text_of(loop.report_).lower()
 
 
 # -- rivals
@@ -143,7 +141,7 @@ def test_signals_that_go_together_are_rivals(both):
     assert slope < 0
     said = " ".join(str(both.report_).split())
     assert f"this data cannot tell it from signal: {other}" in said
-    assert f"that varies with {other}" in both.report_.to_markdown()
+    assert f"that varies with {other}" in text_of(both.report_)
 
 
 def test_a_signal_of_its_own_is_no_rival():
@@ -176,8 +174,8 @@ def test_a_prediction_needs_the_signal(warm):
 def test_the_report_names_the_signals(both, warm):
     outcome = both.report_.to_dict()
     assert outcome["settings"]["signals"] == ["temperature", "kp"]
-    assert "temperature, kp" in both.report_.to_markdown()
-    for text in (warm.report_.to_html(), warm.report_.to_markdown()):
+    assert "temperature, kp" in text_of(both.report_)
+    for text in text_of(warm.report_):
         said = " ".join(text.split())
         assert "Coulomb friction that varies with temperature" in said
         assert "N m per unit of temperature" in said
@@ -188,7 +186,7 @@ def test_without_signals_nothing_is_said_of_them():
     loop = close(heated(np.full(SHARE.size, 25.0)), None)
     assert "signal" not in {one.name for one in loop.hidden_}
     assert loop.report_.to_dict()["settings"]["signals"] == []
-    assert "varies with" not in loop.report_.to_markdown()
+    assert "varies with" not in text_of(loop.report_)
 
 
 def test_what_remains_varies_with_a_signal_without_a_name():
@@ -230,7 +228,7 @@ def test_columns_of_a_frame_are_candidates_and_the_report_says_which_are_not(war
     assert set(found) == {"gaps", "fixed", "operator", "reference", "clock", "t"}
     assert {c.kind for c in found.values()} == {"unusable_signal"}
     assert {c.severity for c in found.values()} == {"warning"}
-    said = " ".join(loop.report_.to_markdown().split())
+    said = " ".join(text_of(loop.report_).split())
     for reason in (
         "'gaps' is not used as a signal: it has gaps",
         "'fixed' is not used as a signal: it is constant (12 in all rows)",

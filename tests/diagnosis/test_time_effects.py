@@ -9,6 +9,7 @@ pytest.importorskip("pinocchio")
 
 from tests._quick import checkered
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.report._pages import text_of
 
 ONE = record("ZY", duration=30.0, seed=2)
 LENGTH = 30.0
@@ -81,7 +82,7 @@ def test_the_report_says_what_is_left_and_how_well_it_is_known(warming):
     assert high - low < 0.2
     data = warming.report_.to_dict()["effects"]
     assert [e["afterwards"]["seconds"] for e in data] == [after.seconds]
-    for text in (warming.report_.to_html(), warming.report_.to_markdown()):
+    for text in text_of(warming.report_):
         said = " ".join(text.split())
         assert "after 30 s it fades on from 0.2" in said
 
@@ -129,6 +130,6 @@ def test_a_payload_stays():
     (payload,) = loop.effects_
     assert payload.afterwards.left == {}
     assert payload.afterwards.how == "stays"
-    assert "after 30 s it stays" in " ".join(loop.report_.to_markdown().split())
+    assert "after 30 s it stays" in " ".join(text_of(loop.report_).split())
     with pytest.warns(UserWarning, match="change of payload predicted up to 30 s"):
         loop.predict(ONE.position, t=ONE.t + LENGTH)

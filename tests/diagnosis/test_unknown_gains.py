@@ -12,6 +12,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.effects import Payload  # noqa: E402
 from sklearn_vbjfa.recording import RecordingRefused  # noqa: E402
+from tests.diagnosis.report._pages import text_of  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT, NV = 0.02, 3
@@ -79,9 +80,7 @@ def test_a_payload_that_is_found_fixes_the_common_gain(recording):
     assert_allclose(found["spring"].parameters["k"], STIFFNESS, rtol=0.05)
     low, high = found["spring"].intervals["k"]
     assert low - (high - low) < STIFFNESS < high + (high - low)
-    assert "rests on the payload of 1.5 kg" in " ".join(
-        loop.report_.to_markdown().split()
-    )
+    assert "rests on the payload of 1.5 kg" in " ".join(text_of(loop.report_).split())
 
 
 def test_the_reference_stays_and_gains_are_not_searched(recording):

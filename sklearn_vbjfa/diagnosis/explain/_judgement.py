@@ -81,7 +81,7 @@ class ConsistencyCost:
     interval: np.ndarray
     # (nv,): difference where it is above 0 by more than its interval, and as large as
     # what an effect has to save to be named; 0 elsewhere, nan where unknown
-    price: np.ndarray
+    cost: np.ndarray
     # the most costly first; empty where the constraints cost nothing or no single one
     # of them does
     pushed: tuple = ()
@@ -94,7 +94,7 @@ class ConsistencyCost:
     @property
     def costs(self):
         """Joints whose error the constraints raise by more than chance, (nv,), bool."""
-        return self.price > 0
+        return self.cost > 0
 
 
 def without_constraints(robot):
@@ -104,7 +104,7 @@ def without_constraints(robot):
     return other
 
 
-def price_of(robot, untouched, searched, spread, step):
+def cost_of(robot, untouched, searched, spread, step):
     """Price of the constraints of a fitted identifier, a `ConsistencyCost`."""
     # untouched, searched: pairs of `TorqueResiduals`, with its unconstrained and with
     # its own parameters; spread (nv,): of the torque [N m or N]; step: time between
@@ -113,9 +113,9 @@ def price_of(robot, untouched, searched, spread, step):
     interval = error_intervals(untouched, searched, spread, step)["difference"]
     with np.errstate(invalid="ignore"):
         material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
-        price = np.where((interval[0] > 0) & material, held - free, 0.0)
-    price[~np.isfinite(held - free)] = np.nan
-    found = ConsistencyCost(free=free, held=held, interval=interval, price=price)
+        cost = np.where((interval[0] > 0) & material, held - free, 0.0)
+    cost[~np.isfinite(held - free)] = np.nan
+    found = ConsistencyCost(free=free, held=held, interval=interval, cost=cost)
     if not found.costs.any():
         return found
     channel, share = _channel(robot)
@@ -129,9 +129,9 @@ def _distance(metric, theta, other):
 
 
 def concerned(robot):
-    """Joints of the branch that most of the price stems from, list of int."""
+    """Joints of the branch that most of the cost stems from, list of int."""
     # The branches of a robot share no parameter: what is constrained or measured on
-    # one cannot be most of the price unless the branch is. All joints if there is but
+    # one cannot be most of the cost unless the branch is. All joints if there is but
     # one.
     projector, theta = robot.projector_, robot.theta_unconstrained_
     covered = projector.n_features_in_
@@ -147,7 +147,7 @@ def concerned(robot):
 
 
 def _pushed(robot):
-    """Bodies and friction whose constraint alone is most of the price."""
+    """Bodies and friction whose constraint alone is most of the cost."""
     projector, theta = robot.projector_, robot.theta_unconstrained_
     covered = projector.n_features_in_
     whole = _distance(projector.metric_, theta[:covered], robot.theta_[:covered])
@@ -160,7 +160,7 @@ def _pushed(robot):
         own = slice(joint * per_joint, (joint + 1) * per_joint)
         friction = signs[(signs >= own.start) & (signs < own.stop)]
         lifted = []
-        # A robot needs a body; of a single one the whole price is its own.
+        # A robot needs a body; of a single one the whole cost is its own.
         if starts.size > 1:
             others = starts[starts != own.start]
             lifted.append(("body", {"body_starts": others, "nonnegative": signs}))
@@ -225,7 +225,7 @@ def _moved(robot, joint, kind, share):
 
 def _channel(robot):
     """Joint without whose torques most constraints are not needed, and how much."""
-    # (None, nan) if no joint stands out: its share has to be most of the price, and
+    # (None, nan) if no joint stands out: its share has to be most of the cost, and
     # what is left without it less than half of what is left without any other.
 
     # The fit is repeated without the torques of each joint in turn.
@@ -294,7 +294,7 @@ class Judgement:
     guard: float  # time left out next to the search part [s]
     band: Band  # of the fit
     # what consistent parameters cost; None if they were not made consistent
-    price: ConsistencyCost | None
+    cost: ConsistencyCost | None
     spectra: tuple = ()  # of the residuals before and after, see `SpectrumCurves`
     # where the held-out part leaves what the completed model was fitted on
     outside: tuple = ()
@@ -368,11 +368,11 @@ def judge(models, found, split, near, whole, commanded):
     full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
     seconds = (before.weight / full).sum(axis=0) * step
     cutoff = min(completed.cutoff_, 0.5 / dt)
-    price = None
+    cost = None
     if completed.projector_ is not None:
         free = without_constraints(completed).robot_.residuals_of(rest)
         of_free = fit.residuals_of(completed.theta_unconstrained_)
-        price = price_of(
+        cost = cost_of(
             completed,
             (_numbered(free, rows), after),
             (_numbered(of_free, seen), of_completed),
@@ -399,7 +399,7 @@ def judge(models, found, split, near, whole, commanded):
             models.plain.cutoff,
             max(part.stop - part.start for part in split.searched_parts),
         ),
-        price=price,
+        cost=cost,
         outside=completed.robot_.outside_of(rest),
         spectra=told,
         looked_at=_looked_at(model.view, split),

@@ -280,7 +280,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         library={e.name: e for e in (*resolve(declarable()), *search.library)},
         settings=_settings(search, judgement, asked),
         band=judgement.band,
-        projection=judgement.price,
+        projection=judgement.cost,
         bodies=body_masses(final.identifier),
         recordings=recordings,
         motion_limits=motion_limits(final.view),

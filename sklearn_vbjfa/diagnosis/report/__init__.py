@@ -1,4 +1,4 @@
-"""What was found, as text, Markdown, HTML and JSON."""
+"""What was found, as text, HTML and JSON."""
 
 from sklearn_vbjfa import _lazily
 from sklearn_vbjfa.diagnosis.report import _words as words

@@ -132,25 +132,25 @@ def interval_text(settings):
 
 def projection_sentences(outcome, verdict):
     """Say what physically consistent parameters cost, and where that comes from."""
-    price = outcome.projection
-    if price is None or not price.costs.any():
+    cost = outcome.projection
+    if cost is None or not cost.costs.any():
         return ()
     names = outcome.joint_names
     costs = [
-        f"{words.joint_label(names, j)} from {words.bare_percent(price.free[j])} to "
-        f"{words.percent(price.held[j])}"
-        for j in np.flatnonzero(price.costs)
+        f"{words.joint_label(names, j)} from {words.bare_percent(cost.free[j])} to "
+        f"{words.percent(cost.held[j])}"
+        for j in np.flatnonzero(cost.costs)
     ]
     text = "Requiring physically possible masses raises the error of "
     text += words.join(costs, 6)
-    pushed = [_pushed(one, names) for one in price.pushed]
+    pushed = [_pushed(one, names) for one in cost.pushed]
     if pushed:
         text += f": {words.join(pushed, 3, 'or')}"
     cause = "a wrong gain of the torque channel, a wrong geometry or a missing effect"
-    if price.channel is None:
+    if cost.channel is None:
         return f"{text}.", f"Possible causes: {cause}."
-    channel = words.joint_label(names, price.channel)
-    share = words.whole_percent(price.channel_share)
+    channel = words.joint_label(names, cost.channel)
+    share = words.whole_percent(cost.channel_share)
     return (
         f"{text}.",
         f"Without the torque of {channel} {share} of this disappears; possible causes "

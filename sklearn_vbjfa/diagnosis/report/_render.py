@@ -1,9 +1,4 @@
-"""What a section is, and how it becomes text, Markdown and a page.
-
-A section is made by one function of the outcome and the verdict on it; the list of them
-is in ``_report.py``. Text, Markdown and pages show what it returns; a page draws it by
-the template that it names, ``templates/section.html.j2`` if it has no look of its own.
-"""
+"""What a section is, and how it becomes text and a page."""
 
 import contextlib
 import html
@@ -179,11 +174,6 @@ def text_table(heads, rows, *, numbers):
     return "\n".join(line.rstrip() for line in table.splitlines())
 
 
-def markdown(sections):
-    """Write the sections as Markdown."""
-    return _template("report.md.j2").render(sections=sections)
-
-
 def page(sections, package=None):
     """Write the sections as a whole page."""
     # package: dotted name of one whose folder ``templates`` has further templates.
@@ -232,12 +222,11 @@ def _template(name, package=None):
     """Load a template, in which every value is escaped."""
     from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
 
-    is_page = name.endswith(".html.j2")
     packages = filter(None, ("sklearn_vbjfa.diagnosis.report", package))
     environment = Environment(
         loader=ChoiceLoader([PackageLoader(one) for one in packages]),
-        autoescape=is_page,
-        finalize=_page_value if is_page else _markdown_value,
+        autoescape=True,
+        finalize=_page_value,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -277,9 +266,3 @@ def _page_value(value):
     ):
         value = value.replace(plain, sign)
     return value
-
-
-def _markdown_value(value):
-    """Escape what Markdown would read as markup."""
-    value = value if isinstance(value, str) else ", ".join(value)
-    return re.sub(r"([\\`*_|<>])", r"\\\1", " ".join(value.split())).replace("+-", "±")

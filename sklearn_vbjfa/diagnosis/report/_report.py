@@ -18,8 +18,6 @@ from sklearn_vbjfa.diagnosis.report import (
 )
 from sklearn_vbjfa.diagnosis.report import _words as words
 
-# Changes when keys of `to_dict` do.
-SCHEMA_VERSION = 11
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
 
@@ -43,7 +41,7 @@ SECTIONS = (
     _findings.hidden,
     _render.paragraph("Limits of the recordings", _limits.recording_sentences),
     _findings.outside,
-    _render.paragraph("Price of physical consistency", _limits.projection_sentences),
+    _render.paragraph("Cost of physical consistency", _limits.projection_sentences),
     _render.paragraph("Masses", _limits.mass_sentences),
     _limits.alike,
     _evidence.parameters,
@@ -124,8 +122,8 @@ class Report:
         Returns
         -------
         dict
-            Lists instead of arrays, None instead of nan, joints from zero;
-            ``"schema_version"`` changes when keys do. ``"effects"`` have a name,
+            Lists instead of arrays, None instead of nan, joints from zero.
+            ``"effects"`` have a name,
             ``"possible"`` are more probable than not and have none; both with
             ``"log_odds"`` and ``"probability"``. Values are in SI units; an effect
             of the robot model has them in degrees, mm or per cent as well, under
@@ -133,7 +131,6 @@ class Report:
             the base, zeros of encoders, axes and gains of torque channels.
         """
         data = {
-            "schema_version": SCHEMA_VERSION,
             "status": self.status,
             "headline": self.headline,
             "verdict": self.verdict,
@@ -148,16 +145,6 @@ class Report:
                 if _plain.in_model(self.outcome, effect):
                     told["plain"] = _json(_plain.plain_values(effect))
         return data
-
-    def to_markdown(self):
-        """Return the report as Markdown.
-
-        Returns
-        -------
-        str
-            Tables and lists.
-        """
-        return _render.markdown(self._sections)
 
     def to_html(self):
         """Return the report as one self-contained page.

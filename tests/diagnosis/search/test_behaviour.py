@@ -8,6 +8,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.diagnosis.explain import _split
 from tests.diagnosis._recordings import named, record
+from tests.diagnosis.report._pages import text_of
 
 ONE = record("Y", seed=0, duration=24.0)
 ARM = record("ZY", seed=2, duration=30.0)
@@ -186,12 +187,12 @@ def test_the_report_says_where_a_recording_is_too_short():
     ((joint, seconds),) = settings["too_short"]
     assert joint == 0
     assert seconds is None or seconds > SEARCHED / 12
-    for text in (loop.report_.to_html(), loop.report_.to_markdown()):
+    for text in text_of(loop.report_):
         said = " ".join(text.split())
         assert "Too short for the residual of joint 1, which stays correlated" in said
     clean = close(lambda r: 0.0, ["offset", "drift"])
     assert clean.report_.to_dict()["settings"]["too_short"] == []
-    assert "Too short" not in clean.report_.to_markdown()
+    assert "Too short" not in text_of(clean.report_)
 
 
 SLOW = ["drift", "payload", "ripple", "viscous_quadratic", "spring"]
@@ -228,7 +229,7 @@ def test_the_report_prints_what_was_applied():
     assert settings["n_candidates"] == 2
     assert settings["search"]["expected"] == 1.0
     assert settings["search"]["worth"] == 0.02
-    markdown = loop.report_.to_markdown()
+    markdown = text_of(loop.report_)
     said = " ".join(markdown.split())
     assert "An effect is named if its probability is at least 95 % (2 cand" in said
     assert "it saves at least 2 % of the squared error" in said

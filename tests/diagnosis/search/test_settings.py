@@ -11,6 +11,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.diagnosis import SearchSettings
 from tests.diagnosis._recordings import record
+from tests.diagnosis.report._pages import text_of
 
 ARM = record("ZY", seed=0, duration=20.0)
 TORQUE = ARM.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0)
@@ -86,7 +87,7 @@ def test_half_the_expected_effects_are_half_the_odds(usual):
     assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), abs=1e-6)
     assert other.parameters == one.parameters
     assert half.report_.to_dict()["settings"]["search"]["expected"] == 0.5
-    said = " ".join(half.report_.to_markdown().split())
+    said = " ".join(text_of(half.report_).split())
     assert "candidates, of which 0.5 is expected before looking" in said
 
 

@@ -7,6 +7,7 @@ from numpy.testing import assert_allclose
 pytest.importorskip("pinocchio")
 
 from tests.diagnosis._recordings import DT, named, record
+from tests.diagnosis.report._pages import text_of
 from tests.diagnosis.search._searches import stribeck
 
 ARM = record("ZY", seed=4, duration=30.0)
@@ -54,9 +55,7 @@ def test_plain_terms_are_added_and_not_discovered(loops):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
         assert not {r.name for r in loop.rounds_} & set(PLAIN)
-        assert ("Added on every joint" in loop.report_.to_markdown()) == bool(
-            loop.added_
-        )
+        assert ("Added on every joint" in text_of(loop.report_)) == bool(loop.added_)
     assert loops[PLAIN].declared_ is loops[PLAIN].baseline_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
     assert (loops[()].error_before_ > 1.5 * loops[()].error_plain_).all()

@@ -6,6 +6,7 @@ import pytest
 from sklearn_vbjfa.diagnosis import Report
 from sklearn_vbjfa.robot import estimate, project
 from tests.diagnosis._recordings import record
+from tests.diagnosis.report._pages import text_of
 
 ARM = record("ZYY", seed=3)
 TWO = record("ZY")
@@ -34,31 +35,31 @@ def test_a_sound_recording_costs_nothing():
     loop = ARM.discover(ARM.torque(), **CLOSED)
     assert (loop.consistency_cost_ == 0).all()
     assert "cost" not in str(loop.report_)
-    price = loop.report_.outcome.projection
-    assert (price.pushed, price.channel) == ((), None)
+    cost = loop.report_.outcome.projection
+    assert (cost.pushed, cost.channel) == ((), None)
 
 
 def test_errors_are_those_of_models_with_and_without_constraints(gain):
     torque, loop = gain
-    price = loop.report_.outcome.projection
-    assert price.held == pytest.approx(loop.error_after_)
+    cost = loop.report_.outcome.projection
+    assert cost.held == pytest.approx(loop.error_after_)
     # A model that was never projected, fitted anew to the same rows.
     free = ARM.discover(torque, robot=ARM.robot(projector=None), **CLOSED)
     assert free.report_.outcome.projection is None
     assert np.isnan(free.consistency_cost_).all()
     assert [e.name for e in free.effects_] == [e.name for e in loop.effects_]
-    assert price.free == pytest.approx(free.error_after_, rel=1e-6)
+    assert cost.free == pytest.approx(free.error_after_, rel=1e-6)
 
 
 def test_the_channel_with_the_wrong_gain_is_named(gain):
     _, loop = gain
-    price = loop.report_.outcome.projection
-    assert price.costs.tolist() == [False, True, False]
-    assert price.price[1] == price.held[1] - price.free[1]
-    assert (price.interval[0] > 0).tolist() == [False, True, False]
-    assert price.channel == 1
-    assert price.channel_share > 0.99
-    for text in (loop.report_.to_markdown(), loop.report_.to_html()):
+    cost = loop.report_.outcome.projection
+    assert cost.costs.tolist() == [False, True, False]
+    assert cost.cost[1] == cost.held[1] - cost.free[1]
+    assert (cost.interval[0] > 0).tolist() == [False, True, False]
+    assert cost.channel == 1
+    assert cost.channel_share > 0.99
+    for text in (text_of(loop.report_), loop.report_.to_html()):
         assert "Without the torque of joint 2 " in " ".join(text.split())
 
 
@@ -76,8 +77,8 @@ def test_the_channel_s_share_is_what_a_fit_without_it_saves(gain):
     weights = robot.estimator_.joint_weights_
     without = weights * np.array([1.0, 0.0, 1.0])
     left = distance(without) / distance(weights)
-    price = loop.report_.outcome.projection
-    assert price.channel_share == pytest.approx(1 - left, abs=1e-6)
+    cost = loop.report_.outcome.projection
+    assert cost.channel_share == pytest.approx(1 - left, abs=1e-6)
 
 
 def test_the_unit_of_the_torque_does_not_matter(gain):
@@ -88,8 +89,8 @@ def test_the_unit_of_the_torque_does_not_matter(gain):
 
 
 def test_friction_that_drives_is_named_with_its_value(driven):
-    price = driven.report_.outcome.projection
-    (pushed,) = price.pushed
+    cost = driven.report_.outcome.projection
+    (pushed,) = cost.pushed
     assert (pushed.joint, pushed.kind, pushed.name) == (0, "friction", "joint_1")
     assert (pushed.parameter, pushed.unit) == ("viscous", "N m s/rad")
     assert pushed.free == pytest.approx(0.8 - 1.3, abs=0.01)
@@ -99,21 +100,21 @@ def test_friction_that_drives_is_named_with_its_value(driven):
     # What is left is what noise pushes of the five other terms that must not be
     # negative: of chi-squared with as many degrees of freedom, 95 % is below this.
     assert (1.0 - pushed.share) * pushed.deviations**2 < 11.1
-    text = " ".join(driven.report_.to_markdown().split())
+    text = " ".join(text_of(driven.report_).split())
     moved = f"viscous {pushed.free:.3g} to 0 N m s"
     assert f"the friction of joint 1 is held at zero ({moved}" in text
 
 
 def test_the_dict_has_the_price_and_what_it_comes_from(driven):
     data = driven.report_.to_dict()["projection"]
-    assert data["price"] == driven.consistency_cost_.tolist()
+    assert data["cost"] == driven.consistency_cost_.tolist()
     assert data["pushed"][0]["kind"] == "friction"
     assert data["channel"] == 0
 
 
 def test_a_price_within_chance_is_not_mentioned(driven):
     outcome = driven.report_.outcome
-    nothing = replace(outcome.projection, price=np.zeros(2))
+    nothing = replace(outcome.projection, cost=np.zeros(2))
     report = Report(replace(outcome, projection=nothing))
-    assert "physically possible" not in report.to_markdown()
-    assert "physically possible" in driven.report_.to_markdown()
+    assert "physically possible" not in text_of(report)
+    assert "physically possible" in text_of(driven.report_)

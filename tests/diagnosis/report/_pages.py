@@ -1,0 +1,197 @@
+"""Pages of outcomes that were never measured, and how they are read."""
+
+import json
+import re
+from dataclasses import replace
+from html import unescape
+from html.parser import HTMLParser
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.explain import (
+    CommandsAlone,
+    FrictionCurves,
+    ParameterValue,
+    Provenance,
+    RecordedMotion,
+    SpectrumCurves,
+    TimeLine,
+    TorqueCurves,
+    cloud_size,
+    curve_size,
+    curves_over,
+)
+from sklearn_vbjfa.effects import Ripple
+from tests.diagnosis.report._outcomes import make_outcome
+
+FILES = ("report.json", "parameters.csv", "identified.urdf")
+
+
+def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
+    """Make an outcome with all that a page draws."""
+    outcome = make_outcome(nv=nv, names=names, n_effects=n_effects)
+    names = outcome.joint_names
+    rng = np.random.default_rng(0)
+    curves = []
+    for effect in outcome.effects:
+        x, noise = rng.standard_normal((2, rows))
+        curves.append(
+            curves_over(
+                x,
+                0.1 * noise,
+                2.0 * x,
+                np.ones(rows),
+                joint=effect.joint,
+                kind="load",
+                signal="",
+                unit="N m",
+                with_motion=True,
+                most=cloud_size(n_effects),
+            )
+        )
+    seconds = np.linspace(0.0, 20.0, curve_size(nv))
+    torques = tuple(
+        TorqueCurves(
+            joint=j,
+            seconds=seconds,
+            measured=np.sin(seconds),
+            before=0.9 * np.sin(seconds),
+            after=np.where(seconds < 10, np.sin(seconds), np.nan),
+            counts=seconds > 1.0,
+        )
+        for j in range(nv)
+    )
+    speed = rng.standard_normal(rows)
+    friction = tuple(
+        FrictionCurves(
+            joint=j,
+            **{
+                name: curves_over(
+                    speed,
+                    0.1 * rng.standard_normal(rows),
+                    size * np.sign(speed) + speed,
+                    np.ones(rows),
+                    joint=j,
+                    kind="speed",
+                    signal="",
+                    unit="rad/s",
+                    with_motion=False,
+                    most=400,
+                )
+                for name, size in (("before", 0.5), ("after", 1.0))
+            },
+        )
+        for j in range(nv)
+    )
+    hertz = np.linspace(0.5, 40.0, 80)
+    spectra = tuple(
+        SpectrumCurves(
+            joint=j, cutoff=10.0, hertz=hertz, before=1.0 / hertz, after=0.1 / hertz
+        )
+        for j in range(nv)
+    )
+    line = TimeLine(
+        torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
+    )
+    drawn = {"effects": tuple(curves), "line": line}
+    drawn |= {"friction": friction, "spectra": spectra}
+    values = {
+        "effects": tuple(
+            replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects
+        ),
+        "curves": outcome.curves | drawn,
+        "parameters": tuple(
+            ParameterValue(
+                name=f"{name}:{symbol}",
+                value=1.5,
+                interval=(1.25, 1.75),
+                unit="kg",
+                nominal=nominal,
+                known=known,
+            )
+            for name in names
+            for symbol, nominal, known in (
+                ("m", 1.25, "yes"),
+                ("viscous", np.nan, "in combination"),
+            )
+        ),
+        "recorded": RecordedMotion(samples=4000, seconds=20.0, rate=200.0),
+        "recordings": ("slow", "fast"),
+        "provenance": Provenance(
+            file="logs/arm.csv",
+            description="arm.urdf",
+            held=("finger_left",),
+            warnings=("Torque of joint 1 is coarse.", "Another warning."),
+            files=FILES,
+        ),
+    }
+    return replace(outcome, **(values | changes))
+
+
+def alone(nv=3, **changes):
+    """Make an outcome of a robot that was told positions, its last joint slides."""
+    outcome = made(nv=nv, n_effects=0)
+    before = np.linspace(0.02, 0.04, nv)
+    found = CommandsAlone(
+        before=before,
+        plain=0.5 * before,
+        after=0.1 * before,
+        told=10 * before,
+        units=(*(nv - 1) * ("rad",), "m"),
+        seconds=12.34,
+        n_stretches=3,
+    )
+    found = replace(found, **changes)
+    line = replace(outcome.curves["line"], untouched=())
+    curves = outcome.curves | {"positions": line}
+    return replace(outcome, commands_alone=found, curves=curves)
+
+
+def figures(html):
+    return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
+
+
+def numbers(figure):
+    text = re.search(r'class="numbers">(.*?)</script>', figure, re.DOTALL)[1]
+    return json.loads(text)
+
+
+class _Page(HTMLParser):
+    VOID = frozenset({"meta", "br"})
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.seen, self.attributes = [], [], []
+
+    def handle_starttag(self, tag, attrs):
+        self.seen.append(tag)
+        self.attributes += attrs
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def parsed(html):
+    page = _Page()
+    page.feed(html)
+    page.close()
+    return page
+
+
+def text_of(report):
+    """Return what is read on the page of a report, in one line."""
+    html = re.sub(r"<(style|script)\b.*?</\1>", "", report.to_html(), flags=re.DOTALL)
+    text = unescape(re.sub("<[^>]*>", " ", html)).replace("±", "+-")
+    return " ".join(text.split())
+
+
+def section_of(report, heading):
+    """Return what is read below a heading of a page; empty without it."""
+    html = report.to_html()
+    found = re.search(rf"<h2[^>]*>{heading}</h2>(.*?)(?=<h2|</main>)", html, re.DOTALL)
+    if found is None:
+        return ""
+    text = unescape(re.sub("<[^>]*>", " ", found[1])).replace("±", "+-")
+    return " ".join(text.split())

@@ -10,7 +10,6 @@ FIRST = (
     "plot_known_noise.py",
     "plot_noisy_sensors.py",
     "plot_replicates.py",
-    "plot_look_at_a_fit.py",
     "plot_ting2011_synthetic.py",
     "plot_ting2011_head.py",
     "plot_ting2011_arm.py",

@@ -14,13 +14,12 @@ encoder noise of 1e-4 rad, torque noise of 5 %.
 # Two motions of 20 s each. The first is fitted, the second kept for testing. The
 # inertias of the robot description are wrong by some 30 %.
 
-# sphinx_gallery_thumbnail_number = 4
 import matplotlib.pyplot as plt
 import numpy as np
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording
-from sklearn_vbjfa.diagnosis import ConvergenceDisplay, NoiseDisplay, ParameterDisplay
+from sklearn_vbjfa.diagnosis import TorqueDisplay
 
 recording = load_demo_recording()
 fitted, tested = recording.groups == 0, recording.groups == 1
@@ -70,22 +69,25 @@ print(f"against the clean torque [%]: {(100 * truth_error).round(2)}")
 # load, which the model does not contain.
 # :ref:`sphx_glr_auto_examples_1_quickstart_plot_what_is_missing.py` finds that out.
 
-display = NoiseDisplay.from_estimator(robot).plot()
+for name, floor, output in zip(
+    robot.joint_names_, robot.noise_floor_, robot.output_noise_
+):
+    print(f"{name}: noise floor {floor:.3f} N m, output noise {output:.3f} N m")
 
 # %%
 # Parameters
 # ----------
-# One panel per joint and unit. Inertial parameters act on the torques in combinations;
-# those that the data do not determine on their own have hollow markers. Before the
-# projection their values are arbitrary; after it they are completed from the robot
-# description, scaled to the data. What the data determine, and the friction, can be
-# compared with the truth (the intervals of joint 2 do not allow for what the model
-# lacks).
+# Inertial parameters act on the torques in combinations; those that the data do not
+# determine on their own are completed from the robot description, scaled to the data.
+# What the data determine can be compared with the truth (the intervals of joint 2 do
+# not allow for what the model lacks).
 
 truth = recording.theta(robot.friction)
-display = ParameterDisplay.from_estimator(
-    robot, nominal=truth, parameters=["joint_2", "joint_3", "joint_6"]
-).plot()
+half = 1.645 * robot.theta_std_
+for i in np.flatnonzero(robot.identifiable_):
+    name, unit = robot.parameter_names_[i], robot.parameter_units_[i]
+    value = robot.theta_[i]
+    print(f"{name:20s} {value:8.4f} +- {half[i]:.4f} {unit}, true {truth[i]:.4f}")
 
 # %%
 # Every body exists: its smallest pseudo-inertia eigenvalue is positive.
@@ -93,23 +95,10 @@ display = ParameterDisplay.from_estimator(
 print(robot.min_eigenvalues_)
 
 # %%
-# Convergence
-# -----------
-# The bound of the regression over its iterations, and the gain of each iteration.
-
-display = ConvergenceDisplay.from_estimator(robot).plot()
-
-# %%
 # Torques of the second joint
 # ---------------------------
 
-time = residuals.index * recording.dt
-figure, axes = plt.subplots(2, 1, sharex=True, layout="constrained")
-axes[0].plot(time, residuals.torque[:, 1], label="measured")
-axes[0].plot(time, residuals.predicted[:, 1], label="predicted")
-axes[0].set_ylabel("torque of joint_2 [N m]")
-axes[0].legend()
-axes[1].plot(time, residuals.residual[:, 1])
-axes[1].set_ylabel("residual [N m]")
-axes[1].set_xlabel("time [s]")
+display = TorqueDisplay.from_estimator(
+    robot, recording.q[tested], recording.tau[tested], joints=[1]
+).plot()
 plt.show()

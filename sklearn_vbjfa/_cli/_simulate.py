@@ -109,10 +109,20 @@ class _Task:
     drive: object = None  # that the robots are told positions by; None for torques
 
 
+def _windows_of(robots, *recording, by=None, **settings):
+    """Simulate the same windows by several robots, of each label its windows."""
+    from sklearn_vbjfa._core._progress import counted
+    from sklearn_vbjfa.robot import simulate_windows
+
+    found, by = {}, by or simulate_windows
+    for label in counted(robots, "simulating", "robots"):
+        first = next(iter(found.values()), None)
+        found[label] = by(robots[label], *recording, beside=first, **settings)
+    return found
+
+
 def _simulated(task, seconds, *, timed):
     """Simulate the same windows of the rows by each robot, as `Simulated`."""
-    from sklearn_vbjfa.diagnosis.displays import windows_of
-
     recording, rows = task.recording, task.rows
     # Saved models have a clock of their own.
     times = recording.clock()[rows] if timed else None
@@ -120,13 +130,12 @@ def _simulated(task, seconds, *, timed):
     if task.drive is not None:
         return Simulated(**known, **_followed(task, times, seconds))
     part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
-    windows = windows_of(task.robots, *part, window=seconds, signals=task.signals)
+    windows = _windows_of(task.robots, *part, window=seconds, signals=task.signals)
     return Simulated(**known, windows=windows)
 
 
 def _followed(task, times, seconds):
     """Simulate windows, and all rows, from commands alone; fields of `Simulated`."""
-    from sklearn_vbjfa.diagnosis.displays import windows_of
     from sklearn_vbjfa.robot import follow_windows
 
     part, one = _rows_of(task.recording, task.rows), next(iter(task.robots.values()))
@@ -142,7 +151,7 @@ def _followed(task, times, seconds):
     ]
     cuts.append((part, times, {"window": seconds, "signals": task.signals}))
     found = [
-        windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
+        _windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
         for *one, settings in cuts
     ]
     one, left = one.robot_, ""

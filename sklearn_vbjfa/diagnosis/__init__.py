@@ -6,12 +6,10 @@ from sklearn_vbjfa import _lazily
 
 if TYPE_CHECKING:
     from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
-    from sklearn_vbjfa.diagnosis.displays._convergence import ConvergenceDisplay
     from sklearn_vbjfa.diagnosis.displays._recordings import (
         ResidualDisplay,
-        SimulationDisplay,
+        TorqueDisplay,
     )
-    from sklearn_vbjfa.diagnosis.displays._rows import NoiseDisplay, ParameterDisplay
     from sklearn_vbjfa.diagnosis.report._report import Report
     from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
     from sklearn_vbjfa.robot._windows import (
@@ -23,23 +21,18 @@ if TYPE_CHECKING:
 _MODULES = {
     ".robot._windows": ("FailedWindow", "SimulatedWindows", "simulate_windows"),
     "_discovery": ("EffectDiscovery",),
-    "displays._convergence": ("ConvergenceDisplay",),
-    "displays._recordings": ("ResidualDisplay", "SimulationDisplay"),
-    "displays._rows": ("NoiseDisplay", "ParameterDisplay"),
+    "displays._recordings": ("ResidualDisplay", "TorqueDisplay"),
     "report._report": ("Report",),
     "search._settings": ("SearchSettings",),
 }
 __all__ = [
-    "ConvergenceDisplay",
     "EffectDiscovery",
     "FailedWindow",
-    "NoiseDisplay",
-    "ParameterDisplay",
     "Report",
     "ResidualDisplay",
     "SearchSettings",
     "SimulatedWindows",
-    "SimulationDisplay",
+    "TorqueDisplay",
     "simulate_windows",
 ]
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

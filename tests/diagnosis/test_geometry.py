@@ -88,7 +88,7 @@ def test_the_completed_model_holds_the_value(one_fault):
     assert_allclose(own.values, truth.values, atol=0.01)
     assert_allclose(loop.identifier_.theta_[-own.values.size :], own.values)
     assert loop.declared_.effects_ == ()
-    text = " ".join(text_of(loop.report_).lower().split())
+    text = text_of(loop.report_).lower()
     assert f"{truth.label} " in text
     assert "was missing" in text
 

@@ -3,10 +3,6 @@
 import importlib
 
 import numpy as np
-from sklearn.utils.validation import check_is_fitted
-
-from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
 
 class Display:
@@ -62,15 +58,6 @@ class Display:
             self.figure_.legend(**place, ncols=min(len(entries), room))
         else:
             self.axes_.flat[0].legend(**place, fontsize="small")
-
-
-def fitted_robot(estimator):
-    """Return the fitted RobotIdentifier (a discovery's completed model), or None."""
-    # TypeError if it is no estimator instance, NotFittedError if it is not fitted.
-    check_is_fitted(estimator)
-    if isinstance(estimator, EffectDiscovery):
-        return estimator.identifier_
-    return estimator if isinstance(estimator, RobotIdentifier) else None
 
 
 def _import_pyplot(display):

@@ -87,7 +87,7 @@ def test_half_the_expected_effects_are_half_the_odds(usual):
     assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), abs=1e-6)
     assert other.parameters == one.parameters
     assert half.report_.to_dict()["settings"]["search"]["expected"] == 0.5
-    said = " ".join(text_of(half.report_).split())
+    said = text_of(half.report_)
     assert "candidates, of which 0.5 is expected before looking" in said
 
 

@@ -172,7 +172,7 @@ def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded
     seen = thinned.report_.outcome.recorded.looked_at
     assert 0 < seen <= looked_at
     said = f"The search looked at {seen:,} of {recorded.n_samples:,} samples;"
-    assert said in " ".join(text_of(thinned.report_).split())
+    assert said in text_of(thinned.report_)
     assert said in thinned.report_.to_html()
     # Parameters are those of all rows.
     whole = identifier(recorded).set_params(effects=[thinned.effects_[0].effect])

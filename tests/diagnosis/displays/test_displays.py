@@ -6,7 +6,7 @@ from sklearn.linear_model import LinearRegression
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis import ResidualDisplay
+from sklearn_vbjfa.diagnosis import ResidualDisplay, TorqueDisplay
 from sklearn_vbjfa.diagnosis.displays import running_median
 
 SIGNALS = ["velocity [rad/s]", "position [rad]", "rigid-body torque [N m]", "time [s]"]
@@ -166,3 +166,29 @@ def test_running_median_follows_the_signal():
     np.testing.assert_allclose(medians[centres < -0.1], -1)
     np.testing.assert_allclose(medians[centres > 0.1], 1)
     assert running_median(np.full(9, np.nan), x[:9])[0].size == 0
+
+
+def test_torques_are_those_measured_and_predicted(loop, recording, pyplot):
+    given = recording.q, recording.tau
+    display = TorqueDisplay.from_estimator(loop, *given, joints=[2, 0]).plot()
+    found = [m.residuals(*given) for m in (loop.declared_, loop.identifier_)]
+    np.testing.assert_allclose(display.time, found[0].index * recording.dt)
+    shown = [line.get_ydata() for line in display.lines_]
+    assert len(shown) == 6
+    step = -(-len(display.time) // len(shown[0]))
+    for k, joint in enumerate((2, 0)):
+        expected = [found[0].torque, *(r.predicted for r in found)]
+        for values, own in zip(expected, shown[3 * k : 3 * k + 3]):
+            np.testing.assert_allclose(own, values[::step, joint])
+    alone = TorqueDisplay.from_estimator(loop.declared_, *given)
+    assert alone.after is None
+    assert len(alone.plot().lines_) == 12
+
+
+def test_a_report_has_the_torques_of_its_held_out_part(loop, pyplot):
+    curves = loop.report_.outcome.curves
+    display = TorqueDisplay.from_report(loop.report_, joints=[2]).plot()
+    assert display.axes_.shape == (1,)
+    for name, values in (("before", display.before), ("after", display.after)):
+        left = display.measured - values
+        np.testing.assert_allclose(left, curves[name][:, [2]], atol=1e-12)

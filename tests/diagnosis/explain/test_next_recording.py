@@ -36,6 +36,16 @@ def test_nine_of_ten_next_recordings_lie_between(r):
     assert 0.86 < np.mean(inside) < 0.985
 
 
+@pytest.mark.parametrize("r", [2, 5])
+def test_the_median_is_conjugate_to_what_is_assumed(r):
+    """Half as bad again, shared among the recordings, counts for two of them."""
+    errors, untouched = np.full((r, 1), 0.2), np.array([0.05])
+    found = next_recording(errors, untouched, NOISE[:1])
+    assumed = np.log(0.05) + np.log(1.5) / r
+    expected = ((r - 1) * np.log(0.2) + 2 * assumed) / (r + 1)
+    assert np.log(found.error[0]) == pytest.approx(expected)
+
+
 def test_recordings_that_hardly_differ_say_so_when_there_are_many():
     few, many = (
         next_recording(drawn(r, 0.02, 1), np.array([0.05]), NOISE[:1]) for r in (2, 40)

@@ -155,6 +155,21 @@ def test_log_evidence_is_the_density_of_the_torques(loud):
     assert_allclose(found - found[0], expected - expected[0], atol=1e-4)
 
 
+def test_the_evidence_has_the_prior_of_the_spectrum():
+    """Changes of the logarithmic slope between bands are normal, with deviation one."""
+    octave = np.array([0.5, 1.0, 1.5, 2.5, 3.0])
+    power = np.random.default_rng(0).gamma(5.0, size=(1, 5)) * np.geomspace(9, 1, 5)
+    spectrum = Spectrum.of(power, np.full((1, 5), 10.0), octave, 1.0)
+    slopes = np.diff(np.log(spectrum.variance[0])) / np.diff(octave)
+    expected = -0.5 * ((0.5 * np.diff(slopes)) ** 2).sum()
+    assert expected < -0.01
+    made, weights = problem()
+    logs = [
+        Fit(Base(made, weights, one)).log_evidence() for one in (spectrum, SPECTRUM)
+    ]
+    assert logs[0] - logs[1] == pytest.approx(expected - SPECTRUM.log_prior)
+
+
 def test_columns_of_a_thousand_times_the_weight_make_the_ridge_no_prior():
     """Rounding of one column is not that of another."""
     made, weights = problem(loud=1e6)

@@ -11,6 +11,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
+from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.search import _path
 from sklearn_vbjfa.effects import Effect
 from tests.diagnosis._recordings import named, record
@@ -279,6 +280,13 @@ def test_two_effects_that_are_worth_nothing_alone():
     """The difference of two that hide each other."""
     now = search(torque_of(0.12 * SIGNAL), COVERED).run()
     assert sorted(found(now)) == [("cover", 0), ("covered", 0)]
+
+
+def test_a_pair_is_taken_only_by_a_margin_of_odds():
+    torque = torque_of(0.12 * SIGNAL)
+    odds = [one.evidence.log_odds for one in search(torque, COVERED).run().findings]
+    wider = SearchSettings(rivals=2.0 * min(odds))
+    assert search(torque, COVERED, settings=wider).run().effects == ()
 
 
 def test_no_pair_in_what_has_no_effect():

@@ -112,7 +112,7 @@ class _Task:
 def _windows_of(robots, *recording, by=None, **settings):
     """Simulate the same windows by several robots, of each label its windows."""
     from sklearn_vbjfa._core._progress import counted
-    from sklearn_vbjfa.robot import simulate_windows
+    from sklearn_vbjfa.diagnosis import simulate_windows
 
     found, by = {}, by or simulate_windows
     for label in counted(robots, "simulating", "robots"):

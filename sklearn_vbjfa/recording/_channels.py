@@ -27,7 +27,6 @@ from sklearn_vbjfa.recording._layout import (
     split_unit,
     unit_of,
 )
-from sklearn_vbjfa.recording._nameless import is_clock, refusal
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
 
@@ -88,7 +87,7 @@ def laid_out(table: Table, asked, robot) -> Layout:
                 f"{table.path}: {error}.", otherwise(table, asked, names)
             ) from None
     if table.nameless:
-        raise refusal(table, asked, names)
+        raise _without_names(table, names)
     plain = by_names(table, names)
     if table.joints:
         return replace(plain, certain=True)
@@ -118,10 +117,25 @@ def laid_out(table: Table, asked, robot) -> Layout:
     return plain
 
 
+def _without_names(table, names):
+    """Return the refusal of a table without names of columns."""
+    n = len(names) or 6
+    return RecordingRefused(
+        f"{table.path}: has no names of columns; give the places of its "
+        f"{len(table.columns)} columns (command line: --columns), such as "
+        f'columns="t=1,q={_range(2, n)},tau={_range(2 + n, n)}".'
+    )
+
+
+def _range(first, n):
+    """Write places as a mapping has them."""
+    return str(first) if n == 1 else f"{first}-{first + n - 1}"
+
+
 def otherwise(table: Table, asked, names):
     """Return the options that would read a file, had the user said nothing of it."""
     if table.nameless:
-        return refusal(table, asked, names).options
+        return {}
     said = {"columns": asked.mapping, "preset": asked.preset}
     nothing = {key: None for key, value in said.items() if value}
     plain = by_names(table, names)
@@ -390,11 +404,11 @@ def refuse_two(table, one, other):
 # Words in names, and how well they say what a column is.
 _WORDS = {
     "q": {"q": 3, "position": 3, "positions": 3, "pos": 3, "angle": 3, "angles": 3}
-    | {"theta": 2, "phi": 2, "winkel": 3, "joint": 1, "joints": 1, "actual": 1}
+    | {"theta": 2, "phi": 2, "joint": 1, "joints": 1, "actual": 1}
     | {"measured": 1, "meas": 1, "act": 1, "state": 1, "encoder": 1, "axis": 1},
     "tau": {"tau": 3, "torque": 3, "torques": 3, "effort": 3, "efforts": 3, "trq": 3}
-    | {"moment": 2, "moments": 2, "drehmoment": 3, "current": 2, "currents": 2}
-    | {"strom": 2, "amp": 2, "amps": 2, "ampere": 2, "amperes": 2, "i": 2, "curr": 2}
+    | {"moment": 2, "moments": 2, "current": 2, "currents": 2}
+    | {"amp": 2, "amps": 2, "ampere": 2, "amperes": 2, "i": 2, "curr": 2}
     | {"load": 2, "force": 2, "actual": 1, "measured": 1, "m": 1}
     | {"meas": 1, "act": 1, "motor": 1, "mom": 2},
 }
@@ -423,6 +437,8 @@ _ENOUGH = 2
 _MANY_DEGREES = 720.0
 # A clock that steps by this or more [s] is in another unit.
 _SLOWEST, _FASTEST = 1.0, 2e-5
+# A clock is this near to a straight line, as a share of what it rises.
+_STRAIGHT = 0.02
 
 
 @dataclass(frozen=True)
@@ -648,6 +664,30 @@ def _clock_unit(table, column):
     if values.dtype.kind not in "iuf" or split_unit(column)[1]:
         return ""
     return unit_of_steps(usual_step(values.astype(float)))
+
+
+def clock_of(table: Table):
+    """Return the column that rises like time, None for none."""
+    found = [x for x, values in table.columns.items() if is_clock(values)]
+    # What goes up by one counts rows.
+    found.sort(key=lambda x: np.median(np.diff(table.columns[x])) == 1.0)
+    return found[0] if found else None
+
+
+def unit_of_clock(values):
+    """Return the unit in which the steps of a clock are those of a robot."""
+    return unit_of_steps(usual_step(values))
+
+
+def is_clock(values):
+    """Whether a column rises steadily, at steps that are those of a robot."""
+    if values.dtype.kind not in "iuf" or values.size < 3:
+        return False
+    step = np.diff(values.astype(float))
+    if not ((step >= 0).all() and step.sum() > 0) or not unit_of_clock(values):
+        return False
+    line = np.linspace(values[0], values[-1], values.size)
+    return bool(np.abs(values - line).max() <= _STRAIGHT * (values[-1] - values[0]))
 
 
 def usual_step(t):

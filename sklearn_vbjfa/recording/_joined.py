@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from sklearn_vbjfa.recording import _channels, _layout
-from sklearn_vbjfa.recording._nameless import clock_of
+from sklearn_vbjfa.recording._channels import clock_of
 from sklearn_vbjfa.recording._sampling import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 

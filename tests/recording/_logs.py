@@ -225,14 +225,6 @@ def _of_joints(recording):
     return recording.t, recording.q, v, a, recording.tau
 
 
-def headerless(recording, folder):
-    """Time and five times six columns, without names."""
-    warm = 30 + 0.001 * np.arange(recording.q.size).reshape(recording.q.shape)
-    matrix = np.column_stack([*_of_joints(recording), warm])
-    np.savetxt(folder / "numbers.txt", matrix, "%.9f")
-    return folder / "numbers.txt"
-
-
 def json_records(recording, folder):
     """Write a list of records of arrays."""
     path = folder / "records.json"
@@ -304,7 +296,6 @@ AS_THEY_LIE = {
     "two files": two_files,
     "a folder of two files": folder_of_two,
     "five texts without names": five_texts,
-    "31 columns without names": headerless,
     "JSON": json_records,
     "JSON lines (joint_states)": json_lines,
     "last line cut": cut,

@@ -228,7 +228,7 @@ def test_cells_and_names_of_a_sheet_are_refused_by_their_line(sheet):
     assert "nan or nothing in line 8 of sheet" in refused(sheet(rows))
     rows[0][1] = "t"
     assert "line 1 names column 't' twice" in refused(sheet(rows))
-    assert "has no names of columns, only 4" in refused(sheet(rows[1:]))
+    assert "has no names of columns" in refused(sheet(rows[1:]))
     assert "no rows of data" in refused(sheet([]))
     assert "only a header" in refused(sheet([["t", "q1"], ["s", "rad"]]))
 

@@ -179,9 +179,7 @@ def test_recordings_that_need_a_mapping_are_not_joined(made, tmp_path):
     for k in range(2):
         matrix = np.column_stack([made.t, made.q + 0.01 * k, made.tau])
         written(tmp_path / f"run{k}.txt", matrix)
-    options = refused(tmp_path, made).options
-    assert options == {"columns": "t=1,q=2-7,tau=8-13"}
-    recording, _ = read(tmp_path, made, **options)
+    recording, _ = read(tmp_path, made, columns="t=1,q=2-7,tau=8-13")
     assert len(recording.group_names) == 2
 
 

@@ -7,8 +7,7 @@ from scipy import integrate
 from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.effects import LoadFriction
+from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.robot import _alike
 from sklearn_vbjfa.robot._bodies import DESCRIBED, SCALES, Site
 
@@ -238,40 +237,11 @@ def test_a_drive_that_is_another_one_is_told_with_its_factor(model):
     assert own == pytest.approx(0.03, rel=0.15)
 
 
-def test_of_two_halves_nobody_knows_which_one_is_another():
-    model = a_quadruped(("L", "R"))
-    true = drives(model)
-    true[0, 0] *= 4.0
-    one = value_of(fitted(model, recorded(model, true)), "hip", "viscous")
-    (other,) = one.apart
-    assert set(other.bodies) == {"L_hip_joint", "R_hip_joint"}
-    factors = dict(zip(other.bodies, other.factors))
-    assert factors["L_hip_joint"] == pytest.approx(4.0, rel=0.1)
-    assert factors["L_hip_joint"] * factors["R_hip_joint"] == pytest.approx(1.0)
-    assert one.joints == ()
-    assert np.isnan(one.value)
-
-
 def test_offsets_are_not_shared(model, recording):
     robot = fitted(model, recording)
     offsets = robot.theta_.reshape(8, -1)[:, 12]
     assert np.ptp(offsets) > 0.15
     assert not any("offset" in one.parameter for one in robot.alike_)
-
-
-def test_effects_that_have_no_sign_are_shared(model, recording):
-    effects = [LoadFriction(joint=j) for j in range(8)]
-    robot = fitted(model, recording, effects=effects)
-    one = value_of(robot, "hip", "load_friction:mu")
-    assert len(one.joints) == 4
-    assert one.value == pytest.approx(robot.theta_[list(one.places)].mean())
-
-
-def test_what_a_joint_stood_still_for_is_not_shared(model):
-    with pytest.warns(UserWarning, match="FL_hip_joint never move"):
-        robot = fitted(model, recorded(model, drives(model), still=[0]))
-    assert "FL_hip_joint" not in value_of(robot, "hip", "viscous").joints
-    assert np.isfinite(robot.theta_).all()
 
 
 def test_units_and_the_order_of_groups_do_not_matter(model, recording):
@@ -302,17 +272,6 @@ def test_the_posterior_has_what_is_shared(model, recording):
     assert centre[own].mean() == pytest.approx(robot.theta_[own].mean(), rel=0.05)
     # Nothing else is known worse for it.
     assert np.all(robot.theta_std_ <= (1 + 1e-9) * free.theta_std_)
-
-
-def test_a_search_shares_as_well(model, recording):
-    identifier = RobotIdentifier(model, dt=DT, friction=("viscous",), cutoff=8.0)
-    loop = EffectDiscovery(identifier, effects=["coulomb"], random_state=0)
-    loop.fit(*recording)
-    assert value_of(loop.identifier_, "hip", "coulomb").joints
-    told = loop.report_.to_dict()["alike"]
-    assert len(told) == 6
-    (viscous,) = [x for x in told if (x["group"], x["parameter"]) == ("hip", "viscous")]
-    assert 0.29 <= viscous["value"] < 0.31
 
 
 # -- which joints ----------------------------------------------------------------------
@@ -379,14 +338,6 @@ def test_groups_that_cannot_be_are_refused(alike, message):
         groups_of(a_quadruped(), alike)
 
 
-def test_what_turns_is_not_like_what_slides():
-    sliding = a_quadruped(("L", "R"), kinds=("PX", "RY"))
-    with pytest.raises(ValueError, match="revolute and prismatic joints in 'L_'"):
-        groups_of(sliding, "L_")
-    with pytest.raises(ValueError, match="alike cannot be combined with gains"):
-        groups_of(a_quadruped(), "hip", gains="unknown")
-
-
 # -- calibration -----------------------------------------------------------------------
 
 
@@ -412,12 +363,6 @@ def test_intervals_hold_the_truth_and_false_names_are_rare():
     assert 0.86 < (np.abs(mean - x) < 1.645 * std).mean() < 0.94
     assert ((mean - x) ** 2).mean() < 0.8 * ((y - x) ** 2).mean()
     assert np.mean([bool(d[4]) for d in drawn]) < 0.1
-
-
-def test_another_drive_is_named_where_it_can_be():
-    rng = np.random.default_rng(1)
-    found = [values(rng, noise=0.05, factor=2.5)[4] for _ in range(60)]
-    assert np.mean([bool(f) and "a" in f[0].bodies for f in found]) > 0.85
 
 
 @pytest.mark.slow

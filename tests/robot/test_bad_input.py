@@ -4,7 +4,6 @@ import warnings
 
 import numpy as np
 import pytest
-from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
@@ -94,18 +93,6 @@ def test_wrong_shapes(recording):
         identify(recording, q=q[:, 0])
 
 
-def test_wrong_queries(recording):
-    robot = identify(recording)
-    with pytest.raises(ValueError, match=r"X must have 6 columns .* or 18 .*got 7"):
-        robot.predict(np.zeros((20, 7)))
-    with pytest.raises(ValueError, match=r"y must have 6 column\(s\).*got 2"):
-        robot.residuals(recording.q, recording.tau[:, :2])
-    with pytest.raises(ValueError, match="NaN"):
-        robot.predict(np.full((20, 18), np.nan))
-    with pytest.raises(ValueError, match=r"is .* samples long and the longest.*has 30"):
-        robot.residuals(recording.q[:30], recording.tau[:30])
-
-
 def test_a_joint_that_never_moves(recording):
     q = changed(recording.q, (slice(None), 3), 0.25)
     with pytest.warns(UserWarning, match=r"joint_4 never move\(s\).*is left out"):
@@ -120,15 +107,6 @@ def test_a_joint_that_never_moves(recording):
     assert np.abs(robot.theta_unconstrained_).max() < 1e3
     error = robot.predict(q) - recording.tau
     assert np.isfinite(error).all()
-
-
-def test_a_still_joint_may_have_a_dead_torque_channel(recording):
-    q = changed(recording.q, (slice(None), 3), 0.25)
-    tau = changed(recording.tau, (slice(None), 3), 0.0)
-    with pytest.warns(UserWarning, match=r"joint_4 never move\(s\)"):
-        robot = identify(recording, q=q, tau=tau)
-    assert np.isfinite(robot.theta_).all()
-    assert np.all(robot.min_eigenvalues_ > 0)
 
 
 def test_a_dead_torque_channel(recording):
@@ -185,12 +163,6 @@ def test_recordings_that_tell_nothing_are_refused(fault, of, recording):
     assert "\n" not in str(told.value)
 
 
-def test_torques_of_two_values_on_some_joints_are_fitted(recording):
-    tau = recording.tau.copy()
-    tau[:, 0] = np.sign(tau[:, 0])
-    assert np.isfinite(identify(recording, tau=tau).theta_).all()
-
-
 def test_too_few_equations(recording):
     states = recording.states[:10]
     with pytest.raises(
@@ -232,29 +204,6 @@ def test_short_recordings_among_long_ones_are_left_out(recording):
             standstill=robot.standstill_,
         )
     np.testing.assert_allclose(robot.theta_, without.theta_, rtol=1e-6, atol=1e-8)
-
-
-def test_equal_rows_and_positions_in_steps(recording):
-    # A coarse encoder repeats its value for many samples.
-    q = np.round(recording.q, 2)
-    q = np.repeat(q[::2], 2, axis=0)
-    robot = identify(recording, q=q)
-    assert np.isfinite(robot.theta_).all()
-    assert np.all(robot.min_eigenvalues_ > 0)
-
-
-def test_equal_states_leave_the_projection_to_the_model(recording):
-    states, tau = np.repeat(recording.states[:4], 50, axis=0), recording.tau[:4]
-    robot = identify(
-        recording,
-        q=states,
-        tau=np.repeat(tau, 50, axis=0),
-        regressor=LinearRegression(),
-    )
-    assert np.isfinite(robot.theta_).all()
-    assert np.all(robot.min_eigenvalues_ > 0)
-    # 24 different equations of 66 unknowns
-    assert not robot.identifiable_.all()
 
 
 def test_what_is_no_robot(recording):

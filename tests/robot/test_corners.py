@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # noqa: E402
-from sklearn_vbjfa.effects import Coulomb, Rest, mean_sign  # noqa: E402
+from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.robot import PDDrive, _fit  # noqa: E402
 from sklearn_vbjfa.robot._corners import jump  # noqa: E402
@@ -26,15 +26,6 @@ def test_a_corner_is_rounded_by_half_the_mean_time_of_the_smoother(cutoff):
     # of slope -1 before and 1 behind: a jump of 2
     speed = estimator.fit_transform((0.5 * t * np.abs(t))[:, None])[800, 1]
     assert_allclose(speed, estimator.rounding()[0], rtol=2e-3)
-
-
-def test_nothing_is_rounded_where_nothing_is_smoothed():
-    q = np.random.default_rng(0).normal(size=(50, 2))
-    assert_allclose(StateEstimator(DT, cutoff=None).fit(q).rounding(), 0.0)
-
-
-def test_a_drive_without_gains_leaves_friction_over_inertia():
-    assert_allclose(jump(0.3, 0.02, 0.0, 0.0, 7.0), 0.3 / 0.02, rtol=2e-3)
 
 
 def test_the_jump_is_what_a_simulated_drive_answers():
@@ -141,23 +132,6 @@ def test_what_was_smoothed_is_not_taken_for_inertia(tmp_path):
     plan = replace(robot.robot_.plan, corners=None)
     without = replace(robot.robot_, plan=plan)
     assert np.abs(without.predict(asked) - known.predict(asked)).max() > 0.1
-
-
-def test_friction_of_effects_makes_corners_as_well():
-    """Coulomb friction that is an effect and not declared is the same robot."""
-    drive, recording = driven()
-    plain = fitted(drive, recording)
-    others = ("viscous", "offset", "rotor_inertia")
-    alone = fitted(drive, recording, friction=others, effects=[Coulomb()])
-    corners = [robot.robot_.plan.corners for robot in (plain, alone)]
-    assert_allclose(corners[1], corners[0], rtol=0.05)
-    rotors = [
-        robot.theta_[robot.parameter_names_.index("j:rotor_inertia")]
-        for robot in (plain, alone)
-    ]
-    assert_allclose(rotors[1], rotors[0], rtol=2e-3)
-    without = fitted(drive, recording, friction=others)
-    assert without.robot_.plan.corners is None
 
 
 def test_a_fifth_of_what_corners_moved_is_not_known(monkeypatch):

@@ -1,6 +1,5 @@
 """What effects of the robot model ask for, and the description that is written."""
 
-import csv
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -9,18 +8,15 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa._cli._close_loop import write_parameters  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.diagnosis.explain import parameter_values  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     BaseTilt,
     JointAxis,
     JointZero,
-    Offset,
     TorqueGain,
 )
 from sklearn_vbjfa.model import joint_origin  # noqa: E402
-from sklearn_vbjfa.robot import corrections_of, note_of_corrections  # noqa: E402
+from sklearn_vbjfa.robot import corrections_of  # noqa: E402
 
 FRICTION = ("viscous", "coulomb")
 BODY = """<inertial><origin xyz="{0} 0.05 0.1"/><mass value="{1}"/>
@@ -204,51 +200,3 @@ def test_the_file_says_what_to_change(robot, tmp_path):
     assert f"roll {found.tilt.roll_degrees:.4g} and pitch" in comment
     assert "axis of joint_4 was turned" in comment
     assert "does not determine the masses" in comment
-
-
-def test_a_robot_as_described_asks_for_nothing(moved):
-    robot = RobotIdentifier(
-        moved.urdf, dt=moved.dt, effects=[Offset(1)], friction=("viscous",)
-    )
-    robot.fit(moved.q, moved.tau)
-    found = corrections_of(robot)
-    assert found.tilt is None
-    assert (found.zeros, found.axes, found.gains) == ((), (), ())
-    assert note_of_corrections(robot) == []
-
-
-def test_a_slider_is_off_by_millimetres(tmp_path):
-    source = tmp_path / "slide.urdf"
-    source.write_text(
-        FIXED.replace('"second" type="revolute"', '"second" type="prismatic"')
-    )
-    robot = RobotIdentifier(
-        source, dt=0.01, effects=[JointZero(1, zero=0.02)], friction=("viscous",)
-    )
-    robot.build_model()
-    (off,) = corrections_of(robot).zeros
-    assert off.plain_unit == "mm"
-    assert off.subtract == 0.02
-    assert off.plain == pytest.approx(20.0)
-    (note,) = note_of_corrections(robot)
-    assert note.startswith("Subtract 20 mm (0.02 m) from what the encoder of second")
-
-
-def test_the_table_of_parameters_has_the_values(robot, tmp_path):
-    path = tmp_path / "parameters.csv"
-    write_parameters(robot, parameter_values(robot), path)
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = {row["parameter"]: row for row in csv.DictReader(file)}
-    tilt, zero, axis, gain = robot.effects_
-    for name, value, unit in (
-        ("base_tilt:roll", tilt.roll, "rad"),
-        ("base_tilt:pitch", tilt.pitch, "rad"),
-        ("joint_3:joint_zero:zero", zero.zero, "rad"),
-        ("joint_4:joint_axis:about_x", axis.about_x, "rad"),
-        ("joint_2:torque_gain:gain", gain.gain, "1"),
-    ):
-        row = rows[name]
-        assert float(row["value"]) == pytest.approx(value, rel=1e-9), name
-        assert row["unit"] == unit
-        assert row["identifiable"] == "yes"
-        assert 0 < float(row["std"]) < 0.05

@@ -1,6 +1,5 @@
 """What of an identified robot goes into URDF and MJCF, and what is said of the rest."""
 
-import dataclasses
 import xml.etree.ElementTree as ElementTree
 
 import numpy as np
@@ -9,7 +8,6 @@ import pytest
 from sklearn_vbjfa import (
     RobotIdentifier,
     effects,
-    load_identified,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import (
@@ -18,7 +16,6 @@ from sklearn_vbjfa.effects import (
     Coulomb,
     Coupling,
     Drift,
-    Effect,
     JointAxis,
     JointZero,
     LoadFriction,
@@ -33,14 +30,12 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.physical import min_eigenvalue
-from sklearn_vbjfa.robot import ColumnMeanSquares, LeftOut
+from sklearn_vbjfa.robot import ColumnMeanSquares
 from sklearn_vbjfa.robot._exports import as_tendons, in_line, to_mjcf
 from sklearn_vbjfa.simulation import TorqueModel
 from tests.model._mujoco import drive_torques, moving_states
 from tests.model._robots import random_tree
 from tests.model.test_mjcf import assert_same, rigid
-
-pin = pytest.importorskip("pinocchio")
 
 
 def robot_of(uses, seed=0, nv=4, friction=(), axes=("RX", "RY", "RZ")):
@@ -174,63 +169,6 @@ def test_file_and_left_outs_make_the_robot(seed, tmp_path):
             assert float(one.get(key, 0.0)) >= 0.0
 
 
-def test_a_coupling_that_one_joint_feels_alone_is_left_out(tmp_path):
-    robot = robot_of(
-        [
-            (Coupling(0, 1, "sum"), [0.5, 0.8, 0.0]),
-            (Coupling(2, 3, "sum"), [0.5, 0.8, 0.1]),
-            (Coupling(3, 2, "sum"), [0.4, 0.9, -0.1]),
-        ],
-        friction=[("viscous", np.ones(4)), ("rotor_inertia", np.ones(4))],
-    )
-    path = tmp_path / "robot.xml"
-    left = written(robot, path)
-    assert [(one.name, one.joint) for one in left] == [
-        ("coupling", 0),
-        ("coupling", 2),
-        ("coupling", 3),
-    ]
-    assert left[0].reason.startswith("Fvm 0.5, Fcm 0.8 of it: what joint 2 does")
-    assert left[1].reason.startswith("Fvm 0.1, Iam 0.1 of it")
-    assert left[2].reason.startswith("Fcm 0.1, Iam -0.1 of it")
-    (tendon,) = ElementTree.parse(path).findall("tendon/fixed")
-    assert {k: float(tendon.get(k)) for k in ("damping", "frictionloss")} == {
-        "damping": 0.4,
-        "frictionloss": 0.8,
-    }
-    assert tendon.get("armature") is None
-
-
-def test_there_is_no_inertia_between_branches(tmp_path):
-    """MuJoCo would drop it without a word."""
-    robot = robot_of(
-        [(Coupling(0, 2, "sum"), [0.1, 0, 0.2]), (Coupling(2, 0, "sum"), [0.1, 0, 0.2])]
-    )
-    lined = in_line(robot.model)
-    assert not lined[0, 2]
-    np.testing.assert_array_equal(lined, lined.T)
-    left = written(robot, tmp_path / "robot.xml")
-    assert [one.reason.split(" of it")[0] for one in left] == ["Iam 0.2", "Iam 0.2"]
-
-
-def test_couplings_take_no_more_than_the_joints_have(tmp_path):
-    """[[1, -2], [-2, 1]] cannot be passive: half of it is, and half is left."""
-    robot = robot_of(
-        [(Coupling(0, 1), [-2.0, 0.0, 0.0]), (Coupling(1, 0), [-2.0, 0.0, 0.0])],
-        friction=[("viscous", np.ones(4))],
-    )
-    path = tmp_path / "robot.xml"
-    left = written(robot, path)
-    assert [one.reason.split(" of it")[0] for one in left] == ["Fvm -1", "Fvm -1"]
-    (tendon,) = ElementTree.parse(path).findall("tendon/fixed")
-    assert float(tendon.get("damping")) == 1.0
-    damping = [
-        float(one.get("damping", 0.0))
-        for one in ElementTree.parse(path).findall(".//body/joint")
-    ]
-    assert sorted(damping) == [0.0, 0.0, 1.0, 1.0]
-
-
 @pytest.fixture
 def odd():
     """Make a robot with much that simulators have no place for, and a recording."""
@@ -301,41 +239,6 @@ def test_mjcf_lists_what_it_has_not_with_its_size(odd, tmp_path):
     # It cannot be more than the bound.
     lack = 0.7 * (np.tanh(v[:, 3] / 0.1) - sign[:, 3])
     assert rms(lack) <= expected["coulomb", 3]
-
-
-def test_newer_mujoco_reads_quadratic_friction_as_it_is_told(odd, tmp_path):
-    mujoco = pytest.importorskip("mujoco", minversion="4.0")
-    robot, motion, powers = odd
-    path = tmp_path / "robot.xml"
-    (one,) = (x for x in written(robot, path, powers) if x.name == "viscous_quadratic")
-    told = one.reason.split("damping=")[1].split('"')[1]
-    states = np.hstack([motion.q, motion.v, motion.a])
-    before = drive_torques(path, states)
-    tree = ElementTree.parse(path)
-    tree.find(".//joint[@name='joint_2']").set("damping", told)
-    tree.write(path)
-    expected = np.zeros_like(before)
-    expected[:, 2] = 0.2 * motion.v[:, 2] * np.abs(motion.v[:, 2])
-    after = drive_torques(path, states)
-    np.testing.assert_allclose(after - before, expected, atol=1e-9)
-    assert mujoco.__version__
-
-
-def test_sizes_are_unknown_without_a_recording(odd, tmp_path):
-    left = written(odd[0], tmp_path / "robot.xml")
-    assert len(left) == 9
-    known = [one.name for one in left if not np.isnan(one.size)]
-    assert known == []
-    assert "stribeck on joint_0 (unknown)" in (tmp_path / "robot.xml").read_text()
-
-
-def test_left_outs_are_frozen():
-    one = LeftOut(
-        name="ripple", joint=2, joint_name="elbow", size=0.25, unit="N", reason="why"
-    )
-    assert str(one) == "ripple on elbow (0.25 N): why"
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        one.size = 1.0
 
 
 # -- whole identifications -------------------------------------------------------------
@@ -461,57 +364,6 @@ def test_friction_that_was_found_is_in_the_urdf(recording, tmp_path):
         ):
             assert float(dynamics.get(key)) == max(total, 0.0)
             assert ((kind, joint) in left) == (total < 0)
-
-
-def test_sizes_are_those_of_the_fitted_rows(recording, tmp_path):
-    """Root mean squares of torques in rows with weight, of given states."""
-
-    class Cubic(Effect):
-        name = "cubic"
-        coefficients = ("k3",)
-        units = (("N m/rad^3", "N/m^3"),)
-
-        def columns(self, motion):
-            return motion.q[:, [self.joint]] ** 3
-
-    X = recording.states
-    robot = RobotIdentifier(
-        recording.urdf,
-        effects=[Cubic(4), Drift(5, "offset", 7.0)],
-        dt=recording.dt,
-        friction=("viscous",),
-    )
-    robot.fit(X, recording.tau)
-    left = robot.to_mjcf(tmp_path / "identified.xml")
-    found = {one.name: one.size for one in left}
-    k3, D = robot.theta_[-2:]
-    moves = np.abs(X[:, 6:12]) > robot.standstill_
-    cubic = (k3 * X[:, 4] ** 3)[moves[:, 4]]
-    decay = (D * np.exp(-recording.dt * np.arange(len(X)) / 7.0))[moves[:, 5]]
-    assert found["cubic"] == pytest.approx(rms(cubic), rel=1e-9)
-    assert found["drift"] == pytest.approx(rms(decay), rel=1e-9)
-    reasons = {one.name: one.reason for one in left}
-    assert reasons["cubic"] == "an effect of the user's own"
-
-
-def test_a_robot_from_a_file_writes_the_same(robot, tmp_path):
-    """Sizes of what is left out are in the file."""
-    saved = tmp_path / "robot.json"
-    robot.save(saved)
-    other = load_identified(saved)
-    for kind in ("urdf", "mjcf"):
-        paths = [tmp_path / f"{name}.{kind}" for name in ("first", "second")]
-        left = [
-            getattr(one, f"to_{kind}")(path) for one, path in zip((robot, other), paths)
-        ]
-        assert left[0] == left[1]
-        assert not any(np.isnan(one.size) for one in left[0])
-        first, second = (path.read_text() for path in paths)
-        # The comments of the first description are not in the model's file.
-        assert first == second or kind == "urdf"
-    again = tmp_path / "again.json"
-    other.save(again)
-    assert again.read_text() == saved.read_text()
 
 
 def test_impossible_bodies_are_not_written(recording, tmp_path):

@@ -13,8 +13,6 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
-from sklearn_vbjfa.model import _regressor, load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.robot._equations import RegressorRows  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 ALL = ("viscous", "coulomb", "offset", "rotor_inertia")
@@ -48,18 +46,6 @@ def test_inverse_dynamics_of_random_trees(seed, n_joints):
     states = states_of(rng, model)
     Phi = RigidBodyFeatures(model, friction=()).fit_transform(states)
     assert_torques(Phi, bodies.ravel(), inverse_dynamics(model, states))
-
-
-def test_torques_are_predicted_without_calls_for_each_sample(monkeypatch):
-    rng = np.random.default_rng(11)
-    model, _ = random_tree(rng, 4)
-    features = RigidBodyFeatures(model, friction=ALL).load()
-    states = states_of(rng, model, 9)
-    rows = RegressorRows(features, states)
-    theta = rng.normal(size=features.n_parameters_)
-    expected = rows(slice(None)) @ theta
-    monkeypatch.setattr(_regressor.TreeRegressor, "one_by_one", None)
-    np.testing.assert_allclose(rows.predict(theta), expected, atol=1e-9)
 
 
 def test_inverse_dynamics_of_the_demo_arm_with_its_tool():
@@ -143,27 +129,6 @@ def test_what_a_torque_does_not_depend_on_is_exactly_zero():
     assert size[size > 0].min() > 1e-6
 
 
-def test_names_and_units():
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "slide")
-    model.addJoint(1, pin.JointModelRY(), pin.SE3.Identity(), "hinge")
-    features = RigidBodyFeatures(model, friction=ALL).fit(np.zeros((1, 6)))
-    inertial = ["m", "mc_x", "mc_y", "mc_z"]
-    inertial += ["I_xx", "I_xy", "I_yy", "I_xz", "I_yz", "I_zz"]
-    names = [f"{j}:{c}" for j in ("slide", "hinge") for c in [*inertial, *ALL]]
-    assert features.parameter_names_ == tuple(names)
-    body = ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-    assert features.parameter_units_ == (
-        *body,
-        *("N s/m", "N", "N", "kg"),
-        *body,
-        *("N m s/rad", "N m", "N m", "kg m^2"),
-    )
-    out = features.get_feature_names_out()
-    assert list(out) == [f"tau_{j}/{n}" for j in ("slide", "hinge") for n in names]
-    assert len(out) == features.transform(np.zeros((2, 6))).shape[1]
-
-
 def test_copies_compute_the_same():
     rng = np.random.default_rng(4)
     model, _ = random_tree(rng, 3)
@@ -179,19 +144,6 @@ def test_copies_compute_the_same():
         np.testing.assert_array_equal(other.transform(states), expected)
 
 
-def test_one_name_may_stand_alone():
-    path = demo_arm_urdf()
-    alone = RigidBodyFeatures(path, friction="viscous").fit(np.zeros((1, 18)))
-    assert alone.parameter_names_ == RigidBodyFeatures(path).load().parameter_names_
-
-
-def test_nominal_parameters_go_with_the_features():
-    # What completes the identification is laid out as theta is.
-    rng = np.random.default_rng(5)
-    model, bodies = random_tree(rng, 3)
-    np.testing.assert_allclose(nominal_parameters(load_model(model)), bodies)
-
-
 @pytest.mark.parametrize(
     ("friction", "message"),
     [
@@ -203,16 +155,3 @@ def test_nominal_parameters_go_with_the_features():
 def test_refuses_unknown_friction(friction, message):
     with pytest.raises(ValueError, match=message):
         RigidBodyFeatures(demo_arm_urdf(), friction=friction).fit(np.zeros((1, 18)))
-
-
-def test_refuses_a_wrong_width():
-    features = RigidBodyFeatures(demo_arm_urdf())
-    with pytest.raises(ValueError, match=r"have 18 columns; got 6\. .*StateEstimator"):
-        features.fit(np.zeros((3, 6)))
-    with pytest.raises(ValueError, match=r"18 columns; got 17\. Joints.*joint_6"):
-        features.fit(np.zeros((3, 17)))
-    features.fit(np.zeros((3, 18)))
-    with pytest.raises(ValueError, match="expecting 18 features"):
-        features.transform(np.zeros((3, 6)))
-    with pytest.raises(ValueError, match="NaN"):
-        features.transform(np.full((3, 18), np.nan))

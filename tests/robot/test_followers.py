@@ -6,11 +6,9 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (  # noqa: E402
-    EffectDiscovery,
     RobotIdentifier,
     load_identified,
 )
-from sklearn_vbjfa.effects import Coulomb  # noqa: E402
 from sklearn_vbjfa.model import joint_names, load_folded  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
 
@@ -138,22 +136,6 @@ def test_a_saved_robot_is_the_same(fitted, recorded, motion, tmp_path):
         assert (tmp_path / "one").read_text() == (tmp_path / "other").read_text()
 
 
-def test_a_written_urdf_has_the_follower(fitted, motion, tmp_path):
-    target = tmp_path / "identified.urdf"
-    fitted.to_urdf(target)
-    assert target.read_text().count("<mimic ") == 1
-    model = pin.buildModelFromUrdf(str(target))
-    viscous = fitted.theta_[
-        [
-            fitted.parameter_names_.index(f"{name}:viscous")
-            for name in fitted.joint_names_
-        ]
-    ]
-    found = torques(model, *motion) + viscous * motion[1]
-    expected = fitted.predict(np.hstack(motion))
-    np.testing.assert_allclose(found, expected, atol=1e-8 * np.abs(expected).max())
-
-
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):
     mujoco = pytest.importorskip("mujoco")
     target = tmp_path / "identified.xml"
@@ -193,45 +175,3 @@ def test_mujoco_closes_the_gripper(fitted, tmp_path):
         mujoco.mj_step(model, data)
     assert abs(data.qpos[2]) > 0.02
     assert data.qpos[3] == pytest.approx(0.2 - 2.5 * data.qpos[2], abs=1e-3)
-
-
-def test_a_search_finds_what_is_missing_beside_a_follower(path, recorded, motion):
-    q, tau = recorded
-    tau = tau + 8.0 * motion[0] * [0.0, 1.0, 0.0]
-    loop = EffectDiscovery(
-        RobotIdentifier(str(path), dt=DT, friction=("viscous",)),
-        effects=["ripple", "spring"],
-    ).fit(q, tau)
-    found = [(one.name, one.joint) for one in loop.effects_]
-    assert found == [("spring", 1)]
-    assert [e.name for e in loop.identifier_.effects_] == ["follower", "spring"]
-    assert loop.identifier_.effects_[1].joint == 1
-
-
-def test_a_declared_effect_comes_behind_the_followers(path, recorded):
-    robot = RobotIdentifier(
-        str(path), dt=DT, effects=[Coulomb(1)], friction=("viscous",)
-    ).fit(*recorded)
-    assert [effect.name for effect in robot.effects_] == ["follower", "coulomb"]
-    again = RobotIdentifier(
-        str(path), dt=DT, effects=robot.effects_, friction=("viscous",)
-    ).fit(*recorded)
-    np.testing.assert_array_equal(again.theta_, robot.theta_)
-
-
-def test_a_follower_swings_in_a_simulation(fitted, motion, recorded):
-    """From a measured state, driven by measured torques."""
-    _, tau = recorded
-    simulated = fitted.simulate(tau[:200], motion[0, 0], motion[1, 0])
-    assert np.abs(simulated[199, :3] - motion[0, 199]).max() < 0.02
-    assert np.abs(motion[0, 199] - motion[0, 0]).max() > 0.2
-
-
-def test_refuses_in_words_what_followers_cannot_do(path, recorded, motion):
-    q, tau = recorded
-    robot = RobotIdentifier(
-        str(path), dt=DT, criterion="simulation", friction=("viscous",)
-    )
-    words = "follow others, follow: use criterion='torque', or give a description"
-    with pytest.raises(ValueError, match=words):
-        robot.fit(q, tau)

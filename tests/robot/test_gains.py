@@ -1,29 +1,20 @@
 """Unknown gains of torque channels, relative to one of them."""
 
-import pickle
 import warnings
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import linalg, optimize
-from sklearn.base import clone
 
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.effects import TorqueGain  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
-    ModelValues,
     joint_moments,
 )
-from sklearn_vbjfa.robot._estimate import PlainEstimate  # noqa: E402
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
-    RelativeGains,
-    _grouped,
-    declared_gains,
     relative_gains,
-    with_gains,
 )
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
@@ -102,26 +93,6 @@ def test_gains_are_those_of_nonlinear_least_squares():
     assert not found.hidden
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_gains_far_from_one_another_are_found(seed):
-    rng = np.random.default_rng(seed)
-    gains = np.exp(rng.uniform(np.log(0.2), np.log(5.0), NV))
-    found = fit(torques(gains=gains, seed=seed)).gains_
-    error = found.gain / relative(gains, found) - 1
-    assert np.abs(error).max() < 0.03
-    low, high = found.intervals
-    # Of three at a time, an interval of 90 % may miss one, and not by much.
-    wide = 2.0 * (high - low) / 2
-    assert np.all(np.abs(found.gain - relative(gains, found)) <= wide)
-
-
-def test_without_noise_gains_of_moments_are_exact():
-    tau = torques(noise=0.0)
-    moments = joint_moments(PHI, tau, np.ones_like(tau))
-    found = relative_gains(moments)
-    assert_allclose(found.gains, relative(GAINS, found), rtol=1e-5)
-
-
 def test_least_squares_takes_noise_of_the_torques_for_signal():
     """Inverse gains h of h_j y_j = Phi_j theta, all other channels as inputs."""
     _, states = motion(NV, duration=160.0, dt=2 * DT, seed=1)
@@ -155,25 +126,6 @@ def test_gains_do_not_depend_on_units():
     one, other = fit(tau).gains_, fit(tau * scale).gains_
     assert_array_equal(one.reference, other.reference)
     assert_allclose(other.gain, one.gain * relative(scale, one), rtol=1e-4)
-
-
-def test_the_reference_does_not_depend_on_the_order():
-    rng = np.random.default_rng(0)
-    A = rng.normal(size=(5, 5))
-    covariance = A @ A.T * 1e-4
-    own = np.diagonal(covariance)
-    spread = own[:, None] + own - 2 * covariance
-    strength = rng.uniform(1, 2, size=5)
-    first = _grouped(spread, strength, ())[0]
-    sums = spread.sum(axis=0)
-    assert sums[first] == sums.min()
-    order = rng.permutation(5)
-    again = _grouped(spread[np.ix_(order, order)], strength[order], ())[0]
-    assert order[again] == first
-    # Two know each other equally well: the louder one.
-    pair = spread[:2, :2]
-    assert _grouped(pair, np.array([1.0, 2.0]), ())[0] == 1
-    assert _grouped(pair, np.array([2.0, 1.0]), ())[0] == 0
 
 
 def test_a_reference_may_be_given():
@@ -226,34 +178,6 @@ def test_a_joint_that_no_other_feels_is_hidden():
     assert_allclose(robot.gains_.gain[:3], gains[:3], rtol=0.03)
 
 
-@pytest.mark.parametrize(
-    ("gain", "std", "vague"),
-    [
-        (2.0, 0.1, False),
-        (0.2, 0.15, False),
-        (0.2, 0.25, True),  # as a factor
-        (19.0, 9.0, True),  # beside the others
-        (19.0, 0.5, False),
-        (2.0, np.nan, True),
-    ],
-)
-def test_a_gain_is_known_if_its_interval_is_narrow(gain, std, vague):
-    start = RelativeGains(
-        gains=np.ones(3), reference=np.zeros(3, dtype=int), std=np.zeros(3)
-    )
-    gains = np.array([1.0, 1.5, gain])
-    found = ModelValues(
-        effects=with_gains(declared_gains((), 3), gains),
-        indices=np.arange(5, 8),
-        step=np.zeros(3),
-        std=np.array([np.nan, 0.01, std]),
-        estimate=PlainEstimate(
-            theta=np.zeros(8), covariance=np.eye(8), known=np.ones(8), eigen=None
-        ),
-    )
-    assert_array_equal(start.vague(found), [False, False, vague])
-
-
 # -- in the house
 
 
@@ -265,23 +189,6 @@ def test_predictions_are_what_channels_read():
     assert robot.parameter_names_[-NV:] == tuple(names)
     assert [e.gain for e in robot.effects_] == robot.gains_.gain.tolist()
     assert robot.effects == ()
-
-
-def test_clones_and_copies_are_the_same():
-    tau = torques()
-    robot = fit(tau)
-    assert clone(robot).get_params() == robot.get_params()
-    again = pickle.loads(pickle.dumps(robot))
-    assert_array_equal(again.predict(STATES), robot.predict(STATES))
-    assert_array_equal(again.gains_.gain, robot.gains_.gain)
-    assert_array_equal(clone(robot).fit(STATES, tau).theta_, robot.theta_)
-    assert fit(tau, gains=None).gains_ is None
-
-
-def test_declared_gains_are_where_it_starts():
-    tau = torques()
-    given = fit(tau, effects=[TorqueGain(2, gain=4.0)])
-    assert_allclose(given.gains_.gain, fit(tau).gains_.gain, rtol=1e-3)
 
 
 @pytest.mark.parametrize(

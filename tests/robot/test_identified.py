@@ -86,16 +86,6 @@ def test_a_torque_model_holds_what_predict_knows(loaded, simulated, new_motion):
     assert known.dt == simulated.dt
 
 
-def test_a_robot_without_effects_has_no_load(identified):
-    known = identified.robot_.torque_model()
-    assert known.load is None
-    assert known.effects == ()
-    assert known.coefficients == ()
-    assert known.since is None
-    np.testing.assert_array_equal(known.rest.noise, 0.0)
-    np.testing.assert_array_equal(known.rest.speed, identified.standstill_)
-
-
 def test_a_tilted_base_is_in_the_model(simulated):
     model = simulated.robot_model().copy()
     model.gravity.linear = np.array([0.0, 0.5, -9.8])
@@ -108,11 +98,6 @@ def test_a_tilted_base_is_in_the_model(simulated):
     np.testing.assert_allclose(
         np.linalg.norm(gravity), np.linalg.norm(model.gravity.linear), rtol=1e-12
     )
-
-
-def test_a_model_of_an_unfitted_robot_is_refused(simulated):
-    with pytest.raises(ValueError, match="not fitted"):
-        _ = RobotIdentifier(simulated.urdf, dt=simulated.dt).robot_
 
 
 @pytest.fixture(scope="module")
@@ -170,15 +155,3 @@ def test_a_robot_from_a_file_simulates_as_the_fitted_one(loaded, simulated, tmp_
     np.testing.assert_array_equal(
         read.simulate(*arguments), loaded.simulate(*arguments)
     )
-
-
-def test_what_a_robot_is_called(read):
-    assert repr(read) == (
-        "<IdentifiedRobot: 6 joints, effects: load_friction, presliding, jerk>"
-    )
-
-
-def test_warnings_point_to_who_asked(read, new_motion):
-    with pytest.warns(UserWarning, match="outside") as caught:
-        read.predict(2.0 * new_motion.states)
-    assert caught[0].filename == __file__

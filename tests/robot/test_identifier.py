@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from sklearn.base import clone
-from sklearn.linear_model import LinearRegression, Ridge
+from sklearn.linear_model import LinearRegression
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import PhysicalProjector, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.physical import Options  # noqa: E402
-from sklearn_vbjfa.robot import _equations  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 from tests.simulation._machines import wheel  # noqa: E402
 
@@ -49,17 +47,6 @@ def test_predicts_another_motion_and_is_a_possible_robot(identified, new_motion)
     assert np.all(identified.theta_.reshape(6, 12)[:, 10:] >= 0)
 
 
-def test_min_eigenvalues_are_those_of_the_bodies(identified):
-    for row, low in zip(identified.theta_.reshape(6, 12), identified.min_eigenvalues_):
-        m, cx, cy, cz, xx, xy, yy, xz, yz, zz = row[:10]
-        inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-        first = np.array([[cx], [cy], [cz]])
-        J = np.block([[second, first], [first.T, np.array([[m]])]])
-        assert np.linalg.eigvalsh(J)[0] > 0
-        assert low > 0
-
-
 def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_motion):
     robot = RobotIdentifier(simulated.urdf, friction=FRICTION, standstill=None)
     robot.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
@@ -70,34 +57,6 @@ def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_mot
     plain.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
     error = squared_error(plain, new_motion.states, new_motion.tau_clean)
     assert np.all(error < 1e-18)
-
-
-def test_identifiable_parameters_are_found(identified, simulated):
-    truth = simulated.theta(FRICTION)
-    free = identified.identifiable_
-    error = np.abs(identified.theta_unconstrained_ - truth)[free]
-    # given the noise, five deviations; states from positions add a bias at reversals
-    assert np.all(error < 5 * identified.theta_std_[free] + 0.01 * np.abs(truth[free]))
-
-
-def test_states_and_positions_are_both_welcome(identified, simulated, new_motion):
-    from_states = RobotIdentifier(simulated.urdf, friction=FRICTION)
-    from_states.fit(simulated.states, simulated.tau, groups=simulated.groups)
-    assert from_states.state_estimator_ is None
-    assert from_states.cutoff_ == np.inf
-    assert from_states.n_features_in_ == 18
-    error = squared_error(from_states, new_motion.states, new_motion.tau_clean)
-    assert np.all(error < 1e-4)
-    assert identified.n_features_in_ == 6
-    # Positions of a query are smoothed: accelerations from encoders of 1e-4 rad, and
-    # Coulomb friction that jumps at another sample.
-    error = squared_error(identified, new_motion.q, new_motion.tau_clean)
-    assert np.all(error < 0.01)
-    with pytest.raises(ValueError, match="dt must be the sample period"):
-        from_states.predict(new_motion.q)
-    both = from_states.set_params(dt=simulated.dt)
-    both.fit(simulated.states, simulated.tau, groups=simulated.groups)
-    assert np.all(squared_error(both, new_motion.q, new_motion.tau_clean) < 0.01)
 
 
 def test_prediction_from_states_is_inverse_dynamics(identified, simulated, new_motion):
@@ -113,14 +72,6 @@ def test_prediction_from_states_is_inverse_dynamics(identified, simulated, new_m
         expected.append(rigid + theta[:, 10] * v + theta[:, 11] * np.sign(v))
     np.testing.assert_allclose(
         identified.predict(new_motion.states[::50]), expected, rtol=1e-9, atol=1e-9
-    )
-
-
-def test_prediction_does_not_depend_on_its_pieces(identified, new_motion, monkeypatch):
-    whole = identified.predict(new_motion.states)
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1)
-    np.testing.assert_allclose(
-        identified.predict(new_motion.states[:40]), whole[:40], rtol=1e-12, atol=1e-12
     )
 
 
@@ -199,25 +150,6 @@ def test_torques_in_another_unit_are_the_robot_in_that_unit(
     np.testing.assert_array_equal(other.identifiable_, identified.identifiable_)
 
 
-def test_pieces_of_memory_change_nothing(identified, simulated, monkeypatch):
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1)
-    pieces = identify(simulated)
-    scale = np.abs(identified.estimator_.metric_).max()
-    np.testing.assert_allclose(
-        pieces.estimator_.metric_,
-        identified.estimator_.metric_,
-        rtol=0,
-        atol=1e-10 * scale,
-    )
-    np.testing.assert_allclose(pieces.theta_, identified.theta_, rtol=0, atol=1e-8)
-    np.testing.assert_allclose(
-        pieces.theta_unconstrained_,
-        identified.theta_unconstrained_,
-        rtol=0,
-        atol=1e-10 * np.abs(identified.theta_unconstrained_).max(),
-    )
-
-
 def test_order_and_names_of_recordings_do_not_matter(identified, simulated):
     order = np.argsort(-simulated.groups, kind="stable")
     names = np.where(simulated.groups[order] == 1, "late", "early")
@@ -227,46 +159,7 @@ def test_order_and_names_of_recordings_do_not_matter(identified, simulated):
     assert robot.cutoff_ == pytest.approx(identified.cutoff_, rel=1e-12)
 
 
-def test_repeating_a_recording_repeats_the_result(identified, simulated):
-    q, tau = np.tile(simulated.q, (2, 1)), np.tile(simulated.tau, (2, 1))
-    groups = np.concatenate([simulated.groups, simulated.groups + 2])
-    robot = RobotIdentifier(
-        simulated.urdf,
-        dt=simulated.dt,
-        friction=FRICTION,
-        projector=None,
-        regressor=LinearRegression(),
-    ).fit(q, tau, groups=groups)
-    once = identify(simulated, projector=None, regressor=LinearRegression())
-    np.testing.assert_allclose(robot.theta_, once.theta_, rtol=1e-6, atol=1e-9)
-
-
 # -- settings
-
-
-def test_any_regressor_and_projector(simulated, new_motion):
-    projector = PhysicalProjector("eq30", options=Options(margin=1e-6))
-    robot = identify(simulated, regressor=Ridge(alpha=1e-6), projector=projector)
-    error = squared_error(robot, new_motion.states, new_motion.tau_clean)
-    assert np.all(error < 1e-4)
-    assert robot.projector_.constraint == "eq30"
-    assert robot.projector_.options.margin == 1e-6
-    assert robot.projector_.metric is robot.estimator_.metric_
-    assert projector.metric is None
-    assert np.isnan(robot.theta_std_).all()
-
-
-def test_settings_of_a_projector_of_the_user_stay(simulated):
-    metric = np.eye(72)
-    robot = identify(simulated, projector=PhysicalProjector(metric=metric))
-    np.testing.assert_array_equal(robot.projector_.metric, metric)
-    assert robot.projector_.body_starts_.tolist() == list(range(0, 72, 12))
-
-
-def test_without_projection_theta_is_the_estimate(simulated):
-    robot = identify(simulated, projector=None, bodies="free")
-    np.testing.assert_array_equal(robot.theta_, robot.theta_unconstrained_)
-    assert robot.min_eigenvalues_.min() < 0  # which is why there is a projection
 
 
 def test_automatic_cutoff_is_five_bandwidths(identified):
@@ -310,24 +203,6 @@ def test_standing_samples_are_left_out(simulated, cutoff):
     assert spoiled.normalised_error().max() > 0.01
 
 
-def test_sample_weight_zero_leaves_out(identified, simulated):
-    tau = simulated.tau.copy()
-    weight = np.ones(tau.shape)
-    tau[500:700, 2], weight[500:700, 2] = 1e5, 0.0
-    robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, friction=FRICTION)
-    robot.fit(simulated.q, tau, groups=simulated.groups, sample_weight=weight)
-    found = robot.residuals(
-        simulated.q, tau, groups=simulated.groups, sample_weight=weight
-    )
-    half = robot.estimator_.lowpass_.half
-    inside = (found.index > 500 + half) & (found.index < 700 - half)
-    assert inside.sum() > 5
-    np.testing.assert_array_equal(found.weight[inside, 2], 0.0)
-    # Rows at the stretch's border count half and see what the filter reaches of it.
-    far = (found.index < 500 - half) | (found.index > 700 + half)
-    assert far.sum() > 500
-
-
 # -- residuals
 
 
@@ -357,49 +232,6 @@ def test_residuals_are_filtered_torques_against_filtered_predictions(
     mean = np.average(found.torque[:, 3], weights=found.weight[:, 3])
     spread = np.average((found.torque[:, 3] - mean) ** 2, weights=found.weight[:, 3])
     assert found.normalised_error()[3] == pytest.approx(rms / np.sqrt(spread))
-
-
-def test_torques_are_predicted_once_for_several_low_passes(
-    identified, simulated, monkeypatch
-):
-    robot, asked = identified.robot_, []
-    recording = simulated.select(0)
-    cutoffs = "fit", 15.0, None
-    one_by_one = [robot.residuals_of(recording, cutoff=c) for c in cutoffs]
-    alone = _equations.RegressorRows.predict
-
-    def predict(rows, *known):
-        asked.append(rows)
-        return alone(rows, *known)
-
-    monkeypatch.setattr(_equations.RegressorRows, "predict", predict)
-    for cutoff in cutoffs:
-        robot.residuals_of(recording, cutoff=cutoff)
-    each = len(asked) / len(cutoffs)
-    asked.clear()
-    found = robot.residuals_behind(recording, cutoffs)
-    assert len(asked) == each
-    for own, other in zip(found, one_by_one, strict=True):
-        for name in ("index", "torque", "predicted", "weight"):
-            np.testing.assert_array_equal(getattr(own, name), getattr(other, name))
-
-
-def test_torque_noise_that_is_given(simulated, identified):
-    rows = slice(0, 3000)
-    fit = simulated.q[rows], simulated.tau[rows]
-    given = clone(identified).set_params(torque_noise=simulated.torque_noise).fit(*fit)
-    taps = given.estimator_.lowpass_.taps
-    np.testing.assert_allclose(
-        given.torque_noise_, simulated.torque_noise * np.sqrt(taps @ taps), rtol=1e-12
-    )
-    np.testing.assert_allclose(
-        given.noise_floor_, np.hypot(given.torque_noise_, given.input_noise_torque_)
-    )
-    plain = clone(identified).set_params(cutoff=None, torque_noise=0.5).fit(*fit)
-    np.testing.assert_array_equal(plain.torque_noise_, 0.5)
-    for bad in (-1.0, np.nan, [1.0, 2.0], np.inf):
-        with pytest.raises(ValueError, match="torque_noise must be a non-negative"):
-            clone(identified).set_params(torque_noise=bad).fit(*fit)
 
 
 @pytest.mark.parametrize("encoder_noise", [1e-4, 1e-3])
@@ -433,23 +265,6 @@ def test_noise_floor_is_what_noise_alone_leaves(encoder_noise):
         robot.torque_noise_**2 + robot.input_noise_torque_**2,
         rtol=1e-12,
     )
-
-
-def test_input_noise_grows_with_that_of_the_encoders():
-    shares = []
-    for encoder_noise in (3e-4, 3e-3):
-        recording = make_robot_recording(
-            duration=16.0,
-            dt=0.01,
-            encoder_noise=encoder_noise,
-            torque_noise=0.01,
-            random_state=2,
-        )
-        # the same smoothing, so that ten times the noise is ten times the share
-        robot = identify(recording, state_cutoff=4.0, cutoff=5.0)
-        shares.append(robot.input_noise_torque_)
-    # halves of one recording: 1600 samples, 2 * 4 Hz * 16 s of them independent
-    np.testing.assert_allclose(shares[1] / shares[0], 10.0, rtol=0.3)
 
 
 def test_residuals_never_cross_a_border(identified, simulated):
@@ -501,17 +316,6 @@ def test_one_joint_takes_a_flat_torque():
     assert np.all(robot.min_eigenvalues_ > 0)
 
 
-def test_a_robot_without_inertias_in_its_description(simulated, new_motion):
-    model = load_model(simulated.urdf).copy()
-    for j in range(1, 7):
-        model.inertias[j] = pin.Inertia.Zero()
-    robot = RobotIdentifier(model, dt=simulated.dt, friction=FRICTION)
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    assert np.all(robot.min_eigenvalues_ > 0)
-    error = squared_error(robot, new_motion.states, new_motion.tau_clean)
-    assert np.all(error < 1e-4)
-
-
 # -- scikit-learn
 
 
@@ -526,17 +330,6 @@ def test_clone_pickle_and_refit(identified, simulated, new_motion):
     given.fit(simulated.q, simulated.tau, groups=simulated.groups)
     np.testing.assert_array_equal(given.theta_, identified.theta_)
     assert identified.score(new_motion.states, new_motion.tau_clean) > 0.999
-
-
-def test_names_and_units_are_those_of_the_features(identified):
-    assert identified.joint_names_ == tuple(f"joint_{j}" for j in range(1, 7))
-    assert len(identified.parameter_names_) == identified.theta_.size == 72
-    assert identified.parameter_names_[10:13] == (
-        "joint_1:viscous",
-        "joint_1:coulomb",
-        "joint_2:m",
-    )
-    assert identified.parameter_units_[10:13] == ("N m s/rad", "N m", "kg")
 
 
 def test_noise_of_encoders_is_what_exact_torques_leave():

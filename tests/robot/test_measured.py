@@ -11,10 +11,10 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import protocols
 
-# More than ten seconds on a busy core: 32000 samples of six joints, 15000 of seven.
-LONG = ("staubli_tx40", "franka_panda")
+# One bench and one robot are in the quick tests.
+QUICK = ("emps", "ur5")
 SETS = [
-    pytest.param(name, marks=pytest.mark.slow) if name in LONG else name
+    name if name in QUICK else pytest.param(name, marks=pytest.mark.slow)
     for name in protocols()
     if name != "demo"
 ]

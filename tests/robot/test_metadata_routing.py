@@ -4,24 +4,19 @@ import numpy as np
 import pytest
 import sklearn
 from sklearn.base import clone
-from sklearn.exceptions import UnsetMetadataPassedError
-from sklearn.linear_model import LassoCV, LinearRegression
+from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
-from sklearn.pipeline import Pipeline, make_pipeline
-from sklearn.preprocessing import StandardScaler
+from sklearn.pipeline import Pipeline
 from sklearn.utils.metadata_routing import MetadataRouter
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (
-    EffectDiscovery,
     JointTorqueRegressor,
-    LocallyWeightedRegressor,
     RigidBodyFeatures,
     RobotIdentifier,
     StateEstimator,
-    VBJFARegressor,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
 
@@ -108,55 +103,6 @@ def test_cross_validation_of_the_chain(recording, weight, routing):
     np.testing.assert_allclose(result["test_score"], expected, rtol=1e-10)
 
 
-def test_search_over_the_chain(recording, routing):
-    search = GridSearchCV(
-        routed_chain(recording),
-        {"torque__cutoff": [3.0, 5.0]},
-        cv=FOLDS,
-        error_score="raise",
-    )
-    search.fit(recording.q, recording.tau, groups=recording.groups)
-    for cutoff, score in zip([3.0, 5.0], search.cv_results_["mean_test_score"]):
-        expected = [
-            by_hand(recording, None, *split, cutoff=cutoff)
-            for split in splits(recording)
-        ]
-        assert score == pytest.approx(np.mean(expected), rel=1e-10)
-
-
-def test_the_chain_predicts_recording_by_recording(recording, routing):
-    model = routed_chain(recording, weighted=False)
-    model.fit(recording.q, recording.tau, groups=recording.groups)
-    together = model.predict(recording.q, groups=recording.groups)
-    for label in range(4):
-        rows = recording.groups == label
-        alone = model.predict(recording.q[rows])
-        np.testing.assert_allclose(together[rows], alone, rtol=1e-9, atol=1e-9)
-    assert not np.allclose(model.predict(recording.q), together)
-
-
-def test_without_routing_the_steps_are_named(recording, weight):
-    model = chain(recording)
-    model.fit(
-        recording.q,
-        recording.tau,
-        states__groups=recording.groups,
-        torque__groups=recording.groups,
-        torque__sample_weight=weight,
-    )
-    with sklearn.config_context(enable_metadata_routing=True):
-        routed = routed_chain(recording).fit(
-            recording.q, recording.tau, groups=recording.groups, sample_weight=weight
-        )
-    np.testing.assert_array_equal(model["torque"].theta_, routed["torque"].theta_)
-
-
-def test_what_no_step_asked_for_is_refused(recording, weight, routing):
-    model = chain(recording)
-    with pytest.raises(UnsetMetadataPassedError, match="sample_weight"):
-        model.fit(recording.q, recording.tau, sample_weight=weight)
-
-
 def test_groups_need_no_ceremony(recording, routing):
     q, tau, groups = recording.q, recording.tau, recording.groups
     search = GridSearchCV(
@@ -176,59 +122,12 @@ def test_groups_need_no_ceremony(recording, routing):
     assert best.score(q, tau, groups=groups) == expected
 
 
-def test_groups_of_the_identifier_need_no_ceremony(recording, routing):
-    q, tau, groups = recording.q, recording.tau, recording.groups
-    search = GridSearchCV(
-        identifier(recording), {"cutoff": [5.0]}, cv=FOLDS, error_score="raise"
-    )
-    search.fit(q, tau, groups=groups)
-    alone = identifier(recording).fit(q, tau, groups=groups)
-    np.testing.assert_array_equal(search.best_estimator_.theta_, alone.theta_)
-    train, test = splits(recording)[0]
-    alone.fit(q[train], tau[train], groups=groups[train])
-    expected = alone.score(q[test], tau[test], groups=groups[test])
-    assert search.cv_results_["split0_test_score"] == [expected]
-    loop = EffectDiscovery(identifier(recording))
-    for method in ("fit", "predict", "score"):
-        assert loop.get_metadata_routing().consumes(method, ["groups"]) == {"groups"}
-
-
-def test_groups_can_be_declined(recording, routing):
-    torque = JointTorqueRegressor(LinearRegression(), dt=DT, cutoff=5.0)
-    torque.set_fit_request(groups=False)
-    model = make_pipeline(RigidBodyFeatures(recording.urdf), torque)
-    blind = make_pipeline(RigidBodyFeatures(recording.urdf), clone(torque))
-    model.fit(recording.states, recording.tau)
-    blind.fit(recording.states, recording.tau)
-    np.testing.assert_array_equal(model[-1].theta_, blind[-1].theta_)
-    with pytest.raises(TypeError, match="groups"):
-        model.fit(recording.states, recording.tau, groups=recording.groups)
-
-
 # -- the regressor inside -------------------------------------------------------------
 
 
 def equations(recording):
     features = RigidBodyFeatures(recording.urdf)
     return features.fit_transform(recording.states), recording.tau
-
-
-def test_an_inner_search_by_recordings(recording, routing):
-    Phi, tau = equations(recording)
-    lasso = LassoCV(cv=GroupKFold(4), alphas=[1e-4, 1e-3, 1e-2], max_iter=2000, tol=0.1)
-    model = JointTorqueRegressor(lasso, joint_weights=None)
-    names = model.get_metadata_routing().consumes("fit", ["groups", "sample_weight"])
-    assert names == {"groups"}
-    model.fit(Phi, tau, groups=recording.groups)
-    # the same search by hand, on the scaled equations
-    A = Phi.reshape(-1, Phi.shape[1] // 6)
-    scale = np.sqrt(np.mean(A**2, axis=0))
-    scale[scale == 0] = 1.0
-    b = tau.ravel() / np.sqrt(np.mean(tau**2))
-    alone = clone(lasso).set_params(fit_intercept=False)
-    alone.fit(A / scale, b, groups=np.repeat(recording.groups, 6))
-    assert model.regressor_.alpha_ == alone.alpha_
-    np.testing.assert_allclose(model.regressor_.mse_path_, alone.mse_path_, rtol=1e-6)
 
 
 def test_labels_stay_with_their_equations(recording, weight, routing):
@@ -264,46 +163,6 @@ def test_weights_go_to_a_regressor_that_requests_them(recording, weight, routing
     np.testing.assert_allclose(
         asked.predict(Phi), folded.predict(Phi), atol=1e-6 * np.abs(tau).max()
     )
-
-
-def test_mirrored_equations_keep_their_labels(recording, routing):
-    Phi, tau = equations(recording)
-    rows = LooksAtRows().set_fit_request(groups=True)
-    model = JointTorqueRegressor(make_pipeline(StandardScaler(), rows))
-    model.fit(Phi, tau, groups=recording.groups)
-    groups = model.regressor_[-1].given_["groups"]
-    np.testing.assert_array_equal(groups, np.repeat(recording.groups, 12))
-
-
-def test_aliases_are_followed(recording, routing):
-    Phi, tau = equations(recording)
-    rows = LooksAtRows().set_fit_request(sample_weight="groups", groups=False)
-    model = JointTorqueRegressor(rows).fit(Phi, tau, groups=recording.groups)
-    given = model.regressor_.given_["sample_weight"]
-    np.testing.assert_array_equal(given, np.repeat(recording.groups, 6))
-
-
-def test_what_is_ignored_stays_ignored(recording, weight, routing):
-    model = routed_chain(recording, weighted=False)
-    groups = recording.groups
-    scored = cross_validate(
-        model,
-        recording.q,
-        recording.tau,
-        params={"groups": groups, "sample_weight": weight},
-        cv=FOLDS,
-        scoring=sklearn.metrics.make_scorer(r2_score).set_score_request(
-            sample_weight=True
-        ),
-        return_estimator=True,
-        error_score="raise",
-    )
-    train, _ = splits(recording)[0]
-    plain = clone(model).fit(
-        recording.q[train], recording.tau[train], groups=groups[train]
-    )
-    found = scored["estimator"][0]["torque"]
-    np.testing.assert_array_equal(found.theta_, plain["torque"].theta_)
 
 
 def test_routing_of_the_joint_torques(routing):
@@ -364,73 +223,4 @@ def test_score_knows_the_borders_of_recordings(recording):
     assert score > robot.score(recording.q, recording.tau)
 
 
-def test_cross_validation_of_the_identifier_without_routing(recording):
-    groups = recording.groups
-    result = cross_validate(
-        identifier(recording),
-        recording.q,
-        recording.tau,
-        groups=groups,
-        params={"groups": groups},
-        cv=FOLDS,
-        error_score="raise",
-    )
-    train, test = splits(recording)[0]
-    alone = identifier(recording)
-    alone.fit(recording.q[train], recording.tau[train], groups=groups[train])
-    expected = alone.score(recording.q[test], recording.tau[test])
-    assert result["test_score"][0] == pytest.approx(expected, rel=1e-10)
-
-
-def test_metadata_reach_a_discovery(recording, weight, routing):
-    q, tau, groups = recording.q, recording.tau, recording.groups
-    loop = EffectDiscovery(identifier(recording), effects=["coulomb"], max_effects=1)
-    loop.set_fit_request(groups=True, sample_weight=True, t=True)
-    loop.set_score_request(groups=True, sample_weight=False, t=True)
-    t = recording.t + 10.0 * groups
-    inside = (weight > 0).astype(float)
-    search = GridSearchCV(loop, {"alpha": [0.05]}, cv=FOLDS, error_score="raise")
-    search.fit(q, tau, groups=groups, sample_weight=inside, t=t)
-    alone = clone(loop).fit(q, tau, groups=groups, sample_weight=inside, t=t)
-    found = search.best_estimator_
-    np.testing.assert_array_equal(found.identifier_.theta_, alone.identifier_.theta_)
-    expected = r2_score(tau, alone.predict(q, groups=groups, t=t))
-    assert found.score(q, tau, groups=groups, t=t) == expected
-
-
 # -- locally weighted -----------------------------------------------------------------
-
-
-def test_weights_reach_locally_weighted_models(routing):
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-3, 3, size=(400, 2))
-    y = np.sin(X[:, 0]) + 0.1 * rng.normal(size=400)
-    weight = rng.integers(0, 3, size=400).astype(float)
-    model = LocallyWeightedRegressor(LinearRegression(), n_models=4)
-    with pytest.raises(UnsetMetadataPassedError, match="sample_weight"):
-        cross_validate(model, X, y, params={"sample_weight": weight})
-    model.set_fit_request(sample_weight=True).set_score_request(sample_weight=True)
-    result = cross_validate(
-        model,
-        X,
-        y,
-        params={"sample_weight": weight},
-        cv=[(np.arange(300), np.arange(300, 400))],
-        error_score="raise",
-    )
-    alone = clone(model).fit(X[:300], y[:300], sample_weight=weight[:300])
-    expected = alone.score(X[300:], y[300:], sample_weight=weight[300:])
-    assert result["test_score"] == [expected]
-
-
-def test_a_pipeline_as_local_model(routing):
-    rng = np.random.default_rng(0)
-    X = rng.uniform(-3, 3, size=(400, 2))
-    y = np.sin(X[:, 0])
-    scaler = StandardScaler().set_fit_request(sample_weight=True)
-    inner = VBJFARegressor(input_noise=0.0).set_fit_request(sample_weight=True)
-    model = LocallyWeightedRegressor(make_pipeline(scaler, inner), n_models=4)
-    plain = LocallyWeightedRegressor(VBJFARegressor(input_noise=0.0), n_models=4)
-    np.testing.assert_allclose(
-        model.fit(X, y).predict(X), plain.fit(X, y).predict(X), atol=1e-2
-    )

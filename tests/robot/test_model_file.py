@@ -12,7 +12,6 @@ from sklearn.linear_model import Ridge
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (  # noqa: E402
-    EffectDiscovery,
     IdentifiedRobot,
     RobotIdentifier,
     load_identified,
@@ -272,62 +271,6 @@ def test_an_effect_of_ones_own(simulated, tmp_path):
     assert os.listdir(tmp_path) == ["robot.json"]
 
 
-def test_an_effect_under_the_name_of_another(simulated, tmp_path):
-    class Viscous(Effect):
-        name = "viscous"
-        coefficients = ("Fv",)
-        units = (("N m", "N"),)
-
-        def columns(self, motion):
-            return motion.q[:, [self.joint]]
-
-    robot = RobotIdentifier(
-        simulated.urdf, dt=DT, friction=(), effects=[Viscous(joint=1)]
-    )
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    robot.save(tmp_path / "robot.json")
-    with pytest.raises(ValueError, match="give its class"):
-        load_identified(tmp_path / "robot.json")
-    read = load_identified(tmp_path / "robot.json", effects=[Viscous])
-    np.testing.assert_array_equal(
-        predicted(read, simulated.q)[0], predicted(robot, simulated.q)[0]
-    )
-
-
-def test_what_a_discovery_found(simulated, tmp_path):
-    tau = simulated.tau.copy()
-    tau[:, 1] += 30.0 * simulated.q[:, 1]
-    loop = EffectDiscovery(
-        RobotIdentifier(simulated.urdf, dt=DT, friction=("viscous",)),
-        effects=["spring", "drift"],
-        random_state=0,
-    )
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        robot = loop.fit(simulated.q, tau, groups=simulated.groups).identifier_
-    assert [effect.name for effect in robot.effects_] == ["spring"]
-    robot.save(tmp_path / "robot.json")
-    read = load_identified(tmp_path / "robot.json")
-    later = {"t": simulated.t + 100.0}
-    expected, said = predicted(robot, simulated.q, **later)
-    torque, again = predicted(read, simulated.q, **later)
-    np.testing.assert_array_equal(torque, expected)
-    assert again == said
-
-
-def test_units_stand_beside_all_parameters(saved, identified):
-    content = json.loads(saved.read_text())
-    told = [(p["name"], p["value"], p["unit"]) for p in content["parameters"]]
-    assert told == list(
-        zip(
-            identified.parameter_names_,
-            identified.theta_.tolist(),
-            identified.parameter_units_,
-        )
-    )
-    assert "\n".join(content["urdf"]).startswith("<robot")
-
-
 def test_the_guide_tells_of_all_keys(saved):
     guide = (Path(__file__).parents[2] / "docs" / "saved_model.rst").read_text()
     content = json.loads(saved.read_text())
@@ -486,36 +429,6 @@ def test_what_is_wrong_is_named(case, saved, tmp_path):
         load_identified(path)
     assert "changed.json" in str(found.value)
     assert "\n" not in str(found.value).strip()
-
-
-def keys_of(value, at=()):
-    """All keys of a file, as tuples."""
-    if isinstance(value, dict):
-        for key, inner in value.items():
-            yield (*at, key)
-            yield from keys_of(inner, (*at, key))
-    elif isinstance(value, list):
-        for k, inner in enumerate(value[:1]):
-            yield from keys_of(inner, (*at, k))
-
-
-def test_every_key_is_needed_or_told_beside(simulated, tmp_path):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        robot, _ = fitted_effects(simulated)
-    path = tmp_path / "robot.json"
-    robot.save(path)
-    content = json.loads(path.read_text())
-    told = {"noise_floor_unit", "standstill_unit", "channel_gain", "shape_units"}
-    for keys in keys_of(content):
-        last = keys[-1]
-        if last in told or last.endswith("unit") or "shape_units" in keys:
-            continue
-        if "shape" in keys[:-1] or (keys[0] == "signals" and len(keys) == 2):
-            continue
-        bad = changed(path, tmp_path, delete(*keys))
-        with pytest.raises(ValueError, match="format" if last == "format" else last):
-            load_identified(bad)
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from sklearn_vbjfa.simulation import (  # noqa: E402
     Recorded,
     Stepper,
 )
+from tests._quick import one_in  # noqa: E402
 from tests.model._mujoco import drive_torques  # noqa: E402
 from tests.simulation._machines import machine, point  # noqa: E402
 from tests.simulation._random_robots import (  # noqa: E402
@@ -77,7 +78,7 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
             np.testing.assert_allclose(found, expected[k], rtol=1e-10, atol=1e-10)
 
 
-@pytest.mark.parametrize("name", LIBRARY)
+@pytest.mark.parametrize("name", one_in(3, LIBRARY))
 def test_torques_after_saving(name, simulated, tmp_path):
     """What a saved robot predicts and steps is what the fitted one predicts."""
     (effect,) = effects.resolve(name)

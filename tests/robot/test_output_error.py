@@ -1,42 +1,37 @@
 """Output error recovers simulated robots, and its sensitivities are derivatives."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     Coulomb,
-    Elastic,
     Ripple,
     Spring,
     Stribeck,
 )
-from sklearn_vbjfa.physical import is_consistent  # noqa: E402
-from sklearn_vbjfa.robot import (  # noqa: E402
+from sklearn_vbjfa.robot import (
     PDDrive,
     RecordingStates,
     slopes,
 )
-from sklearn_vbjfa.robot._output_error import (  # noqa: E402
+from sklearn_vbjfa.robot._output_error import (
     Normal,
     Windows,
     deviations,
     run_windows,
 )
-from sklearn_vbjfa.robot._sensitivities import propagate  # noqa: E402
-from sklearn_vbjfa.simulation import (  # noqa: E402
+from sklearn_vbjfa.robot._sensitivities import propagate
+from sklearn_vbjfa.simulation import (
     simulate,
     simulate_controlled,
 )
-from tests._quick import one_in  # noqa: E402
-from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
+from tests._quick import one_in
+from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.01
 VISCOUS, COULOMB = np.array([1.5, 0.8, 0.6]), np.array([1.0, 0.7, 0.3])
@@ -228,13 +223,6 @@ def test_what_is_left_is_within_the_deviations(pair):
     assert np.sqrt(np.mean(off**2)) < 3
 
 
-def test_bodies_are_consistent(pair):
-    refined = pair[1]
-    bodies = refined.theta_.reshape(2, -1)[:, :10]
-    assert (refined.min_eigenvalues_ > 0).all()
-    assert all(is_consistent(body) for body in bodies)
-
-
 def test_the_report_of_errors_is_that_of_simulations(pair):
     plain, refined, _, _, (q, tau, groups) = pair
     told = refined.criteria_
@@ -261,29 +249,6 @@ def test_the_criterion_never_rises(pair):
     product = np.prod(told.position_after / told.position_before)
     assert product < 1.0
     assert told.n_iterations > 0
-
-
-def test_the_unit_of_the_torques_does_not_matter(pair):
-    _, refined, _, _, (q, tau, groups) = pair
-    other = RobotIdentifier(arm("ZY"), **SETTINGS).fit(q, 1e3 * tau, groups)
-    told, expected = other.criteria_, refined.criteria_
-    assert_allclose(told.position_after, expected.position_after, rtol=0.02)
-    known = refined.identifiable_
-    gap = np.abs(other.theta_ / 1e3 - refined.theta_)[known]
-    assert (gap < 0.3 * refined.theta_std_[known]).all()
-    assert_allclose(other.theta_std_[known] / 1e3, refined.theta_std_[known], rtol=0.1)
-
-
-def test_the_order_of_the_recordings_does_not_matter(pair):
-    _, refined, _, _, (q, tau, groups) = pair
-    order = np.concatenate(
-        [np.flatnonzero(groups == g) for g in np.unique(groups)[::-1]]
-    )
-    other = RobotIdentifier(arm("ZY"), **SETTINGS)
-    other.fit(q[order], tau[order], groups[order])
-    known = refined.identifiable_
-    gap = np.abs(other.theta_ - refined.theta_)[known]
-    assert (gap < 0.1 * refined.theta_std_[known]).all()
 
 
 def test_effects_are_refined_and_their_shapes_stay():
@@ -357,42 +322,6 @@ def test_deviations_are_those_of_fits_that_are_repeated(W, rows, r, least, most)
     assert 0.95 < ratio < (1.15 if W >= 3 * r else 3.0)
 
 
-def test_unknown_encoder_noise_is_told():
-    """Recordings too short for a spectrum start exactly where they are smoothed to."""
-    _, states, tau = planned(arm("ZY"), 12.0)
-    q, groups = states[:, :2], np.arange(1200) // 15
-    given = {"state_cutoff": 10.0, "cutoff": None, "window": 0.1, "input_noise": None}
-    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **given})
-    with pytest.warns(UserWarning, match="encoder noise of .* is not known") as caught:
-        robot.fit(q, tau, groups)
-    told = [x for x in caught if "encoder noise" in str(x.message)]
-    assert len(told) == 1
-    assert "at least one recording of 16 samples" in str(told[0].message)
-    assert np.isnan(robot.state_estimator_.noise_variance_).all()
-    longer = np.arange(1200) // 16
-    with warnings.catch_warnings():
-        warnings.filterwarnings("error", ".*encoder noise")
-        robot.fit(q, tau, longer)
-
-
-def test_what_the_simulation_goes_without_is_told_once():
-    model = arm("z", gravity=0.0)
-    _, states, tau = planned(model, 6.0)
-    robot = RobotIdentifier(model, effects=[Elastic(0)], **{**EXACT, **SETTINGS})
-    with pytest.warns(UserWarning, match="leaves out elastic") as caught:
-        robot.fit(states, tau)
-    assert sum("leaves out" in str(x.message) for x in caught) == 1
-
-
-def test_few_windows_are_told():
-    _, states, tau = planned(arm("ZY"), 3.0)
-    robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **EXACT, "window": 1.4})
-    noisy = tau + 0.05 * np.random.default_rng(0).normal(size=tau.shape)
-    with pytest.warns(UserWarning, match="has 4 windows of joints and determined"):
-        robot.fit(states, noisy)
-    assert robot.criteria_.n_windows == 2
-
-
 def test_what_the_simulation_does_not_see_stays():
     """A mass that never accelerates in the windows keeps its torque fit."""
     model = arm("z", gravity=0.0)
@@ -464,8 +393,3 @@ def test_bad_input_is_named(case):
     robot = RobotIdentifier(arm("ZY"), **{**SETTINGS, **settings})
     with pytest.raises(ValueError, match=message):
         robot.fit(states, tau, **given)
-
-
-def test_second_moments_are_not_simulated():
-    with pytest.raises(ValueError, match="needs the recordings themselves"):
-        RobotIdentifier(arm("ZY"), **SETTINGS).build_model()

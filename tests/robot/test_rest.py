@@ -51,27 +51,6 @@ def test_prediction_does_not_rattle_at_rest(robot, recording):
     assert np.all(missed < 0.1 * coulomb(robot))
 
 
-def test_states_are_taken_row_by_row(robot, recording):
-    rng = np.random.default_rng(4)
-    states = recording.states[::40].copy()
-    states[:, recording.nv : 2 * recording.nv] *= rng.choice([0.0, 0.01, 1.0], (100, 1))
-    whole = robot.predict(states)
-    single = np.vstack([robot.predict(row[None]) for row in states])
-    np.testing.assert_allclose(single, whole, rtol=1e-12, atol=1e-12)
-    groups = np.arange(100) // 7
-    np.testing.assert_allclose(
-        robot.predict(states, groups=groups), whole, rtol=1e-12, atol=1e-12
-    )
-
-
-def test_groups_are_predicted_as_they_are_alone(robot, recording):
-    q = np.vstack([standing(recording), recording.q[:1500]])
-    groups = np.repeat([0, 1], [400, 1500])
-    together = robot.predict(q, groups=groups)
-    np.testing.assert_array_equal(together[:400], robot.predict(q[:400]))
-    np.testing.assert_array_equal(together[400:], robot.predict(q[400:]))
-
-
 def test_states_that_move_are_taken_as_they_are(robot, recording):
     v = recording.states[:, recording.nv : 2 * recording.nv]
     moving = recording.states[np.all(np.abs(v) > robot.standstill_, axis=1)]
@@ -88,17 +67,6 @@ def test_a_state_that_stands_has_no_friction(robot, recording):
     exact = robot.predict(states)
     states[:, recording.nv : 2 * recording.nv] = 1e-6 * robot.standstill_
     np.testing.assert_allclose(robot.predict(states), exact, atol=1e-3)
-
-
-def test_residuals_follow_the_same_rule(robot, recording):
-    q = np.vstack([recording.q[:1000], standing(recording, 1000)])
-    found = robot.residuals(q, np.zeros_like(q))
-    lowpass = robot.estimator_.lowpass_
-    behind = lowpass(robot.predict(q))
-    rest = found.index > 1100 + lowpass.half
-    assert rest.sum() > 5
-    missed = np.abs(found.predicted - behind)[rest].max(axis=0)
-    assert np.all(missed < 0.1 * coulomb(robot))
 
 
 def test_reversals_keep_their_sign(robot, recording):

@@ -4,16 +4,13 @@ import warnings
 
 import numpy as np
 import pytest
-import sklearn
 from numpy.testing import assert_allclose, assert_array_equal
-from sklearn.base import clone
-from sklearn.model_selection import GroupKFold, cross_validate
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.effects import LoadFriction, Signal
+from sklearn_vbjfa.effects import Signal
 
 ARM = make_robot_recording(duration=12.0, dt=0.01, n_recordings=2, random_state=3)
 NAMES = ARM.joint_names
@@ -35,11 +32,6 @@ def robot(*effects, **given):
 def fitted(X=ARM.q, *effects, **given):
     given = {"groups": ARM.groups, **given}
     return robot(*(effects or (EFFECT,))).fit(X, TAU, **given)
-
-
-@pytest.fixture(scope="module", name="found")
-def fixture_found():
-    return fitted(signals=GIVEN)
 
 
 def frame(**columns):
@@ -91,14 +83,6 @@ def test_one_error_names_the_missing_column(found, call):
         getattr(found, call)(*args, signals={"voltage": WARM})
 
 
-def test_a_missing_column_is_named_in_a_fit():
-    with pytest.raises(ValueError, match="the recorded signal 'temperature', which"):
-        fitted()
-    both = EFFECT, Signal(signal="voltage")
-    with pytest.raises(ValueError, match="the recorded signal 'voltage', which"):
-        fitted(ARM.q, *both, signals=GIVEN)
-
-
 def test_extra_columns_of_a_frame_are_signals(found):
     X = frame(temperature=WARM, operator="me", t=TIME)[
         ["operator", *frame().columns[::-1], "temperature", "t"]
@@ -112,28 +96,6 @@ def test_extra_columns_of_a_frame_are_signals(found):
     )
     together = fitted(frame(), signals=frame(temperature=WARM)[["temperature"]])
     assert_array_equal(together.theta_, again.theta_)
-
-
-def test_states_in_a_frame_leave_their_signals(found):
-    pandas = pytest.importorskip("pandas")
-    states = found.state_estimator_.transform(ARM.q, groups=ARM.groups)
-    names = [f"{kind}_{name}" for kind in "qva" for name in NAMES]
-    X = pandas.DataFrame(states, columns=names).assign(temperature=WARM)
-    plain = fitted(states, signals=GIVEN)
-    assert_allclose(fitted(X).theta_, plain.theta_, rtol=1e-9)
-
-
-def test_it_goes_beside_an_effect_of_the_load():
-    one = fitted(ARM.q, EFFECT, LoadFriction(joint=JOINT), signals=GIVEN)
-    assert abs(one.theta_[-2] - SLOPE) < 0.1
-
-
-def test_a_signal_in_other_units_changes_its_coefficient_alone(found):
-    fahrenheit = {"temperature": 1.8 * WARM + 32}
-    other = clone(EFFECT).set_params(reference=86.0)
-    scaled = fitted(ARM.q, other, signals=fahrenheit)
-    assert_allclose(1.8 * scaled.theta_[-1], found.theta_[-1], rtol=1e-5)
-    assert_allclose(scaled.theta_[:-1], found.theta_[:-1], rtol=1e-4, atol=1e-6)
 
 
 def bad_signals():
@@ -169,49 +131,9 @@ def test_what_is_no_condition_of_the_robot_is_refused(kind):
         robot().fit(ARM.q, TAU, groups=ARM.groups, signals={"other": values})
 
 
-def test_what_nobody_asks_for_stands_in_no_ones_way(found):
-    X = frame(temperature=WARM, voltage=np.nan, label="a", copy=ARM.q[:, 0])
-    assert_allclose(fitted(X).theta_, found.theta_, rtol=1e-9)
-    with pytest.raises(ValueError, match="The column 'voltage' has gaps: 2400 of 2400"):
-        fitted(X, Signal(signal="voltage"))
-    with pytest.raises(ValueError, match="'temperature', which is a column of X"):
-        fitted(X, signals=GIVEN)
-
-
 @pytest.mark.parametrize("signals", [WARM, "temperature", [WARM]])
 def test_signals_have_names(signals):
     with pytest.raises(ValueError, match="signals must be a mapping of names"):
         fitted(signals=signals)
     with pytest.raises(ValueError, match="names that are text"):
         fitted(signals={3: WARM})
-
-
-def test_what_varies_steadily_or_with_a_period_is_accepted():
-    for values in (
-        WARM,
-        25 + 0.3 * TIME,
-        np.sign(WARM - 30),
-        24 - 0.01 * TAU[:, 1] ** 2,
-    ):
-        robot().fit(ARM.q, TAU, groups=ARM.groups, signals={"other": values})
-
-
-def test_a_frame_of_signals_is_routed_and_cut_with_the_rows(found):
-    """Each fold is fitted and scored with its own rows of the frame."""
-    pandas = pytest.importorskip("pandas")
-    signals = pandas.DataFrame(GIVEN)
-    with sklearn.config_context(enable_metadata_routing=True):
-        asked = robot(EFFECT).set_fit_request(groups=True, signals=True)
-        asked.set_score_request(groups=True, signals=True)
-        result = cross_validate(
-            asked,
-            ARM.q,
-            TAU,
-            cv=GroupKFold(2),
-            params={"groups": ARM.groups, "signals": signals},
-            return_estimator=True,
-            error_score="raise",
-        )
-    for one, score in zip(result["estimator"], result["test_score"]):
-        assert one.theta_[-1] == pytest.approx(found.theta_[-1], abs=0.2)
-        assert score > 0.9

@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
-from sklearn_vbjfa._core._between import between  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.inspection import inspect_channels  # noqa: E402
-from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive  # noqa: E402
-from sklearn_vbjfa.robot._signs import expected, most_explaining  # noqa: E402
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa._core._between import between
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive
+from sklearn_vbjfa.robot._signs import expected, most_explaining
 
 ARM = make_robot_recording(duration=20.0, dt=0.01, random_state=3)
 
@@ -63,28 +60,6 @@ def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
         assert_allclose(exact, 0.5 * identify(ARM.tau).predict(ARM.q), rtol=1e-6)
     else:
         assert other.gains_ is not None
-
-
-def test_the_loop_is_closed_on_sizes():
-    recording = make_robot_recording(
-        duration=40.0, dt=0.01, undeclared={"load_friction": (1, 0.15)}, random_state=3
-    )
-    drive = CurrentDrive(1.0, signed=False)
-    robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
-    loop = EffectDiscovery(robot, random_state=0)
-    loop.fit(recording.q, np.abs(recording.tau))
-    assert [(e.name, e.joint) for e in loop.effects_] == [("load_friction", 1)]
-
-
-def test_sizes_are_told_from_torques_with_their_sign():
-    names = {
-        f.kind: f.joints
-        for f in inspect_channels(ARM.urdf, ARM.q, np.abs(ARM.tau), ARM.dt)
-    }
-    assert names == {"unsigned_torque": tuple(range(6))}
-    for tau in (ARM.tau, ARM.tau + 2 * np.abs(ARM.tau).max()):
-        found = inspect_channels(ARM.urdf, ARM.q, tau, ARM.dt)
-        assert "unsigned_torque" not in {f.kind for f in found}
 
 
 def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():

@@ -13,7 +13,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures, RobotIdentifier
+from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
@@ -120,14 +120,6 @@ def test_equal_to_the_whole_matrix(whole, recording):
         assert_allclose(values, expected[name], rtol=0, atol=1e-10 * size, err_msg=name)
 
 
-@pytest.mark.parametrize(
-    ("chunk", "n_jobs"), [(1, None), (1 << 18, 2), (1 << 20, None), (1 << 30, 2)]
-)
-def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, whole, chunk, n_jobs):
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", chunk)
-    assert_same(fit(recording, n_jobs=n_jobs), whole)
-
-
 @settings(max_examples=2, derandomize=True, deadline=None)
 @given(chunk=st.integers(1 << 18, 1 << 22), block=st.integers(1 << 16, 1 << 20))
 def test_any_pieces_and_blocks(recording, chunk, block):
@@ -224,13 +216,6 @@ def test_jobs_give_the_same_bits(recording, whole, backend):
     assert_array_equal(parallel.noise_floor_, whole.noise_floor_)
 
 
-@pytest.mark.parametrize("settings", [{"cutoff": 4.0}, {}])
-def test_states_are_streamed_as_well(monkeypatch, recording, settings):
-    expected = fit(recording, recording.states, **settings)
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 18)
-    assert_same(fit(recording, recording.states, n_jobs=2, **settings), expected)
-
-
 def test_effects_are_streamed_as_well(monkeypatch, recording):
     settings = {"effects": (Ripple(joint=1),)}
     expected = fit(recording, **settings)
@@ -263,44 +248,6 @@ def test_only_the_support_is_made_and_filtered(recording):
         matrices = rows.spread(filtered)
         assert_allclose(matrices, lowpass(Phi), rtol=0, atol=1e-11)
         assert_array_equal(matrices[:, ~rows.support], 0.0)
-
-
-def test_workers_return_no_regressors(monkeypatch, recording):
-    sizes = []
-    run = _equations.run
-
-    def watched(function, tasks, n_jobs):
-        for result in run(function, tasks, n_jobs):
-            sizes.append(result)
-            yield result
-
-    monkeypatch.setattr(_equations, "run", watched)
-    robot = fit(recording)
-    held = [r for r in sizes if hasattr(r, "G")]
-    assert len(held) == 3
-    n = recording.q.shape[0]
-    for stats in held:
-        matrices = [own for _, own in (*stats.G, *stats.noise)]
-        others = [getattr(stats, name) for name in set(MOMENTS) - {"G", "noise"}]
-        assert all(n not in np.shape(one) for one in (*matrices, *others))
-    assert robot.theta_.shape == (72,)
-
-
-def test_regressor_of_the_pipeline_takes_the_same_equations(recording):
-    # JointTorqueRegressor on the wide matrix, by its own filter.
-    settings = {"dt": recording.dt, "cutoff": 4.0}
-    robot = fit(
-        recording, recording.states, standstill=None, projector=None, cutoff=4.0
-    )
-    wide = RigidBodyFeatures(recording.urdf, friction=FRICTION).fit_transform(
-        recording.states
-    )
-    alone = JointTorqueRegressor(**settings)
-    alone.fit(wide, recording.tau, groups=recording.groups)
-    for name in ("n", "yy", "g", "G"):
-        expected = getattr(alone.statistics_, name)
-        size = np.abs(expected).max()
-        assert_allclose(statistics(robot)[name], expected, rtol=0, atol=1e-10 * size)
 
 
 # -- what is known of all recordings before

@@ -74,26 +74,6 @@ def test_before_the_fit_it_is_as_it_was_at_first(before):
     assert np.abs(found).max() <= first * (1 + 1e-6)
 
 
-def test_without_a_clock_a_recording_begins_as_the_fit_did():
-    robot = fit()
-    assert_array_equal(drifted(robot), drifted(robot, t=T + START))
-    assert_allclose(drifted(robot)[0], D * np.exp(-START / CONSTANT), rtol=1e-6)
-    assert said(robot) == []
-    # As a recording whose own clock begins with zero does where that of the fit does.
-    assert_allclose(drifted(fit(start=0.0)), D * np.exp(-T / CONSTANT), rtol=1e-6)
-
-
-def test_residuals_use_the_same_clock():
-    robot = fit()
-    torque = TORQUE.copy()
-    torque[:, 1] += D * np.exp(-(T + START) / CONSTANT)
-    for given in ({}, {"t": T + START}):
-        assert_allclose(robot.residuals(STATES, torque, **given).rms(), 0, atol=1e-6)
-    torque[:, 1] += D * np.exp(-START / CONSTANT) - D * np.exp(-(T + START) / CONSTANT)
-    early = robot.residuals(STATES, torque, t=T - 1e3)
-    assert_allclose(early.rms(), 0, atol=1e-6)
-
-
 def test_share_and_time_of_an_effect_of_time():
     robot = fit("viscous")
     (found,) = robot.effects_of_time(STATES, t=T + START + 12.0)
@@ -144,17 +124,6 @@ def test_deviation_with_the_time_constant_beside_the_coefficient():
     assert np.isnan(again.effects_of_time(STATES)[0].std[:, 1]).all()
 
 
-def test_deviation_follows_the_unit_of_the_torque():
-    covariance = np.array([[0.04]])
-    deviations = []
-    for scale in (1.0, 1e3):
-        robot = fit()
-        known = SimpleNamespace(shape=(), covariance=scale**2 * covariance)
-        robot.tell_spreads([known])
-        deviations.append(robot.effects_of_time(STATES)[0].std)
-    assert_allclose(deviations[1], 1e3 * deviations[0])
-
-
 def test_the_warning_says_how_far_and_how_much():
     robot = fit("coulomb")
     robot.tell_spreads([SimpleNamespace(shape=(), covariance=np.array([[0.25]]))])
@@ -171,17 +140,6 @@ def test_the_warning_says_how_far_and_how_much():
     assert deviation == pytest.approx(0.5 * faded, rel=0.06)
     (message,) = said(robot, t=T + START - 20.0)
     assert "20 s before the time of the fit" in message
-
-
-@pytest.mark.parametrize(("further", "count"), [(0.0, 0), (2.9, 0), (3.2, 1)])
-def test_a_tenth_of_the_recording_is_no_extrapolation(further, count):
-    assert len(said(fit(), t=T + START + further)) == count
-
-
-def test_motion_and_time_outside_are_one_warning():
-    (message,) = said(fit(), X=3.0 * STATES, t=T + 100.0)
-    assert "speeds to" in message
-    assert "s beyond the time of the fit" in message
 
 
 @pytest.fixture(scope="module")
@@ -205,10 +163,3 @@ def test_a_payload_stays_after_the_fit_and_is_not_there_before(loaded):
     # Nothing is added before, and there is nothing to say.
     assert said(robot, t=T - 100.0) == []
     assert_allclose(robot.predict(STATES, t=T - 100.0), TORQUE, atol=0.05 * scale)
-
-
-def test_of_a_payload_the_joint_that_feels_it_most_is_named(loaded):
-    robot, more = loaded
-    most = int(np.argmax(np.abs(more - TORQUE).max(axis=0)))
-    (message,) = said(robot, t=T + 100.0)
-    assert f"joint_{most + 1}: change of payload" in message

@@ -8,11 +8,9 @@ import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.recording import check_time_stamps, take_arrays
 from sklearn_vbjfa.robot import Plan
-from tests.model._robots import swing
 
 DT = 0.01
 PARTS = [slice(0, 60), slice(60, 100)]
@@ -108,63 +106,3 @@ def test_restarts_are_for_effects_without_a_clock():
     np.testing.assert_array_equal(plan.clock(made), DT * np.arange(100))
     timed = replace(plan, effects=(Drift(),))
     np.testing.assert_array_equal(timed.clock(made), later)
-
-
-def test_the_identifier_asks():
-    rng = np.random.default_rng(1)
-    t = DT * np.arange(800)
-    q = np.sin(2 * t) + np.sin(5 * t) + 1e-4 * rng.normal(size=800)
-    tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
-    groups = np.repeat([0, 1], 400)
-    robot = RobotIdentifier(swing(), dt=DT, projector=None, friction=("viscous",))
-    plain = robot.fit(q[:, None], tau, groups=groups).theta_
-    restarting = np.where(groups == 1, t - t[400], t)
-    again = robot.fit(q[:, None], tau, groups=groups, t=restarting).theta_
-    np.testing.assert_array_equal(again, plain)
-    with pytest.raises(ValueError, match="t must rise within a recording"):
-        robot.fit(q[:, None], tau, t=restarting)
-    with pytest.raises(ValueError, match="Correct dt"):
-        robot.fit(q[:, None], tau, groups=groups, t=2 * restarting)
-
-
-@pytest.mark.parametrize(
-    ("dt", "message"),
-    [
-        (10.0, r"too slow for a motion: .* in milliseconds it would be 0\.01 s"),
-        (100.0, r"dt=100 s is too slow .* seconds; in Hz it would be 0\.01 s"),
-        (1e4, r"too slow for a motion: .* in microseconds it would be 0\.01 s"),
-        (DT / 60, r"dt=0\.000166667 s is too short .*seconds \(not minutes\)"),
-    ],
-)
-def test_sample_periods_in_other_units(dt, message):
-    rng = np.random.default_rng(1)
-    t = DT * np.arange(800)
-    q = 0.3 * np.sin(2 * t) + 0.3 * np.sin(8 * t) + 1e-4 * rng.normal(size=800)
-    tau = 3.0 * np.sin(q) + 0.1 * rng.normal(size=800)
-    model = swing()
-    model.velocityLimit[:] = 10.0
-    with pytest.raises(ValueError, match=message):
-        RobotIdentifier(model, dt=dt, projector=None, friction=("viscous",)).fit(
-            q[:, None], tau
-        )
-    RobotIdentifier(model, dt=DT, projector=None, friction=("viscous",)).fit(
-        q[:, None], tau
-    )
-    # Slow on purpose, and sampled fast.
-    RobotIdentifier(model, dt=DT / 8, projector=None, friction=("viscous",)).fit(
-        0.001 * q[:, None], tau
-    )
-
-
-def test_too_few_samples_to_split():
-    # Eight suffice to differentiate, sixteen to do so from every second sample.
-    rng = np.random.default_rng(2)
-    q = rng.normal(size=(12, 1))
-    settings = {"state_cutoff": 20.0, "cutoff": None, "standstill": None}
-    robot = RobotIdentifier(
-        swing(), dt=DT, projector=None, **{"friction": ("viscous",), **settings}
-    )
-    with pytest.raises(ValueError, match=r"at least 16 samples to be split; .*has 12"):
-        robot.fit(q, rng.normal(size=12))
-    robot.set_params(input_noise=None).fit(q, rng.normal(size=12))
-    assert np.isfinite(robot.theta_).all()

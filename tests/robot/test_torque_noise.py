@@ -1,15 +1,11 @@
 """Noise of torque channels, on residuals of known noise."""
 
-import threading
-
 import numpy as np
 import pytest
 from scipy import signal
 
-from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import _equations, _torque_noise
+from sklearn_vbjfa.robot import _torque_noise
 from sklearn_vbjfa.robot._torque_noise import filtered_noise, held_rows, noise_facts
 
 DT, CUTOFF = 0.005, 4.0
@@ -107,78 +103,7 @@ def test_nothing_above_the_band_tells_nothing():
     assert not _torque_noise.seen(DT, np.inf)
 
 
-def test_joints_are_looked_at_by_several_threads(monkeypatch):
-    threads, own = set(), _torque_noise.held_rows
-
-    def seen_by(torque):
-        threads.add(threading.get_ident())
-        started.wait(60)
-        return own(torque)
-
-    noise, started = np.random.default_rng(8).normal(size=(N, 2)), threading.Barrier(2)
-    given = noise, noise, STATES, DT, CUTOFF
-    expected = noise_facts(*given)
-    monkeypatch.setattr(_torque_noise, "held_rows", seen_by)
-    found = noise_facts(*given, n_jobs=2)
-    assert len(threads) == 2
-    for name in ("hold", "scales", "gap"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_residuals_of_a_long_recording_are_made_in_parallel(monkeypatch):
-    pytest.importorskip("pinocchio")
-    recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
-    robot = robot.fit(recording.q, recording.tau).robot_
-    (expected,) = robot.noise_facts(recording)
-    monkeypatch.setattr(_equations, "_SPAN_ROWS", 300)
-    threads = set()
-
-    def predicted(*known):
-        threads.add(threading.get_ident())
-        return alone(*known)
-
-    alone = _equations._plain_torques
-    monkeypatch.setattr(_equations, "_plain_torques", predicted)
-    (found,) = robot.noise_facts(recording, n_jobs=2)
-    assert threads
-    assert threading.get_ident() not in threads
-    for name in ("hold", "scales", "gap"):
-        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))
-
-
-def test_short_recordings_tell_nothing():
-    noise = np.random.default_rng(6).normal(size=(50, 2))
-    assert np.isnan(told(noise, states=STATES[:50])).all()
-
-
-def test_recordings_are_weighted_by_their_rows():
-    rng = np.random.default_rng(7)
-    noise = rng.normal(size=(N, 2))
-    half = [
-        noise_facts(noise[rows], noise[rows], STATES[rows], DT, CUTOFF)
-        for rows in (slice(0, N // 2), slice(N // 2, N))
-    ]
-    np.testing.assert_allclose(filtered_noise(half, DT, CUTOFF), told(noise), rtol=0.05)
-    # order of the recordings does not matter
-    np.testing.assert_allclose(
-        filtered_noise(half[::-1], DT, CUTOFF),
-        filtered_noise(half, DT, CUTOFF),
-        rtol=1e-12,
-    )
-
-
-def test_the_unit_does_not_matter():
-    noise = coloured(0.8, np.random.default_rng(8))
-    np.testing.assert_allclose(told(1e-6 * noise), 1e-6 * told(noise), rtol=1e-9)
-
-
 @pytest.mark.parametrize("count", [1, 3, 10])
 def test_rows_for_which_a_torque_is_held(count):
     x = np.repeat(np.random.default_rng(9).normal(size=2000), count)
     assert held_rows(x) == count
-
-
-def test_constant_torques_are_not_held():
-    assert held_rows(np.zeros(100)) == 1
-    assert held_rows(np.zeros(1)) == 1

@@ -4,13 +4,12 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy import signal
-from sklearn.linear_model import LinearRegression
 
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import BlockAssignment, _equations, _identifier
+from sklearn_vbjfa.robot import BlockAssignment, _identifier
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
@@ -101,29 +100,6 @@ def recording():
     return made, made.tau + 0.05 * made.tau.std(axis=0) * noise
 
 
-def deviations(recording, order=(0, 1, 2), rows=None, **settings):
-    made, tau = recording
-    groups = made.groups if rows is None else rows
-    at = np.concatenate([np.flatnonzero(made.groups == k) for k in order])
-    robot = RobotIdentifier(made.urdf, dt=made.dt, friction=FRICTION, **settings)
-    robot.fit(made.q[at], tau[at], groups=groups[at])
-    assert np.isfinite(robot.theta_std_[robot.identifiable_]).all()
-    return robot.theta_std_[robot.identifiable_]
-
-
-def test_order_of_recordings_does_not_matter(recording):
-    expected = deviations(recording)
-    assert_allclose(deviations(recording, (2, 0, 1)), expected, rtol=1e-6)
-
-
-@pytest.mark.parametrize(("chunk", "n_jobs"), [(1, None), (1 << 18, 2)])
-def test_pieces_and_jobs_do_not_matter(monkeypatch, recording, chunk, n_jobs):
-    expected = deviations(recording)
-    monkeypatch.setattr(_equations, "CHUNK_BYTES", chunk)
-    found = deviations(recording, n_jobs=n_jobs)
-    assert_allclose(found, expected, rtol=1e-6)
-
-
 def test_blocks_are_those_of_their_recordings():
     numbering = BlockAssignment.of([400, 30, 370])
     assert numbering.rows == 20
@@ -202,13 +178,6 @@ def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(monkeypatch, peri
     assert held() < 0.6
 
 
-def test_what_does_not_repeat_is_divided_by_time(monkeypatch):
-    model, states, tau, noise = repeating(0, 10.0, alone=True)
-    found = fitted(model, states, tau + noise).theta_std_
-    monkeypatch.setattr(_identifier, "numbered", by_time)
-    assert (fitted(model, states, tau + noise).theta_std_ == found).all()
-
-
 def test_repetition_is_seen_between_recordings(monkeypatch):
     """Six recordings of one motion are not six times the evidence of one."""
     model, states, tau, noise = repeating(0, 10.0)
@@ -222,14 +191,6 @@ def test_repetition_is_seen_between_recordings(monkeypatch):
     found = widths()
     monkeypatch.setattr(_identifier, "numbered", by_time)
     assert np.median(found / widths()) > 1.5
-
-
-def test_more_recordings_than_blocks(recording):
-    """Short ones share a block; each is still independent of the others."""
-    many = np.arange(len(recording[1])) // 40
-    found = deviations(recording, rows=many, cutoff=None)
-    whole = deviations(recording, cutoff=None)
-    assert np.median(found / whole) == pytest.approx(1.0, abs=0.4)
 
 
 # -- deviations of predicted torques
@@ -265,31 +226,6 @@ def test_predicted_deviations_are_those_of_least_squares():
     assert 0.5 * s2 < own < 2.0 * s2
 
 
-def test_predicted_deviations_have_the_unit_of_the_torque(recording):
-    made, tau = recording
-    made, tau = made.select(0, 1), tau[made.groups < 2]
-
-    def spread(factor, groups):
-        robot = RobotIdentifier(
-            made.urdf, dt=made.dt, friction=FRICTION, projector=None
-        )
-        robot.fit(made.q, factor * tau, groups=made.groups)
-        return robot.predict(made.q, groups, return_std=True)[1]
-
-    one = spread(1.0, made.groups)
-    assert one.shape == tau.shape
-    assert np.isfinite(one).all()
-    assert_allclose(spread(1e3, made.groups), 1e3 * one, rtol=1e-4)
-    # Recordings one by one have the deviations that they have together.
-    robot = RobotIdentifier(made.urdf, dt=made.dt, friction=FRICTION, projector=None)
-    robot.fit(made.q, tau, groups=made.groups)
-    alone = [
-        robot.predict(made.q[part], return_std=True)[1]
-        for part in (made.groups == k for k in np.unique(made.groups))
-    ]
-    assert_allclose(np.concatenate(alone), one, rtol=1e-9)
-
-
 @pytest.mark.filterwarnings("ignore::UserWarning")
 def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
     model = arm("ZY")
@@ -303,13 +239,6 @@ def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
     assert np.isfinite(robot.predict(stood, return_std=True)[1]).all()
     # Viscous friction of joint 2 was never seen.
     assert np.isinf(robot.predict(states, return_std=True)[1][:, 1]).all()
-
-
-def test_deviations_need_a_covariance():
-    model, states, tau = pendulum(0, 0.0, duration=10.0)
-    robot = fitted(model, states, tau, regressor=LinearRegression())
-    with pytest.raises(ValueError, match="return_std needs the covariance"):
-        robot.predict(states, return_std=True)
 
 
 @pytest.mark.parametrize("rho", [0.0, 0.9])

@@ -117,30 +117,6 @@ def test_joints_that_run_away_are_marked(found):
     assert np.argwhere(away).tolist() == [[3, 2]]
 
 
-def test_clearly_better_than_a_robot_without_a_model(found):
-    assert found.clearly_better.all()
-    assert "clearly better than a robot that stays" in repr(found)
-    assert f"{found.n_windows} windows of 0.5 s, 0 failed, clearly" in repr(found)
-    # Neither rival is better than itself.
-    for rival in (found.staying(), found.going_on()):
-        assert not rival.clearly_better.any()
-        assert repr(rival).endswith("keeps its velocity on any joint>")
-    # On joint 2 as if it stayed.
-    nv = len(found.joint_names)
-    simulated = found.simulated.copy()
-    simulated[..., 2] = found.staying().simulated[..., 2]
-    told = replace(found, simulated=simulated)
-    assert np.flatnonzero(~told.clearly_better).tolist() == [2]
-    assert repr(told).endswith(f"velocity on {found.joint_names[2]}>")
-    # A robot that fails wherever it moves is not the best for it.
-    simulated = found.simulated.copy()
-    simulated[1:] = np.nan
-    failing = replace(found, simulated=simulated)
-    assert not failing.clearly_better.any()
-    assert f"{found.n_windows - 1} failed, not clearly" in repr(failing)
-    assert failing.errors[0].shape == (nv,)
-
-
 def test_clearly_smaller_is_a_test_at_five_per_cent():
     rng = np.random.default_rng(0)
     for n in (4, 40):
@@ -203,22 +179,6 @@ def test_robots_are_compared_on_the_same_windows(found, recording):
     assert np.median(other.errors) > 3 * np.median(found.errors)
 
 
-def test_windows_of_other_rows_are_no_measure(found, robot, recording):
-    for rows in (slice(0, 300), slice(3, None)):
-        part = recording.q[rows], recording.tau[rows]
-        with pytest.raises(ValueError, match="beside must be windows of the same join"):
-            simulate_windows(robot, *part, beside=found)
-
-
-def test_some_windows_are_selected(found):
-    chosen = np.zeros(found.n_windows, dtype=bool)
-    chosen[[1, 5]] = True
-    some = found.select(chosen)
-    assert some.n_windows == 2
-    np.testing.assert_array_equal(some.errors, found.errors[[1, 5]])
-    np.testing.assert_array_equal(some.starts, found.starts[[1, 5]])
-
-
 class Failing:
     """A robot whose simulation ends in an error in some windows."""
 
@@ -264,47 +224,6 @@ def test_windows_that_fail_are_named_and_the_others_kept(robot, recording):
     assert not found.staying().failed.any()
 
 
-def test_what_no_window_can_begin_with_is_an_error(robot, recording):
-    errors = {k: ValueError("no positive inertia") for k in range(100)}
-    part = part_of(recording, slice(0, 300))
-    with pytest.raises(ValueError, match="no positive inertia"):
-        simulate_windows(Failing(robot, errors), *part, window=0.5)
-
-
-def test_a_robot_that_diverges_in_every_window_is_a_result(robot, recording):
-    errors = {k: SimulationError("it diverges", 0.1) for k in range(100)}
-    part = part_of(recording, slice(0, 300))
-    found = simulate_windows(Failing(robot, errors), *part, window=0.5)
-    assert found.failed.all()
-    assert len(found.failures) == found.n_windows
-
-
-def test_warnings_come_once(robot, recording):
-    class Warning(Failing):
-        def simulate(self, *given, **named):
-            with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
-                out = self._robot.simulate(*given, **named)
-            self._count += 1
-            warnings.warn(f"It leaves: at {self._count} s.", UserWarning, stacklevel=1)
-            return out
-
-    part = part_of(recording, slice(0, 300))
-    with pytest.warns(UserWarning, match="It leaves") as caught:
-        found = simulate_windows(Warning(robot, {}), *part, window=0.5)
-    (one,) = caught
-    assert (
-        str(one.message) == f"It leaves: at 0 s (first of {found.n_windows} windows)."
-    )
-
-
-def test_times_are_those_that_are_given(robot, recording):
-    part = part_of(recording, slice(0, 200))
-    t = 7.0 + DT * np.arange(200)
-    found = simulate_windows(robot, *part, t=t, window=0.5)
-    np.testing.assert_array_equal(found.t[:, 0], t[found.starts])
-
-
 def test_effects_of_time_have_the_clock_of_the_fit(recording):
     robot = RobotIdentifier(
         recording.urdf,
@@ -347,17 +266,3 @@ def test_what_cannot_be_is_refused(change, message, robot, recording):
     given = {"X": recording.q, "y": recording.tau, "groups": recording.groups}
     with pytest.raises(ValueError, match=message):
         simulate_windows(robot, **(given | change))
-
-
-def test_torques_that_are_missing_are_refused(robot, recording):
-    tau = recording.tau.copy()
-    tau[17, 2] = np.nan
-    with pytest.raises(ValueError, match="y holds nan in row 17, joint joint_3"):
-        simulate_windows(robot, recording.q, tau)
-
-
-def test_a_robot_without_period_is_refused(recording):
-    robot = RobotIdentifier(recording.urdf, cutoff=None, friction=("viscous",))
-    robot.fit(recording.states, recording.tau, groups=recording.groups)
-    with pytest.raises(ValueError, match="identified without a sample period"):
-        simulate_windows(robot, recording.states, recording.tau)

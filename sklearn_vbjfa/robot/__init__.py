@@ -34,7 +34,6 @@ __all__ = [
 _MODULES = {
     "_alike": ("AlikeValue",),
     "_bodies": ("Departure",),
-    "_comparison": ("OURS", "compare_methods", "methods"),
     "_corrections": (
         "AxisCorrection",
         "Corrections",

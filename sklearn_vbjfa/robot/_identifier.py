@@ -633,25 +633,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             fit = self._with_noise(fit, facts(fit.robot))
         return self._set(fit)
 
-    def estimated(self, pieces, plan):
-        """Estimate from the equations of a fitted robot.
-
-        Parameters
-        ----------
-        pieces : list of Equations
-            See `IdentifiedRobot.pieces`.
-        plan : Plan
-            How they were made.
-
-        Returns
-        -------
-        Estimate
-            Parameters with what is known of them.
-        """
-        self.build_model()
-        robot = self._robot_of(plan, np.full(self.features_.n_joints_, np.nan))
-        return self._recipe().of_equations(robot, pieces).found
-
     def signed(self, recording):
         """Give sizes of torques the signs that the fitted robot predicts.
 

@@ -36,11 +36,9 @@ from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     build_segments,
     equations,
-    instrumented,
     is_plain,
     joined,
     motion_of,
-    numbered,
     regressor_rows,
     with_delayed_commands,
 )
@@ -1106,33 +1104,6 @@ class IdentifiedRobot(SimulatesTorques):
             recording, made, plan, self.features_, theta=self.load_parameters
         )
         return joined(equations(made, plan.lowpass))
-
-    def pieces(self, X, y, groups, *, halves=None):
-        """Equations of a recording for other estimators, a list of `Equations`.
-
-        halves : use of the states of the even and the odd samples. "noise" gives the
-        difference of their regressors, "instruments" the odd ones as instruments of the
-        even.
-        """
-        recording = self.recording(X, y, groups, np.ones(y.shape))
-        plan = self.plan
-
-        def pieces(states):
-            made = build_segments(
-                recording, states, plan, self.features_, theta=self.load_parameters
-            )
-            return list(equations(made, plan.lowpass, numbered(recording, plan)))
-
-        def of_rows(states, both=None):
-            return RecordingStates.of_rows(recording.segments, states, both)
-
-        if halves == "instruments":
-            even, odd = plan.state_estimator.split_transform(X, groups)
-            return instrumented(pieces(of_rows(even)), pieces(of_rows(odd)))
-        both = None
-        if halves == "noise" and plan.state_estimator is not None:
-            both = plan.state_estimator.split_transform(X, groups=groups)
-        return pieces(of_rows(self.query(X, groups)[0], both))
 
     def noise_facts(self, recording, clock=None, n_jobs=None):
         """Measure the torque noise of a recording; `NoiseFacts` of each segment."""

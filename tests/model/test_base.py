@@ -132,16 +132,6 @@ def test_the_orientation_of_the_file_holds_unless_another_is_given(write, states
         np.testing.assert_allclose(torques(load_model(path, ASKEW), *states), askew)
 
 
-def test_what_was_done_is_said_once(legs):
-    level = r"the base, which root\w* leaves free, is held level \(base_orientation"
-    with pytest.warns(UserWarning, match=level) as said:
-        load_model(legs)
-    assert len(said) == 1
-    assert said[0].filename == __file__
-    with pytest.warns(UserWarning, match="held turned by rpy 90 0 0 degrees"):
-        load_model(legs, 3 * np.array(ON_ITS_SIDE))
-
-
 @pytest.mark.filterwarnings("error")
 @pytest.mark.parametrize("text", [legs_mjcf(), legs_urdf()], ids=["mjcf", "urdf"])
 def test_a_reduced_file_has_a_base_that_stands(write, tmp_path, text):

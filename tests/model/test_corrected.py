@@ -35,14 +35,6 @@ def placements(model):
     return np.array([m.homogeneous for m in model.jointPlacements])
 
 
-def test_nothing_is_corrected_of_itself():
-    model = robot()
-    same = CorrectedModel(model)
-    assert_array_equal(placements(same.model), placements(model))
-    assert_array_equal(same.gains, 1.0)
-    assert_array_equal(same.nominal_gravity, model.gravity.linear)
-
-
 @pytest.mark.parametrize("joint", range(len(KINDS)))
 def test_a_zero_is_what_the_encoder_reads_too_much(joint):
     """True torques at q are those of the corrected model at q + zero."""
@@ -81,14 +73,6 @@ def test_gravity_is_turned():
     found.tilt(turn)
     assert_allclose(found.model.gravity.linear, turn @ model.gravity.linear)
     assert_array_equal(found.nominal_gravity, model.gravity.linear)
-
-
-def test_gains_multiply():
-    found = CorrectedModel(robot())
-    found.read(1, 1.2)
-    found.read(3, 0.5)
-    found.read(1, 2.0)
-    assert_allclose(found.gains, [1.0, 2.4, 1.0, 0.5, 1.0])
 
 
 @pytest.mark.parametrize("joint", range(len(KINDS)))
@@ -130,19 +114,3 @@ def test_a_slide_whose_axis_is_turned_has_its_zero_along_the_axis(kind):
     expected = nominal.translation + nominal.rotation @ turned @ axis * (0.7 - 0.3)
     assert_allclose(data.oMi[1].translation, expected, atol=1e-14)
     assert_allclose(data.oMi[1].rotation, nominal.rotation @ turned, atol=1e-14)
-
-
-def test_the_description_is_left_alone():
-    model = robot()
-    before, gravity = placements(model), model.gravity.linear.copy()
-    found = CorrectedModel(model)
-    for joint in range(model.nv):
-        found.move_zero(joint, 0.3)
-        found.turn(joint, pin.exp3(np.array([0.1, 0.2, 0.0])))
-    found.tilt(pin.rpy.rpyToMatrix(0.2, 0.1, 0.0))
-    assert_array_equal(placements(model), before)
-    assert_array_equal(model.gravity.linear, gravity)
-    assert not np.allclose(placements(found.model), before)
-    states = motion(model.nv)
-    again = CorrectedModel(model)
-    assert_array_equal(torques(again.model, states), torques(model, states))

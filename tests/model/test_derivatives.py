@@ -135,55 +135,6 @@ def test_a_base_that_turns_is_part_of_gravity():
             )
 
 
-@settings(max_examples=20, deadline=None)
-@given(kinds=trees, seed=seeds, factor=st.floats(-10.0, 10.0))
-def test_are_linear_in_the_bodies(kinds, seed, factor):
-    model, states, one = problem(kinds, seed)
-    other = np.random.default_rng(seed + 1).normal(size=one.shape)
-
-    def made(inertial):
-        found = TorqueDerivatives(model, *states, inertial)
-        turns = [found.by_turn(j) for j in range(model.nv)]
-        positions = [found.by_position(j)[:, :, None] for j in range(model.nv)]
-        return np.concatenate([*turns, *positions, found.by_gravity()], axis=2)
-
-    size = (np.abs(made(one)).max() + np.abs(made(other)).max()) * 10 + 1.0
-    assert_allclose(
-        made(one + factor * other), made(one) + factor * made(other), atol=1e-12 * size
-    )
-
-
-def test_torque_is_linear_in_gravity():
-    """What gravity does is its derivative times gravity, at rest."""
-    model, (q, v, a), inertial = problem(["RX", "PZ", "RevoluteUnaligned"], 3)
-    still = (q, 0 * v, 0 * a)
-    made = TorqueDerivatives(model, *still, inertial)
-    held = made.by_gravity() @ model.gravity.linear
-    assert_allclose(held, torques(model, still, inertial), atol=1e-12)
-
-
-def test_joints_of_another_branch_feel_nothing():
-    model, states, inertial = problem(["RX", "RY", "PZ", "RZ"], 1, parents=[0, 1, 0, 3])
-    made = TorqueDerivatives(model, *states, inertial)
-    for joint, strangers in ((0, [2, 3]), (1, [2, 3]), (2, [0, 1]), (3, [0, 1])):
-        assert_array_equal(made.by_turn(joint)[:, strangers], 0.0)
-        assert_array_equal(made.by_position(joint)[:, strangers], 0.0)
-        assert np.abs(made.by_turn(joint)).max() > 0.1
-
-
-def test_pieces_of_a_motion_do_not_depend_on_each_other():
-    # More samples than go through together.
-    model, states, inertial = problem(["RX", "PY", "RZ"], 2, n=1500)
-    whole = TorqueDerivatives(model, *states, inertial)
-    rows = slice(900, 1300)
-    piece = TorqueDerivatives(model, *(x[rows] for x in states), inertial)
-    for j in range(3):
-        for by in ("by_turn", "by_position"):
-            found, expected = getattr(piece, by)(j), getattr(whole, by)(j)[rows]
-            assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
-    assert_allclose(piece.by_gravity(), whole.by_gravity()[rows], atol=1e-12)
-
-
 def test_knows_the_robot_before_and_after():
     model, states, inertial = problem(["RX", "PY"], 5)
     other = model.copy()

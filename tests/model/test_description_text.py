@@ -78,38 +78,6 @@ def test_branches_in_another_order():
         in_order(read, ("a", "b", "c", "z", "y"))
 
 
-def test_limits_and_joints_without():
-    model = pin.Model()
-    limits = {"right": (-1.5, 0.25), "endless": (-np.inf, np.inf)}
-    for name, (low, high) in limits.items():
-        for kind in ("RX", "PY"):
-            model.addJoint(
-                0,
-                getattr(pin, f"JointModel{kind}")(),
-                pin.SE3.Identity(),
-                f"{name}_{kind}",
-                np.array([30.0]),
-                np.array([np.inf]),
-                np.array([low]),
-                np.array([high]),
-            )
-    text = description_text(model, model)
-    read = in_order(load_text(text, "x.json"), joint_names(model))
-    np.testing.assert_array_equal(read.lowerPositionLimit[:2], -1.5)
-    np.testing.assert_array_equal(read.upperPositionLimit[:2], 0.25)
-    assert (read.upperPositionLimit[2:] >= 1e12).all()
-    assert (read.lowerPositionLimit[2:] <= -1e12).all()
-    np.testing.assert_array_equal(read.effortLimit, 30.0)
-    assert text.count('type="continuous"') == 1
-
-
-def test_what_urdf_has_no_name_for():
-    rng = np.random.default_rng(0)
-    for kind in ("HY", "HelicalUnaligned"):
-        with pytest.raises(ValueError, match=r"joint_0 .*neither revolute"):
-            description_text(None, build(rng, [kind]))
-
-
 def test_the_text_of_a_file_is_the_file(tmp_path):
     path = tmp_path / "tree.urdf"
     path.write_text(TREE.replace("<link", "<!-- a comment --><link"))
@@ -120,16 +88,6 @@ def test_the_text_of_a_file_is_the_file(tmp_path):
     assert "box" in text
     assert "comment" not in text
     assert load_text(text, "x.json") == model
-
-
-def test_of_a_text_what_was_said_is_not_said_again(tmp_path):
-    path = tmp_path / "tree.urdf"
-    path.write_text(TREE)
-    with pytest.warns(UserWarning, match="The robot description 'tree.urdf'"):
-        load_model(path)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert load_text(TREE, path).nv > 0
 
 
 def test_another_file_by_now(tmp_path):

@@ -137,23 +137,6 @@ def test_a_model_alone_has_the_followers_where_they_stand(write):
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
-def test_units_of_length_change_nothing_but_the_unit(write):
-    """All lengths in centimetres: moments a hundred times, inertias ten thousand."""
-    features = RigidBodyFeatures(write(GRIPPER)).load()
-    (effect, *_) = [e for e in with_followers((), features) if e.of == "f4"]
-    q, v, a = np.random.default_rng(1).normal(size=(3, 10, 3))
-    metres = effect.columns(Motion(q=q, v=v, a=a))
-    rows = np.array(effect.chain)
-    rows[:, 4:7] *= 100.0
-    longer = type(effect)(
-        effect.joint, effect.of, tuple(map(tuple, rows)), (0.0, 0.0, -981.0)
-    )
-    scale = np.repeat([1e4, 1e2, 1.0], [1, 3, 6])
-    np.testing.assert_allclose(
-        longer.columns(Motion(q=q, v=v, a=a)), metres * scale, atol=1e-6
-    )
-
-
 def test_held_followers(write, tmp_path):
     """What follows a joint that moves moves along, unless it is named."""
     path, target = write(GRIPPER), tmp_path / "held.urdf"
@@ -190,14 +173,6 @@ def test_one_that_carries_a_joint_of_its_own_cannot_be_folded(write):
     assert joint_names(model) == ("j1", "j2", "wrist")
 
 
-def test_what_follows_a_fixed_joint_is_fixed(write):
-    fixed = joint("stop", "b", "c", "fixed")
-    follows = joint("f", "b", "d", mimic='joint="stop"')
-    path = write(robot(*ARM, fixed, follows))
-    assert movable_joints(path) == joint_names(load_model(path)) == ("j1", "j2")
-    assert not load_folded(path).followers
-
-
 @pytest.mark.parametrize(
     ("mimic", "message"),
     [
@@ -213,9 +188,3 @@ def test_refuses_what_cannot_be_followed(write, mimic, message):
     for read in (load_model, movable_joints):
         with pytest.raises(ValueError, match=f"robot.urdf.*{message}"):
             read(path)
-
-
-def test_a_massless_follower_is_told_of(write):
-    path = write(GRIPPER.replace('<mass value="7"/>', '<mass value="0"/>'))
-    with pytest.warns(UserWarning, match=r"what f4 move\(s\) has no mass"):
-        load_model(path)

@@ -4,7 +4,6 @@ import re
 import subprocess
 import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,15 +11,12 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
-    is_prismatic,
     joint_names,
     load_model,
     load_reduced,
     nominal_parameters,
     solid_bodies,
-    write_reduced,
 )
 from tests.model._robots import random_tree  # noqa: E402
 
@@ -46,16 +42,6 @@ def write(tmp_path):
         return path
 
     return make
-
-
-def test_path_string_and_model_are_the_same_robot():
-    path = demo_arm_urdf()
-    models = [load_model(path), load_model(Path(path)), load_model(load_model(path))]
-    for model in models:
-        assert joint_names(model) == tuple(f"joint_{j}" for j in range(1, 7))
-        np.testing.assert_array_equal(
-            nominal_parameters(model), nominal_parameters(models[0])
-        )
 
 
 def test_nominal_parameters_are_about_the_joint(write):
@@ -89,23 +75,6 @@ def test_continuous_joint_is_one_angle(write, limit):
         pin.rnea(turning, turning.createData(), *state),
         pin.rnea(hinged, hinged.createData(), *state),
         rtol=1e-14,
-    )
-
-
-def test_kinds_of_joints():
-    model = pin.Model()
-    kinds = ["RX", "PZ", "RY", "PX"]
-    for name in kinds:
-        joint = getattr(pin, f"JointModel{name}")()
-        model.addJoint(len(model.names) - 1, joint, pin.SE3.Identity(), name)
-    model.addJoint(
-        2,
-        pin.JointModelPrismaticUnaligned(np.array([0.6, 0.8, 0.0])),
-        pin.SE3.Identity(),
-        "oblique",
-    )
-    np.testing.assert_array_equal(
-        is_prismatic(load_model(model)), [False, True, False, True, True]
     )
 
 
@@ -171,19 +140,6 @@ def test_a_held_joint_makes_one_body_of_two(write, kind):
     )
 
 
-def test_a_reduced_description_is_the_reduced_model(write, tmp_path):
-    source = write(two_joints())
-    held = write_reduced(source, tmp_path / "held.urdf", ["hinge"])
-    assert held == ("second",)
-    np.testing.assert_array_equal(
-        nominal_parameters(quiet(load_model, tmp_path / "held.urdf")),
-        nominal_parameters(quiet(load_reduced, source, ["hinge"])),
-    )
-    assert write_reduced(source, tmp_path / "all.urdf", ["second", "hinge"]) == ()
-    with pytest.raises(ValueError, match="no movable joint 'third'; it has hinge, sec"):
-        load_reduced(source, ["hinge", "third"])
-
-
 def test_what_is_fixed_belongs_to_its_parent_without_a_word(write):
     model = quiet(load_model, write(two_joints("fixed")))
     assert joint_names(model) == ("hinge",)
@@ -214,16 +170,6 @@ def test_a_negative_mass_is_refused(write):
     text = text.replace('<mass value="2"/>', '<mass value="-2"/>')
     with pytest.raises(ValueError, match="link 'bar' has the mass -2 kg; correct"):
         load_model(write(text))
-
-
-def test_fitted_features_keep_their_robot():
-    rng = np.random.default_rng(3)
-    model, _ = random_tree(rng, 3)
-    states = rng.normal(size=(5, 9))
-    features = RigidBodyFeatures(model).fit(states)
-    before = features.transform(states)
-    model.jointPlacements[2] = pin.SE3.Random()
-    np.testing.assert_array_equal(features.transform(states), before)
 
 
 def test_without_pinocchio_one_line_says_how_to_get_it():

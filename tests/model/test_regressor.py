@@ -1,6 +1,5 @@
 """Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
 
-import pickle
 import threading
 
 import numpy as np
@@ -11,10 +10,8 @@ from hypothesis import strategies as st
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.datasets import demo_arm_urdf  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     TreeRegressor,
-    load_model,
     rounding_entries,
 )
 from tests.model._trees import (  # noqa: E402
@@ -93,32 +90,6 @@ def test_torques_of_random_trees(kinds, seed, n):
     torque = regressor.torques(*states, inertial)
     size = np.abs(expected).max(initial=1.0)
     np.testing.assert_allclose(torque, expected, atol=1e-10 * size)
-
-
-def test_every_kind_of_joint_at_every_place():
-    rng = np.random.default_rng(0)
-    kinds = ALIGNED + OBLIQUE + OTHERS
-    for kind in kinds:
-        for parents in ([0, 1, 2], [0, 1, 1], [0, 0, 2]):
-            others = rng.choice(kinds, size=3)
-            for place in range(3):
-                chosen = list(others)
-                chosen[place] = kind
-                model = build(rng, chosen, parents)
-                states = motion(rng, 5, 3)
-                assert_equal_by_unit(
-                    TreeRegressor(model)(*states),
-                    by_sample(model, *states),
-                )
-
-
-@pytest.mark.parametrize("n", [0, 1, 2, 1500])
-def test_long_and_short_motions_of_an_arm(n):
-    model = load_model(demo_arm_urdf())
-    states = motion(np.random.default_rng(n), n, model.nv)
-    regressor = TreeRegressor(model)
-    Phi = regressor(*states)
-    assert_equal_by_unit(Phi, by_sample(model, *states).reshape(Phi.shape))
 
 
 @pytest.mark.parametrize("size", [1, 3, 8, 9, 64])
@@ -227,14 +198,3 @@ def test_calls_at_the_same_time_do_not_disturb_each_other():
     for thread in threads:
         thread.join()
     np.testing.assert_array_equal(found, expected)
-
-
-def test_copies_are_small_and_equal():
-    rng = np.random.default_rng(7)
-    model = build(rng, ["RZ", "HY", "PrismaticUnaligned"])
-    states = motion(rng, 30, 3)
-    regressor = TreeRegressor(model)
-    Phi = regressor(*states)
-    stored = pickle.dumps(regressor)
-    assert len(stored) < 10_000
-    np.testing.assert_array_equal(pickle.loads(stored)(*states), Phi)

@@ -68,11 +68,6 @@ def test_extensions_that_close_loops(write, words):
     assert joint_names(load_reduced(path, ["j1"])) == ("j1",)
 
 
-def test_a_closure_between_nothing_that_is_known(write):
-    with pytest.raises(ValueError, match="<loop_joint> closes a loop"):
-        load_model(write(LINKS + TREE + "<loop_joint/>"))
-
-
 def test_other_extensions_of_simulators_are_no_loops(write):
     more = (
         '<gazebo reference="a"><mu1>0.2</mu1></gazebo><gazebo><plugin name="p"/>'

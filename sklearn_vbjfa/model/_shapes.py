@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa.model._corrected import links_of
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
 from sklearn_vbjfa.model._xml import parse_description
 
@@ -284,36 +285,25 @@ class JointPoses:
 
     def __init__(self, model):
         self._tree = describe(model)
-        self._parents = self._tree.parents
-        self._offsets = np.array([x.translation for x in model.jointPlacements[1:]])
+        self._starts = [x.translation.copy() for x in model.jointPlacements[1:]]
         self.carries = np.zeros((model.nv + 1, model.nv), dtype=bool)
-        for j, parent in enumerate(self._parents):
+        for j, parent in enumerate(self._tree.parents):
+            if parent >= 0:
+                self._starts[j] = self._starts[parent]
             self.carries[j + 1] = self.carries[parent + 1]
             self.carries[j + 1, j] = True
 
     def __call__(self, q):
         """Return the `Poses` of positions (n, nv) [rad, m]."""
-        tree, (n, nv) = self._tree, q.shape
-        axes = np.empty((n, nv + 1, 3, 3))
-        origins = np.empty((n, nv + 1, 3))
+        n, nv = q.shape
+        axes, origins = np.empty((n, nv + 1, 3, 3)), np.zeros((n, nv + 1, 3))
         linear, angular = np.empty((2, n, nv, 3))
-        axes[:, 0], origins[:, 0] = np.eye(3), 0.0
-        for j, parent in enumerate(self._parents):
-            carrier = axes[:, parent + 1]
-            at_zero = carrier @ tree.frames[j].T
-            direction = at_zero @ tree.axes[j]
-            origins[:, j + 1] = origins[:, parent + 1] + carrier @ self._offsets[j]
-            origins[:, j + 1] += tree.slides[j] * q[:, j, None] * direction
-            axes[:, j + 1] = at_zero @ _turned(tree.axes[j], tree.turns[j] * q[:, j])
-            angular[:, j] = tree.turns[j] * direction
-            linear[:, j] = np.cross(origins[:, j + 1], angular[:, j])
-            linear[:, j] += tree.slides[j] * direction
+        axes[:, 0], still = np.eye(3), np.zeros_like(q)
+        for j, link in enumerate(links_of(self._tree, q, still, still)):
+            # Links count from the first joint of their branch.
+            start = self._starts[j]
+            axes[:, j + 1] = link.axes.transpose(2, 0, 1)
+            origins[:, j + 1] = link.origin.T + start
+            angular[:, j] = link.moment.T
+            linear[:, j] = link.force.T + np.cross(start, angular[:, j])
         return Poses(axes, origins, linear, angular)
-
-
-def _turned(axis, angles):
-    """Rotations (n, 3, 3) by angles (n,) [rad] about a unit vector (Rodrigues)."""
-    x, y, z = axis
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angles = angles[:, None, None]
-    return np.eye(3) + np.sin(angles) * across + (1 - np.cos(angles)) * across @ across

@@ -1,7 +1,5 @@
 """Batched regressors and inverse dynamics against Pinocchio's, sample by sample."""
 
-import threading
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -178,23 +176,3 @@ def test_torque_does_not_depend_on_the_mass_at_its_own_axis():
     mass = np.abs(Phi.reshape(9, 5, 5, 10)[..., 0]).max(axis=0)
     assert not mass[2:].any()
     assert np.all(mass[:2, 2:] > 1e-3)
-
-
-def test_calls_at_the_same_time_do_not_disturb_each_other():
-    rng = np.random.default_rng(6)
-    model = build(rng, 7 * ["RZ"])
-    regressor = TreeRegressor(model)
-    states = [motion(rng, 400, 7) for _ in range(4)]
-    expected = [TreeRegressor(model)(*x) for x in states]
-    found = [None] * 4
-
-    def run(i):
-        for _ in range(5):
-            found[i] = regressor(*states[i])
-
-    threads = [threading.Thread(target=run, args=(i,)) for i in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    np.testing.assert_array_equal(found, expected)

@@ -5,7 +5,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     Backlash,
@@ -81,22 +80,6 @@ def test_inverse_dynamics_of_simulated_states(seed, nv):
     expected = inverse(robot, states, t)[moves]
     size = np.abs(expected).max(initial=1.0)
     np.testing.assert_allclose(tau[moves], expected, rtol=0, atol=1e-9 * size)
-
-
-def test_predict_of_a_fitted_robot(simulated):
-    robot = RobotIdentifier(
-        simulated.urdf, dt=simulated.dt, friction=("viscous", "coulomb", "offset")
-    )
-    robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
-    states = simulated.states[200:300]
-    nv = states.shape[1] // 3
-    tau = simulated.tau[200:300]
-    found = robot.simulate(tau, states[0, :nv], states[0, nv : 2 * nv])
-    # Above the speeds at which `predict` holds a joint for standing.
-    moves = np.abs(found[:, nv : 2 * nv]) > 0.3
-    wrong = (robot.predict(found) - tau)[moves]
-    assert moves.sum() > 50
-    assert np.abs(wrong).max() < 1e-8 * np.abs(tau).max()
 
 
 def measured(effect, coef, x, t):

@@ -29,15 +29,6 @@ def test_torque_that_is_no_number_is_named_by_row_time_and_joint(bad):
     refused(message, tau, [0, 0])
 
 
-@pytest.mark.parametrize(("name", "at"), [("q0", 1), ("v0", 2)])
-def test_start(name, at):
-    start = [[0.0, 0.0], [0.0, 0.0]]
-    start[at - 1] = [0.0]
-    refused(rf"{name} must hold one value .*got shape \(1,\)", TAU, *start)
-    start[at - 1] = [0.0, np.nan]
-    refused(f"{name} holds nan for elbow", TAU, *start)
-
-
 def limited(low, high):
     robot = Arm().robot()
     robot.model.lowerPositionLimit = np.array([low, -np.inf])
@@ -147,7 +138,7 @@ def test_effects_without_forward_dynamics_are_left_out_with_a_warning(effect):
     np.testing.assert_array_equal(found, bare)
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(2))
 def test_noise_of_the_torques_is_no_energy_from_nothing(seed):
     """No false alarm, whatever passive effects there are and the torque does."""
     from tests.simulation.test_invariance import EFFECTS, FRICTION

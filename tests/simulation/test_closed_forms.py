@@ -71,13 +71,6 @@ def test_breaks_loose_under_a_ramp(dt, way):
     assert (states[past == 0, 0] == 0.3).all()
 
 
-def test_sticks_below_breakaway_under_any_torque():
-    rng = np.random.default_rng(0)
-    tau = rng.uniform(-3.0, 3.0, size=(500, 1))
-    states = simulate(wheel(0.5, {"coulomb": 3.0}), tau, [0.7])
-    assert (states == [0.7, 0.0, 0.0]).all()
-
-
 @pytest.mark.parametrize("rate", [1.0, 1e3, 1e6])
 def test_viscous_decay(rate):
     t = 0.01 * np.arange(101)
@@ -86,18 +79,6 @@ def test_viscous_decay(rate):
     np.testing.assert_allclose(states[:, 1], np.exp(-rate * t), atol=1e-7)
     gone = -np.expm1(-rate * t) / rate
     np.testing.assert_allclose(states[:, 0], gone, atol=1e-7 / rate)
-
-
-@pytest.mark.parametrize("rate", [1e2, 1e4, 1e6])
-def test_forced_viscous_motion(rate):
-    """Torque linear in time, friction from soft to stiff."""
-    inertia, slope = 0.5, 2.0
-    t = 0.01 * np.arange(101)
-    robot = wheel(inertia, {"viscous": inertia * rate})
-    states = simulate(robot, slope * t[:, None], [0.0])
-    final = slope / inertia / rate
-    v = final * (t + np.expm1(-rate * t) / rate)
-    np.testing.assert_allclose(states[:, 1], v, rtol=0, atol=1e-7 * final + 1e-12)
 
 
 @pytest.mark.parametrize("q0", [0.1, 1.0, 2.5, 3.1])
@@ -165,17 +146,6 @@ def test_tree_of_revolute_and_prismatic_joints_numbered_in_any_order():
     assert np.abs(total - total[0]).max() < 1e-7 * kinetic.max()
 
 
-def test_prismatic_joint_falls():
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelPZ(), pin.SE3.Identity(), "lift")
-    robot = machine(model, [point(3.0)])
-    t = 0.01 * np.arange(101)
-    states = simulate(robot, np.full((101, 1), 6.0), [1.0], [2.0])
-    a = 6.0 / 3.0 - GRAVITY
-    np.testing.assert_allclose(states[:, 0], 1 + 2 * t + 0.5 * a * t**2, atol=1e-12)
-    np.testing.assert_allclose(states[:, 2], a)
-
-
 def test_base_that_leans_turns_gravity():
     lean = 0.3
     upright, leaning = pendulum(), pendulum()
@@ -226,8 +196,3 @@ def test_payload_that_appears_changes_the_acceleration_at_once(instant):
     np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-12)
     np.testing.assert_allclose(states[:, 1], v, rtol=0, atol=1e-12)
     np.testing.assert_allclose(states[:, 2], np.where(t >= instant, a2, a1))
-
-
-def test_no_gravity_keeps_a_wheel_turning():
-    states = simulate(wheel(), nothing(1001), [0.0], [2.0])
-    np.testing.assert_allclose(states[-1], [20.0, 2.0, 0.0], rtol=1e-13)

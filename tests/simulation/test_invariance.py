@@ -123,7 +123,7 @@ def test_steps_stay_few_where_friction_is_steep():
 
 def test_random_robots_move_the_same_by_both_twins(monkeypatch):
     pytest.importorskip("numba")
-    for n in range(1, 8):
+    for n in (1, 3, 7):
         rng = np.random.default_rng(n)
         robot = random_machine(rng, n, {"viscous": 1.0, "coulomb": 2.0})
         tau = 5 * rng.normal(size=(20, n))

@@ -92,13 +92,6 @@ def test_each_effect_of_the_library(name, seed):
     check(predictor, random_motion(rng, 3), None, signals)
 
 
-def test_the_whole_library_at_once():
-    rng = np.random.default_rng(0)
-    predictor = random_predictor(rng, 6, LIBRARY)
-    signals = {"warmth": rng.normal(size=200)}
-    check(predictor, random_motion(rng, 6), None, signals)
-
-
 def test_bodies_that_are_none():
     rng = np.random.default_rng(0)
     predictor = random_predictor(rng, 3, ["load_friction", "payload"])

@@ -19,12 +19,12 @@ from sklearn_vbjfa import (
 # One joint has three columns of states, as many as most of the checks' tables.
 SWING = str(Path(__file__).parent / "model" / "swing.urdf")
 
+# Few iterations: what is checked does not depend on the last digits.
 ESTIMATORS = [
-    JFARegressor(),
-    JFARegressor(query="noiseless"),
-    VBJFARegressor(),
-    VBJFARegressor(query="noiseless"),
-    VBJFARegressor(prior="paper"),
+    JFARegressor(query="noiseless", max_iter=50),
+    VBJFARegressor(max_iter=50),
+    VBJFARegressor(query="noiseless", max_iter=50),
+    VBJFARegressor(prior="paper", max_iter=50),
     JointTorqueRegressor(),
     JointTorqueRegressor(LinearRegression(), joint_weights=None),
 ]
@@ -75,7 +75,6 @@ IDENTIFIER = {
             "check_regressor_multioutput",
             "check_regressors_no_decision_function",
             "check_regressors_int",
-            "check_estimators_partial_fit_n_features",
         ],
         _WIDTH,
     ),
@@ -99,21 +98,10 @@ _STRICT = (
 
 
 # Some checks take standardised columns, which is a warning for a single torque.
+@pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore:X is not as RigidBodyFeatures computes it")
 @parametrize_with_checks(ESTIMATORS)
 def test_estimator(estimator, check):
-    check(estimator)
-
-
-# What "auto", the default above, takes for these checks.
-@pytest.mark.slow
-@parametrize_with_checks(
-    [
-        VBJFARegressor(latent="correlated"),
-        VBJFARegressor(latent="correlated", query="noiseless"),
-    ]
-)
-def test_estimator_of_named_latents(estimator, check):
     check(estimator)
 
 

@@ -8,11 +8,8 @@ from sklearn_vbjfa import InstrumentalVariables, StepwiseRegressor, TotalLeastSq
 @parametrize_with_checks(
     [
         StepwiseRegressor(),
-        StepwiseRegressor(fit_intercept=False),
         TotalLeastSquares(),
-        TotalLeastSquares(fit_intercept=False),
         InstrumentalVariables(),
-        InstrumentalVariables(fit_intercept=False),
     ]
 )
 def test_scikit_learn_contract(estimator, check):

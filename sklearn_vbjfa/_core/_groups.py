@@ -15,8 +15,8 @@ _SPAN = 1e-5
 
 
 @dataclass(frozen=True, kw_only=True)
-class Excess:
-    """How much more evidence scatters in time than its second moments promise."""
+class Overdispersion:
+    """Overdispersion of the score between time blocks."""
 
     # variance of the score over that which they promise, at least one
     ratio: float = 1.0
@@ -27,10 +27,10 @@ class Excess:
 
     def as_usual(self):
         """Return the same as for effects that are not functions of time."""
-        return Excess(ratio=self.usual, usual=self.usual)
+        return Overdispersion(ratio=self.usual, usual=self.usual)
 
-    def tempered(self, evidence, width):
-        """Return a log Bayes factor of `width` columns as it is worth with this."""
+    def discounted(self, evidence, width):
+        """Discount a log Bayes factor of `width` columns."""
         evidence = evidence / self.ratio
         if evidence > 0 and np.isfinite(self.freedom):
             evidence = student(evidence, self.freedom, width)
@@ -66,8 +66,8 @@ class Groups:
         # AISTATS 2003, eq. 18, for a single column).
         return np.logaddexp.reduce(self._along(scale), axis=0)
 
-    def tempered(self, excess):
-        """Return the moments of a likelihood that is worth less, see `Excess`."""
+    def discounted(self, excess):
+        """Return the moments of a likelihood discounted for overdispersion."""
         return Groups(
             H=self.H / excess.ratio,
             q=self.q / excess.ratio,

@@ -272,7 +272,6 @@ class Dependencies:
     basis: np.ndarray  # columns that generate all others, ascending
     # for each column of the basis, the column itself and its exact copies
     copies: tuple
-    rule: str  # how the basis was found
 
 
 def find_dependencies(R):
@@ -281,7 +280,7 @@ def find_dependencies(R):
     eigen = scaled_eigen(R, DEPENDENCY_TOLERANCE, scale=1.0)
     alone = tuple(np.array([j]) for j in range(d))
     if eigen.rank == d:
-        return Dependencies(basis=np.arange(d), copies=alone, rule="full rank")
+        return Dependencies(basis=np.arange(d), copies=alone)
     involved = eigen.lost(1e-6)
     dependent, free = np.flatnonzero(involved), np.flatnonzero(~involved)
     groups = _copies(R, dependent)
@@ -289,16 +288,13 @@ def find_dependencies(R):
     rank = eigen.rank - free.size
     # Columns as points: F'F = R without the null space.
     rays = _extreme_rays(eigen.root(), first) if first.size <= _MOST_RAYS else None
-    if rays is not None and rays.size == rank:
-        chosen, rule = rays, "rays"
-    else:
-        chosen, rule = _largest_volume(R, first, rank), "volume"
+    chosen = rays
+    if rays is None or rays.size != rank:
+        chosen = _largest_volume(R, first, rank)
     members = {int(group[0]): group for group in groups}
     members.update({int(j): np.array([j]) for j in free})
     basis = np.sort(np.concatenate([free, chosen]))
-    return Dependencies(
-        basis=basis, copies=tuple(members[int(j)] for j in basis), rule=rule
-    )
+    return Dependencies(basis=basis, copies=tuple(members[int(j)] for j in basis))
 
 
 def _copies(R, columns):

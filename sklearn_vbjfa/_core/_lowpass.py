@@ -48,28 +48,11 @@ class Lowpass:
 
     def __call__(self, x):
         """Filter the rows of x (n, ...) and keep every `step`-th."""
-        n = x.shape[0]
-        count = self.centres(n).size
-        if count == 0:
-            return np.zeros((0, *x.shape[1:]))
-        flat = x.reshape(n, -1)
-        if self.half == 0:
-            return flat[:: self.step].reshape(count, *x.shape[1:])
-        filtered = scipy.signal.upfirdn(self.taps, flat, up=1, down=self.step, axis=0)
-        # upfirdn starts at the first sample; the first full overlap is 2 * half later
-        first = -(-2 * self.half // self.step)
-        if 2 * self.half % self.step:
-            lead = first * self.step - 2 * self.half
-            filtered = scipy.signal.upfirdn(
-                np.r_[np.zeros(lead), self.taps], flat, up=1, down=self.step, axis=0
-            )
-        return filtered[first : first + count].reshape(count, *x.shape[1:])
+        return decimate(self, x)
 
     def average(self, weight):
         """Average weights (n, ...) over the filter's neighbourhood."""
-        taps = np.abs(self.taps)
-        smoother = Lowpass(taps=taps / taps.sum(), step=self.step)
-        return smoother(weight)
+        return decimate(averaging(self), weight)
 
 
 def design(dt, cutoff, step=None):
@@ -148,7 +131,7 @@ class BlockFilter:
 
 
 def decimate(lowpass, x):
-    """Filter rows x (n, ...) that are all there; what `Lowpass` itself gives."""
+    """Filter rows x (n, ...) and keep every `step`-th."""
     if lowpass.half == 0:
         return x[:: lowpass.step]
     n = x.shape[0]

@@ -15,7 +15,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 from scipy import linalg, sparse
-from scipy.interpolate import BSpline, PPoly
+from scipy.interpolate import BSpline, PPoly, make_interp_spline
 
 _DEGREE = 5
 # Of the penalised derivative. The steeper the gain, the less the motion is attenuated
@@ -37,6 +37,10 @@ _CORRECTIONS = 2
 # A velocity below this share of the fastest is none: what is left of a motion long past
 # falls through all sizes, down to rounding, whose sign means nothing.
 _STANDS_STILL = 2.0**-30
+
+
+# Samples that a cubic spline needs.
+_CUBIC = 4
 
 
 def knot_step(dt, cutoff):
@@ -428,3 +432,25 @@ def _penalty_bands(n_coef):
     bands[:, :ends], bands[:, -ends:] = short[:, :ends], short[:, ends:]
     bands[:, ends:-ends] = short[:, ends : ends + 1]
     return bands
+
+
+def interpolate(values, parts, t, delay=0.0, order=0):
+    """Channels (n, ...) a delay [s] earlier, or their derivative by time there."""
+    # parts: recordings, across whose borders nothing is interpolated; t (n,) [s].
+    # Splines: straight lines would take 1 % of what moves at a twentieth of the
+    # sampling frequency. Before a recording its first value is held.
+    out = np.empty(values.shape)
+    for part in parts:
+        rows, clock = values[part], t[part]
+        degree = 3 if clock.size >= _CUBIC else min(clock.size - 1, 1)
+        if not degree:
+            out[part] = rows if order == 0 else 0.0
+            continue
+        # Counted in the recording, times are as exact at noon as at midnight.
+        clock = clock - clock[0]
+        made = make_interp_spline(clock, rows, k=degree)
+        asked = clock - delay
+        out[part] = made(np.clip(asked, 0.0, clock[-1]), nu=order)
+        if order:
+            out[part][(asked < 0.0) | (asked > clock[-1])] = 0.0
+    return out

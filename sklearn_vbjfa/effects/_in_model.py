@@ -11,7 +11,7 @@ from numbers import Real
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._between import between
+from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.effects._base import POSITION, Effect, InFiles
 from sklearn_vbjfa.effects._channels import model_torque
 
@@ -606,8 +606,8 @@ class CommandDelay(InModel):
     def change(self, command, parts, t):
         """Torque (n, nv) that the delay adds to the law at no delay."""
         # command (n, nv): c(t) [N m or N]
-        return between(command, parts, t, self.delay) - command
+        return interpolate(command, parts, t, self.delay) - command
 
     def columns(self, motion):
         known = motion.command, motion.parts, motion.t
-        return between(*known, self.delay, 1)[:, :, None]
+        return interpolate(*known, self.delay, 1)[:, :, None]

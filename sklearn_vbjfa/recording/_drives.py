@@ -15,7 +15,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._between import between
+from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Channels of joints that are commands, by their names in `Recording.signals`.
@@ -265,18 +265,18 @@ class PDDrive(Drive):
         clock = dt * np.arange(recording.n_samples)
         rate = self._channel(recording, "v_desired")
         if rate is None:
-            rate = between(aim, parts, clock, order=1) if self.feedforward else 0.0
+            rate = interpolate(aim, parts, clock, order=1) if self.feedforward else 0.0
         ahead = self._channel(recording, "tau_ff")
         command = kp * aim + kd * rate + gear * (0.0 if ahead is None else ahead)
         if self.waits is not None:
             check_wait(self.waits, recording)
-            command = between(command, parts, clock, self.waits)
+            command = interpolate(command, parts, clock, self.waits)
         q, v = np.asarray(recording.q), velocities(recording)
         if self.period is not None:
             # A torque that is held acts half a period late; of the command it is a
             # part of the delay.
             held = 0.5 * dt / self.updates(dt)
-            q, v = (between(x, parts, clock, held) for x in (q, v))
+            q, v = (interpolate(x, parts, clock, held) for x in (q, v))
         tau = command - kp * q - kd * v
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
         made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
@@ -644,7 +644,7 @@ def velocities(recording):
     parts, q = recording.segments, np.asarray(recording.q)
     clock = check_dt(recording.dt) * np.arange(recording.n_samples)
     late = [
-        between(q[:, j : j + 1], parts, clock, one, order=1)
+        interpolate(q[:, j : j + 1], parts, clock, one, order=1)
         for j, one in enumerate(velocity_lags(recording).tolist())
     ]
     return np.hstack(late)
@@ -658,7 +658,7 @@ def velocity_lags(recording):
     dt, parts = check_dt(recording.dt), recording.segments
     clock = dt * np.arange(recording.n_samples)
     q = np.asarray(recording.q)
-    slope = between(q, parts, clock, order=1)
+    slope = interpolate(q, parts, clock, order=1)
     lowpass = _lowpass.design(dt, min(_SLOW, 0.2 / dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
@@ -666,7 +666,7 @@ def velocity_lags(recording):
     # Accelerations of all rows: behind the low-pass they are further apart.
     own, theirs, faster = (
         np.concatenate([lowpass(np.asarray(x[part])) for part in long])
-        for x in (slope, recording.v, between(q, parts, clock, order=2))
+        for x in (slope, recording.v, interpolate(q, parts, clock, order=2))
     )
     power = (faster**2).sum(axis=0)
     return ((own - theirs) * faster).sum(axis=0) / np.where(power > 0, power, 1.0)

@@ -2,12 +2,13 @@
 
 import numpy as np
 import pytest
+import scipy
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._lowpass import BlockFilter, block_length, decimate
+from sklearn_vbjfa._core._lowpass import BlockFilter, decimate
 
 FILTERS = [
     _lowpass.design(0.01, 5.0),
@@ -19,17 +20,23 @@ FILTERS = [
 ]
 
 
+def polyphase(lowpass, x):
+    """SciPy's filter, at the samples where all of it lies in the recording."""
+    every = scipy.signal.upfirdn(lowpass.taps, x, axis=0)
+    return every[2 * lowpass.half : x.shape[0] : lowpass.step]
+
+
 @pytest.mark.parametrize("lowpass", FILTERS)
 @pytest.mark.parametrize("shape", [(), (3,), (2, 4)])
-@pytest.mark.parametrize("n", [1, 40, 400, 1001])
+@pytest.mark.parametrize("n", [1, 400])
 def test_equal_to_the_polyphase_filter(lowpass, shape, n):
     x = np.random.default_rng(0).normal(size=(n, *shape))
     ours = decimate(lowpass, x)
     assert ours.shape[0] == lowpass.centres(n).size
-    assert_allclose(ours, lowpass(x), rtol=0, atol=1e-13)
+    assert_allclose(ours, polyphase(lowpass, x), rtol=0, atol=1e-13)
 
 
-@settings(max_examples=40, derandomize=True, deadline=None)
+@settings(max_examples=8, derandomize=True, deadline=None)
 @given(
     lowpass=st.sampled_from(FILTERS),
     steps=st.integers(1, 30),
@@ -41,14 +48,4 @@ def test_length_of_the_blocks_does_not_matter(lowpass, steps, n):
     length = steps * lowpass.step
     for first in range(0, n, length):
         result.add(first, x[first : first + length])
-    assert_allclose(result.outputs, lowpass(x), rtol=0, atol=1e-13)
-
-
-@pytest.mark.parametrize("lowpass", FILTERS)
-@pytest.mark.parametrize("row_bytes", [8, 8800, 1 << 24])
-def test_blocks_begin_at_outputs(lowpass, row_bytes):
-    length = block_length(lowpass, row_bytes)
-    assert length > 0
-    assert length % lowpass.step == 0
-    limit = max(_lowpass._MIN_ROWS, 2 * lowpass.half) + lowpass.step
-    assert length <= limit or not lowpass.half
+    assert_allclose(result.outputs, polyphase(lowpass, x), rtol=0, atol=1e-13)

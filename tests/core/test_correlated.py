@@ -230,44 +230,6 @@ def test_known_noise_gives_corrected_least_squares():
     assert np.abs(corrected - plain).max() > 0.05
 
 
-def test_population_moments_give_the_truth():
-    # What infinitely many samples would have as second moments: no sampling error.
-    rng = np.random.default_rng(8)
-    root, noise = rng.normal(size=(2, 4, 4))
-    Sigma_t, psi = root @ root.T + np.eye(4), 0.05 * noise @ noise.T
-    coef, psi_y, n = rng.normal(size=4), 1.0, 1e8
-    solution = _correlated.solve_correlated(
-        moments_of(
-            n * (Sigma_t + psi),
-            n * Sigma_t @ coef,
-            n * (coef @ Sigma_t @ coef + psi_y),
-            n,
-        ),
-        psi,
-        max_iter=5000,
-        tol=1e-12,
-    )
-    assert solution.status == "converged"
-    # A gain of 1e-12 per sample is left, of a quadratic of curvature 1.
-    assert_allclose(solution.state.beta_mean, coef, atol=1e-5)
-    assert_allclose(solution.state.psi_y, psi_y, rtol=1e-4)
-    naive = np.linalg.solve(Sigma_t + psi, Sigma_t @ coef)
-    assert_allclose(solution.latent.H.T @ coef, naive, rtol=1e-9)
-
-
-def test_latent_is_the_conditional_gaussian():
-    X, _, psi, _ = make_problem(9, 4)
-    S = X.T @ X
-    latent = _correlated.infer_latent(S, 60.0, psi)
-    Sigma_t = S / 60 - psi
-    gain = Sigma_t @ np.linalg.inv(S / 60)
-    assert_allclose(latent.Sigma_t, Sigma_t, atol=1e-12)
-    assert_allclose(latent.H, gain, atol=1e-10)
-    assert_allclose(latent.P, Sigma_t - gain @ Sigma_t, atol=1e-10)
-    assert latent.clipped.size == 0
-    assert not latent.exact
-
-
 def test_noise_beyond_the_data_leaves_no_signal_there():
     X, _, _, _ = make_problem(10, 3)
     S = X.T @ X
@@ -319,23 +281,6 @@ def test_all_forms_of_the_posterior_agree(monkeypatch, n_samples):
         assert_allclose(result.squares, residual, rtol=1e-9)
 
 
-def test_rounding_of_redundant_columns_is_no_information():
-    rng = np.random.default_rng(17)
-    Q = np.linalg.qr(rng.normal(size=(6, 6)))[0]
-    values = np.array([3.0, 2.0, 1.0, 0.5, 0.0, 0.0])
-    S, beta, s2 = (Q * values) @ Q.T, rng.normal(size=6), 1e-10
-    sums = S, S @ beta, float(beta @ S @ beta)
-    found = _correlated.posterior_beta(
-        *sums, s2, np.full(6, 2.0), lambda: _correlated.square_root(*sums)
-    )
-    # Of the directions without information the prior is all that is known; the
-    # rounding of S over s2 is 1e-5 of it.
-    variance = 1.0 / (values / s2 + 2.0)
-    assert_allclose(Q.T @ found.cov @ Q, np.diag(variance), atol=1e-9)
-    assert_allclose(Q.T @ found.mean, variance * values / s2 * (Q.T @ beta), atol=1e-9)
-    assert_allclose(found.logdet, np.log(variance).sum(), rtol=1e-9)
-
-
 @pytest.mark.parametrize("d", [1, 3])
 def test_precision_in_common_is_one_gamma(d):
     X, y, psi, _ = make_problem(13, d)
@@ -348,14 +293,6 @@ def test_precision_in_common_is_one_gamma(d):
         alone = solve(X, y, psi, tol=1e-12, max_iter=5000)
         assert_allclose(solution.history[-1], alone.history[-1], rtol=1e-9)
         assert_allclose(state.beta_mean, alone.state.beta_mean, rtol=1e-4)
-
-
-def test_posterior_covariance_of_exact_inputs_is_the_bayesian_one():
-    X, y, _, _ = make_problem(14, 3)
-    zero = np.zeros((3, 3))
-    solution = solve(X, y, zero)
-    cov = _correlated.posterior_covariance(60.0, zero, solution)
-    assert_array_equal(cov, solution.state.beta_cov)
 
 
 def test_posterior_covariance_is_the_scatter_of_the_estimate():

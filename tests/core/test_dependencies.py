@@ -28,7 +28,6 @@ def made(seed, n_generators=6, n_made=12, n_free=3):
 def test_independent_columns_are_all_generators():
     rng = np.random.default_rng(0)
     found = find_dependencies(correlation(rng.normal(size=(100, 5))))
-    assert found.rule == "full rank"
     assert_array_equal(found.basis, np.arange(5))
 
 
@@ -36,7 +35,6 @@ def test_independent_columns_are_all_generators():
 def test_generators_of_convex_combinations_are_found(seed):
     X, wanted = made(seed)
     found = find_dependencies(correlation(X))
-    assert found.rule == "rays"
     assert_array_equal(found.basis, wanted)
 
 
@@ -54,7 +52,6 @@ def test_without_a_cone_the_largest_volume_is_taken():
     X = np.hstack([t, t @ rng.normal(size=(3, 6))])
     R = correlation(X)
     found = find_dependencies(R)
-    assert found.rule == "volume"
     assert found.basis.size == 3
 
     def volume(columns):

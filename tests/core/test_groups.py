@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 from scipy import integrate, special, stats
 
-from sklearn_vbjfa._core._groups import Groups
+from sklearn_vbjfa._core._groups import Groups, Overdispersion
 
 ROWS = 30
 
@@ -21,13 +21,14 @@ def problem(k, seed=0, size=1.0):
     return X, y
 
 
-def groups_of(X, y, unit):
+def groups_of(X, y, unit, freedom=np.inf):
     """Moments of one group whose columns are alone."""
     return Groups(
         H=(X.T @ X)[None],
         q=(X.T @ y)[None],
         own=(X**2).sum(axis=0)[None],
         unit=np.asarray(unit)[None],
+        freedom=freedom,
     )
 
 
@@ -59,6 +60,42 @@ def test_evidence_is_the_integral_over_the_half_cauchy_scale(k, size):
     integral, _ = integrate.quad(integrand, *ends, limit=200)
     found = groups_of(X, y, unit).evidence(width)
     assert_allclose(found, [np.log(integral)], atol=0.01)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_evidence_under_students_noise_is_that_of_its_density(k):
+    """A scale counts as the peak of a t distribution in k dimensions over its value."""
+    X, y = problem(k, seed=k, size=30.0)
+    unit, width, freedom = 1.0 / np.sqrt((X**2).mean(axis=0)), 0.1, 8.0
+    noise = stats.multivariate_t(shape=np.eye(k), df=freedom)
+
+    def integrand(log_scale):
+        scale = np.exp(log_scale)
+        volume = np.linalg.slogdet(np.eye(k) + scale**2 * (X * unit).T @ (X * unit))[1]
+        gain = log_factor(X, y, unit, scale) + 0.5 * volume
+        away = np.sqrt(2 * gain) * np.eye(k)[0]
+        factor = noise.logpdf(np.zeros(k)) - noise.logpdf(away) - 0.5 * volume
+        return stats.halfcauchy.pdf(scale, scale=width) * scale * np.exp(factor)
+
+    integral, _ = integrate.quad(integrand, *np.log([1e-5, 1e3]), limit=200)
+    found = groups_of(X, y, unit, freedom).evidence(width)
+    assert_allclose(found, [np.log(integral)], atol=0.01)
+
+
+@pytest.mark.parametrize("k", [1, 3])
+def test_overdispersion_discounts_the_likelihood(k):
+    X, y = problem(k, seed=k, size=30.0)
+    scatter = Overdispersion(ratio=2.5, freedom=6.0, usual=1.5)
+    # Noise of a variance larger by the ratio, and Student's t in place of the normal.
+    expected = groups_of(*(x / np.sqrt(2.5) for x in (X, y)), np.ones(k), 6.0)
+    found = groups_of(X, y, np.ones(k)).discounted(scatter)
+    assert_allclose(found.evidence(0.1), expected.evidence(0.1), rtol=1e-10)
+    t = stats.multivariate_t(shape=np.eye(k), df=6.0)
+    away = np.sqrt(2 * 10.0 / 2.5) * np.eye(k)[0]
+    ratio = t.logpdf(np.zeros(k)) - t.logpdf(away)
+    assert_allclose(scatter.discounted(10.0, k), ratio, rtol=1e-10)
+    assert_allclose(scatter.as_usual().discounted(10.0, k), 10.0 / 1.5)
+    assert scatter.discounted(-10.0, k) == -4.0
 
 
 def test_one_scale_is_the_closed_form_of_a_single_column():
@@ -107,15 +144,6 @@ def test_a_column_of_zeros_costs_nothing():
     nothing = groups_of(np.zeros((ROWS, 1)), y, [0.0])
     assert_allclose(nothing.evidence(0.1), [0.0], atol=1e-12)
     assert not nothing.shown().any()
-
-
-def test_a_column_twice_is_that_column():
-    """But for its prior: the sum of two coefficients of the same deviation."""
-    X, y = problem(1, size=10.0)
-    one, twice = groups_of(X, y, [1.0]), groups_of(np.hstack([X, X]), y, [1.0, 1.0])
-    assert_allclose(twice.gain(), one.gain(), rtol=1e-10)
-    assert_allclose(twice.coefficients().sum(), one.coefficients()[0, 0], rtol=1e-10)
-    assert_allclose(twice.evidence(0.1), one.evidence(0.1 * np.sqrt(2)), atol=0.05)
 
 
 def test_gain_and_coefficients_are_those_of_least_squares():

@@ -42,8 +42,8 @@ def joint_rows(X, y, weight, centre):
 
 
 @pytest.mark.parametrize("n", [30, 3000])
-@pytest.mark.parametrize("noise", [1e-2, 1e-6, 1e-10])
-@pytest.mark.parametrize("condition", [1e2, 1e4, 1e6, 1e8, 1e10, 1e12])
+@pytest.mark.parametrize("noise", [1e-2, 1e-10])
+@pytest.mark.parametrize("condition", [1e2, 1e6, 1e12])
 def test_predictions_are_those_of_the_rows(condition, noise, n):
     X, y, reference = make_problem(n, condition, noise)
     model = make_model().fit(X, y)
@@ -117,7 +117,7 @@ def test_exact_dependencies_need_no_factor(offset):
 
 
 @pytest.mark.parametrize("centred", [True, False])
-@pytest.mark.parametrize("splits", [1, 3, 7])
+@pytest.mark.parametrize("splits", [1, 3])
 def test_factor_of_any_chunks(monkeypatch, splits, centred):
     monkeypatch.setattr(_moments, "_BLOCK_BYTES", 1)
     rng = np.random.default_rng(3)
@@ -132,8 +132,6 @@ def test_factor_of_any_chunks(monkeypatch, splits, centred):
     assert_array_equal(R, np.triu(R))
     rows = joint_rows(X, y, weight, centred)
     assert_allclose(R.T @ R, rows.T @ rows, rtol=1e-11, atol=1e-9)
-    faded = total.faded(0.25).factor_about(centred=centred)
-    assert_allclose(faded.T @ faded, 0.25 * rows.T @ rows, rtol=1e-11, atol=1e-9)
     # Standardised, the moments are those of the factor.
     data = _moments.standardise(total, centred=centred).moments
     c = np.array([0.3, -1.0, 2.0])
@@ -143,33 +141,6 @@ def test_factor_of_any_chunks(monkeypatch, splits, centred):
     assert_allclose(data.dot(c), plain.dot(c), rtol=1e-10)
     for ours, theirs in zip(data.residual(c), plain.residual(c)):
         assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9 * plain.n)
-
-
-def test_merging_with_rows_without_factor_has_none():
-    X, y, _ = make_problem(50, 1e2, 0.1)
-    plain = _moments.from_data(X, y)
-    assert (_moments.with_factor(plain, X, y) + plain).factor is None
-
-
-def test_a_large_offset_does_not_round_the_scatter(monkeypatch):
-    # Integers: near zero every sum is exact. Each block's mean about its own rows, not
-    # about zero, keeps the digits that differences of means need.
-    monkeypatch.setattr(_moments, "_BLOCK_BYTES", 1)
-    rng = np.random.default_rng(4)
-    X = rng.integers(-1000, 1000, (2000, 3)).astype(float)
-    y = rng.integers(-1000, 1000, 2000).astype(float)
-    near = _moments.from_data(X, y)
-    far = _moments.from_data(X + 1e12, y - 1e12)
-    unit = np.sqrt(np.diagonal(near.S_xx))
-    difference = (far.S_xx - near.S_xx) / np.outer(unit, unit)
-    assert_allclose(difference, 0.0, atol=1e-14)
-    # In chunks, too: the means carry what their rounding left.
-    total = None
-    for rows in np.array_split(np.arange(2000), 9):
-        part = _moments.from_data(X[rows] + 1e12, y[rows] - 1e12)
-        total = part if total is None else total + part
-    difference = (total.S_xx - near.S_xx) / np.outer(unit, unit)
-    assert_allclose(difference, 0.0, atol=1e-14)
 
 
 def test_partial_fit_carries_the_factor():
@@ -193,35 +164,3 @@ def test_partial_fit_says_when_digits_are_lost():
     assert model.statistics_.factor is None
     with pytest.warns(UserWarning, match=r"partial_fit loses digits: .* fit all rows"):
         model.partial_fit(X[200:], y[200:])
-
-
-def test_residuals_of_a_factor_keep_their_digits():
-    # e = y - c'x of 1e-9, beside sums over the rows in extended precision.
-    X, y, _ = make_problem(300, 1e3, 0.0, n_features=3)
-    c = linalg.lstsq(X, y - y.mean())[0]
-    stats = _moments.from_data(X, y)
-    unit_x, unit_y = X.std(axis=0), y.std()
-    c = c * unit_x / unit_y * (1 + 1e-9)
-    Z = (X.astype(np.longdouble) - X.astype(np.longdouble).mean(axis=0)) / unit_x
-    e = (y.astype(np.longdouble) - y.astype(np.longdouble).mean()) / unit_y - Z @ c
-    exact = float(e @ e)
-    errors = []
-    for found in (stats, _moments.with_factor(stats, X, y)):
-        moments = _moments.standardise(found, centred=True).moments
-        errors.append(abs(moments.residual(c)[1] / exact - 1))
-    assert errors[1] < 1e-3
-    assert errors[0] > 10 * errors[1]
-
-
-@pytest.mark.slow
-def test_ten_million_rows():
-    rng = np.random.default_rng(6)
-    n, d = 10_000_000, 3
-    X = rng.normal(size=(n, d)) + 1e6
-    X[:, 2] = X[:, 1] + 1e-7 * (X[:, 0] - 1e6) + 1e-7 * rng.normal(size=n)
-    coef = np.array([1.0, -2.0, 3.0])
-    clean = X @ coef
-    model = make_model().fit(X, clean + 1e-3 * rng.normal(size=n))
-    error = model.predict(X[:1000]) - clean[:1000]
-    # The numbers themselves are rounded by 1e6 eps.
-    assert np.sqrt(np.mean(error**2)) < 1e-5

@@ -125,14 +125,3 @@ def test_a_parameter_of_one_block_takes_the_factor_of_the_others():
     covariance = found.scores.T @ found.scores
     assert np.isnan(covariance[1]).all()
     assert covariance[0, 0] == pytest.approx(found.factor[0] * found.white[0])
-
-
-def test_a_single_block_says_nothing_of_its_scatter():
-    """What the fit leaves of one block is rounding, whatever sign it has."""
-    rng = np.random.default_rng(0)
-    for _ in range(50):
-        rows = rng.normal(size=(10, 4))
-        gram = (rows.T @ rows)[None]
-        scores = 1e-12 * rng.normal(size=(1, 4))
-        found = block_variance(gram, scores, np.zeros((1, 2), dtype=int), 0.7)
-        assert found.pooled == 1.0

@@ -1,7 +1,5 @@
 """The explicit end of EM: least squares, fixed under EM, and above all it reaches."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -63,15 +61,6 @@ def test_known_noise_that_explains_the_output_noise_has_no_explicit_end():
     solution = _solver.solve(moments, start, prior, max_iter=5000, tol=1e-10)
     assert solution.status == "converged"
     assert np.diff(solution.history).min() >= 0
-
-
-def test_split_of_em_is_kept_where_it_can_be():
-    moments = moments_of(0, 4)
-    start = _solver.start(moments, Prior(), np.full(4, 1e-3))
-    start = replace(start, psi_z=np.array([0.1, 0.2, 0.3, 0.4]), psi_y=0.5)
-    state = at_highest_likelihood(moments, start, Prior())
-    assert_allclose(state.psi_x / moments.xx * moments.n, start.psi_x, rtol=1e-12)
-    assert_allclose(state.psi_z / state.psi_y, start.psi_z / start.psi_y, rtol=1e-12)
 
 
 def test_split_that_makes_too_much_noise_is_lowered_by_one_factor():

@@ -10,7 +10,6 @@ from sklearn_vbjfa._core import _updates
 from sklearn_vbjfa._core._updates import (
     Prior,
     expect_hidden,
-    update_loadings,
     update_noise,
     update_precisions,
 )
@@ -63,7 +62,7 @@ def test_vb_iteration(as_moments, n_features, n_samples, seed):
 
 @pytest.mark.parametrize("n_features", [1, 4])
 @pytest.mark.parametrize("model", ["jfa", "paper"])
-def test_two_hundred_iterations(model, n_features):
+def test_forty_iterations(model, n_features):
     X, y, _ = _problems.make_data(n_features, n_features, 12)
     moments = _problems.as_gram(X, y)
     state = _problems.make_state(7, n_features, ard=model == "paper")
@@ -72,13 +71,13 @@ def test_two_hundred_iterations(model, n_features):
         params = _problems.as_jfa_params(state)
     else:
         params = _problems.as_vb_params(state)
-    for _ in range(200):
+    for _ in range(40):
         state, _ = _problems.iterate(moments, state, prior)
         if model == "jfa":
             params = ref.jfa_em_step(params, X, y)
         else:
             params = ref.vb_step(params, X, y, ARD_SHAPE, ARD_RATE)
-    # The rounding of 200 steps, carried along the flat directions of the likelihood.
+    # The rounding of 40 steps, carried along the flat directions of the likelihood.
     assert_same_posterior(state, params, 1e-8)
 
 
@@ -92,18 +91,6 @@ def test_known_input_noise_replaces_its_update():
     assert_array_equal(fixed.psi_x, known)
     for name in ("w_z_mean", "w_x_mean", "psi_z", "psi_y"):
         assert_array_equal(getattr(fixed, name), getattr(free, name))
-
-
-def test_without_posterior_variance_and_prior_vb_is_jfa():
-    X, y, _ = _problems.make_data(1, 4)
-    moments = _problems.as_gram(X, y)
-    state = _problems.make_state(1, 4, ard=False)
-    hidden = expect_hidden(moments, state)
-    flat = replace(state, alpha_shape=1e-300)
-    vb = update_loadings(flat, hidden, Prior(ard=True))
-    jfa = update_loadings(state, hidden, Prior())
-    assert_allclose(vb.w_z_mean, jfa.w_z_mean, rtol=1e-15)
-    assert_allclose(vb.w_x_mean, jfa.w_x_mean, rtol=1e-15)
 
 
 def test_uncoupled_precision_sees_the_output_loading_alone():
@@ -146,17 +133,6 @@ def test_input_noise_maximises_the_bound_under_its_prior(weight):
         assert max(above, below) < best
 
 
-def test_heavy_prior_holds_the_input_noise_at_its_mode():
-    X, y, _ = _problems.make_data(4, 2)
-    state = _problems.make_state(4, 2, coupled=False)
-    mode = np.array([0.2, 0.5])
-    prior = _problems.make_prior("noise", 25, 2)
-    prior = replace(prior, psi_x_weight=1e12, psi_x_mode=mode)
-    new, _ = _problems.iterate(_problems.as_gram(X, y), state, prior)
-    # 25 samples against 1e12
-    assert_allclose(new.psi_x, mode, rtol=1e-9)
-
-
 @pytest.mark.parametrize("psi_x", [1e-12, 1e-15])
 def test_input_noise_near_zero_keeps_its_digits(psi_x):
     # The residual x - w_x t is as small as psi_x; a difference of sums of size n
@@ -185,21 +161,3 @@ def test_coefficients_equal_the_literal_matrices(seed):
     everything = np.ones(5, dtype=bool)
     ours = _updates.coefficients_noiseless(state, everything)
     assert_allclose(ours, noiseless, rtol=1e-10)
-
-
-def test_inputs_not_retained_get_the_coefficient_zero():
-    state = _problems.make_state(0, 3)
-    state = replace(state, w_x_mean=np.array([0.0, 0.5, -0.5]))
-    beta = _updates.coefficients_noiseless(state, np.array([False, True, False]))
-    assert_array_equal(beta, [0.0, state.w_z_mean[1] / 0.5, 0.0])
-
-
-def test_negligible_loadings_become_exact_zeros():
-    X, y, _ = _problems.make_data(6, 2)
-    state = _problems.make_state(6, 2)
-    state = replace(state, alpha_rate=np.array([1e-300, 1.0]))
-    new, _ = _problems.iterate(
-        _problems.as_gram(X, y), state, _problems.make_prior("paper", 25, 2)
-    )
-    assert new.w_z_mean[0] == new.w_x_mean[0] == 0.0
-    assert new.w_z_mean[1] != 0.0

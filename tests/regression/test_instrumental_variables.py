@@ -52,14 +52,6 @@ def test_two_literal_stages(seed, n_instruments):
     assert model.rank_ == 3
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_as_many_instruments_as_features(seed):
-    X, y, Z, _ = make_repeated(seed)
-    model = InstrumentalVariables(fit_intercept=False).fit(X, y, instruments=Z)
-    assert_allclose(model.coef_, np.linalg.solve(Z.T @ X, Z.T @ y), rtol=1e-9)
-    assert model.intercept_ == 0.0
-
-
 def test_without_instruments_least_squares():
     X, y, _, _ = make_repeated(0)
     model = InstrumentalVariables().fit(X, y)
@@ -130,15 +122,6 @@ def test_duplicate_and_constant_features(factor):
     assert_array_equal(np.isinf(model.coef_std_), [True, False, False, True, True])
     assert_allclose(model.coef_std_[1:3], reference.coef_std_[1:], rtol=1e-8)
     assert_allclose(model.predict(wide), reference.predict(X), rtol=1e-8)
-
-
-def test_dependent_instruments_add_nothing():
-    X, y, Z, _ = make_repeated(2)
-    reference = InstrumentalVariables().fit(X, y, instruments=Z)
-    wide = np.column_stack([Z, 1e6 * Z[:, 0], Z[:, 0] - Z[:, 1], np.full(len(y), 3)])
-    model = InstrumentalVariables().fit(X, y, instruments=wide)
-    assert_allclose(model.coef_, reference.coef_, rtol=1e-8)
-    assert_allclose(model.coef_std_, reference.coef_std_, rtol=1e-8)
 
 
 def test_instruments_that_miss_a_direction():

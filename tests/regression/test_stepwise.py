@@ -1,7 +1,5 @@
 """Stepwise regression against refits, the textbook's trace, and its invariances."""
 
-from dataclasses import FrozenInstanceError
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -143,18 +141,6 @@ def test_path_equals_refits(seed, fit_intercept):
     assert np.all(model.coef_[~model.selected_] == 0)
 
 
-def test_refits_include_removals():
-    # Else the comparison above would not cover the backward half.
-    actions = [
-        step[1]
-        for seed in range(8)
-        for step in literal_stepwise(
-            *make_collinear(seed)[:2], p_enter=0.2, p_remove=0.2
-        )[1]
-    ]
-    assert actions.count("remove") >= 2
-
-
 def test_sweep_gives_inverse_coefficients_and_residual():
     X, y, _ = make_collinear(0, n_features=4)
     table = np.column_stack([X, y]).T @ np.column_stack([X, y])
@@ -186,18 +172,6 @@ def test_units(seed, factor):
 
 @examples
 @given(seed=st.integers(0, 1000))
-def test_permutations_and_offsets(seed):
-    X, y, _ = make_collinear(seed)
-    rng = np.random.default_rng(seed)
-    rows, columns = rng.permutation(X.shape[0]), rng.permutation(X.shape[1])
-    reference = StepwiseRegressor().fit(X, y)
-    model = StepwiseRegressor().fit((X + 1e3)[rows][:, columns], y[rows] - 1e3)
-    assert_array_equal(model.selected_, reference.selected_[columns])
-    assert_allclose(model.coef_, reference.coef_[columns], rtol=1e-8, atol=1e-12)
-
-
-@examples
-@given(seed=st.integers(0, 1000))
 def test_weight_counts_repetitions(seed):
     X, y, _ = make_collinear(seed, n_samples=40)
     weight = np.random.default_rng(seed).integers(0, 4, size=len(y))
@@ -212,15 +186,6 @@ def test_weight_counts_repetitions(seed):
         assert_allclose([step.F, step.p_value], [expected.F, expected.p_value], 1e-7)
     assert_allclose(weighted.coef_, repeated.coef_, rtol=1e-9, atol=1e-12)
     assert_allclose(weighted.intercept_, repeated.intercept_, rtol=1e-9)
-
-
-def test_degrees_of_freedom_use_the_sum_of_weights():
-    X, y, _ = make_collinear(3)
-    F = [
-        StepwiseRegressor().fit(X, y, sample_weight=np.full(60, w)).path_[0].F
-        for w in (1.0, 2.5)
-    ]
-    assert_allclose(F[1] / F[0], (2.5 * 60 - 2) / (60 - 2), rtol=1e-10)
 
 
 @examples
@@ -245,19 +210,6 @@ def test_guard_against_cycles():
     assert selection.status == "revisited"
 
 
-def test_guard_is_reported(monkeypatch):
-    X, y, _ = make_collinear(0)
-    monkeypatch.setattr(
-        "sklearn_vbjfa.regression._stepwise.select_features",
-        lambda *args, **kwargs: select_features(
-            *args, p_enter=0.9, p_remove=1e-6, max_iter=None
-        ),
-    )
-    with pytest.warns(ConvergenceWarning, match="rounding proposed a model"):
-        model = StepwiseRegressor().fit(X, y)
-    assert not model.converged_
-
-
 @pytest.mark.parametrize("factor", [1.0, 1e-6, 3e6])
 def test_duplicate_and_constant_columns_do_not_matter(factor):
     X, y, _ = make_collinear(1)
@@ -267,27 +219,6 @@ def test_duplicate_and_constant_columns_do_not_matter(factor):
     assert_array_equal(model.selected_[: X.shape[1]], reference.selected_)
     assert not model.selected_[X.shape[1] :].any()
     assert_allclose(model.coef_[: X.shape[1]], reference.coef_, rtol=1e-9)
-
-
-def test_linear_combination_enters_instead_of_its_parts():
-    rng = np.random.default_rng(0)
-    parts = rng.normal(size=(200, 2))
-    X = np.column_stack([parts, parts.sum(axis=1)])
-    y = X[:, 2] + 0.1 * rng.normal(size=200)
-    model = StepwiseRegressor().fit(X, y)
-    assert_array_equal(model.selected_, [False, False, True])
-
-
-def test_nearly_collinear_features():
-    # Variance inflation of 1e6: coefficients as accurate as orthogonal ones.
-    rng = np.random.default_rng(0)
-    first, second = rng.normal(size=(2, 500))
-    X = np.column_stack([first, first + 1e-3 * second])
-    y = X @ [3.0, -2.0] + 1e-4 * rng.normal(size=500)
-    model = StepwiseRegressor().fit(X, y)
-    design = np.column_stack([X, np.ones(500)])
-    assert model.selected_.all()
-    assert_allclose(model.coef_, np.linalg.lstsq(design, y)[0][:2], rtol=1e-10)
 
 
 def test_more_features_than_samples():
@@ -335,37 +266,6 @@ def test_exact_relation_ends_the_search(fit_intercept):
     assert_allclose(model.predict(X), y, rtol=1e-9)
 
 
-@pytest.mark.parametrize("value", [0.0, 0.1, -1e300])
-def test_constant_output(value):
-    X, _, _ = make_collinear(2)
-    model = StepwiseRegressor().fit(X, np.full(len(X), value))
-    assert model.path_ == ()
-    assert_allclose(model.predict(X), value, rtol=1e-14)
-
-
-def test_nothing_significant_leaves_the_mean():
-    rng = np.random.default_rng(5)
-    X, y = rng.normal(size=(50, 3)), rng.normal(size=50)
-    model = StepwiseRegressor(p_enter=1e-6, p_remove=1e-6).fit(X, y)
-    assert not model.selected_.any()
-    assert model.n_iter_ == 0
-    assert_allclose(model.intercept_, y.mean(), rtol=1e-12)
-    model.set_params(fit_intercept=False).fit(X, y)
-    assert_array_equal(model.predict(X), np.zeros(50))
-
-
-@pytest.mark.slow
-def test_false_entries_keep_their_rate():
-    # One irrelevant feature enters with probability p_enter. 2000 replications,
-    # binomial tolerance of 4 standard errors.
-    rng = np.random.default_rng(0)
-    entered = 0
-    for _ in range(2000):
-        X, y = rng.normal(size=(12, 1)), rng.normal(size=12)
-        entered += StepwiseRegressor().fit(X, y).selected_[0]
-    assert abs(entered / 2000 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 2000)
-
-
 def test_max_iter_warns_only_when_it_stops_the_search(hald):
     model = StepwiseRegressor(p_enter=0.10, p_remove=0.10, max_iter=2)
     with pytest.warns(ConvergenceWarning, match="stopped at max_iter=2 steps"):
@@ -373,12 +273,6 @@ def test_max_iter_warns_only_when_it_stops_the_search(hald):
     assert model.n_iter_ == 2
     assert not model.converged_
     assert StepwiseRegressor(max_iter=2).fit(*hald).converged_
-
-
-def test_steps_are_immutable(hald):
-    step = StepwiseRegressor().fit(*hald).path_[0]
-    with pytest.raises(FrozenInstanceError):
-        step.F = 0.0
 
 
 def test_bad_input(hald):

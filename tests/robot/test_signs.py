@@ -7,7 +7,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa._core._between import between
+from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive
@@ -78,7 +78,7 @@ def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():
 def test_a_voltage_makes_a_torque_and_its_back_emf():
     constant, resistance, gear = 0.02, 3.0, 40.0
     t = ARM.dt * np.arange(len(ARM.q))
-    v = between(ARM.q, [slice(None)], t, order=1)
+    v = interpolate(ARM.q, [slice(None)], t, order=1)
     volts = (ARM.tau + (gear * constant) ** 2 / resistance * v) * resistance
     volts /= gear * constant
     recording = take_arrays(ARM.q, volts / 24.0, dt=ARM.dt, joint_names=ARM.joint_names)

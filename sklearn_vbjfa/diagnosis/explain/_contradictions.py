@@ -216,7 +216,7 @@ class _Deviations:
             return -np.inf
         coef = groups.coefficients()[0]
         excess = regression.excess(family, 0, coef, regression)
-        return float(groups.tempered(excess).evidence(self.scale)[0])
+        return float(groups.discounted(excess).evidence(self.scale)[0])
 
     def _beside(self, regression, family, scale):
         """Regression with one more group; gains are of the torque that all share."""

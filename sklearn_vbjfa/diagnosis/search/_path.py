@@ -49,7 +49,7 @@ class Candidate:
     # whether its evidence has been tempered by its scatter in time, see `Fit.excess`;
     # it is an upper bound before
     tempered: bool = False
-    # log odds by which it compares with others, see `Excess.as_usual`
+    # log odds by which it compares with others, see `Overdispersion.as_usual`
     order: float = 0.0
 
     @property
@@ -94,7 +94,7 @@ class Path:
         """Return the best shape of a family beside a fit as an `Candidate`, or None."""
         groups = fit.groups(family)
         if excess is not None:
-            groups = groups.tempered(excess)
+            groups = groups.discounted(excess)
         free = np.array([e.key() not in taken for e in family.effects])
         free &= groups.shown()
         if not free.any():
@@ -366,11 +366,11 @@ class Path:
 
     def log_odds(self, fit, usual=False):
         """Posterior log odds of each member beside the others."""
-        # As `usual` those by which they compare, see `Excess.as_usual`.
+        # As `usual` those by which they compare, see `Overdispersion.as_usual`.
         found = []
         for i, groups in enumerate(fit.own_groups()):
             excess = self._excess(fit, i, self._noise)
-            tempered = groups.tempered(excess.as_usual() if usual else excess)
+            tempered = groups.discounted(excess.as_usual() if usual else excess)
             evidence = float(tempered.evidence(self.settings.scale)[0])
             found.append(evidence - np.log(self._shapes(fit.members[i])))
         return np.array(found) + self.log_prior
@@ -386,8 +386,8 @@ class Path:
             more = float(groups.integrated(scale, member.scale)[0])
             excess = self._excess(fit, i, fit)
             evidence = min(
-                float(groups.tempered(excess).evidence(scale)[0]),
-                excess.tempered(whole + more - rest.log_evidence(), member.width),
+                float(groups.discounted(excess).evidence(scale)[0]),
+                excess.discounted(whole + more - rest.log_evidence(), member.width),
             )
             found.append(evidence - np.log(self._shapes(member)) + self.log_prior)
         return np.array(found)

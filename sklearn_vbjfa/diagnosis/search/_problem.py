@@ -10,7 +10,7 @@ import numpy as np
 from scipy import fft, linalg
 from scipy.linalg import lapack
 
-from sklearn_vbjfa._core._groups import Excess, Groups
+from sklearn_vbjfa._core._groups import Groups, Overdispersion
 from sklearn_vbjfa.diagnosis.search._cosines import Cosines, Spectrum
 from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
 from sklearn_vbjfa.diagnosis.search._view import root_mean_square
@@ -433,7 +433,7 @@ class Fit:
         rows = self._rows(left * np.sqrt(base.weights))
         promised = (rows**2).sum()
         if not promised > 0:
-            return Excess()
+            return Overdispersion()
         # What the group itself explains of them is no noise.
         rest = noise.scores - rows * ((rows * noise.scores).sum() / promised)
         view, products = problem.view, (rows * rest).sum(axis=0)
@@ -455,14 +455,16 @@ class Fit:
             usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
         effect = family.effects[c]
         if not effect.slow:
-            return Excess(ratio=usual, freedom=freedom, usual=usual)
+            return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.
         # Of these the effect has taken one, and one more if its course was searched.
         shaped = isinstance(effect, Shaped)
         taken = 1 + (shaped and bool({*effect.continuous} - {*effect.jumping}))
         left = power[:_SLOWEST].sum() / max(_SLOWEST - taken, 1)
         freedom = float(max(slow.size - taken, 1))
-        return Excess(ratio=float(max(usual, left)), freedom=freedom, usual=usual)
+        return Overdispersion(
+            ratio=float(max(usual, left)), freedom=freedom, usual=usual
+        )
 
     @functools.cached_property
     def _covariance(self):

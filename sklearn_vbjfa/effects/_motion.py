@@ -175,11 +175,6 @@ class Motion:
             self._speeds[joint] = float(np.quantile(np.abs(self.v[:, joint]), FAST))
         return self._speeds[joint]
 
-    def sign(self, joint, smoothing=0.0):
-        """Mean sign of a joint's velocity (n, 1), or tanh(v / smoothing)."""
-        rest = None if self.rest is None else self.rest.pick(joint)
-        return mean_sign(self.v[:, [joint]], self.a[:, [joint]], rest, smoothing)
-
     def range(self, joint):
         """Range of a joint's positions [rad or m]."""
         return float(np.ptp(self.q[:, joint]))

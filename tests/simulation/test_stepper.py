@@ -132,7 +132,7 @@ class Cubic(Effect):
 
     def columns(self, motion):
         q = motion.q[:, [self.joint]]
-        return np.hstack([q**3, q**5]) * motion.sign(self.joint)
+        return np.hstack([q**3, q**5]) * np.sign(motion.v[:, [self.joint]])
 
 
 class Everywhere(Effect):

@@ -32,10 +32,7 @@ SLOW_STEP = 2.5e-3  # of its simulations [s]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Found:
-    """Numbers, and deviations of some by name, each (nv,), or a number for "delay".
-
-    Intervals of 90 %, pairs of the same, take their place where a method has them.
-    """
+    """Numbers, and deviations of some by name, each (nv,), or a number for "delay"."""
 
     numbers: Numbers
     deviations: dict
@@ -88,11 +85,7 @@ def slope_of_delay(log, gains, delay, step=1e-4):
 
 
 def block_covariance(A, left, blocks):
-    """Covariance (p, p) of least squares A (n, p) by the scatter of blocks (n,).
-
-    Scores of a block are summed before they are squared, so that residuals may be
-    correlated in it in any way (Liang and Zeger, 1986).
-    """
+    """Covariance (p, p) of least squares A (n, p) by the scatter of blocks (n,)."""
     scores = np.zeros((blocks.max() + 1, A.shape[1]))
     np.add.at(scores, blocks, A * left[:, None])
     used = np.unique(blocks).size
@@ -125,30 +118,7 @@ def vectors(model):
 def least_squares(
     described, gains, log, *, delays=(0.0,), held=0.0, motion=None, by_blocks=False
 ):
-    """Four terms of every joint beside the described bodies.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Robot.
-    gains : Gains
-        Drive.
-    log : Log
-        Recording.
-    delays : sequence of float, default=(0.0,)
-        Delays [s] to choose from by the squares left, over each torque's variance.
-    held : float, default=0
-        By how much what the drive reads is old [s].
-    motion : tuple of three ndarray of shape (n, nv), default=None
-        Positions, speeds, accelerations, if these are known.
-    by_blocks : bool, default=False
-        Deviations by the scatter of blocks of `BLOCK` seconds, and one of the delay
-        beside the terms; otherwise for residuals that are white in the band.
-
-    Returns
-    -------
-    Found
-    """
+    """Four terms of every joint beside the described bodies."""
     q, v, a = motion or states(log.q)
     X = lowpass(own_columns(v, a))
     rigid = lowpass(inverse_dynamics(described, q, v, a))
@@ -219,30 +189,7 @@ def free_least_squares(described, gains, log):
 
 
 def described_bodies(described, gains, log, delay, held, motion, real):
-    """Posterior means and deviations of who knows states, delay and noise.
-
-    Of the bodies it knows how far those that are `real` are from described ones, by
-    draws, as a normal distribution of each body.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Robot.
-    gains : Gains
-        Drive.
-    log : Log
-        Recording.
-    delay, held : float
-        As for `least_squares`.
-    motion : tuple of three ndarray of shape (n, nv)
-        Positions, speeds, accelerations.
-    real : ndarray of shape (n_draws, nv, 10)
-        Bodies that robots of this description may have.
-
-    Returns
-    -------
-    Found
-    """
+    """Posterior means and deviations of who knows states, delay and noise."""
     q, v, a = motion
     nv, base = described.nv, vectors(described)
     X, rigid = _free_system(described, q, v, a)
@@ -462,27 +409,7 @@ def evolution(described, gains, log, *, population, generations, seed=0):
 
 
 def output_error(described, gains, log, *, steps=25):
-    """Least squares of the same simulated positions, as mujoco.sysid has it.
-
-    Differences of the simulation are taken for all branches at once. It begins at the
-    middle of the box.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Robot.
-    gains : Gains
-        Drive.
-    log : Log
-        Recording.
-    steps : int, default=25
-        Most evaluations of positions with their derivatives.
-
-    Returns
-    -------
-    Found
-        The delay is the median of those of the branches.
-    """
+    """Least squares of the same simulated positions, as mujoco.sysid has it."""
     loop = ClosedLoop(described, gains, vectors(described), SLOW_STEP)
     box = Box(described)
     ends = np.cumsum(box.sizes)[:-1]

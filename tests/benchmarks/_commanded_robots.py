@@ -26,10 +26,7 @@ SPEED_BAND = 40.0  # low-pass behind which a drive differentiates its encoder [H
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Numbers:
-    """A robot's numbers, all (nv,) but bodies (nv, 10) and delay, one or (nv,).
-
-    `delay` [s] is from a command to the middle of the tick for which it is held.
-    """
+    """A robot's numbers, all (nv,) but bodies (nv, 10) and delay, one or (nv,)."""
 
     bodies: np.ndarray
     armature: np.ndarray
@@ -53,11 +50,7 @@ class Gains:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Log:
-    """A log at 200 Hz: what is recorded, and, where it was simulated, what was so.
-
-    q, v, wanted (n, nv): positions and speeds as read, positions as commanded.
-    true_q, true_v, true_a, applied (n, nv): without noise, and the torque that acted.
-    """
+    """A log at 200 Hz: what is recorded, and, where it was simulated, what was so."""
 
     q: np.ndarray
     v: np.ndarray
@@ -86,19 +79,7 @@ def _words(values):
 
 
 def mjcf(described, numbers, gains=None, step=STEP):
-    """Text of an MJCF of a robot whose base is held and whose bodies touch nothing.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Its joints and where they are; each turns about an axis, or slides.
-    numbers : Numbers
-        Its numbers.
-    gains : Gains, default=None
-        Drive; without one, actuators set torques.
-    step : float, default=STEP
-        Step [s].
-    """
+    """Text of an MJCF of a robot whose base is held and whose bodies touch nothing."""
     import pinocchio as pin
 
     children = {i: [] for i in range(described.njoints)}
@@ -173,11 +154,7 @@ def read_noise(deviation, shape, rng):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Undeclared:
-    """Friction that no description has, beside viscous and Coulomb friction.
-
-    name : "load_friction", size times the torque of the bodies, or "stribeck", size
-    [N m] that falls with speed; size (nv,), zero where a joint has none; speed [rad/s].
-    """
+    """Friction that no description has, beside viscous and Coulomb friction."""
 
     name: str
     size: np.ndarray
@@ -209,33 +186,7 @@ def recorded(
     rng,
     undeclared=None,
 ):
-    """Simulate a robot that follows a motion, and log it.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Joints.
-    numbers : Numbers
-        The truth.
-    gains : Gains
-        Its drive.
-    motion : callable
-        Commanded positions (n, nv) at times (n,) [s].
-    duration : float
-        Length [s].
-    deviation : float
-        Deviation of the encoders' noise [rad].
-    in_loop : bool
-        Whether the drive sees that noise, or only the log.
-    rng : Generator
-        Random numbers.
-    undeclared : Undeclared, default=None
-        Friction beside that of the numbers, which changes from tick to tick.
-
-    Returns
-    -------
-    Log
-    """
+    """Simulate a robot that follows a motion, and log it."""
     model = mujoco.MjModel.from_xml_string(
         mjcf(described, numbers, step=TICK / SUBSTEPS)
     )
@@ -271,19 +222,7 @@ def recorded(
 
 
 class ClosedLoop:
-    """Simulations of robots under a drive, from commands alone.
-
-    Parameters
-    ----------
-    described : pinocchio.Model
-        Joints.
-    gains : Gains
-        Drive.
-    bodies : ndarray of shape (nv, 10)
-        Bodies of all the robots.
-    step : float, default=STEP
-        Step [s], of which the log's period is a multiple.
-    """
+    """Simulations of robots under a drive, from commands alone."""
 
     def __init__(self, described, gains, bodies, step=STEP):
         self.gains, self.step, self._row = gains, step, round(DT / step)
@@ -311,19 +250,7 @@ class ClosedLoop:
         return model
 
     def positions(self, robots, log, starts=(0,), rows=None):
-        """Positions at the rows of a log, (n_robots, n_starts, rows, nv).
-
-        Parameters
-        ----------
-        robots : list of Numbers
-            Robots; all but their bodies counts.
-        log : Log
-            Commands, and the states in which simulations start.
-        starts : sequence of int, default=(0,)
-            Rows in which a simulation starts from what was read.
-        rows : int, default=None
-            Rows of each simulation; by default as many as there are.
-        """
+        """Positions at the rows of a log, (n_robots, n_starts, rows, nv)."""
         states = self._states(robots, log, starts, rows)
         nv = self._model.nv
         return states[..., 1 : 1 + nv]

@@ -50,21 +50,7 @@ SERVO = "bam_xl330"
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Case:
-    """A set: what is fitted and judged, and on what terms.
-
-    Attributes
-    ----------
-    name : str
-        Name of the set.
-    cutoff, standstill : float or str
-        Of its protocol.
-    recording : Recording
-        All of it, for the description.
-    fitted, held_out : dict
-        q, tau (n, nv), groups (n,), dt; "recording" as well where there are commands.
-    gains : Gains or None
-        Those of a drive whose commands the peers are told, and not torques.
-    """
+    """A set: what is fitted and judged, and on what terms."""
 
     name: str
     cutoff: float
@@ -77,22 +63,7 @@ class Case:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Answer:
-    """What a peer says.
-
-    Attributes
-    ----------
-    predicted : ndarray of shape (n, nv)
-        Torques of the held-out part.
-    told : ndarray of shape (n, nv) or None
-        Torques that were measured there, where they depend on a delay that was found.
-    seconds, consistent, named
-        As in the table.
-    simulate : callable or None
-        Torque-driven simulation: torques (m, nv), positions and velocities at the start
-        (nv,) -> states (m, 3 nv).
-    follow : callable or None
-        Positions (n, nv) of the held-out part from its commands, in windows.
-    """
+    """What a peer says."""
 
     predicted: np.ndarray
     seconds: float
@@ -264,12 +235,7 @@ def sysid_user():
 
 
 def sysid_by_torque(case, part):
-    """Answer of mujoco.sysid: joints and bodies, by positions that torques make.
-
-    It simulates `RUNS` stretches of `LENGTH` seconds, evenly over the fitted part, from
-    measured states. The boxes of joints' values come from the deviations of torque,
-    velocity and acceleration: nothing of a robot is known beforehand.
-    """
+    """Answer of mujoco.sysid: joints and bodies, by positions that torques make."""
     user, recording = sysid_user(), case.recording
     if set(recording.torque_units) - {"N m", "N"}:
         raise RuntimeError(f"bodies are in kg, and torques in {unit_of(recording)}")

@@ -42,13 +42,7 @@ def recordings(part):
 
 
 def held_out_error(predicted, part, fitted, cutoff, standstill):
-    """Root mean square of the torque residual over the deviation of the torque.
-
-    Measured and predicted torque pass the same filter, a Butterworth low-pass of order
-    4 in both directions. Left out are samples of a joint that stands still and those
-    within 2 / `cutoff` of the ends of a recording. Returns the shares of the deviation
-    and the numbers of samples, each (nv,).
-    """
+    """Root mean square of the torque residual over the deviation of the torque."""
     sos = signal.butter(4, cutoff, fs=1 / part["dt"], output="sos")
     if isinstance(standstill, str):
         standstill = 0.02 * np.quantile(speeds(fitted, sos), 0.995, axis=0)

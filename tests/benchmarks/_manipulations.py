@@ -7,17 +7,7 @@ import numpy as np
 
 
 def rotate_gravity(model, degrees, axis=0):
-    """Return a copy of a model whose gravity is rotated about an axis of the base.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Nominal model.
-    degrees : float
-        Angle.
-    axis : {0, 1, 2}
-        x, y or z of the base.
-    """
+    """Return a copy of a model whose gravity is rotated about an axis of the base."""
     turned = model.copy()
     angle = np.deg2rad(degrees)
     u = np.eye(3)[axis]
@@ -46,11 +36,7 @@ def scale_channel(tau, joint, gain):
 
 
 def made_up_temperature(n_samples, low=20.0, high=45.0, cycles=1.25):
-    """Temperature (n,) [deg C] that rises and falls over the rows.
-
-    A temperature that only rises would be a drift with time and need no sensor to be
-    named.
-    """
+    """Temperature (n,) [deg C] that rises and falls over the rows."""
     phase = 2 * np.pi * cycles * np.arange(n_samples) / max(n_samples - 1, 1)
     return low + 0.5 * (high - low) * (1 - np.cos(phase))
 
@@ -61,23 +47,7 @@ def friction_of_speed(v, viscous, coulomb, standstill):
 
 
 def heat_friction(tau, joint, friction, temperature, slope, reference=20.0):
-    """Multiply the friction of one joint by 1 + slope (T - reference).
-
-    Parameters
-    ----------
-    tau : ndarray of shape (n, nv)
-        Torques as recorded, which hold the friction once.
-    joint : int
-        Joint.
-    friction : ndarray of shape (n,)
-        Friction of that joint [N m].
-    temperature : ndarray of shape (n,)
-        Temperature.
-    slope : float
-        Change per degree.
-    reference : float
-        Temperature at which nothing changes.
-    """
+    """Multiply the friction of one joint by 1 + slope (T - reference)."""
     heated = np.array(tau, dtype=float)
     heated[:, joint] += slope * (temperature - reference) * friction
     return heated
@@ -93,11 +63,7 @@ def jitter_stamps(t, dt, share, rng):
 
 
 def keep_rows(groups, share, rng):
-    """Rows that are left after a share of them was lost at random, (m,).
-
-    The first and the last row of every recording stay, and never two rows in a row are
-    lost: what is missing can be interpolated, and no recording is split.
-    """
+    """Rows that are left after a share of them was lost at random, (m,)."""
     groups = np.asarray(groups)
     lost = rng.random(groups.size) < share
     edge = np.r_[True, np.diff(groups) != 0]

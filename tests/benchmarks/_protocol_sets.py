@@ -26,26 +26,7 @@ STAGES = ("development", "confirmation")
 
 @dataclass(frozen=True, kw_only=True)
 class FrozenSet:
-    """One measured set under a protocol.
-
-    Attributes
-    ----------
-    stage : {"development", "confirmation"}
-        Looked at while working, or run once and committed whatever it says.
-    load : callable
-        Loader of the recording; takes `data_home`.
-    cutoff : float
-        Low-pass [Hz] of regressors and torques.
-    standstill : float, tuple of float or "auto"
-        Speed [rad/s or m/s] at or below which a joint counts as standing still.
-    friction : tuple of str
-        Friction that the declared model has.
-    leave_out : callable or None
-        Name of a recording -> label; recordings of one label are judged together by
-        what was fitted to all the others. None where there is one recording only.
-    recordings : tuple of str
-        Recordings in use; all if empty.
-    """
+    """One measured set under a protocol."""
 
     stage: str
     load: Callable
@@ -84,15 +65,7 @@ class FrozenSet:
 
 
 def pairs(names, leave_out):
-    """Return (label, names fitted, names judged) of every label left out once.
-
-    Parameters
-    ----------
-    names : sequence of str
-        Recordings of a set.
-    leave_out : callable
-        Name of a recording -> label.
-    """
+    """Return (label, names fitted, names judged) of every label left out once."""
     labels = list(dict.fromkeys(leave_out(name) for name in names))
     return [
         (

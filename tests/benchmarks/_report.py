@@ -179,10 +179,7 @@ def rst_title(text, mark="-"):
 
 
 def publish(name, text, arguments, *, command="", commits=None):
-    """Print a report; with ``--write`` keep it in docs/tables.
-
-    `command` is the script and its arguments, by default the script of that name.
-    """
+    """Print a report; with ``--write`` keep it in docs/tables."""
     command = f"python tests/benchmarks/bench_{command or name + '.py'}"
     commits = commits or [commit()]
     made = f"Made by ``{command}`` at {' and '.join(commits)}, {environment()}."

@@ -53,11 +53,7 @@ def nominal(recording):
 
 @numba.njit(cache=True)
 def swing(p, goal, gain, q0, v0, dt):
-    """Positions at rows of `dt` [s] from commanded ones, both (n,).
-
-    The firmware's P gain makes a duty cycle, which is within one, of the error;
-    friction stops the joint within a step where its budget allows.
-    """
+    """Positions at rows of `dt` [s] from commanded ones, both (n,)."""
     q, v, h = q0, v0, dt / STEPS
     inertia = MASS * LENGTH**2 + p[2]
     found = np.empty(goal.size)

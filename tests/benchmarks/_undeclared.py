@@ -61,39 +61,7 @@ ROBOTS = {"serial": 0.5, "prismatic": 0.15, "tree": 0.15, "demo": 0.2}
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class UndeclaredRecording:
-    """A recording and what is in it.
-
-    Parameters
-    ----------
-    q, tau : ndarray of shape (n, nv)
-        Noisy positions [rad or m] and torques [N m or N].
-    t : ndarray of shape (n,)
-        Time since the start of each recording [s].
-    dt : float
-        Sample period [s].
-    groups : ndarray of shape (n,)
-        Labels of the recordings.
-    model : pinocchio.Model
-        Robot with the kinematics of the true one and other inertias.
-    declared : tuple of str
-        Declared friction.
-    truth : tuple of Entry
-        Undeclared effects.
-    robot : str
-        Kind of robot.
-    states : ndarray of shape (n, 3 nv)
-        True states [q | v | a] at the encoders.
-    tau_clean : ndarray of shape (n, nv)
-        Torque without noise.
-    contributions : tuple of ndarray of shape (n, nv)
-        Torque of each undeclared effect.
-    inertial : ndarray of shape (nv, 10)
-        True inertial parameters in Pinocchio's order.
-    friction : dict of str to ndarray of shape (nv,)
-        True coefficients of the declared friction.
-    torque_noise, encoder_noise : ndarray of shape (nv,)
-        Standard deviations of the noise.
-    """
+    """A recording and what is in it."""
 
     q: np.ndarray
     tau: np.ndarray
@@ -234,43 +202,7 @@ def simulate(
     encoder_noise=None,
     exact=False,
 ):
-    """Simulate a robot with undeclared effects.
-
-    Parameters
-    ----------
-    kinds : int or sequence of str, default=1
-        Names of the effects, of `LIBRARY`, `CHANNELS` and `OUTSIDE`, or a number of
-        different ones to draw from `LIBRARY`; none makes a recording that the declared
-        model explains.
-    size : float or sequence of float, default=5.0
-        RMS torque of each effect over the torque noise of the joint.
-    seed : int or sequence of int, default=0
-        Seed of everything random.
-    joints : sequence of (int or None), default=None
-        Joint of each effect, counted from 0; None draws it.
-    robot : {"serial", "prismatic", "tree", "demo"}, default=None
-        Kind of robot; None draws it.
-    declared : tuple of str or None, default=("viscous",)
-        Declared friction; None declares Coulomb friction at random.
-    duration : float, default=None
-        Length of all recordings together [s]; None draws 30 to 60 s.
-    rate : float, default=None
-        Sample rate [Hz]; None draws 100, 125 or 200 Hz.
-    n_recordings : int, default=None
-        Number of recordings; None draws one or two, one for an effect of the time.
-    encoder_noise : float, default=None
-        Standard deviation of the position noise [rad]; a seventh in metres for a
-        prismatic joint. None draws one of `ENCODER_NOISE`.
-    exact : bool, default=False
-        Whether `size` is that of the part outside the declared span: root mean square
-        of what the declared columns cannot absorb. An entry is visible then if that
-        part comes within a quarter of it.
-
-    Returns
-    -------
-    UndeclaredRecording
-        Recording with the truth.
-    """
+    """Simulate a robot with undeclared effects."""
     first = np.random.default_rng(seed)
     if isinstance(kinds, (int, np.integer)):
         drawn = set(LIBRARY) - set(declared or ())
@@ -332,19 +264,7 @@ def _record(kind, setting, scene, entries, torques, encoder_noise, rng):
 
 @dataclass(frozen=True)
 class Case:
-    """A case to simulate when it is needed; cheap to keep and to send to a worker.
-
-    Parameters
-    ----------
-    kinds : tuple of str
-        Undeclared effects.
-    size : tuple of float
-        Size of each.
-    seed : tuple of int
-        Seed.
-    declared : tuple of str or None
-        Declared friction; None draws it.
-    """
+    """A case to simulate when it is needed; cheap to keep and to send to a worker."""
 
     kinds: tuple
     size: tuple
@@ -360,28 +280,7 @@ class Case:
 def draw_cases(
     n, n_effects, size_range=(0.5, 10.0), seed=0, *, kinds=LIBRARY, declared=None
 ):
-    """Draw random cases evenly over the kinds.
-
-    Parameters
-    ----------
-    n : int
-        Number of cases.
-    n_effects : int
-        Number of different effects in each; none for false alarms.
-    size_range : (float, float), default=(0.5, 10.0)
-        Sizes, drawn evenly in their logarithm.
-    seed : int, default=0
-        Seed.
-    kinds : sequence of str, default=LIBRARY
-        Effects to draw from, for example `OUTSIDE`.
-    declared : tuple of str or None, default=None
-        Declared friction; None draws it for each case.
-
-    Returns
-    -------
-    list of Case
-        Cases. Each kind comes up equally often, give or take one.
-    """
+    """Draw random cases evenly over the kinds."""
     rng = np.random.default_rng([seed, n_effects])
     if n_effects > len(kinds):
         raise ValueError(f"{n_effects} different effects of {len(kinds)} kinds.")

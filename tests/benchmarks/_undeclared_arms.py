@@ -16,21 +16,7 @@ QUARTER = 0.5 * np.pi
 
 @dataclass(frozen=True)
 class Link:
-    """A joint and what it carries, in metres and kilogrammes.
-
-    Parameters
-    ----------
-    axis : str or (float, float, float)
-        "x", "y" or "z" of the joint's frame, or any direction in it.
-    at : (float, float, float)
-        Origin in the frame of the joint before.
-    mass : float
-        Mass of the body.
-    along : (float, float, float)
-        From the origin to the far end of the body.
-    turn : float
-        Quarter turns of the frame about x against that of the joint before.
-    """
+    """A joint and what it carries, in metres and kilogrammes."""
 
     axis: object
     at: tuple
@@ -99,11 +85,7 @@ def is_aligned(model, joint):
 
 
 def axes_across(model, joint):
-    """Directions about which the axis of a joint can be wrong, in its frame, (2, 3).
-
-    Those axes of the frame about which the joint does not turn, in the order x, y, z;
-    for a joint that turns about none of them, two directions across its axis.
-    """
+    """Directions about which the axis of a joint can be wrong, in its frame, (2, 3)."""
     name = model.joints[joint + 1].shortname()
     if is_aligned(model, joint):
         return np.delete(np.eye(3), "XYZ".index(name[-1]), axis=0)
@@ -125,20 +107,7 @@ def _body(mass, along, rng):
 
 
 def arm(name, rng):
-    """Build an arm as its data sheet has it.
-
-    Parameters
-    ----------
-    name : str
-        Key of `ARMS`.
-    rng : numpy.random.Generator
-        Source of sizes, masses and bodies.
-
-    Returns
-    -------
-    pinocchio.Model
-        Arm.
-    """
+    """Build an arm as its data sheet has it."""
     import pinocchio as pin
 
     links, base = ARMS[name]

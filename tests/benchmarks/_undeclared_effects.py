@@ -24,29 +24,7 @@ STEEP = 0.01
 
 @dataclass(frozen=True)
 class World:
-    """A robot in motion, before anything undeclared is added.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        True robot.
-    q, v, a : ndarray of shape (n, nv)
-        True states where the encoders sit.
-    t : ndarray of shape (n,)
-        Time since the start of each recording [s].
-    dt : float
-        Sample period [s].
-    groups : ndarray of shape (n,)
-        Labels of the recordings.
-    rigid : ndarray of shape (n, nv)
-        Torques of the rigid bodies.
-    declared_torque : ndarray of shape (n, nv)
-        The same and the declared friction.
-    declared : tuple of str
-        Names of the declared friction.
-    unit : ndarray of shape (nv,)
-        Size of a radian in each joint's unit.
-    """
+    """A robot in motion, before anything undeclared is added."""
 
     model: object
     q: np.ndarray
@@ -63,20 +41,7 @@ class World:
 
 @dataclass(frozen=True)
 class Draw:
-    """Torque of one effect for an amplitude of one.
-
-    Parameters
-    ----------
-    torque : ndarray of shape (n,) or (n, nv)
-        Torque on the joint, or on all joints.
-    scaled : dict of str to float
-        Parameters for an amplitude of one; they grow with it.
-    fixed : dict
-        Parameters that do not depend on the amplitude.
-    contains : tuple of str
-        Plainer effects of which the torque has a part, so that naming them as well
-        is not wrong.
-    """
+    """Torque of one effect for an amplitude of one."""
 
     torque: np.ndarray
     scaled: dict
@@ -109,11 +74,7 @@ def coulomb(world, j, rng):
 
 
 def asymmetric_friction(world, j, rng):
-    """Draw more friction forwards than backwards.
-
-    Without a declared Coulomb friction only the viscous half is uneven: an uneven
-    Coulomb friction would make an undeclared plain one as well.
-    """
+    """Draw more friction forwards than backwards."""
     v = world.v[:, j]
     share = rng.uniform(0.2, 0.6) if "coulomb" in world.declared else 0.0
     forwards = 0.5 * (1.0 + sign(world, j))
@@ -145,11 +106,7 @@ def load_friction(world, j, rng):
 
 
 def presliding(world, j, rng):
-    """Draw friction that builds up over a displacement after each reversal.
-
-    LuGre bristles, or eight springs that slip one after the other. The displacement
-    scale is the friction level over the stiffness right after a reversal.
-    """
+    """Draw friction that builds up over a displacement after each reversal."""
     z = np.exp(rng.uniform(np.log(0.005), np.log(0.05))) * world.unit[j]
     torque = np.zeros(world.t.size)
     kind = str(rng.choice(["lugre", "maxwell_slip"]))
@@ -200,12 +157,7 @@ def spring(world, j, rng):
 
 
 def counterbalance(world, j, rng):
-    """Draw a gas spring between a point of the frame and one of the moving body.
-
-    In the plane across the axis the frame's point lies at the distance a and angle
-    alpha, the body's at the distance r and angle q + beta. The force along the line
-    between them grows with the compression; its lever arm is dL/dq.
-    """
+    """Draw a gas spring between a point of the frame and one of the moving body."""
     q = world.q[:, j]
     # a crank nearly as long as the distance has strong harmonics beside gravity's
     a = rng.uniform(0.2, 0.6)
@@ -234,11 +186,7 @@ def rotor_inertia(world, j, rng):
 
 
 def coupling(world, j, rng):
-    """Draw friction and inertia of a neighbour's motion felt by the joint.
-
-    The friction is that of the sum of both speeds (differential) or of the
-    neighbour's alone; in half of the draws its viscous part and inertia come along.
-    """
+    """Draw friction and inertia of a neighbour's motion felt by the joint."""
     nv = world.unit.size
     k = int(rng.choice([i for i in (j - 1, j + 1) if 0 <= i < nv]))
     both = bool(rng.integers(2))
@@ -282,13 +230,7 @@ def payload(world, j, rng):
 
 
 def jerk(world, j, rng):
-    """Draw the inertia behind a coupling that lags, or an encoder that lags.
-
-    The bodies' inertia about the axis, which varies with the pose, times what a lag of
-    the first order takes from the acceleration; the drive's friction and the gravity
-    do not take part. The torque lags behind the positions, or they behind it. What a
-    lag takes is a third derivative to first order, and an inertia to second.
-    """
+    """Draw the inertia behind a coupling that lags, or an encoder that lags."""
     time_constant = rng.uniform(0.002, 0.02)
     a = world.a[:, j]
     behind = np.empty_like(a)

@@ -35,17 +35,7 @@ NEUTRAL = {"base_tilt": 0.0, "joint_zero": 0.0, "joint_axis": 0.0, "torque_gain"
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault of the geometry or of a channel.
-
-    Parameters
-    ----------
-    name : str
-        Key of `PARAMETERS`.
-    joint : int
-        Joint, counted from zero; 0 for the base.
-    values : tuple of float
-        Its parameters in the order of `PARAMETERS` [rad], or the gain.
-    """
+    """One fault of the geometry or of a channel."""
 
     name: str
     joint: int

@@ -60,27 +60,7 @@ ROBOTS = 6
 
 @dataclass(frozen=True)
 class Entry:
-    """One thing that the declared model lacks.
-
-    Parameters
-    ----------
-    name : str
-        As the library calls it.
-    joint : int
-        Joint, from zero.
-    parameters : dict
-        What a user would compare [rad, or a factor].
-    size : float
-        Root mean square of what it adds to a torque over the noise, on the joint where
-        that is largest.
-    outside : float
-        The same, all joints together, of the part that nothing else takes over.
-    rivals : dict of (str, int) to float
-        Faults of the same class, with their distances.
-    std : tuple of float
-        Standard errors of the parameters by the torque noise alone; inf where it
-        leaves one open.
-    """
+    """One thing that the declared model lacks."""
 
     name: str
     joint: int
@@ -98,38 +78,7 @@ class Entry:
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class GeometryRecording:
-    """A recording and what is wrong with its robot and channels.
-
-    Parameters
-    ----------
-    kind, arm : str
-        Of `KINDS` and `ARMS`.
-    model : pinocchio.Model
-        Robot as declared.
-    dt : float
-        Sample period [s].
-    q, tau : ndarray of shape (n, nv)
-        Recorded positions [rad] and torques [N m].
-    groups : ndarray of shape (n,)
-        Labels of the recordings.
-    signals : dict of str to ndarray of shape (n,)
-        Further channels.
-    faults : tuple of Fault
-        Faults of the geometry and of the channels; of the kind "gains" all gains but
-        that of the reference, some of them one.
-    truth : tuple of Entry
-        Faults, other effects last.
-    reference : int or None
-        Joint whose gain is one by definition, of the kind "gains".
-    states : ndarray of shape (n, 3 nv)
-        [q | v | a] at the encoders without noise.
-    tau_clean : ndarray of shape (n, nv)
-        Torques in the channels without noise.
-    further : ndarray of shape (n, nv)
-        Torque of the effects that are no faults, before any gain.
-    torque_noise : ndarray of shape (nv,)
-        Standard deviations of the noise.
-    """
+    """A recording and what is wrong with its robot and channels."""
 
     kind: str
     arm: str
@@ -188,19 +137,7 @@ class GeometryRecording:
 
 
 def draw_fault(kind, model, rng, joints=None):
-    """Draw a fault of a kind: its joint and its size.
-
-    Parameters
-    ----------
-    kind : {"tilt", "zero", "axis", "gain"}
-        Kind.
-    model : pinocchio.Model
-        Robot.
-    rng : numpy.random.Generator
-        Source of everything random.
-    joints : sequence of int, default=None
-        Joints to choose from; by default all.
-    """
+    """Draw a fault of a kind: its joint and its size."""
     # what an axis that is none of its frame's is off about has no name
     known = range(model.nv) if joints is None else joints
     known = [j for j in known if kind != "axis" or is_aligned(model, j)]
@@ -290,10 +227,7 @@ def _relative(torque, noise):
 
 
 def _channels(body, faults, further):
-    """Read out the channels: encoders (n, nv) and torques without noise.
-
-    The robot moves as its joints do; what the encoders read has their zeros on top.
-    """
+    """Read out the channels: encoders (n, nv) and torques without noise."""
     nv = body.model.nv
     read = body.q + zeros_of(faults, nv)
     torque = rigid_torque(body.model, read, body.v, body.a, faults)
@@ -365,24 +299,7 @@ def _further(kind, body, rng):
 
 
 def simulate(kind, *, seed, arm_name=None, duration=None, rate=None):
-    """Simulate a recording.
-
-    Parameters
-    ----------
-    kind : str
-        Of `KINDS`.
-    seed : int or sequence of int
-        Seed of everything random.
-    arm_name : str, default=None
-        Key of `ARMS`; None draws it.
-    duration, rate : float, default=None
-        Length of all recordings together [s] and sample rate [Hz]; None draws them.
-
-    Returns
-    -------
-    GeometryRecording
-        Recording with its truth; not visible where nothing drawn was.
-    """
+    """Simulate a recording."""
     if kind not in KINDS:
         raise ValueError(f"kind={kind!r}: expected one of {KINDS}.")
     best = None

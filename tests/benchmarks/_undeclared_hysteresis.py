@@ -16,35 +16,7 @@ def pieces(groups):
 
 
 def lugre(v, dt, *, displacement, lag, rise, speed, substeps=4):
-    """Friction of the LuGre model for a Coulomb level of one.
-
-    The bristle state s obeys ds/dt = v / z (1 - sign(v) s / g(v)) with
-    g(v) = 1 + rise exp(-(v / speed)^2); the force is s + lag ds/dt. Canudas de Wit
-    et al., A new model for control of systems with friction, IEEE Trans. Automatic
-    Control 40(3), 1995.
-
-    Parameters
-    ----------
-    v : ndarray of shape (n,)
-        Speed.
-    dt : float
-        Sample period [s].
-    displacement : float
-        z, Coulomb level over bristle stiffness.
-    lag : float
-        Bristle damping over bristle stiffness [s].
-    rise : float
-        Breakaway level over Coulomb level, minus one.
-    speed : float
-        Speed at which the rise ends.
-    substeps : int, default=4
-        Steps within a sample; each is exact for a constant speed.
-
-    Returns
-    -------
-    ndarray of shape (n,)
-        Friction.
-    """
+    """Friction of the LuGre model for a Coulomb level of one."""
     knots = np.arange(v.size)
     fine = np.interp(
         np.arange((v.size - 1) * substeps) / substeps + 0.5 / substeps, knots, v

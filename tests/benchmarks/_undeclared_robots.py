@@ -90,31 +90,12 @@ def _demo_arm():
 
 
 def nominal_robot(kind, rng, nv=None):
-    """Make a robot as its data sheet has it.
-
-    Parameters
-    ----------
-    kind : {"serial", "prismatic", "tree", "demo"}
-        Random serial arm of 2 to 7 joints, one with a prismatic joint among 3 to 7,
-        one that forks behind the first body, or the demo arm of the package.
-    rng : numpy.random.Generator
-        Source of everything random.
-    nv : int, default=None
-        Number of joints of a random arm; None draws it.
-
-    Returns
-    -------
-    pinocchio.Model
-        Robot, its first axis in any direction of space.
-    """
+    """Make a robot as its data sheet has it."""
     return _demo_arm() if kind == "demo" else _random_arm(kind, rng, nv)
 
 
 def true_robot(nominal, rng):
-    """Change the inertias: scale each body and fix a small lump of mass to it.
-
-    Both keep every body physically possible.
-    """
+    """Change the inertias: scale each body and fix a small lump of mass to it."""
     import pinocchio as pin
 
     model = nominal.copy()
@@ -133,15 +114,7 @@ def true_robot(nominal, rng):
 
 @dataclass(frozen=True)
 class Motion:
-    """Sum of sines in every joint.
-
-    Parameters
-    ----------
-    centre : ndarray of shape (nv,)
-        Mean positions.
-    amplitude, frequency, phase : ndarray of shape (nv, n_sines)
-        Amplitudes in the joint's unit, frequencies [Hz], phases [rad].
-    """
+    """Sum of sines in every joint."""
 
     centre: np.ndarray
     amplitude: np.ndarray
@@ -174,26 +147,7 @@ class Motion:
 
 
 def draw_motion(unit, top_frequency, t, rng, *, reversals=10):
-    """Draw a motion in which every joint turns round often.
-
-    Parameters
-    ----------
-    unit : ndarray of shape (nv,)
-        Size of a radian in each joint's unit.
-    top_frequency : float
-        Highest frequency [Hz].
-    t : ndarray of shape (n,)
-        Times at which it will be recorded.
-    rng : numpy.random.Generator
-        Source of everything random.
-    reversals : int, default=10
-        Smallest number of reversals of each joint.
-
-    Returns
-    -------
-    Motion
-        Motion with amplitudes of 0.8 to 1.8 rad and at most 3 rad/s.
-    """
+    """Draw a motion in which every joint turns round often."""
     nv, n_sines = unit.size, 5
     for _ in range(100):
         frequency = top_frequency * rng.uniform(0.15, 1.0, size=(nv, n_sines))

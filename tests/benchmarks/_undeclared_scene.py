@@ -30,34 +30,7 @@ STRONGEST_EXACT = 6.0
 
 
 class Entry(NamedTuple):
-    """One undeclared effect.
-
-    Parameters
-    ----------
-    name : str
-        One of `LIBRARY`, "viscous" or one of `OUTSIDE`.
-    joint : int
-        Joint, counted from 0; the last one for a payload.
-    parameters : dict
-        What a user would compare, in SI units; angles in rad.
-    size : float
-        RMS torque over the torque noise, on the joint where that is largest.
-    asked : float
-        Size asked for.
-    outside : float
-        Size of the part outside the declared span.
-    distinct : float
-        Size of the part outside the declared span and the other undeclared effects.
-    visible : bool
-        Whether it can show in a residual; see the module.
-    in_library : bool
-        Whether a name for it is right.
-    contains : tuple of str
-        Plainer effects of the same joint that may be named as well.
-    felt_by : tuple of int
-        Joints whose torque it changes by more than 0.3 of their noise: several for a
-        payload, and for an elastic joint, whose link is not where its encoder says.
-    """
+    """One undeclared effect."""
 
     name: str
     joint: int
@@ -78,23 +51,7 @@ def relative_size(torque, noise):
 
 @dataclass(frozen=True)
 class Setting:
-    """What is fixed before the states are computed.
-
-    Parameters
-    ----------
-    nominal, model : pinocchio.Model
-        Robot as declared and the true one.
-    motions : list of Motion
-        One for each recording.
-    t, groups : ndarray of shape (n,)
-        Time since the start of each recording [s], and labels.
-    dt : float
-        Sample period [s].
-    declared : tuple of str
-        Declared friction.
-    levels : dict of str to ndarray of shape (nv,)
-        Size of each declared friction, and of the noise, in shares of the torque.
-    """
+    """What is fixed before the states are computed."""
 
     nominal: object
     model: object
@@ -118,21 +75,7 @@ class Scene:
 
 
 def lay_out(setting, soft=None):
-    """Compute states, declared torque and noise.
-
-    Parameters
-    ----------
-    setting : Setting
-        Robot, motions and levels.
-    soft : (int, float), default=None
-        An elastic joint and its stiffness.
-
-    Returns
-    -------
-    Scene
-        Scene; `elastic` is the torque that the elasticity adds to what the rigid
-        model has at the encoders' states.
-    """
+    """Compute states, declared torque and noise."""
     model, t = setting.model, setting.t
     parts = pieces(setting.groups)
 
@@ -185,29 +128,7 @@ def lay_out(setting, soft=None):
 
 
 def soft_scene(setting, joint, asked, rng, exact=False):
-    """Make a joint elastic and shake it until the size is reached, within limits.
-
-    Parameters
-    ----------
-    setting : Setting
-        Robot, motions and levels.
-    joint : int
-        Elastic joint.
-    asked : float
-        Size of the effect.
-    rng : numpy.random.Generator
-        Source of everything random.
-    exact : bool, default=False
-        Whether the size is that of the part outside the declared span.
-
-    Returns
-    -------
-    scene : Scene
-        Scene with the elastic joint.
-    parameters : dict
-        Stiffness, natural frequency of the link with the motor held, and the
-        frequencies of the two sines that shake it.
-    """
+    """Make a joint elastic and shake it until the size is reached, within limits."""
     t = setting.t[pieces(setting.groups)[0]]
     q, _, a = setting.motions[0].at(t)
     natural = rng.uniform(*NATURAL_FREQUENCIES)
@@ -373,30 +294,7 @@ def _added(name, j, scene, asked, rng, exact):
 
 
 def place(name, joints, scene, present, asked, rng, exact=False):
-    """Put an effect on the first joint where it is visible, or where it is most so.
-
-    Parameters
-    ----------
-    name : str
-        Effect.
-    joints : iterable of int
-        Joints to try in turn.
-    scene : Scene
-        Robot in motion.
-    present : list of ndarray of shape (n, nv)
-        Torques of the effects that are there already.
-    asked : float
-        Size.
-    rng : numpy.random.Generator
-        Source of everything random.
-    exact : bool, default=False
-        Whether the size is that of the part outside the declared span.
-
-    Returns
-    -------
-    (Entry, ndarray of shape (n, nv)) or None
-        Entry and torque; None if no joint can have it.
-    """
+    """Put an effect on the first joint where it is visible, or where it is most so."""
     best = None
     for j in map(int, joints):
         if not can_carry(name, scene.world, j) or not has_partner(name, scene.world):
@@ -415,13 +313,7 @@ def place(name, joints, scene, present, asked, rng, exact=False):
 
 
 def apart(entries, torques, scene):
-    """Measure what of each effect neither the model nor the other effects mimic.
-
-    Returns
-    -------
-    list of Entry
-        Entries with `distinct`; less than half of `outside` is not visible.
-    """
+    """Measure what of each effect neither the model nor the other effects mimic."""
     out = []
     for i, entry in enumerate(entries):
         others = [x for k, x in enumerate(torques) if k != i]

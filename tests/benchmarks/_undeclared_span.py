@@ -6,19 +6,7 @@ from _undeclared_robots import length_units, regressor
 
 
 class DeclaredSpan:
-    """Torques that the declared columns can explain, with the true states.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot; only its kinematics matter.
-    states : ndarray of shape (n, 3 nv)
-        True states [q | v | a].
-    declared : tuple of str
-        Declared friction.
-    torque_noise : ndarray of shape (nv,)
-        Weights of the joints, one over these.
-    """
+    """Torques that the declared columns can explain, with the true states."""
 
     def __init__(self, model, states, declared, torque_noise):
         n, nv = states.shape[0], torque_noise.size

@@ -43,20 +43,7 @@ RANK = 1e-9
 
 @dataclass(frozen=True)
 class Explanation:
-    """The best that a robot with faults of given names can do.
-
-    Parameters
-    ----------
-    faults : tuple of Fault
-        Faults with the values found.
-    distance : float
-        Root of the sum over all rows and joints of the squared rest over the noise.
-    rms : float
-        The same as a root of the mean over the rows, joints summed.
-    std : tuple of ndarray
-        Standard errors of each fault's values by the torque noise alone; inf where
-        nothing tells them.
-    """
+    """The best that a robot with faults of given names can do."""
 
     faults: tuple
     distance: float
@@ -71,23 +58,7 @@ def all_faults(nv):
 
 
 class Teller:
-    """Tells apart what explains a torque.
-
-    Parameters
-    ----------
-    nominal : pinocchio.Model
-        Robot as declared.
-    states : ndarray of shape (n, 3 nv)
-        What the encoders read, without noise, with its derivatives.
-    tau : ndarray of shape (n, nv)
-        Torque in the channels, without noise.
-    noise : ndarray of shape (nv,)
-        Standard deviations of its noise.
-    declared : tuple of str
-        Declared friction; "offset" among it has a column of ones.
-    further : sequence of ndarray of shape (n, nv)
-        Torques of other effects, with free factors; before any gain.
-    """
+    """Tells apart what explains a torque."""
 
     def __init__(self, nominal, states, tau, noise, declared, further=()):
         n, nv = tau.shape
@@ -145,49 +116,15 @@ class Teller:
         return np.column_stack(out)
 
     def torque_of(self, faults, theta):
-        """Torques in the channels of a robot with given faults and coefficients.
-
-        Parameters
-        ----------
-        faults : sequence of Fault
-            Faults.
-        theta : ndarray of shape (p,)
-            Coefficients of bodies and friction, of `coefficients`.
-
-        Returns
-        -------
-        ndarray of shape (rows, nv)
-            Torques at the rows that are looked at.
-        """
+        """Torques in the channels of a robot with given faults and coefficients."""
         return (self._columns(faults) @ theta).reshape(-1, self.nv) * self.noise
 
     def coefficients(self):
-        """Fit bodies and friction by least squares, with no fault.
-
-        Returns
-        -------
-        ndarray of shape (p,)
-            Coefficients, those of least norm.
-        """
+        """Fit bodies and friction by least squares, with no fault."""
         return self._fitted(self._columns([]))[1]
 
     def explain(self, keys, start=None, hopeless=None):
-        """Fit the robot with faults of given names and joints.
-
-        Parameters
-        ----------
-        keys : sequence of (str, int)
-            Name and joint of each fault.
-        start : sequence of Fault, default=None
-            Values to begin with; by default close to none.
-        hopeless : float, default=None
-            Sum of squares above which the first step ends the search.
-
-        Returns
-        -------
-        Explanation
-            Best values and what is left.
-        """
+        """Fit the robot with faults of given names and joints."""
         faults = [
             Fault(*key, tuple(NEUTRAL[key[0]] + START for _ in PARAMETERS[key[0]]))
             for key in keys
@@ -230,20 +167,7 @@ class Teller:
         )
 
     def rivals(self, fault, others=()):
-        """Name and joint of all that explains as well what a fault does.
-
-        Parameters
-        ----------
-        fault : Fault
-            True fault.
-        others : sequence of Fault
-            Other faults that are there.
-
-        Returns
-        -------
-        dict of (str, int) to float
-            Distances of those that are one class with the fault.
-        """
+        """Name and joint of all that explains as well what a fault does."""
         kept = [other.key for other in others]
         without = self.explain(kept, start=others)
         most = HOPELESS * (without.distance / self.weight) ** 2

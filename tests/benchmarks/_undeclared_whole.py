@@ -56,29 +56,7 @@ TOP_SPEED = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class WholeRobot:
-    """Two recordings to fit and a motion to predict.
-
-    Parameters
-    ----------
-    model : pinocchio.Model
-        Robot with the kinematics of the true one and other inertias.
-    dt : float
-        Sample period [s].
-    q, tau : ndarray of shape (n, nv)
-        Recorded positions [rad] and torques [N m] of the first two motions.
-    groups : ndarray of shape (n,)
-        Labels of the recordings.
-    states : ndarray of shape (m, 3 nv)
-        True states [q | v | a] of the third motion.
-    tau_clean : ndarray of shape (m, nv)
-        Its torque without noise, unfiltered.
-    truth : tuple of Entry
-        What is in the torque beside the rigid bodies, friction first. An entry is
-        visible if the part of it outside the span of the bodies, of the friction and
-        of all other effects reaches `VISIBLE` in the first two motions.
-    torque_noise : ndarray of shape (nv,)
-        Standard deviations of the noise.
-    """
+    """Two recordings to fit and a motion to predict."""
 
     model: object
     dt: float
@@ -162,20 +140,7 @@ def _extra_kinds(rng):
 
 
 def whole_robot(seed, duration=30.0):
-    """Draw a whole robot.
-
-    Parameters
-    ----------
-    seed : int
-        Seed of everything random.
-    duration : float, default=30.0
-        Length of each of the three motions [s].
-
-    Returns
-    -------
-    WholeRobot
-        Recordings, the motion to predict, and the truth.
-    """
+    """Draw a whole robot."""
     rng = np.random.default_rng([seed, 17])
     nominal, world = _world(duration, rng)
     q, v, a = world.q, world.v, world.a

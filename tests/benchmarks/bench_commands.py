@@ -183,16 +183,7 @@ def cell_of(seed):
 
 
 def draw(seed, described, gains, centre, duration=DURATION, undeclared=None):
-    """Draw a robot that is not as described and log two motions of it.
-
-    It may have an `Undeclared` friction.
-
-    Returns
-    -------
-    case : dict
-        described, real (pinocchio.Model), gains, numbers (the truth), fitted and
-        judged (logs).
-    """
+    """Draw a robot that is not as described and log two motions of it."""
     rng = np.random.default_rng([seed, 53])
     real, _ = changed(described, rng)
     nv = described.nv
@@ -585,10 +576,7 @@ def mean_of(found):
 
 
 def window_error(numbers, described, gains, logs):
-    """Error of windows of `WINDOW` seconds [mrad], the mean over joints.
-
-    Each begins with the measured positions and speeds; commands alone go in.
-    """
+    """Error of windows of `WINDOW` seconds [mrad], the mean over joints."""
     if not is_physical(numbers.bodies):
         return np.nan
     floor = {name: np.maximum(getattr(numbers, name), 1e-5) for name in VALUES}
@@ -606,10 +594,7 @@ def window_error(numbers, described, gains, logs):
 
 
 def measured_torque_errors(numbers, described, gains, logs):
-    """Measure what is missed of the torque, as late as the way has it [%].
-
-    Over the spread of that torque, and over the spread of the torque at no delay.
-    """
+    """Measure what is missed of the torque, as late as the way has it [%]."""
     errors = []
     for log in logs:
         motion = states(log.q)

@@ -80,13 +80,7 @@ KINDS = {1: tuple(k for k in ALL if k != "coupling"), 6: ALL}
 
 
 class Seen(NamedTuple):
-    """A joint in motion: arrays of shape (n,).
-
-    Attributes
-    ----------
-    t, q, v, torque : ndarray
-        Time [s], position, speed, and torque without the residual.
-    """
+    """A joint in motion: arrays of shape (n,)."""
 
     t: np.ndarray
     q: np.ndarray
@@ -254,10 +248,7 @@ def pendulum(rng):
 
 
 def arm(nv, rng):
-    """Return an arm as declared and as it is, time, states and torques.
-
-    The sign of the speed turns at once, as the model that is fitted has it.
-    """
+    """Return an arm as declared and as it is, time, states and torques."""
     t = np.arange(round(DURATIONS[nv] / DT[nv])) * DT[nv]
     while True:
         nominal = nominal_robot("serial", rng, nv)
@@ -276,23 +267,7 @@ def arm(nv, rng):
 
 
 class Made(NamedTuple):
-    """A recording and what is in it.
-
-    Attributes
-    ----------
-    model : pinocchio.Model
-        Robot as declared.
-    dt : float
-        Sample period [s].
-    q, tau : ndarray of shape (n, nv)
-        Measured positions and torques.
-    truth : tuple of str
-        The effect put in, and what it contains; empty if nothing is missing.
-    joint : int
-        Joint of the effect.
-    size : float
-        Its size.
-    """
+    """A recording and what is in it."""
 
     model: object
     dt: float
@@ -304,24 +279,7 @@ class Made(NamedTuple):
 
 
 def recording(kind, joints, seed, with_effect):
-    """Simulate one recording.
-
-    Parameters
-    ----------
-    kind : str
-        Key of `RESIDUALS`.
-    joints : int
-        Number of joints, a key of `DURATIONS`.
-    seed : int
-        Seed; motion and residual are the same with and without the effect.
-    with_effect : bool
-        Whether an effect is put in.
-
-    Returns
-    -------
-    Made
-        Recording.
-    """
+    """Simulate one recording."""
     place = list(RESIDUALS).index(kind)
     rng = np.random.default_rng([seed, place, int(DURATIONS[joints])])
     drawn = pendulum(rng) if joints == 1 else arm(joints, rng)

@@ -147,10 +147,7 @@ def load(name, data_home):
 
 
 def halves(part):
-    """Split a part in two: the first and the second half of every recording.
-
-    Where there are commands that are simulated, whole recordings stay together.
-    """
+    """Split a part in two: the first and the second half of every recording."""
     every = recordings(part)
     if "recording" in part and len(every) > 1:
         middle = (len(every) + 1) // 2
@@ -203,10 +200,7 @@ def measured_starts(case, windows):
 
 
 def position_errors(case, found):
-    """Errors (n_windows, nv) of an `Answer`, of who stays, and of who goes on.
-
-    Windows that failed have nan.
-    """
+    """Errors (n_windows, nv) of an `Answer`, of who stays, and of who goes on."""
     part, windows = case.held_out, windows_of(case)
     q0, v0 = measured_starts(case, windows)
     along = found.follow(WINDOW) if found.follow else None

@@ -92,26 +92,7 @@ def is_fault(pair):
 
 
 def judge(recording, found):
-    """Compare what was found with the truth.
-
-    Parameters
-    ----------
-    recording : GeometryRecording
-        Recording with its truth.
-    found : sequence of DiscoveredEffect
-        What was found.
-
-    Returns
-    -------
-    named : list of bool
-        For each entry of the truth whether it is named.
-    by_class : list of bool
-        Whether it is so under another name only.
-    wrong_faults, wrong_others : list of (str, int)
-        Names of faults, and of other effects, that are not there.
-    standing : dict of (str, int) to Fault
-        Found faults that count as right, with the values that they should have.
-    """
+    """Compare what was found with the truth."""
     joints = list(recording.model.names)[1:]
     names = {(e.name, e.joint): set(rivals_of(e, joints)) for e in found}
     faults = {pair for pair in names if is_fault(pair)}
@@ -153,15 +134,7 @@ def judge(recording, found):
 
 
 def rivals_of(effect, joint_names):
-    """List name and joint of what cannot be told from an effect.
-
-    Parameters
-    ----------
-    effect : DiscoveredEffect
-        Its rivals are names, those on another joint with that joint's name.
-    joint_names : sequence of str
-        Names of the joints.
-    """
+    """List name and joint of what cannot be told from an effect."""
     pairs = []
     for rival in effect.rivals:
         name, _, where = rival.partition(" on ")
@@ -171,22 +144,7 @@ def rivals_of(effect, joint_names):
 
 
 def judge_values(recording, found, standing):
-    """Say for each parameter whether its interval holds what it should.
-
-    Parameters
-    ----------
-    recording : GeometryRecording
-        Recording with its truth.
-    found : sequence of DiscoveredEffect
-        What was found.
-    standing : dict of (str, int) to Fault
-        Values that the right ones should have, of `judge`.
-
-    Returns
-    -------
-    list of dict
-        name, joint, parameter, true, value, low, high, inside.
-    """
+    """Say for each parameter whether its interval holds what it should."""
     rows = []
     if not standing:
         return rows
@@ -233,22 +191,7 @@ def floor_of(recording):
 
 
 def run(task, simulation=None, **settings):
-    """Close the loop on one case, or fit the gains.
-
-    Parameters
-    ----------
-    task : dict
-        With `KEYS`.
-    simulation : dict, default=None
-        Further arguments of `simulate`.
-    **settings
-        Further parameters of `EffectDiscovery`.
-
-    Returns
-    -------
-    dict
-        The task and its result, as plain numbers and lists.
-    """
+    """Close the loop on one case, or fit the gains."""
     recording = draw(task, **(simulation or {}))
     result = {
         **task,
@@ -355,15 +298,7 @@ def _gain(entry):
 
 
 def hidden_gains(identifier, joints):
-    """Joints whose gain the identifier says it cannot see.
-
-    Parameters
-    ----------
-    identifier : RobotIdentifier
-        Fitted, with gains among its effects.
-    joints : sequence of int
-        Joints with a declared gain.
-    """
+    """Joints whose gain the identifier says it cannot see."""
     names = list(identifier.parameter_names_)
     hidden = set()
     for j in joints:

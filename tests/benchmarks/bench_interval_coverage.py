@@ -40,21 +40,7 @@ TARGETS = "each cell 85 to 95 %, pooled 88 to 92 %"
 
 @dataclass
 class Cell:
-    """Answers of one setting.
-
-    Attributes
-    ----------
-    label : tuple of str
-        First columns of the table.
-    inside : list of bool
-        Whether the interval held the truth.
-    width : list of float
-        Widths, in the unit of the column "in units of".
-    unit : str
-        What widths are in units of.
-    trials : int
-        Data sets.
-    """
+    """Answers of one setting."""
 
     label: tuple
     unit: str

@@ -80,11 +80,7 @@ def coefficients(draws):
 
 
 def held_out(draws):
-    """Held-out squared error over the variance of y, one row a task, in per cent.
-
-    The noise that a prediction has to allow for is what the fitted rows have more than
-    those that are asked: nothing if both are alike.
-    """
+    """Held-out squared error over the variance of y, one row a task, in per cent."""
     X, errors, y = load()
     tasks = {
         "all, all": (1, False),

@@ -84,17 +84,7 @@ def load(name, data_home):
 
 
 def split_of(loop, q, tau, groups):
-    """Return (X, y, groups) of the searched and of the held-out part of a loop.
-
-    Parameters
-    ----------
-    loop : EffectDiscovery
-        Fitted to q and tau.
-    q, tau : ndarray of shape (n, nv)
-        Positions and torques.
-    groups : ndarray of shape (n,)
-        Labels.
-    """
+    """Return (X, y, groups) of the searched and of the held-out part of a loop."""
     dt = loop.identifier.dt
     whole = take_arrays(
         q, tau, groups, None, None, dt=dt, joint_names=loop.joint_names_

@@ -51,11 +51,7 @@ NEW_MOTIONS = (1001, 1002, 1003)
 
 
 def methods():
-    """Return name -> settings of `RobotIdentifier`; the paper's, then ours.
-
-    What a method has to choose it chooses by five blocks of time. The paper tuned its
-    ridge by hand.
-    """
+    """Return name -> settings of `RobotIdentifier`; the paper's, then ours."""
     blocks = KFold(5)
     ridge = RidgeCV(alphas=np.geomspace(1e-4, 1e4, 17), cv=blocks)
     lasso = LassoCV(cv=blocks, alphas=30, eps=1e-5, max_iter=20_000, tol=1e-3)
@@ -114,11 +110,7 @@ def read_back(model):
 
 
 def control(recording, feedforward, duration):
-    """Follow the new motions; return averages and the share of torque missed [%].
-
-    The averages are those of the paper, over joints, here over motions too; nan where
-    the robot had to be stopped, with the reason.
-    """
+    """Follow the new motions; return averages and the share of torque missed [%]."""
     figures, reason = [], ""
     for seed in NEW_MOTIONS:
         rng = np.random.RandomState(seed)
@@ -141,10 +133,7 @@ def control(recording, feedforward, duration):
 
 
 def run(name, seed, *, duration=60.0, tracked=10.0, names=None, state_cutoff=None):
-    """Identify one drawn robot by every method and control it.
-
-    Returns label -> averages (4,), reason of a stop, processor seconds of the fit.
-    """
+    """Identify one drawn robot by every method and control it."""
     recording = make_closed_loop_recording(
         name, duration=duration / 6, n_recordings=6, random_state=seed
     )

@@ -91,26 +91,7 @@ def fit_models(recording, **settings):
 
 
 def measure(recording, **settings):
-    """Errors of every model on both recordings.
-
-    Parameters
-    ----------
-    recording : Recording
-        Both recordings.
-    **settings
-        Arguments of `EffectDiscovery`.
-
-    Returns
-    -------
-    rows : list of list of str
-        Rows of the table.
-    theta : ndarray of shape (4,)
-        The authors' parameters, found anew.
-    errors : tuple of float
-        The authors' errors, found anew [%].
-    loop : EffectDiscovery
-        Fitted.
-    """
+    """Errors of every model on both recordings."""
     parts = [recording.select(name) for name in (FITTED, JUDGED)]
     states = [authors_states(part.q[:, 0], part.dt) for part in parts]
     force = [part.tau[:, 0] for part in parts]

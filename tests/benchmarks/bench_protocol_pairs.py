@@ -26,16 +26,7 @@ OVERLAP = 0.8
 
 @dataclass(frozen=True, kw_only=True)
 class Scale:
-    """What all pairs of a set are measured by, from all of its recordings.
-
-    Attributes
-    ----------
-    spread : ndarray of shape (nv,)
-        Standard deviation of the torque behind the low-pass, while the joint moves
-        [N m or N].
-    torque, speed : dict of str to ndarray of shape (2, nv)
-        Lowest and highest value of every recording, while the joint moves.
-    """
+    """What all pairs of a set are measured by, from all of its recordings."""
 
     spread: np.ndarray
     torque: dict
@@ -53,30 +44,7 @@ class Scale:
 
 @dataclass(frozen=True, kw_only=True)
 class Verdict:
-    """One pair: arrays of shape (nv,), torques in N m or N.
-
-    Attributes
-    ----------
-    judged : str
-        What was left out.
-    before, after : ndarray
-        Error of the declared and of the completed model on the judged recording, both
-        fitted to all of the fitted recordings.
-    reported_before, reported_after : ndarray
-        Errors that the report of the fitted recordings gives.
-    difference : ndarray of shape (2, nv)
-        Interval of the report for the error after minus the one before.
-    width : ndarray
-        Upper over lower end of the report's interval of the error after.
-    overlap : ndarray of shape (2, nv)
-        Shares of the judged range of torque and of speed that were fitted.
-    effects : tuple of str
-        What was found.
-    perhaps : tuple of str
-        What was left open.
-    seconds : float
-        Time of the search.
-    """
+    """One pair: arrays of shape (nv,), torques in N m or N."""
 
     judged: str
     before: np.ndarray
@@ -102,10 +70,7 @@ class Verdict:
 
     @property
     def surely_worse(self):
-        """Whether the completed model is worse by more than the report's interval.
-
-        The interval of the difference that the report gives, about zero.
-        """
+        """Whether the completed model is worse by more than the report's interval."""
         half = 0.5 * (self.difference[1] - self.difference[0])
         return self.after - self.before > half
 
@@ -140,23 +105,7 @@ def measure_scale(recording, identifier):
 
 
 def judge(recording, identifier, scale, label, fitted, judged, **settings):
-    """Close the loop on the fitted recordings and judge it on the others.
-
-    Parameters
-    ----------
-    recording : Recording
-        All recordings of the set.
-    identifier : RobotIdentifier
-        The declared model.
-    scale : Scale
-        Of the set.
-    label : str
-        What the pair is called.
-    fitted, judged : tuple of str
-        Names of recordings.
-    **settings
-        Arguments of `EffectDiscovery`.
-    """
+    """Close the loop on the fitted recordings and judge it on the others."""
     fit, unseen = recording.select(*fitted), recording.select(*judged)
     started = time.perf_counter()
     loop = EffectDiscovery(identifier, random_state=0, **settings)
@@ -182,31 +131,7 @@ def judge(recording, identifier, scale, label, fitted, judged, **settings):
 
 
 def run_set(name, data_home=None, chosen=None, recording=None, friction=None, **extra):
-    """Judge the pairs of one set.
-
-    Parameters
-    ----------
-    name : str
-        Set.
-    data_home : str or None
-        Folder of the measured sets.
-    chosen : sequence of str or None
-        Labels of the pairs to run; None runs all.
-    recording : Recording or None
-        In place of the measured one, for a trial at small size.
-    friction : tuple of str or None
-        Declared friction in place of the frozen one.
-    **extra
-        Arguments of `EffectDiscovery`.
-
-    Returns
-    -------
-    recording : Recording
-    scale : Scale
-    verdicts : list of Verdict
-    failed : list of str
-        Pairs that ended in an error, with its message.
-    """
+    """Judge the pairs of one set."""
     frozen = PAIRED_SETS[name]
     recording = recording or frozen.recording(data_home)
     identifier = frozen.identifier(recording.robot_model(), recording.dt, friction)

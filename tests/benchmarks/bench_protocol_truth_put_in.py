@@ -42,28 +42,7 @@ TOLERANCE = 0.2
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """A recording with one thing changed, and what a report should say of it.
-
-    Attributes
-    ----------
-    kind : str
-        What was changed: a key of `EXPECTED`.
-    label : str
-        The same with its size.
-    q, tau : ndarray of shape (n, nv)
-        Positions and torques.
-    groups : ndarray of shape (n,)
-        Labels of recordings.
-    model : pinocchio.Model
-        Robot that is declared.
-    joint : int or None
-        Joint that was changed; None for the whole robot.
-    value : float
-        What the named effect should have: angle [rad], gain, or slope of the Coulomb
-        friction [N m per degree]; nan where nothing should be named.
-    signals : dict
-        Further channels, for a search that can take them.
-    """
+    """A recording with one thing changed, and what a report should say of it."""
 
     kind: str
     label: str
@@ -95,24 +74,7 @@ EXPECTED = {
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What the loop said of a case.
-
-    Attributes
-    ----------
-    case : Case
-        The case.
-    effects : tuple of DiscoveredEffect
-        What was named.
-    before, after : ndarray of shape (nv,)
-        Errors on the held-out part [N m].
-    spread : ndarray of shape (nv,)
-        Standard deviation of the torque in the moving time of all of the recording
-        [N m].
-    seconds : float
-        Time of the search.
-    message : str
-        Why there is no answer; empty if there is one.
-    """
+    """What the loop said of a case."""
 
     case: Case
     effects: tuple = ()
@@ -128,17 +90,7 @@ class Answer:
 
 
 def through_a_file(recording, t, rows):
-    """Write rows of a recording with other stamps, and read it as a user would.
-
-    Parameters
-    ----------
-    recording : Recording
-        With a URDF.
-    t : ndarray of shape (n,)
-        Stamps [s], from zero in every recording.
-    rows : ndarray of int
-        Rows that are left.
-    """
+    """Write rows of a recording with other stamps, and read it as a user would."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "recording.npz"
         np.savez(
@@ -157,19 +109,7 @@ def through_a_file(recording, t, rows):
 
 
 def cases(recording, declared, friction_joint=1, kinds=None):
-    """Yield the recording as it is, then every case.
-
-    Parameters
-    ----------
-    recording : Recording
-        As recorded.
-    declared : RobotIdentifier
-        Fitted to the recording as it is; gives the friction that is heated.
-    friction_joint : int
-        Joint whose friction depends on the made-up temperature.
-    kinds : sequence of str or None
-        Some keys of `EXPECTED`; None yields all.
-    """
+    """Yield the recording as it is, then every case."""
     model = recording.robot_model()
     same = {
         "q": recording.q,
@@ -265,17 +205,7 @@ def _uniform_time(recording):
 
 
 def close(case, identifier, **settings):
-    """Close the loop on a case.
-
-    Parameters
-    ----------
-    case : Case
-        Recording and model.
-    identifier : RobotIdentifier
-        The declared model, whose robot is replaced by that of the case.
-    **settings
-        Arguments of `EffectDiscovery`.
-    """
+    """Close the loop on a case."""
     robot = clone(identifier).set_params(model=case.model)
     loop = EffectDiscovery(robot, random_state=0, **settings)
     started = time.perf_counter()
@@ -303,20 +233,7 @@ def _taken(method, signals):
 
 
 def verdict(answer, reference):
-    """Judge an answer: "named", "named, value off", or what is wrong with it.
-
-    Parameters
-    ----------
-    answer, reference : Answer
-        Of the case and of the recording as it is.
-
-    Returns
-    -------
-    text : str
-        Verdict.
-    value : float
-        Value found; nan where there is none to compare.
-    """
+    """Judge an answer: "named", "named, value off", or what is wrong with it."""
     case = answer.case
     if answer.message:
         return "refused", np.nan
@@ -397,21 +314,7 @@ def _words(pairs):
 
 
 def run_set(name, data_home=None, kinds=None, recording=None, **settings):
-    """Answers of one robot, that of the recording as it is first; and the recording.
-
-    Parameters
-    ----------
-    name : str
-        Set.
-    data_home : str or None
-        Folder of the measured sets.
-    kinds : sequence of str or None
-        Some keys of `EXPECTED`; None runs all.
-    recording : Recording or None
-        In place of the measured one, for a trial at small size.
-    **settings
-        Arguments of `EffectDiscovery`.
-    """
+    """Answers of one robot, that of the recording as it is first; and the recording."""
     frozen = MANIPULATED_SETS[name]
     recording = recording or frozen.recording(data_home)
     identifier = frozen.identifier(recording.robot_model(), recording.dt)

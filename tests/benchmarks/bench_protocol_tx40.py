@@ -33,11 +33,7 @@ def errors(torque, predicted):
 
 
 def filtered_prediction(model, q, tau):
-    """Torques (n, nv) of the model's columns behind its low-pass, not of `predict`.
-
-    At rest the sign of a speed is that of encoder noise; behind the low-pass it becomes
-    its mean. Between the filtered samples straight lines, beyond them the last value.
-    """
+    """Torques (n, nv) of the model's columns behind its low-pass, not of `predict`."""
     found = model.residuals(q, tau)
     rows = np.arange(len(q))
     return np.column_stack([np.interp(rows, found.index, x) for x in found.predicted.T])

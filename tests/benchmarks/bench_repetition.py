@@ -43,23 +43,7 @@ SIZE = 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """A row of the table.
-
-    Attributes
-    ----------
-    joints : int
-        Number of joints.
-    seconds : float
-        Length of all recordings together [s].
-    share : float
-        Residual over the torque's spread.
-    harmonics : int
-        Highest harmonic of the disturbance; zero for white noise alone.
-    repeats : {"periods", "recordings", "no"}
-        How the motion repeats.
-    effect : bool
-        Whether an effect is put in.
-    """
+    """A row of the table."""
 
     joints: int
     seconds: float

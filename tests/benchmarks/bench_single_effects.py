@@ -125,25 +125,7 @@ def draw(task, **settings):
 
 
 def judge(recording, effects):
-    """Compare what was found with the truth.
-
-    Parameters
-    ----------
-    recording : UndeclaredRecording
-        Recording with its truth.
-    effects : sequence of DiscoveredEffect
-        What was found.
-
-    Returns
-    -------
-    named : list of bool
-        For each true effect whether it is named, itself or as a rival.
-    by_rival : list of bool
-        Whether it is named as a rival only.
-    extra : list of (str, int)
-        Names that are neither in the recording nor contained in what is, nor have a
-        true effect among their rivals.
-    """
+    """Compare what was found with the truth."""
     truth = [(e.name, e.joint) for e in recording.truth]
     contained = {(name, e.joint) for e in recording.truth for name in e.contains}
     found = {(e.name, e.joint) for e in effects}
@@ -159,22 +141,7 @@ def judge(recording, effects):
 
 
 def run(task, simulation=None, **settings):
-    """Close the loop on one case.
-
-    Parameters
-    ----------
-    task : dict
-        With `KEYS`.
-    simulation : dict, default=None
-        Further arguments of `simulate`.
-    **settings
-        Further parameters of `EffectDiscovery`.
-
-    Returns
-    -------
-    dict
-        The task and its result, as plain numbers and lists.
-    """
+    """Close the loop on one case."""
     recording = draw(task, **(simulation or {}))
     result = {
         **task,

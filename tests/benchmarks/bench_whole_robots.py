@@ -81,22 +81,7 @@ def surplus_is_real(effect):
 
 
 def judge_names(truth, effects):
-    """Compare the names that were found with the truth.
-
-    Parameters
-    ----------
-    truth : sequence of Entry
-        Effects of the robot, friction included.
-    effects : sequence of DiscoveredEffect
-        What the search found.
-
-    Returns
-    -------
-    missed, extra : list of (str, int)
-        Visible effects without a name, and names that are wrong.
-    right : int
-        Number of names that are right.
-    """
+    """Compare the names that were found with the truth."""
     there = {(e.name, e.joint) for e in truth}
     allowed = there | {(name, e.joint) for e in truth for name in e.contains}
     # What every model has is neither found nor missed.
@@ -125,22 +110,7 @@ def prediction_errors(identifier, robot):
 
 
 def run(task, duration=30.0, **settings):
-    """Close the loop on one robot from one start.
-
-    Parameters
-    ----------
-    task : dict
-        ``seed`` and ``start``, a key of `STARTS`.
-    duration : float, default=30.0
-        Length of each motion [s].
-    **settings
-        Further parameters of `EffectDiscovery`.
-
-    Returns
-    -------
-    dict
-        Result, as plain numbers and lists.
-    """
+    """Close the loop on one robot from one start."""
     robot = whole_robot(task["seed"], duration)
     declared = STARTS[task["start"]]
     identifier = RobotIdentifier(robot.model, dt=robot.dt, friction=declared)

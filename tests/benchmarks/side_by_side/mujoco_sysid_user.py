@@ -56,29 +56,7 @@ def body_of(spec, model, name):
 
 
 def identify(xml, runs, most, *, bodies, delay, iterations):
-    """Fit values of joints, and bodies or a delay, to positions of several runs.
-
-    Parameters
-    ----------
-    xml : str
-        MJCF of joints with one actuator each.
-    runs : list of tuple
-        Times (n,) [s], what the actuators are told and positions, each (n, nv), and
-        velocities at the start (nv,).
-    most : dict of str to ndarray of shape (nv,)
-        Largest "armature", "damping", "frictionloss" and size of "bias".
-    bodies : bool
-        Whether bodies are fitted, by their pseudo-inertias.
-    delay : float or None
-        Largest delay of the motion after what was told [s]; None has none.
-    iterations : int
-        Most iterations.
-
-    Returns
-    -------
-    mujoco.MjModel, sysid.ParameterDict
-        The robot, and what was fitted.
-    """
+    """Fit values of joints, and bodies or a delay, to positions of several runs."""
     spec = mujoco.MjSpec.from_string(xml)
     name_parts(spec)
     model, parameters = spec.compile(), sysid.ParameterDict()

@@ -1,11 +1,4 @@
-"""When joints turn round, by estimated velocities whose corners are rounded.
-
-Where a joint turns round its friction changes sign at once, and its acceleration jumps:
-the velocity has a corner, which a smoother rounds, so that the estimated one turns
-late. The lag goes with the acceleration and would be taken for inertia, some per cent
-of an armature. How large the jump is follows from the friction, the inertia and, where
-a drive makes its torque of the motion, its gains; so it is known after a first fit.
-"""
+"""When joints turn round, by estimated velocities whose corners are rounded."""
 
 from dataclasses import replace
 
@@ -48,12 +41,7 @@ def with_corners(robot, source):
 
 
 def jump(dry, inertia, damping, stiffness, cutoff):
-    """Half of the jump of an acceleration that rounds a velocity as much as a drive's.
-
-    With the smoother's gain G the velocity that is estimated when the true one turns is
-    2 Fc / pi times the integral of (1 - G) / Re(I omega^2 - k - i d omega) over all
-    positive omega. For d = k = 0 it is Fc / I times `StateEstimator.rounding`.
-    """
+    """Half of the jump of an acceleration that rounds a velocity as the drive does."""
     if not (np.isfinite(cutoff) and inertia > 0 and dry > 0):
         return 0.0
     x = np.geomspace(_LOWEST, _HIGHEST, _COUNT)

@@ -1,9 +1,4 @@
-"""What effects of the robot model ask for: of its base, its encoders, its files.
-
-A fitted robot with such effects is another one than its description. Axes are put right
-in a description; a base, a zero and the gain of a channel are things that somebody has
-to change, on the robot or in the program that reads it.
-"""
+"""What effects of the robot model ask for: of its base, its encoders, its files."""
 
 from dataclasses import dataclass
 

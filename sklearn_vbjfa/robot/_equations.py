@@ -1,11 +1,4 @@
-"""Low-pass filtered equations of motion of a recording, piece by piece.
-
-A piece is a run of filtered rows of one segment. It is built from the states within
-reach of its filter and reduced to second moments at once, so that the regressor is
-never held as a whole and pieces can be computed in parallel. How a recording is divided
-does not depend on the number of jobs, and pieces are summed in recording order: the
-result is bit-for-bit the same on one processor and on many.
-"""
+"""Low-pass filtered equations of motion of a recording, piece by piece."""
 
 import functools
 from dataclasses import dataclass, replace

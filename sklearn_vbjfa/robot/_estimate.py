@@ -376,11 +376,7 @@ def _mirror(rows):
 
 
 def project(found, projector, features):
-    """Project an estimate onto the physically consistent parameters of a robot.
-
-    projector : "default", `PhysicalProjector`, or None to leave the estimate as it is;
-    features : loaded `RigidBodyFeatures`.
-    """
+    """Project an estimate onto the physically consistent parameters of a robot."""
     if projector is None:
         return found
     fitted, theta = project_beside(

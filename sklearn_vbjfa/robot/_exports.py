@@ -1,9 +1,4 @@
-"""An identified robot as URDF and MJCF: which of its effects go where, and which not.
-
-Simulators know bodies, damping, dry friction, armature, springs and tendons. What of an
-identified robot is none of these is left out of a file, and is listed in it and in what
-is returned, with the size of its torque: nothing is dropped or clipped in silence.
-"""
+"""An identified robot as URDF and MJCF, and what these cannot hold."""
 
 from dataclasses import dataclass
 

@@ -1,10 +1,4 @@
-"""Parameters of a robot from a recording, as functions from one value to the next.
-
-A robot as it stands (model, effects, plan and load of an `IdentifiedRobot`) makes
-equations, their second moments an `Estimate`, and both are a `Fit`. What it says of
-loads, gains of channels, known masses and effects in the model makes the next robot,
-which is fitted again.
-"""
+"""Parameters of a robot from a recording, as functions from one value to the next."""
 
 import warnings
 from dataclasses import dataclass, replace

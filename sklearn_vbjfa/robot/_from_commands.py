@@ -109,11 +109,7 @@ def _seen_late(control, lags, dt, updates):
 
 
 def law_of(command, kp, kd, most):
-    """Let a drive follow commands (n, nv) that go straight between rows.
-
-    Commands are torques, what is asked for at position and velocity zero; gains (nv,)
-    or (n, nv) hold until the next row.
-    """
+    """Let a drive follow commands (n, nv) that go straight between rows."""
     kp, kd = (np.broadcast_to(x, command.shape) for x in (kp, kd))
 
     def control(row, q, v):

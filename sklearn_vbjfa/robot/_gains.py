@@ -1,12 +1,11 @@
-"""Unknown gains of several torque channels, relative to one of them.
+"""Unknown gains of several torque channels, relative to one of them."""
 
-The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
-move: the ratios of the gains are in their couplings, the common factor is in theta and
-in no recording. Least squares for the inverse gains, which is linear, takes noise of
-the torques for signal, and they come out much too small. The likelihood is therefore
-maximised over the logarithms of the gains by Gauss and Newton, from the second moments
-of the joints' equations.
-"""
+# The channel of joint j reads y_j = g_j Phi_j theta. Joints share the bodies that they
+# move: the ratios of the gains are in their couplings, the common factor is in theta
+# and in no recording. Least squares for the inverse gains, which is linear, takes noise
+# of the torques for signal, and they come out much too small. The likelihood is
+# therefore maximised over the logarithms of the gains by Gauss and Newton, from the
+# second moments of the joints' equations.
 
 from dataclasses import dataclass, field, replace
 

@@ -1,9 +1,4 @@
-"""Second moments of the equations of joints that share one parameter vector.
-
-Moments are sums over rows, so recordings may come in pieces, in any order and from
-several machines. Moments of blocks of time are kept alongside the totals; they show how
-residuals are correlated in time.
-"""
+"""Second moments of the equations of joints that share one parameter vector."""
 
 from dataclasses import dataclass, replace
 
@@ -36,12 +31,7 @@ class BlockAssignment:
 
     @classmethod
     def of(cls, lengths, phases=None):
-        """Divide recordings of these numbers of filtered rows.
-
-        phases : where a motion repeats, the motion (n,) and the time in it (n,), in
-        filtered rows, of all rows. Motions are divided then, as recordings are: what is
-        not modelled comes again with the phase, and is no further evidence.
-        """
+        """Divide recordings of these numbers of filtered rows."""
         together = -(-len(lengths) // _BLOCKS)
         several = together if len(lengths) > 1 else None
         if phases is None:

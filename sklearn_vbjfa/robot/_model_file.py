@@ -1,8 +1,4 @@
-"""Identified robots as files: readable JSON with the robot description inside.
-
-``docs/saved_model.rst`` describes the format. Nothing in a file is executed: effects
-are taken by name from the library, or from the classes that the reader was given.
-"""
+"""Identified robots as files: readable JSON with the robot description inside."""
 
 import json
 import math

@@ -1,17 +1,16 @@
-"""Output error: parameters whose simulated motion is the measured one.
+"""Output error: parameters whose simulated motion is the measured one."""
 
-A recording is divided into windows. In each, the robot is simulated from the measured
-state of its first row, driven by the measured torques. The errors of a window are
-integrals of one another, so that it counts as one observation of each joint, of unknown
-variance. With the mean square e_j of the errors of joint j over all rows of W windows,
-minus twice the logarithm of the likelihood is, but for a constant,
-
-    J(theta, z) = W sum_j log(e_j(theta, z) + epsilon_j^2) + sum_w z_w' z_w,
-
-where epsilon_j is the noise of the encoder, below which no error matters, and z_w what
-the start of a window is moved by, in units of its measurement noise. Starts are
-eliminated in every step of Gauss and Newton: each belongs to one window alone.
-"""
+# A recording is divided into windows. In each, the robot is simulated from the measured
+# state of its first row, driven by the measured torques. The errors of a window are
+# integrals of one another, so that it counts as one observation of each joint, of
+# unknown variance. With the mean square e_j of the errors of joint j over all rows of W
+# windows, minus twice the logarithm of the likelihood is, but for a constant,
+#
+#     J(theta, z) = W sum_j log(e_j(theta, z) + epsilon_j^2) + sum_w z_w' z_w,
+#
+# where epsilon_j is the noise of the encoder, below which no error matters, and z_w
+# what the start of a window is moved by, in units of its measurement noise. Starts are
+# eliminated in every step of Gauss and Newton: each belongs to one window alone.
 
 import warnings
 from dataclasses import dataclass, replace

@@ -1,8 +1,4 @@
-"""Choices made before any equation is formed: filter, standstill, effects.
-
-A plan follows from statistics of each recording (`MotionFacts`, spectra) that can be
-merged: recordings may be processed in sequence, in parallel, or on several machines.
-"""
+"""Choices made before any equation is formed: filter, standstill, effects."""
 
 import itertools
 from dataclasses import dataclass, replace

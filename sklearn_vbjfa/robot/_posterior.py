@@ -1,8 +1,4 @@
-"""Parameters that a robot may have by its next recording: scatter, samples, intervals.
-
-Two things make a value unsure: the noise of the recordings that were fitted, and that a
-drive is not the same one from recording to recording.
-"""
+"""Scatter, samples and intervals of the parameters of a next recording."""
 
 import functools
 from dataclasses import dataclass
@@ -42,10 +38,7 @@ _HALVINGS = 70
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class BetweenRecordings:
-    """How far values are off from one recording to another, by those that were fitted.
-
-    The deviation of a value is not known but for its posterior on a grid.
-    """
+    """How far values are off from one recording to another."""
 
     # recordings, or groups of them where there are many; one where these are stretches
     # of a single recording

@@ -211,18 +211,13 @@ class SimulatesTorques:
 
         Examples
         --------
-        >>> import numpy as np
-        >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import load_demo_recording
-        >>> recording = load_demo_recording().select(0)
-        >>> robot = RobotIdentifier(
-        ...     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
-        ... )
-        >>> robot = robot.fit(recording.q, recording.tau)
-        >>> states = robot.state_estimator_.transform(recording.q)
+        With the robot of the example (and its recording) of `RobotIdentifier`:
+
+        >>> first = recording.select(0)
+        >>> states = robot.state_estimator_.transform(first.q)
         >>> rows = slice(1000, 1050)  # half a second
         >>> q0, v0 = states[1000, :6], states[1000, 6:12]
-        >>> simulated = robot.simulate(recording.tau[rows], q0, v0)
+        >>> simulated = robot.simulate(first.tau[rows], q0, v0)
         >>> simulated.shape
         (50, 18)
         """
@@ -277,9 +272,9 @@ class SimulatesTorques:
         >>> import numpy as np
         >>> from dataclasses import replace
         >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import load_demo_recording
+        >>> from sklearn_vbjfa.datasets import make_robot_recording
         >>> from sklearn_vbjfa.robot import PDDrive
-        >>> recording = load_demo_recording().select(0)
+        >>> recording = make_robot_recording(duration=6.0, dt=0.01, random_state=0)
         >>> kp = np.array([1000.0, 2000.0, 1000.0, 100.0, 100.0, 10.0])
         >>> v = np.gradient(recording.q, recording.dt, axis=0)
         >>> aim = recording.q + (recording.tau + kp / 50.0 * v) / kp
@@ -355,26 +350,15 @@ class IdentifiedRobot(SimulatesTorques):
 
     Examples
     --------
-    >>> import tempfile
+    With the robot of the example of `RobotIdentifier`, state by state as in a control
+    loop:
+
     >>> import numpy as np
-    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> recording = load_demo_recording().select(0)
-    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
-    >>> fitted = fitted.fit(recording.q, recording.tau)
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     fitted.save(f"{folder}/arm.json")
-    ...     robot = load_identified(f"{folder}/arm.json")
-    >>> torque = robot.predict(recording.q)
-    >>> bool(np.array_equal(torque, fitted.predict(recording.q)))
-    True
-
-    State by state, as in a control loop:
-
+    >>> own = robot.robot_
     >>> q, v, a = np.zeros((3, 6))
-    >>> first = robot.step(q, v, a)
-    >>> second = robot.step(q + 1e-5, v + 0.01, a)
-    >>> robot.reset()
+    >>> first = own.step(q, v, a)
+    >>> second = own.step(q + 1e-5, v + 0.01, a)
+    >>> own.reset()
     """
 
     features_: RigidBodyFeatures  # the robot, corrected by its effects
@@ -1167,16 +1151,14 @@ def load_identified(path, effects=()):
 
     Examples
     --------
+    With the robot of the example of `RobotIdentifier`:
+
     >>> import tempfile
-    >>> from sklearn_vbjfa import RobotIdentifier, load_identified
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> recording = load_demo_recording().select(0)
-    >>> fitted = RobotIdentifier(recording.urdf, dt=recording.dt)
-    >>> fitted = fitted.fit(recording.q, recording.tau)
+    >>> from sklearn_vbjfa import load_identified
     >>> with tempfile.TemporaryDirectory() as folder:
-    ...     fitted.save(f"{folder}/arm.json")
-    ...     robot = load_identified(f"{folder}/arm.json")
-    >>> robot.joint_names_[:2]
+    ...     robot.save(f"{folder}/arm.json")
+    ...     again = load_identified(f"{folder}/arm.json")
+    >>> again.joint_names_[:2]
     ('joint_1', 'joint_2')
     """
     from sklearn_vbjfa.robot import _model_file

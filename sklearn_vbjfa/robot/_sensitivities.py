@@ -1,19 +1,18 @@
-"""Derivatives of simulated positions by parameters and by the start of the motion.
+"""Derivatives of simulated positions by parameters and by the start of the motion."""
 
-Along a simulated motion the torques that the drives produce, tau(q, v, a, theta), do
-not change. A small change of parameters therefore moves it by s with
-
-    M d2s/dt2 + D ds/dt + K s = -Phi dtheta,
-    M = dtau/da,  D = dtau/dv,  K = dtau/dq,
-
-where Phi is the regressor, columns of friction and effects among them. The equation is
-integrated by the implicit midpoint rule, which is stable for friction and springs of
-any steepness. For a joint that sticks it is replaced by zero velocity. Where a joint
-turns round, dry friction jumps by c, an impulse c delta(v) of D. In a step of length h
-with the mean acceleration a it has the mean c / (h abs(a)), and the midpoint rule then
-gives the jump of s that a shifted instant of turning causes, the ratio of the
-accelerations after and before.
-"""
+# Along a simulated motion the torques that the drives produce, tau(q, v, a, theta), do
+# not change. A small change of parameters therefore moves it by s with
+#
+#     M d2s/dt2 + D ds/dt + K s = -Phi dtheta,
+#     M = dtau/da,  D = dtau/dv,  K = dtau/dq,
+#
+# where Phi is the regressor, columns of friction and effects among them. The equation
+# is integrated by the implicit midpoint rule, which is stable for friction and springs
+# of any steepness. For a joint that sticks it is replaced by zero velocity. Where a
+# joint turns round, dry friction jumps by c, an impulse c delta(v) of D. In a step of
+# length h with the mean acceleration a it has the mean c / (h abs(a)), and the midpoint
+# rule then gives the jump of s that a shifted instant of turning causes, the ratio of
+# the accelerations after and before.
 
 from dataclasses import dataclass
 from itertools import compress

@@ -144,11 +144,8 @@ class Ranges:
 
     Examples
     --------
-    >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.datasets import load_demo_recording
-    >>> recording = load_demo_recording()
-    >>> robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
-    >>> robot = robot.fit(recording.q, recording.tau, groups=recording.groups)
+    With the robot of the example of `RobotIdentifier`:
+
     >>> ranges = robot.ranges(level=0.9)
     >>> len(ranges), ranges.recordings
     (84, 2)

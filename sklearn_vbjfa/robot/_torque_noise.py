@@ -1,13 +1,12 @@
-"""Noise of torque channels inside the band of the fit, from what surrounds the motion.
+"""Noise of torque channels inside the band of the fit."""
 
-Noise and what a model lacks are told apart by their spectra. Above the band no motion
-is: there that of the residual is measured by differences of high order, without
-reversals, where dry friction jumps. Noise continues it smoothly into the band: known
-from above where it bends towards a flat one; where it still rises, the residual between
-the band of the motion and the cut-off says how far, less friction that the model may
-lack. What no such continuation reaches is what the model lacks: then the noise is what
-it is from above, or unknown.
-"""
+# Noise and what a model lacks are told apart by their spectra. Above the band no motion
+# is: there that of the residual is measured by differences of high order, without
+# reversals, where dry friction jumps. Noise continues it smoothly into the band: known
+# from above where it bends towards a flat one; where it still rises, the residual
+# between the band of the motion and the cut-off says how far, less friction that the
+# model may lack. What no such continuation reaches is what the model lacks: then the
+# noise is what it is from above, or unknown.
 
 import itertools
 from dataclasses import dataclass

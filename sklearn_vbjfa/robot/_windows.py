@@ -1,9 +1,4 @@
-"""Windows of a recording, simulated one by one from measured states.
-
-Without feedback errors add up, so that over a whole recording a simulation tells more
-of its length than of the model. Windows begin anew at measured states: their error is
-that of the accelerations, twice integrated over a time that one knows.
-"""
+"""Windows of a recording, simulated one by one from measured states."""
 
 import warnings
 from dataclasses import dataclass, replace

@@ -79,8 +79,8 @@ def explained(model, names, signals, rivals=None):
         return [], model, signals
     best = max(found, key=lambda x: x.log_odds)
     for other in rivals(signals) if rivals is not None else ():
-        evidence = DescribedRobot(model, other).fit().evidence
-        if evidence - now + _RIVAL > best.log_odds:
+        evidence = DescribedRobot(model, other, robot.times).fit().evidence
+        if evidence - now + PRIOR > best.log_odds + _RIVAL:
             return [], model, signals
     return [best.finding], best.model(model), best.signals(signals)
 
@@ -89,12 +89,13 @@ def log_odds_of(model, signals, other):
     """Log odds of one reading of the signals against another one, of any scale."""
     if min(bodies.mass for bodies in list(model.inertias)[1:]) <= 0:
         return 0.0
-    return _any_scale(model, signals) - _any_scale(model, other) + PRIOR
+    right, now = DescribedRobot(model, signals), DescribedRobot(model, other)
+    right.times = now.times = np.minimum(right.times, now.times)
+    return _any_scale(right) - _any_scale(now) + PRIOR
 
 
-def _any_scale(model, signals):
-    """Evidence of signals whose torques may be in any unit."""
-    robot = DescribedRobot(model, signals)
+def _any_scale(robot):
+    """Evidence of torques that may be in any unit."""
     now = robot.fit().evidence
     factor = _factor(robot)[0]
     return max(now, robot.fit(scale=factor).evidence) if factor > 0 else now
@@ -119,25 +120,27 @@ def zeros(model, signals):
     if not free.size:
         return np.zeros(model.nv), 0.0
     place, robot = np.zeros(model.nv), DescribedRobot(model, signals)
-    begun = robot.fit()
+    times, begun = robot.times, robot.fit()
     best = begun.evidence
     for j in [*free, *free]:
         for angle in _ANGLES:
             tried = place.copy()
             tried[j] += angle
-            evidence = DescribedRobot(model, signals.shifted(tried)).fit().evidence
+            evidence = (
+                DescribedRobot(model, signals.shifted(tried), times).fit().evidence
+            )
             if evidence > best + _RIVAL:
                 best, place = evidence, tried
     for _ in range(_PASSES):
-        robot = DescribedRobot(model, signals.shifted(place))
+        robot = DescribedRobot(model, signals.shifted(place), times)
         step = robot.fit(columns=_slopes(robot, free), deviation=_STEP).factors
         tried = place.copy()
         tried[free] += step
-        evidence = DescribedRobot(model, signals.shifted(tried)).fit().evidence
+        evidence = DescribedRobot(model, signals.shifted(tried), times).fit().evidence
         if evidence < best + 0.1:
             break
         best, place = evidence, tried
-    noise = DescribedRobot(model, signals.shifted(place)).fit().noise
+    noise = DescribedRobot(model, signals.shifted(place), times).fit().noise
     if np.log(noise / begun.noise).mean() > -_CLEAR:
         return np.zeros(model.nv), 0.0
     turned = (place + np.pi) % (2 * np.pi) - np.pi

@@ -46,7 +46,10 @@ class Fit:
 class DescribedRobot:
     """Regressors of a described robot in a recording, by motion and by gravity."""
 
-    def __init__(self, model, signals):
+    # times: correlation times (nv,) [rows] of residuals; readings of one log are only
+    # compared with the same.
+
+    def __init__(self, model, signals, times=None):
         nv = model.nv
         thin = int(np.clip(_MOST_ENTRIES // (nv * nv * 10), _FEWEST, _MOST))
         self.model, self.signals = model, signals.thinned(thin)
@@ -64,7 +67,7 @@ class DescribedRobot:
         varies = size > _LEAST_VARIANCE * size.max(initial=0.0)
         self.joints = np.flatnonzero(self.signals.informative() & varies)
         self.rows = [np.flatnonzero(w > 0) for w in self.signals.weight.T]
-        self.times = self._correlation_times()
+        self.times = self._correlation_times() if times is None else times
 
     def pulled(self, direction):
         """Regressors (n, nv, 10 nv) with gravity along a vector (3,), in units of g."""
@@ -94,8 +97,8 @@ class DescribedRobot:
         n_factors = 0 if columns is None else columns.shape[2]
         prior = np.r_[scale * self.spread, np.full(n_factors, deviation)]
         parts = []
-        for j, time in zip(self.joints, self.times):
-            rows = self.rows[j]
+        for j in self.joints:
+            rows, time = self.rows[j], self.times[j]
             design = Y[rows, j]
             if columns is not None:
                 design = np.column_stack([design, columns[rows, j]])
@@ -118,7 +121,7 @@ class DescribedRobot:
 
     def _correlation_times(self):
         """Correlation times [rows] of what free bodies leave of each joint's torque."""
-        found, Y = [], self.described
+        found, Y = np.ones(self.model.nv), self.described
         for j in self.joints:
             rows = self.rows[j]
             X = np.column_stack([Y[rows, j], self._plain(j)[rows]])
@@ -127,8 +130,8 @@ class DescribedRobot:
             y = self.signals.now[rows, j]
             gram = X.T @ X
             gram[np.diag_indices_from(gram)] += 1e-6 * rows.size
-            found.append(correlation_time(y - X @ np.linalg.solve(gram, X.T @ y)))
-        return np.array(found)
+            found[j] = correlation_time(y - X @ np.linalg.solve(gram, X.T @ y))
+        return found
 
 
 def correlation_time(x):

@@ -229,9 +229,23 @@ def _folded(tree, path, moving=None, base=None):
     robot = robot.settled()
     links = robot.links
     said, folded = [*said, *robot.left_out()], foldable(robot.carriers, links, path)
-    found = fold(check_joints(robot.build()), folded)
+    model = check_joints(robot.build())
+    # Pinocchio sorts the branches of a URDF by name.
+    found = fold(in_order(model, _parents_first(robot.names, robot.carriers)), folded)
     apart = [name for name in links if name not in folded]
     _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
+    return found
+
+
+def _parents_first(names, carriers):
+    """Return names in the order of the file, carriers before what they carry."""
+    found = []
+    for name in names:
+        chain = []
+        while name is not None and name not in found and name not in chain:
+            chain.append(name)
+            name = carriers[name]
+        found += reversed(chain)
     return found
 
 

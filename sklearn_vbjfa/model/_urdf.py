@@ -159,6 +159,10 @@ class UrdfRobot:
             # They are not worth a complaint of the parser.
             for shape in link.findall("visual") + link.findall("collision"):
                 link.remove(shape)
+        for joint in self._root.findall("joint"):
+            # Friction of the description is not used, and may be anything.
+            for friction in joint.findall("dynamics"):
+                joint.remove(friction)
         for joint in self._joints("continuous"):
             joint.set("type", "revolute")
             limit = joint.find("limit")

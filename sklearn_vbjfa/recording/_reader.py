@@ -37,6 +37,7 @@ from sklearn_vbjfa.recording._layout import (
     unit_of,
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
+from sklearn_vbjfa.recording._raw_rows import refuse_codes, without_second_source
 from sklearn_vbjfa.recording._recording import Recording, _check_dt
 from sklearn_vbjfa.recording._sampling import (
     SAME_DT,
@@ -365,7 +366,10 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
     model_names, prismatic = _robot(urdf, names)
-    robot = Joints(names=names or model_names, chosen=bool(names))
+    # Columns with numbers are in the order of the file, which may name what a joint
+    # carries before the joint.
+    listed_first = tuple(name for name in _movable(urdf) if name in model_names)
+    robot = Joints(names=names or listed_first, chosen=bool(names))
     notes = list(table.notes)
     dt = _given_period(table, dt)
     asked = replace(asked, timed=dt is not None)
@@ -373,6 +377,8 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     if asked.drive is not None:
         table = _held(table, layout, asked, notes)
     table = _without_blank_rows(table, layout, asked, notes)
+    if asked.drive is None:
+        table = without_second_source(table, layout, notes)
     found, robot = channels_of(table, layout, asked, robot, notes)
     names = robot.names
     channels, units = {}, {}
@@ -546,6 +552,8 @@ def _values(table: Table, kind, roles):
         if unit is None and kind == "tau" and is_current(role.column):
             unit = unit_of("tau", "A")
         values = _numbers(table, role.column)
+        if kind == "tau":
+            refuse_codes(table, role.column, values)
         if unit is not None:
             values = values * unit.factor
         far = np.flatnonzero(np.abs(values) > _LARGEST)

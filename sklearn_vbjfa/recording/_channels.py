@@ -352,6 +352,8 @@ _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 def _refuse_commands(table, layout, asked, names, missing):
     """Refuse a file that has commands in place of torques: a drive is missing."""
+    if missing == ["tau"] and _nearest(table, "tau", names):
+        return
     found = {} if "q" in missing else _commands(layout, names)
     known = {} if found else by_preset(table, None, names, COMMANDS)
     for one in known.values():

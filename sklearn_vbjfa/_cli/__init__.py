@@ -55,8 +55,8 @@ _LIMITS = (
 )
 _OUT = "folder for the files; by default the name of RECORDING{} plus -{}"
 
-# What the parser is told of each argument; `default` is filled in after it, so that
-# what was given is known. A command may say otherwise of its own.
+# Settings of each argument, which a command may override; `default` is filled in after
+# parsing, so that options that were typed are known.
 _ARGUMENTS = {
     "recording": {
         "metavar": "RECORDING",
@@ -250,7 +250,7 @@ _COMMANDS = {
         "run": "_close_loop:run",
         "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
         f"{_IDENTIFIED} --effects --quiet",
-        "own": {
+        "overrides": {
             **_REQUIRED,
             "--out": {"help": _OUT.format(", or of the folder of several,", "report")},
             "--effects": {
@@ -268,7 +268,7 @@ _COMMANDS = {
     "inspect": {
         "run": "_inspect:inspect",
         "arguments": f"recording --urdf {_READ} --signals --quiet",
-        "own": _REQUIRED,
+        "overrides": _REQUIRED,
         "help": "say what a recording is, what is wrong with it and what it can show",
         "description": "Say what a recording is as it is understood, what is wrong "
         "with it, and what its motion can show of a robot. Nothing is identified and "
@@ -278,7 +278,7 @@ _COMMANDS = {
         "run": "_simulate:run",
         "arguments": f"recording --urdf --model --window {_READ} --signals --out "
         f"--force {_IDENTIFIED} --effects --quiet",
-        "own": {
+        "overrides": {
             "recording": {"nargs": "*", "help": _RECORDING},
             "--out": {"help": _OUT.format("", "simulation")},
             "--effects": {
@@ -302,7 +302,7 @@ _COMMANDS = {
         "arguments": "--urdf --base-orientation --report --duration --out --force --dt "
         "--joints --start --velocity --acceleration --torque --scale "
         "--effects --seed --quiet",
-        "own": {
+        "overrides": {
             "--urdf": {
                 "help": "description of the robot; with --report, by default that of "
                 "the report"
@@ -373,16 +373,16 @@ def _parser():
     return parser
 
 
-def _add(commands, name, *, run, arguments="", own=None, **told):
+def _add(commands, name, *, run, arguments="", overrides=None, **texts):
     """Add a command with its arguments to a parser."""
     from sklearn_vbjfa.recording import formats
 
-    command, defaults = commands.add_parser(name, **told), {}
+    command, defaults = commands.add_parser(name, **texts), {}
     for argument in arguments.split():
-        given = _ARGUMENTS[argument] | (own or {}).get(argument, {})
-        default = given.pop("default", None)
-        given["help"] = given["help"].replace("TABLES", formats.TABLES)
-        action = command.add_argument(*_SHORT.get(argument, ()), argument, **given)
+        settings = _ARGUMENTS[argument] | (overrides or {}).get(argument, {})
+        default = settings.pop("default", None)
+        settings["help"] = settings["help"].replace("TABLES", formats.TABLES)
+        action = command.add_argument(*_SHORT.get(argument, ()), argument, **settings)
         if default is not None:
             defaults[action.dest] = default
     command.set_defaults(run=run, command=name, defaults=defaults)

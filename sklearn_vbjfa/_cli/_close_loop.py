@@ -35,14 +35,14 @@ def run(arguments, folder):
     out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
     ranges = _input.ranges_file(arguments)
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    taken = _input.taken(arguments, folder)
-    recording = taken.recording
-    taken.check(settings)
-    signals = taken.signals(arguments.signals)
-    with blaming(source, taken.gains):
+    loaded = _input.load(arguments, folder)
+    recording = loaded.recording
+    loaded.check(settings)
+    signals = loaded.signals(arguments.signals)
+    with blaming(source, loaded.gains):
         loop = close(
             recording,
-            str(taken.urdf),
+            str(loaded.urdf),
             effects=library,
             torque_noise=recording.torque_noise,
             signals=signals,
@@ -50,14 +50,14 @@ def run(arguments, folder):
             **settings,
         )
     # Who names the joints knows the others.
-    others = [] if arguments.joints else taken.other_joints()
+    others = [] if arguments.joints else loaded.other_joints()
 
     def write(folder, warned):
         # Each file once, whatever was typed.
         given = tuple(dict.fromkeys(map(str, files)))
         file, description = source if len(files) == 1 else given, str(urdf)
         left_out = left_out_lines(_write_robot(loop.identifier_, folder))
-        report = _report(loop, (*warned, *left_out), file, description, taken.held)
+        report = _report(loop, (*warned, *left_out), file, description, loaded.held)
         _write_report(report, folder)
         lines = _next_motion(report.outcome, out)
         if left_out:
@@ -98,7 +98,10 @@ def report_doubts(report):
         if one.status in _NO_ANSWER:
             texts.setdefault(one.text, []).append(one.joint)
     names = outcome.joint_names
-    joints = [f"{x} ({words.joint_list(names, own, 0)})" for x, own in texts.items()]
+    joints = [
+        f"{text} ({words.joint_list(names, labels, 0)})"
+        for text, labels in texts.items()
+    ]
     # What the recording itself is doubted for comes first, what is left out last.
     doubted = [one for one in outcome.channels if one.severity != "warning"]
     others = [one for one in outcome.channels if one.severity == "warning"]
@@ -209,15 +212,15 @@ def left_out_lines(left_out):
     for name, left in left_out.items():
         if left:
             names.setdefault(_left_out_texts(left), []).append(name)
-    told = []
+    parts = []
     for (count, largest), files in names.items():
         place = f"{'have' if len(files) > 1 else 'has'} no place for {count}{largest}"
-        place = f"for {count}" if told else place
-        told.append(f"{' and '.join(files)} {place}")
-    if not told:
+        place = f"for {count}" if parts else place
+        parts.append(f"{' and '.join(files)} {place}")
+    if not parts:
         return []
     who = "they say" if sum(map(len, names.values())) > 1 else "it says"
-    line = f"{', '.join(told)}; {who} why at the top, and identified.json has all."
+    line = f"{', '.join(parts)}; {who} why at the top, and identified.json has all."
     return [line]
 
 
@@ -226,14 +229,14 @@ def _left_out_texts(left):
     # What is not known is the smallest.
     up = sorted(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
     largest = {one.unit: one for one in up}.values()
-    told = ", ".join(
+    named = ", ".join(
         f"{one.name} on {one.joint_name}"
         + ("" if np.isnan(one.size) else f" ({one.size:.2g} {one.unit} rms)")
         for one in largest
     )
     if len(left) == 1:
-        return "an effect", f": {told}"
-    return f"{len(left)} effects", f", the largest: {told}"
+        return "an effect", f": {named}"
+    return f"{len(left)} effects", f", the largest: {named}"
 
 
 def write_parameters(robot, values, path):

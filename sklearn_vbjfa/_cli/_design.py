@@ -255,8 +255,9 @@ def _identified(arguments, path, found, folder):
             f"--joints must name the joints of {path} ({', '.join(names)}); got "
             f"{', '.join(joints)}. Leave it out, or run close-loop with these joints."
         )
-    told = (found.get("provenance") or {}) if found else {}
-    file, held = told.get("description") or str(path), tuple(told.get("held") or ())
+    provenance = (found.get("provenance") or {}) if found else {}
+    file = provenance.get("description") or str(path)
+    held = tuple(provenance.get("held") or ())
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if arguments.urdf is not None:
@@ -302,21 +303,21 @@ def _agreeing(urdf, model, path):
             f"has {', '.join(movable)}. Leave --urdf out, or give the description that "
             "close-loop was run with."
         )
-    own = load_reduced(urdf, names)
-    order = joint_names(own)
+    described = load_reduced(urdf, names)
+    order = joint_names(described)
     for j, name in enumerate(names, 1):
         k = order.index(name) + 1
         # What holds a joint may come from elsewhere where others are held.
-        ours, theirs = own.jointPlacements[k], model.jointPlacements[j]
+        ours, theirs = described.jointPlacements[k], model.jointPlacements[j]
         apart = np.abs(ours.homogeneous - theirs.homogeneous).max()
-        turned = own.joints[k].shortname() != model.joints[j].shortname()
+        turned = described.joints[k].shortname() != model.joints[j].shortname()
         if turned or apart > _APART:
             what = "its axis" if turned else f"its place, by {apart:.3g}"
             raise ValueError(
                 f"{urdf} is not the robot of {path}: {name} differs in {what}. Leave "
                 "--urdf out, or give the description that close-loop was run with."
             )
-    return own
+    return described
 
 
 def _period(robot, found):
@@ -390,7 +391,7 @@ def _settings(arguments, limits):
 
 def _next(arguments, robot, found):
     """Say what to do with the motion: sentences, and a command to type."""
-    told = ((found or {}).get("provenance") or {}).get("file") or "before.csv"
+    files = ((found or {}).get("provenance") or {}).get("file") or "before.csv"
     words = ["python", "-m", "sklearn_vbjfa", "close-loop"]
     if robot.file.endswith(".json"):
         urdf = "ROBOT.urdf"
@@ -403,7 +404,7 @@ def _next(arguments, robot, found):
         options += ["--base-orientation", arguments.base_orientation]
     like = ""
     if found is not None:
-        before = [told] if isinstance(told, str) else told
+        before = [files] if isinstance(files, str) else files
         # What came through a pipe is not there any more.
         before = ["before.csv" if file == "-" else file for file in before]
         words += before

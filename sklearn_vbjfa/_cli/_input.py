@@ -44,7 +44,7 @@ def refuse_given(arguments, names, why):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Taken:
+class LoadedRecording:
     """A recording, of one file or several, and its robot."""
 
     recording: object
@@ -121,7 +121,7 @@ class Taken:
         return lines
 
 
-def taken(arguments, folder, *, assumed=None):
+def load(arguments, folder, *, assumed=None):
     """Read a recording and its robot; what is written of the robot goes to `folder`."""
     # assumed: gains of the channels where none are given.
     urdf, joints = expanded(arguments.urdf), joint_names(arguments.joints)
@@ -132,7 +132,7 @@ def taken(arguments, folder, *, assumed=None):
     recording = read(arguments, urdf, joints, known or assumed)
     urdf, held = _hold_others(urdf, recording, held, folder)
     source = named(sources(arguments.recording))
-    return Taken(
+    return LoadedRecording(
         recording=recording,
         urdf=urdf,
         source=source,
@@ -150,8 +150,8 @@ def settings(arguments):
     known, factors = declarable(), gains(arguments.gain)
     masses = getattr(arguments, "known_mass", ())
     follows = drive(arguments.drive)
-    told = {} if follows is None else {"drive": follows}
-    return told | {
+    chosen = {} if follows is None else {"drive": follows}
+    return chosen | {
         "friction": names("--friction", arguments.friction, known),
         "bodies": arguments.bodies,
         "alike": None if arguments.alike == "none" else arguments.alike,
@@ -204,8 +204,8 @@ def said_delay(robot):
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
     from sklearn_vbjfa.diagnosis.report import delay_sentence
 
-    own = [one for one in parameter_values(robot) if one.name == "drive:delay"]
-    return " ".join(delay_sentence(one.value, one.interval) for one in own)
+    rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
+    return " ".join(delay_sentence(one.value, one.interval) for one in rows)
 
 
 def library(text):

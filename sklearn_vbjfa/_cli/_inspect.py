@@ -32,12 +32,12 @@ def inspect(arguments, folder):
     from sklearn_vbjfa.inspection import motion_of
 
     # A current is as good as a torque here: nothing is identified.
-    taken = _input.taken(arguments, folder, assumed="unknown")
-    taken.signals(arguments.signals)
-    recording, findings = taken.recording, taken.findings()
-    motions = motion_of(recording, str(taken.urdf))
+    loaded = _input.load(arguments, folder, assumed="unknown")
+    loaded.signals(arguments.signals)
+    recording, findings = loaded.recording, loaded.findings()
+    motions = motion_of(recording, str(loaded.urdf))
     text = [
-        *_what(recording, taken.other_joints()),
+        *_what(recording, loaded.other_joints()),
         "",
         *_table(recording, motions),
         "",

@@ -105,7 +105,7 @@ class _Task:
     rows: np.ndarray  # of the recording
     robots: dict  # by their labels
     signals: object  # what was recorded beside these rows
-    told: str  # what was identified, a line
+    summary: str  # what was identified, a line
     drive: object = None  # that the robots are told positions by; None for torques
 
 
@@ -126,7 +126,7 @@ def _simulated(task, seconds, *, timed):
     recording, rows = task.recording, task.rows
     # Saved models have a clock of their own.
     times = recording.clock()[rows] if timed else None
-    known = {"recording": recording, "rows": rows, "told": task.told}
+    known = {"recording": recording, "rows": rows, "summary": task.summary}
     if task.drive is not None:
         return Simulated(**known, **_followed(task, times, seconds))
     part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
@@ -163,13 +163,13 @@ def _followed(task, times, seconds):
                 follow_windows(
                     one.described(),
                     task.drive,
-                    *own,
+                    *result,
                     beside=next(iter(windows.values())),
                     **settings,
                 )
-                for (*own, settings), windows in zip(cuts, found)
+                for (*result, settings), windows in zip(cuts, found)
             ]
-            failed = [x for own in described for x in own.failures]
+            failed = [x for result in described for x in result.failures]
             left = failed[0].message if failed else ""
         except ValueError as error:
             left = str(error)
@@ -177,13 +177,14 @@ def _followed(task, times, seconds):
             left = f"{_DESCRIBED}: left out. {left}"
         else:
             found = [
-                {_DESCRIBED: own, **windows} for own, windows in zip(described, found)
+                {_DESCRIBED: result, **windows}
+                for result, windows in zip(described, found)
             ]
     *whole, windows = found
     whole = tuple(
         {
-            label: replace(own, starts=own.starts + rows.start)
-            for label, own in each.items()
+            label: replace(result, starts=result.starts + rows.start)
+            for label, result in each.items()
         }
         for each, rows in zip(whole, part.segments)
     )
@@ -213,14 +214,14 @@ def _saved(arguments, source, folder):
             "period, or identify from this one."
         )
     drive = _input.drive(arguments.drive)
-    taken = _input.Taken(
+    loaded = _input.LoadedRecording(
         recording=recording, urdf=urdf, source=source, gains=gains, drive=drive
     )
-    taken.check_channels()
+    loaded.check_channels()
     effects = ", ".join(
         f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
     )
-    told = f"model: {arguments.model}, effects: {effects or 'none'}"
+    summary = f"model: {arguments.model}, effects: {effects or 'none'}"
     if drive is not None:
         recording, drive = _commanded(drive, robot, recording)
     if drive is not None:
@@ -230,13 +231,13 @@ def _saved(arguments, source, folder):
         )
         if drive.waits is not None:
             late = f"{1e3 * drive.waits:.3g} ms, as given,"
-        told += f"\ncommands act {late} after they are logged"
+        summary += f"\ncommands act {late} after they are logged"
     return _Task(
         recording=recording,
         rows=np.arange(recording.n_samples),
         robots={"simulated": robot},
-        signals=taken.signals(arguments.signals),
-        told=told,
+        signals=loaded.signals(arguments.signals),
+        summary=summary,
         drive=drive,
     )
 
@@ -279,42 +280,42 @@ def _identified(arguments, source, folder):
     signals = None
     if not arguments.recording:
         demo = load_demo_recording()
-        taken = _input.Taken(recording=demo, urdf=demo.urdf, source=source)
+        loaded = _input.LoadedRecording(recording=demo, urdf=demo.urdf, source=source)
     else:
-        taken = _input.taken(arguments, folder)
-        taken.check_channels()
-        signals = taken.signals(arguments.signals)
-    taken.check(settings)
-    recording = taken.recording
+        loaded = _input.load(arguments, folder)
+        loaded.check_channels()
+        signals = loaded.signals(arguments.signals)
+    loaded.check(settings)
+    recording = loaded.recording
     first, rest = _parts(recording)
     part = _rows_of(recording, first)
     known = {"t": recording.clock()[first], "signals": _at(signals, first)}
     settings["torque_noise"] = recording.torque_noise
-    with blaming(source, taken.gains):
-        robots = _robots(part, str(taken.urdf), library, known, settings)
+    with blaming(source, loaded.gains):
+        robots = _robots(part, str(loaded.urdf), library, known, settings)
     late, drive = "", settings.get("drive")
     if drive is not None:
         last = list(robots.values())[-1]
         recording, drive = _commanded(drive, last, recording)
         said = _input.said_delay(last)
         late = f"no torque was measured: {said}\n" if said else ""
-    told = late + (
+    summary = late + (
         f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
         f"friction: {', '.join(settings['friction']) or 'none'}"
     )
-    if taken.held:
-        told = f"held at zero: {', '.join(taken.held)}\n{told}"
+    if loaded.held:
+        summary = f"held at zero: {', '.join(loaded.held)}\n{summary}"
     if "completed" in robots:
         found = robots["completed"].effects_
         names = recording.joint_names
         listed = ", ".join(f"{one.name} on {names[one.joint]}" for one in found)
-        told += f"; completed by: {listed or 'nothing'}"
+        summary += f"; completed by: {listed or 'nothing'}"
     return _Task(
         recording=recording,
         rows=rest,
         robots=robots,
         signals=_at(signals, rest),
-        told=told,
+        summary=summary,
         drive=drive,
     )
 
@@ -372,7 +373,7 @@ class Simulated:
     recording: object
     rows: np.ndarray  # of the recording that the windows are cut from
     windows: dict  # the same windows of each robot, by its label
-    told: str  # what was identified, some lines
+    summary: str  # what was identified, some lines
     # the same of each recording as a whole, where commands alone drove the robots
     whole: tuple = ()
     left: str = ""  # what is not simulated, and why; empty for nothing
@@ -385,23 +386,23 @@ def errors_text(simulated, seconds):
     """Errors joint by joint, and what became of the windows."""
     windows = simulated.windows
     one = next(iter(windows.values()))
-    whole = ~np.any([own.failed for own in windows.values()], axis=0)
+    whole = ~np.any([result.failed for result in windows.values()], axis=0)
     scale, units = one.scales
     positions, velocities = {"": one.joint_names, "unit": units}, {}
     velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
-    for label, own in (windows | one.rivals).items():
-        errors = own.errors[whole] * scale
+    for label, result in (windows | one.rivals).items():
+        errors = result.errors[whole] * scale
         positions[label] = _over_windows(errors, _rms)
         if label in windows:
             # Heads differ in blanks where two models are simulated.
             head = f"median{' ' * list(windows).index(label)}"
             positions[head] = _over_windows(errors, _median)
-        speeds = own.velocity_errors[whole] * scale
+        speeds = result.velocity_errors[whole] * scale
         velocities[label] = _over_windows(speeds, _rms)
     which = "all" if whole.all() else f"{whole.sum()} of"
     lines = [
         str(simulated.recording),
-        simulated.told,
+        simulated.summary,
         "",
         f"position error over windows of {seconds:g} s, root mean square",
         _tabulated(positions),
@@ -416,46 +417,48 @@ def errors_text(simulated, seconds):
         lines += textwrap.wrap(simulated.left, _WIDTH)
     for text in [text for one in simulated.whole for text in _ended(one)]:
         lines += textwrap.wrap(f"whole recordings: {text}", _WIDTH)
-    for label, own in windows.items():
+    for label, result in windows.items():
         if label == _DESCRIBED:
             continue
         who = f"{label}: " if len(windows) > 1 else ""
-        lines += ["", *_verdict(who, own)]
-        if own.failures:
-            lines.append(who + _failed(simulated, own))
-        if own.run_away.any():
-            lines.append(who + _run_away(simulated, own))
+        lines += ["", *_verdict(who, result)]
+        if result.failures:
+            lines.append(who + _failed(simulated, result))
+        if result.run_away.any():
+            lines.append(who + _run_away(simulated, result))
     return "\n".join(lines)
 
 
 def _said_windows(simulated, count):
     """Say what windows are, and the columns of the table, lines of a terminal."""
-    told = f"{count}, each from the measured state at its start and "
+    summary = f"{count}, each from the measured state at its start and "
     if simulated.whole:
-        told += (
+        summary += (
             "told the recorded commands alone. median: of the windows' position "
             "errors; as told: a robot that is where it is told to be."
         )
     else:
-        told += (
+        summary += (
             "driven by the measured torques. median: of the windows' position errors; "
             "stays, goes on: a robot that stays where it was, and one that keeps its "
             "velocity."
         )
-    return textwrap.wrap(told, _WIDTH)
+    return textwrap.wrap(summary, _WIDTH)
 
 
 def _over_all(simulated):
     """Tabulate errors over whole recordings, where these are simulated; lines."""
     if not simulated.whole:
         return []
-    found = [{**own, **next(iter(own.values())).rivals} for own in simulated.whole]
-    counts = [next(iter(own.values())).t.size for own in simulated.whole]
+    found = [
+        {**result, **next(iter(result.values())).rivals} for result in simulated.whole
+    ]
+    counts = [next(iter(result.values())).t.size for result in simulated.whole]
     scale, units = next(iter(simulated.windows.values())).scales
     columns = {"": next(iter(found[0].values())).joint_names, "unit": units}
     for label in found[0]:
         # One that failed has no error, and neither have all together.
-        squares = [own[label].errors[0] ** 2 for own in found]
+        squares = [result[label].errors[0] ** 2 for result in found]
         errors = scale * np.sqrt(np.average(squares, axis=0, weights=counts))
         columns[label] = _over_windows(errors[None], _rms)
     return [
@@ -471,8 +474,8 @@ def doubts_of(simulated):
     # out of the errors of both.
     windows = simulated.windows
     last = list(windows.values())[-1]
-    failed = [own for own in windows.values() if own.failures]
-    doubts = [f"{_failed_count(own)} failed" for own in failed]
+    failed = [result for result in windows.values() if result.failures]
+    doubts = [f"{_failed_count(result)} failed" for result in failed]
     doubts += [text for one in simulated.whole for text in _ended(one)]
     if last.run_away.any():
         doubts.append(f"{_away_count(last)} joints ran away")
@@ -508,11 +511,11 @@ def _median(errors):
 
 def _verdict(who, windows):
     """Say whether a model was needed for its errors, lines of a terminal."""
-    told = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
-    told += "errors, Student's t at 5 %"
+    summary = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
+    summary += "errors, Student's t at 5 %"
     if windows.failed.any():
-        told += "; a window that failed counts as the worst error of these"
-    return textwrap.wrap(f"{told})", _WIDTH)
+        summary += "; a window that failed counts as the worst error of these"
+    return textwrap.wrap(f"{summary})", _WIDTH)
 
 
 def _failed(simulated, windows):
@@ -526,8 +529,8 @@ def _ended(windows):
     # windows: of one recording as a whole, by label.
     return [
         f"{label}: {one.message}"
-        for label, own in windows.items()
-        for one in own.failures
+        for label, result in windows.items()
+        for one in result.failures
     ]
 
 
@@ -597,14 +600,14 @@ def errors_table(simulated):
         for each in (simulated.windows, *simulated.whole)
         for label, one in each.items()
     ]
-    for label, own in rows:
-        numbers = [own.errors, own.velocity_errors]
-        numbers += [rival.errors for rival in own.rivals.values()]
+    for label, result in rows:
+        numbers = [result.errors, result.velocity_errors]
+        numbers += [rival.errors for rival in result.rivals.values()]
         numbers = scale * np.array(numbers)
-        why = {one.window: one.message for one in own.failures}
-        for k in range(own.n_windows):
-            name, begin, end = _place(simulated, own, k)
-            for j, joint in enumerate(own.joint_names):
+        why = {one.window: one.message for one in result.failures}
+        for k in range(result.n_windows):
+            name, begin, end = _place(simulated, result, k)
+            for j, joint in enumerate(result.joint_names):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
                 row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers[:, k, j]]
                 table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))

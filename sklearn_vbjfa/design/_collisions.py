@@ -156,19 +156,6 @@ class Clearance:
         nearest = self.nearest(q)
         return np.inf if nearest is None else nearest.distance
 
-    def self_collisions(self, q):
-        """Return an `Approach` for each row in which two links are in each other."""
-        # Of two links that meet with several shapes, the deepest.
-        deepest = {}
-        for start, poses in self._pieces(q):
-            rows, pairs = np.nonzero(self._bounds(poses) < 0)
-            found = self._nearest_points(poses, rows, pairs).distance
-            for row, pair, distance in zip(rows, pairs, found):
-                where = (start + int(row), *self.pairs[pair])
-                if distance < min(0.0, deepest.get(where, 0.0)):
-                    deepest[where] = float(distance)
-        return [Approach(*where, distance) for where, distance in deepest.items()]
-
     def _look_at(self, candidates):
         """Take pairs of numbers of shapes as those that are looked at."""
         numbers = np.array(candidates, dtype=int).reshape(-1, 2)

@@ -85,8 +85,7 @@ def torque_signs(model, names, signals):
 
 def unseen_signs(names, findings):
     """Conclude on the signs that nothing shows: one finding or none."""
-    # findings: of all blocks of time, in none of which a sign is seen to be right. A
-    # log whose torques all have the other sign is likelier than one in which just
+    # A log whose torques all have the other sign is likelier than one in which just
     # those are right that cannot be seen.
     wrong = [one for one in findings if one.kind == "torque_sign"]
     seen = {j for one in wrong for j in one.joints}

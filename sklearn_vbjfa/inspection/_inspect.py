@@ -93,21 +93,8 @@ def _are_torques(units):
 
 
 def refusal(findings, units=()):
-    """Return the error that findings are, with the option that mends it; None if none.
-
-    Parameters
-    ----------
-    findings : sequence of ChannelFinding
-        Of a recording.
-    units : sequence of str, default=()
-        Those of the measured torques, one a joint, which factors can turn: factors of
-        currents would have to be those to N m. None for a drive, or unknown gains.
-
-    Returns
-    -------
-    RecordingRefused or None
-        Its options are those of `read_recording`.
-    """
+    """Return a `RecordingRefused` for errors among findings, or None."""
+    # units: of measured torques, whose signs factors can turn; none for a drive.
     errors = [one for one in findings if one.severity == "error"]
     if not errors:
         return None
@@ -192,66 +179,14 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     [('torque_sign', (1,))]
     """
     model, dt = load_model(model), check_dt(dt)
-    blocks = list(_blocks(contiguous_groups(groups, len(q)), model.nv))
-    if len(blocks) == 1:
-        findings, right = _inspected(model, q, tau, dt, groups, drive)
-    else:
-        found = [
-            _inspected(model, q[b], tau[b], dt, np.asarray(groups[b]), drive, b.start)
-            for b in blocks
-        ]
-        findings = _agreed([one for one, _ in found])
-        right = any(right for _, right in found)
+    findings, right = _inspected(model, q, tau, dt, groups, drive)
     if not right:
         findings += unseen_signs(joint_names(model), findings)
     return in_order(findings)
 
 
-# Values of the positions that are looked at together, and what of some recordings holds
-# for all: what is found in any of them, what is found in each, and else what is found
-# in most.
-_AT_ONCE = 1 << 22
-_OF_ANY: tuple[str, ...] = (
-    "repeated_rows",
-    "frozen_position",
-    "frozen_recording",
-    "held_position",
-)
-_OF_ANY += ("held_torque", "clipped_torque", "position_jumps", "position_spikes")
-_OF_ANY += ("torque_spikes", "torque_dropouts")
-_OF_EACH = ("still_joint", "coarse_torque")
-
-
-def _blocks(parts, nv):
-    """Yield rows of some recordings that are inspected together, slices."""
-    start, stop = 0, 0
-    for part in parts:
-        if stop > start and nv * (part.stop - start) > _AT_ONCE:
-            yield slice(start, stop)
-            start = stop
-        stop = part.stop
-    yield slice(start, stop)
-
-
-def _agreed(found):
-    """Return findings that hold for all recordings, from those of some of them."""
-    times, first = {}, {}
-    for findings in found:
-        for one in findings:
-            key = one.kind, one.joints
-            times[key] = times.get(key, 0) + 1
-            first.setdefault(key, one)
-    least = {
-        **dict.fromkeys(_OF_ANY, 1),
-        **dict.fromkeys(_OF_EACH, len(found)),
-    }
-    most = len(found) // 2 + 1
-    return [one for k, one in first.items() if times[k] >= least.get(k[0], most)]
-
-
-def _inspected(model, q, tau, dt, groups, drive, first=0):
-    """Inspect recordings whose rows begin with row `first` of all."""
-    # Returns findings, a list, and whether a sign of a torque is seen to be right.
+def _inspected(model, q, tau, dt, groups, drive):
+    """Return findings, and whether a sign of a torque is seen to be right."""
     q, tau = _check_arrays(model, q, tau)
     names = joint_names(model)
     shuffled = shuffled_rows(names, q, contiguous_groups(groups, len(q)), groups)
@@ -260,8 +195,7 @@ def _inspected(model, q, tau, dt, groups, drive, first=0):
         return shuffled, False
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
-    numbers = rows + first
-    findings, usable, q = inspect_samples(names, q, tau, dt, parts, numbers, revolute)
+    findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
     findings += unlike_channels(names, q, tau, dt, parts)
     if _names(findings, "velocity_as_torque", "copied_position"):
         return findings, False

@@ -239,51 +239,6 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
     assert seen["effects"] == "all"
 
 
-@pytest.mark.slow
-def test_what_is_to_be_corrected_is_in_all_files(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    roll, pitch, gain = np.deg2rad(4.0), np.deg2rad(2.0), 1.15
-    arm = make_robot_recording(
-        duration=20.0,
-        dt=0.01,
-        frequency=1.0,
-        base_tilt=(roll, pitch),
-        torque_gain={1: gain},
-        random_state=2,
-    )
-    write_csv(tmp_path / "arm.csv", arm)
-    options = ["--effects", "base_tilt,torque_gain", "--out", "out"]
-    assert main(["close-loop", "arm.csv", "--urdf", arm.urdf, *options]) == 0
-    text = " ".join(capsys.readouterr().out.split())
-    assert "the base is not level: gravity is turned by roll" in text
-    assert "joint 2: the torque channel reads 1" in text
-    report = json.loads(Path("out/report.json").read_text(encoding="utf-8"))
-    told = report["corrections"]
-    assert told["tilt"]["roll"] == pytest.approx(roll, abs=0.01)
-    assert told["tilt"]["pitch"] == pytest.approx(pitch, abs=0.01)
-    (channel,) = told["gains"]
-    assert channel["joint_name"] == "joint_2"
-    assert channel["gain"] == pytest.approx(gain, abs=0.02)
-    assert (told["zeros"], told["axes"]) == ([], [])
-    by_name = {effect["name"]: effect for effect in report["effects"]}
-    assert set(by_name) == {"base_tilt", "torque_gain"}
-    found = by_name["base_tilt"]
-    assert found["scope"] == "robot"
-    assert found["parameters"]["roll"] == told["tilt"]["roll"]
-    low, high = found["plain"]["roll"]["interval"]
-    assert low < told["tilt"]["roll_degrees"] < high
-    # The files are of one model.
-    with open("out/parameters.csv", newline="", encoding="utf-8") as file:
-        rows = {row["parameter"]: float(row["value"]) for row in csv.DictReader(file)}
-    assert rows["base_tilt:roll"] == pytest.approx(told["tilt"]["roll"], rel=1e-9)
-    assert rows["joint_2:torque_gain:gain"] == pytest.approx(channel["gain"], rel=1e-9)
-    written = Path("out/identified.urdf").read_text(encoding="utf-8")
-    assert f"of joint_2 reads by {channel['gain']:.5g}" in written
-    assert "The base of the recorded robot was not level" in written
-    page = Path("out/report.html").read_text(encoding="utf-8")
-    assert "What to do next" in page
-
-
 # -- gains -----------------------------------------------------------------------------
 
 
@@ -397,54 +352,6 @@ def test_joints_that_cannot_be(joints, message, good, with_hand, capsys):
 # -- stopping --------------------------------------------------------------------------
 
 # -- refusals: the file ----------------------------------------------------------------
-
-
-FAULTS = {
-    "nan": (
-        lambda r: {"q": np.where(np.arange(3000)[:, None] == 98, np.nan, r.q)},
-        r"line 100, column 'q1'.*interpolate them or remove",
-    ),
-    "one joint": (
-        lambda r: {"q": r.q[:, :1], "tau": r.tau[:, :1]},
-        r"1 column\(s\) q for 2 joint\(s\) \(shoulder, elbow\)",
-    ),
-    "three joints": (
-        lambda r: {"q": r.q[:, [0, 1, 1]], "tau": r.tau[:, [0, 1, 1]]},
-        r"3 column\(s\) q for 2 joint\(s\).*leave out surplus columns",
-    ),
-    "fewer torques": (
-        lambda r: {"tau": r.tau[:, :1]},
-        r"2 column\(s\) q \(q1, q2\) and 1 column\(s\) tau \(tau1\)",
-    ),
-    "no time step": (lambda r: {"t": False}, r"no column t and no dt; add time stamps"),
-    "degrees": (
-        lambda r: {"q": np.rad2deg(r.q)},
-        r"degrees: shoulder runs.*multiply the positions",
-    ),
-    "sign": (
-        lambda r: {"tau": r.tau * [1.0, -1.0]},
-        r"torque of elbow has the wrong sign.*multiply it by -1",
-    ),
-    "swapped": (
-        lambda r: {"tau": r.tau[:, ::-1]},
-        r"torques of shoulder and elbow look exchanged.*exchange the columns",
-    ),
-    "short": (
-        lambda r: {"rows": slice(40)},
-        r"the longest recording has 40 samples.*record some tens of seconds",
-    ),
-}
-
-
-@pytest.mark.parametrize("fault", FAULTS)
-def test_faults_of_a_recording(fault, urdf, recording, tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    change, message = FAULTS[fault]
-    source = write_csv(tmp_path / "arm.csv", recording, **change(recording))
-    line = refusal(capsys, source, "--urdf", urdf)
-    assert f"{source}: " in line
-    assert re.search(message, line), line
-    assert not (tmp_path / "arm-report").exists()
 
 
 def test_a_wrong_sign_offers_the_gains_that_turn_it(

@@ -249,7 +249,8 @@ def test_a_robot_is_needed(here, capsys):
     assert "no such robot" in refusal(capsys, "--urdf", "none.urdf")
     Path("empty").mkdir()
     assert "expected the folder" in refusal(capsys, "--report", "empty")
-    Path("empty/report.json").write_text('{"effects": [], "joint_names": ["a"]}')
+    content = {"effects": [], "joint_names": ["a"]}
+    Path("empty/report.json").write_text(json.dumps(content))
     line = refusal(capsys, "--report", "empty")
     assert "identified.json does not exist" in line
     assert "--urdf FILE" in line

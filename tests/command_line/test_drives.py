@@ -15,7 +15,6 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import load_identified
 from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import (
-    fetch_unitree_go2,
     make_robot_recording,
     read_recording,
 )
@@ -269,18 +268,6 @@ def test_currents_are_a_drive(command, signed, run, told, currents):
         assert spread == pytest.approx(sizes, rel=0.2)
 
 
-def test_duty_cycles_are_a_drive(run, told, currents):
-    only = {name: None for name in told}
-    only |= {x.replace("current", "duty"): y / 12.0 for x, y in currents.items()}
-    only |= {x: y for x, y in currents.items() if not x.startswith("current")}
-    only["supply"] = np.full(len(currents["t"]), 12.0)
-    law = "voltage torque_constant=shoulder:4,elbow:2.5 resistance=1"
-    code, out, err = run("inspect", drive=law, **only)
-    assert code == 0, err
-    # back-EMF takes its share
-    assert "signals beside the motion: supply" in out
-
-
 # -- bad input -------------------------------------------------------------------------
 
 REFUSED = {
@@ -353,33 +340,3 @@ def test_gains_of_channels_do_not_go_with_a_drive(run):
 
 
 # -- a measured robot ------------------------------------------------------------------
-
-
-@pytest.mark.slow
-def test_a_leg_of_a_quadruped(tmp_path, monkeypatch, capsys, measured_data_home):
-    """As a file would have it: columns by name, gains as numbers."""
-    try:
-        go2 = fetch_unitree_go2(
-            data_home=measured_data_home, download_if_missing=False
-        ).select(0)
-    except FileNotFoundError:
-        pytest.skip("unitree_go2 is not here")
-    monkeypatch.chdir(tmp_path)
-    columns = {"t": go2.t}
-    for j, name in enumerate(go2.joint_names[:3]):
-        columns[f"q_{name}"] = go2.q[:, j]
-        columns[f"v_{name}"] = go2.v[:, j]
-        columns[f"q_des_{name}"] = go2.signals["q_desired"][:, j]
-    table = np.column_stack(list(columns.values()))
-    np.savetxt("leg.csv", table, "%.9g", ",", header=",".join(columns), comments="")
-    law = "pd kp=hip:20,thigh:20,calf:40 kd=hip:1,thigh:1,calf:2"
-    argv = ["close-loop", "leg.csv", "--urdf", go2.urdf, "--drive", law, *FEW]
-    assert main(argv) in (0, 3)
-    out = " ".join(capsys.readouterr().out.split())
-    with open("leg-report/report.html", encoding="utf-8") as file:
-        assert "No torque was measured" in file.read()
-    assert 0.0 < delay_in(out)[0] < 50.0
-    with open("leg-report/parameters.csv", newline="") as file:
-        names = {row["parameter"] for row in csv.DictReader(file)}
-    assert {"drive:delay", "FL_calf_joint:rotor_inertia"} <= names
-    assert PDDrive().told in go2.signals

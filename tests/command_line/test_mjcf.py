@@ -1,6 +1,5 @@
 """MJCF in place of a URDF, and joints that follow, from the command line."""
 
-import json
 import re
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -12,8 +11,8 @@ import pytest
 pinocchio = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa._cli import main  # noqa: E402
-from sklearn_vbjfa.datasets import make_robot_recording, read_recording  # noqa: E402
-from sklearn_vbjfa.model import joint_names, load_folded, load_model  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.model import joint_names, load_model  # noqa: E402
 
 # A planar arm with a gripper, whose second finger follows the first, a four-bar linkage
 # at its tip, and a loose object beside it.
@@ -132,46 +131,3 @@ def test_held_joints_of_mjcf(write, table, capsys):
             warnings.simplefilter("ignore", UserWarning)
             model = load_model(f"swing-report/{name}")
         assert joint_names(model) == ("shoulder", "elbow")
-
-
-def test_a_follower_needs_no_columns(write, tmp_path, capsys):
-    path = write(ROBOT.format(hand=HAND, more="", after=FOLLOW))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        made = make_robot_recording(str(path), duration=10.0, random_state=0)
-    assert made.joint_names == ("shoulder", "elbow", "grip")
-    # As ROS has it: positions of all joints by name, efforts of those with motors.
-    heads = ["t", *[f"q_{n}" for n in made.joint_names], "q_grip_2"]
-    heads += [f"tau_{n}" for n in made.joint_names]
-    columns = [made.t, *made.q.T, made.q[:, 2], *made.tau.T]
-    source = tmp_path / "grip.csv"
-    np.savetxt(
-        source,
-        np.column_stack(columns),
-        delimiter=",",
-        header=",".join(heads),
-        comments="",
-    )
-    with pytest.warns(UserWarning, match="not taken over"):
-        read = read_recording(source, urdf=path)
-    assert read.joint_names == made.joint_names
-    code, out, _ = run(capsys, "inspect", source, "--urdf", path)
-    assert code == 0
-    said = "follow other joints, without columns: grip_2"
-    assert said in out.splitlines()
-    argv = ["close-loop", source, "--urdf", path, "--effects", "spring"]
-    code, out, _ = run(capsys, *argv)
-    # The column of the follower, which nobody asks for, is no signal, and no doubt.
-    assert code == 0
-    with open("grip-report/report.json", encoding="utf-8") as file:
-        assert json.load(file)["settings"]["signals"] == []
-    assert said in out.splitlines()
-    mimic = ElementTree.parse("grip-report/identified.urdf").find(".//mimic")
-    assert (mimic.get("joint"), mimic.get("multiplier")) == ("grip", "1.0")
-    files = [f"grip-report/identified.{kind}" for kind in ("urdf", "xml")]
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        read = [load_folded(file) for file in files]
-    bodies = [robot.followers[0].parameters for robot in read]
-    np.testing.assert_allclose(*bodies, atol=1e-9)
-    assert bodies[0][0] > 0

@@ -190,6 +190,7 @@ def test_bad_files_of_a_folder_are_left_out(here, capsys):
     assert any("runs/d.csv is a copy of runs/b.csv" in line for line in err)
 
 
+@pytest.mark.slow
 def test_the_loop_is_closed_without_the_odd_files(here, motions, capsys):
     more_joints(motions[2], Path("runs/odd.csv"))
     Path("runs/empty.csv").write_text("")
@@ -209,14 +210,7 @@ def test_the_loop_is_closed_without_the_odd_files(here, motions, capsys):
         assert Path("out", name).read_text() == Path("plain", name).read_text()
 
 
-def test_what_is_wrong_with_all_is_said_of_all(here, capsys):
-    for name in ("a", "b"):
-        path = Path(f"runs/{name}.csv")
-        path.write_text("\n".join(path.read_text().splitlines()[:40]))
-    line = refusal(capsys, "close-loop", "runs/a.csv", "runs/b.csv")
-    assert "runs/a.csv and 1 more: the longest recording has 39 samples" in line
-
-
+@pytest.mark.slow
 def test_signals_that_a_file_lacks_are_said(here, motions, capsys):
     names = ("a", "b", "c")
     for name in names[:2]:

@@ -130,6 +130,7 @@ def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     )
 
 
+@pytest.mark.slow
 def test_effects_are_found_and_compared(good, urdf, capsys):
     options = "--effects", "spring", "--window", "0.5"
     text = run(capsys, good, "--urdf", urdf, *options)
@@ -167,21 +168,6 @@ def test_what_close_loop_writes_is_read(good, urdf, capsys):
     assert f"effects: {', '.join(names) or 'none'}\n" in text
 
 
-def test_joints_may_be_in_another_order(good, saved, recording, capsys):
-    straight = run(capsys, good, "--model", saved)
-    turned = write_csv(
-        good.parent / "turned.csv",
-        recording,
-        q=recording.q[:, ::-1],
-        tau=recording.tau[:, ::-1],
-    )
-    other = run(capsys, turned, "--model", saved, "--joints", "elbow,shoulder")
-    assert tables(other) == tables(straight)
-    line = refusal(capsys, good, "--model", saved, "--joints", "elbow,wrist")
-    assert "--joints must name the joints of" in line
-    assert "(shoulder, elbow)" in line
-
-
 def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     from sklearn_vbjfa import IdentifiedRobot
 
@@ -209,18 +195,6 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     assert len(failed) == 2
     assert {row["position_error"] for row in failed} == {""}
     assert all(row["stays"] for row in failed)
-
-
-def test_windows_lie_within_recordings(urdf, saved, recording, tmp_path, capsys):
-    table = {"q": recording.q, "tau": recording.tau, "dt": recording.dt}
-    segment = np.repeat([0, 1], 500)
-    np.savez(tmp_path / "two.npz", **table, segment=segment)
-    out = tmp_path / "out"
-    run(capsys, tmp_path / "two.npz", "--model", saved, "--out", out)
-    with (out / "simulation.csv").open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file))
-    assert len({row["recording"] for row in rows}) == 2
-    assert max(float(row["to_s"]) for row in rows) <= 5.0
 
 
 @pytest.mark.slow
@@ -284,17 +258,6 @@ def test_a_recording_of_another_rate_is_refused(saved, recording, tmp_path, caps
     line = refusal(capsys, source, "--model", saved)
     assert "slow.npz: is sampled every 0.02 s" in line
     assert "was identified at 0.01 s" in line
-
-
-def test_faults_of_a_recording_are_refused(saved, recording, tmp_path, capsys):
-    q = recording.q.copy()
-    q[98] = np.nan
-    source = write_csv(tmp_path / "arm.csv", recording, q=q)
-    assert "line 100, column 'q1'" in refusal(capsys, source, "--model", saved)
-    tau = recording.tau[:, ::-1]
-    source = write_csv(tmp_path / "arm.csv", recording, tau=tau)
-    line = refusal(capsys, source, "--model", saved)
-    assert "torques of shoulder and elbow look exchanged" in line
 
 
 def test_no_file_is_written_by_half(good, saved, capsys, monkeypatch):

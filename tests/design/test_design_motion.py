@@ -150,6 +150,7 @@ def test_small_robots(tmp_path, kinds):
     assert np.ptp(motion.q, axis=0).min() > 0.3
 
 
+@pytest.mark.slow
 def test_seven_joints_have_a_motion_to_set_out_from(tmp_path):
     kinds = ("revolute",) * 7
     problem, z = problem_of(chain(tmp_path, kinds, effort=120.0))
@@ -179,15 +180,7 @@ def test_a_start_at_a_limit_leaves_a_motion(tmp_path, end):
     assert np.ptp(q, axis=0).min() > 0.05
 
 
-def test_seeds_repeat_and_differ(tmp_path):
-    path = chain(tmp_path, ("revolute",), effort=60.0)
-    one, same, other = (
-        design_motion(path, **{**SHORT, "random_state": seed}) for seed in (0, 0, 1)
-    )
-    np.testing.assert_array_equal(one.q, same.q)
-    assert np.abs(one.q - other.q).max() > 1e-3
-
-
+@pytest.mark.slow
 def test_a_motion_repeats_neither_itself_nor_that_of_another_seed(path, motion):
     other = design_motion(path, limits=limits_of(3), **{**SHORT, "random_state": 1})
     n = len(motion.q)
@@ -202,21 +195,6 @@ def test_a_motion_repeats_neither_itself_nor_that_of_another_seed(path, motion):
         (found,) = find_repetition(again, t, parts).motions()
         assert found.seconds == pytest.approx(SHORT["duration"], abs=0.1)
         assert found.count == pytest.approx(3.0, abs=0.1)
-
-
-def test_asymmetric_ranges(tmp_path):
-    path = chain(tmp_path, ("revolute", "revolute"), effort=80.0)
-    limits = MotionLimits([[1.0, 2.0], [-3.0, -1.0]], [2.0, 2.0], torque=[80.0, 80.0])
-    problem, z = problem_of(path, limits=limits)
-    q = problem.curve.states(z, problem.curve.basis(problem.times()))[:, :2]
-    assert np.all((q > limits.position[:, 0]) & (q < limits.position[:, 1]))
-    assert np.ptp(q, axis=0).min() > 0.1
-
-
-def test_a_duration_is_whole_samples(tmp_path):
-    path = chain(tmp_path, ("revolute",), effort=60.0)
-    problem, _ = problem_of(path, duration=3.009)
-    assert problem.curve.period == pytest.approx(3.0)
 
 
 def test_expected_intervals_are_those_of_least_squares(tmp_path, motion, path):
@@ -322,69 +300,11 @@ def test_louder_encoders_count_against_accelerations(tmp_path):
     np.testing.assert_allclose(found**2 - guessed**2, share, rtol=1e-3)
 
 
-def test_encoders_of_unknown_noise_are_told(tmp_path):
-    """A robot that is identified from pieces too short for a spectrum."""
-    path = chain(tmp_path, ("revolute", "prismatic"), effort=40.0)
-    moved = design_motion(path, limits=limits_of(2), **SHORT)
-    robot = RobotIdentifier(
-        path, dt=0.02, friction=("viscous", "coulomb"), input_noise=None, cutoff=None
-    ).set_params(state_cutoff=10.0)
-    robot.fit(moved.q, moved.tau, np.arange(len(moved.q)) // 15)
-    assert np.isnan(robot.state_estimator_.noise_variance_).all()
-    with pytest.warns(UserWarning, match="noise of .* is not known.*counts as none"):
-        motion = design_motion(robot, limits=limits_of(2), **SHORT)
-    assert motion.within_limits
-    assert np.isfinite(motion.noise).all()
-
-
-def test_a_motion_is_scaled_about_a_pose_that_is_easily_held(tmp_path):
-    # A pendulum of a drive that holds it hanging but not level.
-    from sklearn_vbjfa.design import shrunk
-
-    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0, seed=3)
-    limits = MotionLimits([[-1.5, 1.5]] * 2, [2.0, 2.0], torque=[60.0, 1.15])
-    problem, z = problem_of(path, limits=limits)
-    # Larger, and begun where the pendulum is level and cannot be held.
-    z = 1.3 * z
-    z[:, -1] = [0.0, 0.9]
-    t = problem.times(160)
-    basis = problem.curve.basis(t)
-    found = shrunk(problem, z, t, 0.98)
-    states = problem.curve.states(found, basis)
-    torques = problem.torques(problem.model(states, t))
-    assert np.all(np.abs(torques) <= 0.98 * limits.torque * (1 + 1e-8))
-    assert np.ptp(states[:, :2], axis=0).min() > 0.05
-
-
 def value_of(problem, z):
     """Criterion [nats] of a motion."""
     t = problem.times()
     states = problem.curve.states(z, problem.curve.basis(t))
     return worth(problem.information(states, t[1]), problem.questions).value
-
-
-def test_torques_between_samples_keep_their_limits_without_a_loss(tmp_path):
-    # Dry friction jumps where the load is largest, between two samples.
-    from sklearn_vbjfa.design import optimise, shrunk
-
-    path = chain(tmp_path, ("revolute", "revolute"), effort=2.4, seed=3)
-    problem, z = problem_of(path)
-    own = [one.effect for one in problem.model.effects]
-    sizes = problem.coefficients.copy()
-    for span, effect in zip(problem.model.spans, own):
-        if effect.name == "coulomb":
-            sizes[span] = 0.5
-    problem = replace(problem, coefficients=sizes)
-    t = problem.times(160)
-    found, _ = optimise(problem, [z], t, 0.98)
-    kept = shrunk(problem, found, t, 0.98)
-    assert np.linalg.norm(kept[:, :-1]) > 0.95 * np.linalg.norm(found[:, :-1])
-    states = problem.curve.states(kept, problem.curve.basis(t))
-    torques = problem.torques(problem.model(states, t))
-    assert np.all(np.abs(torques) <= 0.98 * problem.limits.torque * (1 + 1e-8))
-    # What the limits between the samples cost the criterion is next to nothing.
-    loose, _ = optimise(problem, [z], problem.times(), 0.98)
-    assert value_of(problem, kept) > value_of(problem, loose) - 1.0
 
 
 # -- by what anyone can see of a motion ------------------------------------------------

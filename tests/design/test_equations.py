@@ -8,7 +8,7 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.design import Lagrangian, MotionLimits, worth  # noqa: E402
+from sklearn_vbjfa.design import Lagrangian, worth  # noqa: E402
 from tests.design._chains import chain, problem_of  # noqa: E402
 
 KINDS = ("revolute", "prismatic", "continuous")
@@ -135,6 +135,7 @@ def test_gradient_with_effects_to_part(path):
     assert gradient_error(problem, z) < 1e-4
 
 
+@pytest.mark.slow
 def test_gradient_with_effects_that_remember(path):
     problem, z = problem_of(path, effects=("presliding", "spring"))
     assert any(one.remembers for one in problem.model.effects)
@@ -154,44 +155,3 @@ def test_noise_of_all_joints_alike_changes_no_gradient(designed):
     np.testing.assert_allclose(other[1], one[1], rtol=1e-6, atol=1e-6)
     # Each of the columns has three times the standard deviation.
     assert other[0] - one[0] == pytest.approx(problem.model.n_model * np.log(3.0))
-
-
-def in_millimetres(model):
-    """Return a robot in mm and kg: lengths, and with them torques and forces."""
-    made = model.copy()
-    for k in range(1, made.njoints):
-        placement = made.jointPlacements[k]
-        made.jointPlacements[k] = pin.SE3(
-            placement.rotation, 1e3 * placement.translation
-        )
-        body = made.inertias[k]
-        made.inertias[k] = pin.Inertia(body.mass, 1e3 * body.lever, 1e6 * body.inertia)
-    made.gravity = pin.Motion(1e3 * made.gravity.linear, np.zeros(3))
-    return made
-
-
-def test_metres_or_millimetres(tmp_path):
-    path = chain(tmp_path, ("revolute", "prismatic", "revolute"), effort=60.0)
-    metres = pin.buildModelFromUrdf(str(path))
-    unit, torque = np.array([1.0, 1e3, 1.0]), np.array([1e6, 1e3, 1e6])
-    position = np.array([[-1.5, 1.5]] * 3)
-    values, motions = [], []
-    for model, length, size in (
-        (metres, np.ones(3), np.ones(3)),
-        (in_millimetres(metres), unit, torque),
-    ):
-        limits = MotionLimits(
-            length[:, None] * position, 2 * length, torque=60.0 * size
-        )
-        problem, z = problem_of(
-            model, limits=limits, effects=("spring", "load_friction")
-        )
-        t = problem.times()
-        basis = problem.curve.basis(t)
-        states = [problem.curve.states(f * z, basis) for f in (0.9, 1.0)]
-        told = [worth(problem.information(x, t[1]), problem.questions) for x in states]
-        values.append((told[1].value - told[0].value, told[1].alone, told[1].beside))
-        motions.append(states[1] / np.tile(length, 3))
-    np.testing.assert_allclose(motions[1], motions[0], atol=1e-5)
-    for one, other in zip(*values):
-        np.testing.assert_allclose(other, one, rtol=1e-4, atol=1e-6)

@@ -151,6 +151,7 @@ def test_reports_that_are_none(path, tmp_path, loop):
         problem_of(other, report=loop)
 
 
+@pytest.mark.slow
 def test_a_report_bends_the_motion_and_tells_what_it_shows(loop):
     motion = design_motion(
         loop.identifier_, report=loop, duration=3.0, dt=0.02, random_state=0

@@ -130,21 +130,6 @@ def test_two_faults_at_once(seed):
 
 
 @pytest.mark.parametrize(
-    ("rows", "seed"),
-    checkered([1, 2, 5, 16, 63, 64, 65, 90, 130, 200], range(3)),
-)
-def test_short_recordings_are_answered(rows, seed):
-    rng = np.random.default_rng([seed, rows])
-    model, q, tau, dt = robot(300 + seed)
-    for name in rng.choice(list(FAULTS), 3, replace=False):
-        fault = FAULTS[name]
-        if name == "velocities as positions" and rows < 2:
-            continue
-        j = joint_for(model, fault, rng) or 0
-        inspected(model, *fault.put(q[:rows], tau[:rows], dt, j, rng))
-
-
-@pytest.mark.parametrize(
     ("name", "seed"),
     checkered(["wrapped angle", "frozen logger", "positions held"], range(3)),
 )
@@ -157,14 +142,6 @@ def test_faults_of_one_recording_of_two(name, seed):
     q, tau = np.vstack([q, wrong_q]), np.vstack([tau, wrong_tau])
     groups = np.repeat([0, 1], len(wrong_q))
     assert graves(inspected(model, q, tau, dt, groups)) & FAULTS[name].kinds
-
-
-def test_shuffled_rows_with_their_labels():
-    model, q, tau, dt = robot(4)
-    groups = np.repeat([0, 1], [len(q) // 2, len(q) - len(q) // 2])
-    order = np.random.default_rng(0).permutation(len(q))
-    findings = inspected(model, q[order], tau[order], dt, groups[order])
-    assert [finding.kind for finding in findings] == ["shuffled_rows"]
 
 
 # -- measured robots -------------------------------------------------------------------

@@ -1,6 +1,7 @@
 """Accelerations of an identified robot under given torques."""
 
 import functools
+from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import lapack
@@ -61,6 +62,17 @@ def _is_depth_first(model):
     return all(own[-1] - own[0] == len(own) - 1 for own in subtrees)
 
 
+class Found(NamedTuple):
+    """What is found at one state, of each joint (nv,)."""
+
+    a: np.ndarray  # accelerations
+    needed: np.ndarray  # dry friction that would hold a joint that sticks
+    limit: np.ndarray  # largest dry friction
+    # derivatives of the smooth torques by the joint's own position and velocity
+    by_position: np.ndarray
+    by_velocity: np.ndarray
+
+
 class ForwardDynamics:
     """Accelerations of a `TorqueModel`, with its friction, one state at a time."""
 
@@ -100,7 +112,7 @@ class ForwardDynamics:
             self._load_model = with_bodies(robot.model, self._load_bodies)
             self._load_data = self._load_model.createData()
         self.compiled = compiled()
-        self._found = np.zeros((5, self.n_joints))
+        self.found = Found(*np.zeros((5, self.n_joints)))
         self.power, self.mass, self._time = 0.0, None, 0.0
         self._remembers = bool(terms.remembers.any())
         self._asymmetric = bool(terms.inertia.any())
@@ -153,33 +165,6 @@ class ForwardDynamics:
         else:
             remember(*self._own, q.tolist())
 
-    # -- what was found last -----------------------------------------------------------
-
-    @property
-    def a(self):
-        """Accelerations, ndarray (nv,)."""
-        return self._found[0]
-
-    @property
-    def needed(self):
-        """Dry friction that would hold a joint that sticks, ndarray (nv,)."""
-        return self._found[1]
-
-    @property
-    def limit(self):
-        """Largest dry friction, ndarray (nv,)."""
-        return self._found[2]
-
-    @property
-    def by_position(self):
-        """Derivatives of the smooth torques by the joint's own position, (nv,)."""
-        return self._found[3]
-
-    @property
-    def by_velocity(self):
-        """Derivatives of the smooth torques by the joint's own velocity, (nv,)."""
-        return self._found[4]
-
     def potential_energy(self, q):
         """Potential energy of the bodies at positions q (nv,) [J]."""
         return self._pin.computePotentialEnergy(self.model, self._data, q)
@@ -202,10 +187,10 @@ class ForwardDynamics:
             hL = pin.nonLinearEffects(self._load_model, self._load_data, q, v)
         state = q, v, tau, mode, stuck
         if self.terms.others is None:
-            self._found, self.power = self._solved(*state, M, h, ML, hL, None)
+            self.found, self.power = self._solved(*state, M, h, ML, hL, None)
         else:
             self._with_others(*state, M, h, ML, hL)
-        return self._found[0]
+        return self.found.a
 
     @property
     def is_compiled(self):
@@ -216,24 +201,25 @@ class ForwardDynamics:
         """Do a compiled step; (q, v, work, (a, power), error) at its end."""
         # Arguments are those of `explicit_step` in `_compiled`, but the robot.
         own = *step, *self._robot, self._table
-        q, v, work, self.power, error, self._found, self.mass = (
-            self.compiled.explicit_step(q, v, a, power, *own)
+        q, v, work, self.power, error, found, self.mass = self.compiled.explicit_step(
+            q, v, a, power, *own
         )
-        return q, v, work, (self._found[0], self.power), error
+        self.found = Found(*found)
+        return q, v, work, (self.found.a, self.power), error
 
     def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
         """Find accelerations with effects that are not of the library."""
         known = {} if self._signals is None else self._signals.at(self._time)
         own = self.terms.others.at(q, v, self._time, known, mode, stuck)
-        a = self.a
+        a = self.found.a
         for _ in range(_MOST_TANGENTS):
             torque, slopes = own.tangent(a, ML, hL)
             dry = own.dry(a, ML @ a + hL)
             inner = M if slopes is None else M + slopes
-            self._found, self.power = self._solved(
+            self.found, self.power = self._solved(
                 q, v, tau, mode, stuck, inner, h + torque, ML, hL, dry
             )
-            before, a = a, self.a
+            before, a = a, self.found.a
             change = np.abs(a - before).max()
             if slopes is None or change <= _SETTLED * (1.0 + np.abs(a).max()):
                 break
@@ -252,7 +238,8 @@ class ForwardDynamics:
             lines[2] += dry
             table = Table(table.of_load, lines, *table[2:])
         out = np.empty((5, q.size))
-        return out, self.compiled.accelerate(*state, table, self._found[0], out)
+        power = self.compiled.accelerate(*state, table, self.found.a, out)
+        return Found(*out), power
 
     def _solved_plain(self, M, h, ML, hL, tau, q, v, mode, stuck, dry):
         terms, none = self.terms, np.zeros(v.size)
@@ -275,7 +262,7 @@ class ForwardDynamics:
             size = terms.load_dry * mode
             if load_smooth is not None:
                 size = size + load_smooth
-            constant, slope = load_size(ML @ self.a + hL, *terms.load_ends)
+            constant, slope = load_size(ML @ self.found.a + hL, *terms.load_ends)
             for _ in range(MOST_SIGNS):
                 way = size * slope
                 known = rhs - way * hL - size * constant
@@ -295,7 +282,7 @@ class ForwardDynamics:
         moved = tau - placed
         if self._asymmetric:
             moved = moved - terms.inertia @ a
-        found = a, rhs - A @ a, limit, by_position, by_velocity
+        found = Found(a, rhs - A @ a, limit, by_position, by_velocity)
         return found, float(moved @ v)
 
 

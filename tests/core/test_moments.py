@@ -57,14 +57,6 @@ def test_equal_to_numpy(weighted):
     assert_array_equal(stats.S_xx, stats.S_xx.T)
 
 
-def test_about_zero_gives_the_raw_moments():
-    X, y, weight = make_rows(1)
-    scatter = _moments.from_data(X, y, weight).scatter_about(centred=False)
-    assert_allclose(scatter[:-1, :-1], X.T @ (weight[:, None] * X), rtol=1e-12)
-    assert_allclose(scatter[:-1, -1], X.T @ (weight * y), rtol=1e-12)
-    assert_allclose(scatter[-1, -1], weight @ y**2, rtol=1e-12)
-
-
 @settings(max_examples=25, derandomize=True, deadline=None)
 @given(
     seed=st.integers(0, 2**20),

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa._core import _solver, _updates
 from sklearn_vbjfa._core._moments import from_data, standardise
-from sklearn_vbjfa._core._solver import Slope, from_vector, slope, to_vector
+from sklearn_vbjfa._core._solver import from_vector, slope, to_vector
 from sklearn_vbjfa._core._updates import (
     VARIANCE_FLOOR,
     Prior,
@@ -187,45 +187,6 @@ def test_gradient_is_that_of_the_bound(model):
     # Central differences: the bound of size 1e2 is rounded to 1e-14 / 1e-5.
     assert_allclose(found.gradient, numerical, atol=1e-6)
     assert np.all(found.scale > 0)
-
-
-@pytest.mark.parametrize("model", ["jfa", "noise"])
-def test_coordinates_give_the_state_back(model):
-    prior = _problems.make_prior(model, 25, 4)
-    state = _problems.make_state(8, 4, ard=prior.ard, coupled=prior.coupled)
-    again = from_vector(to_vector(state, prior), state, prior)
-    for name in ("w_z_mean", "w_z_var", "w_x_mean", "w_x_var", "psi_z", "psi_x"):
-        assert_allclose(getattr(again, name), getattr(state, name), rtol=1e-14)
-    assert_allclose(again.psi_y, state.psi_y, rtol=1e-14)
-    if not prior.ard:
-        assert_array_equal(again.w_z_var, np.zeros(4))
-
-
-def test_direction_is_that_of_the_dense_update():
-    # The inverse BFGS update of the scaled EM curvature, written out.
-    rng = np.random.default_rng(11)
-    d, n_pairs = 6, 4
-    root = rng.normal(size=(d, d))
-    hessian = root @ root.T + np.eye(d)
-    scale = rng.uniform(0.5, 2.0, d)
-    curvature = _solver.Curvature()
-    pairs = []
-    for _ in range(n_pairs):
-        step = rng.normal(size=d)
-        before = Slope(gradient=rng.normal(size=d), scale=scale)
-        after = Slope(gradient=before.gradient - hessian @ step, scale=scale)
-        curvature.learn(step, before, after)
-        pairs.append((step, hessian @ step))
-    step, change = pairs[-1]
-    inverse = np.diag(scale) * (step @ change) / (change @ (scale * change))
-    for step, change in pairs:
-        left = np.eye(d) - np.outer(step, change) / (step @ change)
-        inverse = left @ inverse @ left.T + np.outer(step, step) / (step @ change)
-    gradient = rng.normal(size=d)
-    found = curvature.direction(Slope(gradient=gradient, scale=scale))
-    assert_allclose(found, inverse @ gradient, rtol=1e-10)
-    curvature.forget()
-    assert curvature.direction(Slope(gradient=gradient, scale=scale)) is None
 
 
 def test_last_digits_of_the_moments_do_not_decide():

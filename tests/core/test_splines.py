@@ -2,8 +2,6 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
 from sklearn_vbjfa._core import _smoothing
@@ -35,29 +33,6 @@ def test_halves_at_all_samples_are_scipys(n, dt, cutoff, shift):
         size = np.abs(expected[order]).max()
         atol = 10 * tolerance(cutoff) * size
         assert_allclose(spline(0, n, order), expected[order], rtol=0, atol=atol)
-
-
-@settings(max_examples=30, derandomize=True, deadline=None)
-@given(
-    n=st.integers(20, 300),
-    cut=st.tuples(st.floats(0, 1), st.floats(0, 1)),
-    case=st.sampled_from(CASES),
-    half=st.sampled_from([(1, 0), (2, 0), (2, 1)]),
-)
-def test_any_stretch_is_that_of_the_whole(n, cut, case, half):
-    every, shift = half
-    dt, cutoff = case
-    spline = _smoothing.fit(
-        wave(n)[shift::every], every * dt, cutoff, every=every, shift=shift
-    )
-    start, stop = sorted(int(c * n) for c in cut)
-    stop = max(stop, start + 1)
-    for order in range(3):
-        whole = spline(0, n + 1, order)
-        size = np.abs(whole).max()
-        assert_allclose(
-            spline(start, stop, order), whole[start:stop], rtol=0, atol=1e-13 * size
-        )
 
 
 @pytest.mark.parametrize(

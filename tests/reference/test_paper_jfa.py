@@ -191,6 +191,20 @@ def test_eq19_printed_breaks_em():
 # ---------------------------------------------------------------------------------
 
 
+def test_joint_covariance_by_hand():
+    params = make_jfa_params(3, 2)
+    Sigma = ref.joint_covariance(params)
+    var_z = params.w_z**2 + params.psi_z
+    assert_allclose(Sigma[:2, :2], np.eye(2))
+    assert_allclose(
+        np.diag(Sigma),
+        [1.0, 1.0, *var_z, *(params.w_x**2 + params.psi_x), var_z.sum() + params.psi_y],
+    )
+    assert_allclose(Sigma[4:6, 6], params.w_x * params.w_z)
+    assert_allclose(Sigma[2:4, 6], var_z)
+    assert_allclose(Sigma[2:4, 4:6], np.diag(params.w_x * params.w_z))
+
+
 @pytest.mark.parametrize("n_features", N_FEATURES)
 @pytest.mark.parametrize("seed", SEEDS)
 def test_em_increases_likelihood(seed, n_features):
@@ -465,6 +479,23 @@ def test_bound_is_below_the_evidence(seed):
     assert np.log(2.0) < evidence - best < 2.5
 
 
+def test_bound_is_on_the_joint_density_not_on_y_given_X():
+    # The paper calls the bounded quantity log p(y | X); eq. 6 holds log p(x | t) too.
+    X, y = make_data(0, 1, n_samples=20)
+    X = 0.1 * X
+    params = make_vb_params(0, 1)
+    params = replace(
+        params,
+        w_x_mean=0.1 * params.w_x_mean,
+        w_x_var=0.01 * params.w_x_var,
+        psi_x=0.01 * params.psi_x,
+    )
+    noise = {"psi_y": params.psi_y, "psi_z": params.psi_z[0], "psi_x": params.psi_x[0]}
+    joint, inputs = log_evidence(X[:, 0], y, **noise, **ARD, n_grid=801)
+    bound = ref.elbo(fit_fixed_noise(params, X, y, **ARD, n_iter=60), X, y, **ARD)
+    assert joint - inputs < bound < joint
+
+
 # ---------------------------------------------------------------------------------
 # Misprints of eqs. 5 and 6
 # ---------------------------------------------------------------------------------
@@ -483,6 +514,20 @@ def test_eq5_printed_is_false(block):
     for name in BLOCKS[block]:
         assert_allclose(gradient(right, new, name), 0.0, atol=1e-5)
         assert np.abs(gradient(printed, new, name)).min() > 1e-3
+
+
+def test_eq5_printed_bound_falls():
+    # From the optimum of the printed bound in q(w_x), the paper's eqs. 10-11 go down.
+    X, y = make_data(3, 2)
+    params = make_vb_params(3, 2)
+    posterior = ref.posterior_zt(X, y, **params.moments())
+    mean, var = ref.update_w_x(posterior, X, y, psi_x=params.psi_x, E_alpha=0.0)
+    params = replace(params, w_x_mean=mean, w_x_var=var)
+    new = update_block("w_x", params, posterior, X, y, **ARD)
+    right = partial(ref.elbo, X=X, y=y, **ARD, posterior=posterior)
+    printed = partial(ref.elbo_eq5_printed, X=X, y=y, **ARD, posterior=posterior)
+    assert right(new) > right(params) + 1e-3
+    assert printed(new) < printed(params) - 1e-3
 
 
 @pytest.mark.parametrize("ard", [1e-6, 1.5])
@@ -567,6 +612,25 @@ def test_eq29_is_the_limit_without_input_noise(seed, n_features):
     # y = sum_m w_zm t_m at the noiseless input x_m = w_xm t_m.
     t = np.random.default_rng(seed).normal(size=n_features)
     assert_allclose(literal @ (params.w_x * t), params.w_z @ t, rtol=1e-9)
+
+
+def test_eq29_is_not_the_limit_with_second_moments():
+    # Only with point estimates, as the text of section 3.3 says, does the limit of
+    # eq. 27 give eq. 29: a variance of w_x does not vanish with psi_x.
+    params = make_vb_params(0, 3)
+    limit = ref.beta_noise_eq27(
+        params.w_z_mean,
+        params.w_x_mean,
+        params.psi_y,
+        params.psi_z,
+        1e-8 * params.psi_x,
+        w_z_var=params.w_z_var,
+        w_x_var=params.w_x_var,
+    )
+    second_moment = params.w_x_mean**2 + params.w_x_var
+    assert_allclose(limit, params.w_z_mean * params.w_x_mean / second_moment, rtol=1e-5)
+    ratio = limit / ref.beta_true_closed(params.w_z_mean, params.w_x_mean)
+    assert np.all(ratio < 0.99)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -656,6 +720,12 @@ def test_eq30_admits_an_inertia_without_mass_distribution():
         assert real[0] + real[1] >= real[2]
 
 
+def test_eq30_does_not_keep_mass_and_friction_positive():
+    theta = ref.virtual_to_theta(np.zeros(11))
+    assert theta[0] == 0.0
+    assert theta[10] == 0.0
+
+
 def random_virtual(seed):
     """Draw a body where eq. 30 is one to one: positive roots and diagonal."""
     masses, positions = point_masses(seed)
@@ -677,3 +747,37 @@ def test_projection_has_many_global_minima():
     assert_allclose(objective(mirrored), 0.0, atol=1e-12)
     # Convex would mean at most 0 at the midpoint, a body without mass.
     assert objective(0.5 * (virtual + mirrored)) > 1.0
+
+
+def test_projection_is_not_convex_among_positive_roots():
+    # Nor is it the mirror images alone: m c = 1 is a curved set of (sqrt(m), c). Two
+    # bodies with one first moment, the metric weighing nothing else.
+    light = virtual_of(1.0, np.array([1.0, 0.0, 0.0]), np.eye(3), 0.1)
+    heavy = virtual_of(4.0, np.array([0.25, 0.0, 0.0]), np.eye(3), 0.1)
+    target = ref.virtual_to_theta(light)
+    metric = np.diag([0.0, 1.0, 0, 0, 0, 0, 0, 0, 0, 0, 0])
+    objective = partial(ref.projection_objective, theta_uc=target, metric=metric)
+    assert_allclose([objective(light), objective(heavy)], 0.0, atol=1e-12)
+    # sqrt(m) = 1.5 and c = 0.625 give m c = 1.40625.
+    assert_allclose(objective(0.5 * (light + heavy)), 0.5 * 0.40625**2, rtol=1e-12)
+    # The same with every parameter weighed: add a small positive definite metric.
+    objective = partial(
+        ref.projection_objective, theta_uc=target, metric=metric + 1e-3 * np.eye(11)
+    )
+    chord = 0.5 * (objective(light) + objective(heavy))
+    assert objective(0.5 * (light + heavy)) > chord + 0.05
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_set_of_eq30_is_convex_in_theta(seed):
+    # What can be said instead: in theta the feasible set is convex, as the inertia
+    # about the centre of mass is a Schur complement of [[I, S], [S', m 1]].
+    left = ref.virtual_to_theta(random_virtual(seed))
+    right = ref.virtual_to_theta(random_virtual(seed + 100))
+    theta = 0.5 * (left + right)
+    assert theta[0] > 0.0
+    assert np.linalg.eigvalsh(ref.theta_to_inertia_com(theta)).min() > 0.0
+    x, y, z = theta[1:4]
+    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    schur = ref.theta_to_inertia(theta) - S @ S.T / theta[0]
+    assert_allclose(ref.theta_to_inertia_com(theta), schur, atol=1e-12)

@@ -124,14 +124,6 @@ def test_duplicate_and_constant_features(factor):
     assert_allclose(model.predict(wide), reference.predict(X), rtol=1e-8)
 
 
-def test_instruments_that_miss_a_direction():
-    X, y, Z, _ = make_repeated(3)
-    model = InstrumentalVariables().fit(X, y, instruments=Z[:, [0, 1, 1]])
-    assert model.rank_ == 2
-    assert np.all(np.isfinite(model.coef_))
-    assert np.all(np.isinf(model.coef_std_))
-
-
 @pytest.mark.parametrize("n_samples", [2, 6, 20])
 def test_more_features_than_samples(n_samples):
     X, y, _, _ = make_repeated(4, n_samples=n_samples, n_features=20)

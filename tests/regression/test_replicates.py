@@ -78,18 +78,6 @@ def test_means_have_less_noise():
     assert np.all(np.abs(model.coef_ - COEF) < 4 * model.coef_std_)
 
 
-def test_no_noise_is_bayesian_regression_on_exact_inputs():
-    X, y, labels, _ = make_units(6, 200, noise=0.0)
-    # A large offset, which would leave rounding of the means as noise.
-    noise = replicate_noise(X.reshape(-1, 3) + 1e6, labels)
-    assert_array_equal(noise.covariance, 0.0)
-    told = VBJFARegressor(input_noise=noise).fit(X[0], y)
-    exact = VBJFARegressor(input_noise=0.0).fit(X[0], y)
-    assert_array_equal(told.coef_noiseless_, told.coef_noisy_)
-    assert_allclose(told.coef_, exact.coef_, rtol=1e-9)
-    assert_allclose(told.coef_std_, exact.coef_std_, rtol=1e-9)
-
-
 def test_few_replicates_widen_the_intervals():
     X, y, labels, _ = make_units(7, 2000)
     noise = replicate_noise(X.reshape(-1, 3), labels)

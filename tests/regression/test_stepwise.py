@@ -7,9 +7,6 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy import stats
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.model_selection import GridSearchCV
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 
 from sklearn_vbjfa import StepwiseRegressor
 from sklearn_vbjfa.regression import select_features, sweep
@@ -287,13 +284,3 @@ def test_bad_input(hald):
         StepwiseRegressor().fit(X, y, sample_weight=np.zeros(13))
     with pytest.raises(ValueError, match="'p_enter' parameter of StepwiseRegressor"):
         StepwiseRegressor(p_enter=0.0).fit(X, y)
-
-
-def test_last_step_of_a_searched_pipeline():
-    X, y, _ = make_collinear(4, n_samples=100)
-    search = GridSearchCV(
-        make_pipeline(StandardScaler(), StepwiseRegressor()),
-        {"stepwiseregressor__p_enter": [0.001, 0.05]},
-    ).fit(X, y)
-    assert search.best_estimator_[-1].selected_.any()
-    assert search.score(X, y) > 0

@@ -1,9 +1,4 @@
-"""Recordings of motions as planned, simulated by inverse dynamics, with their truth.
-
-The torques of undeclared effects are written apart from the library of effects, so that
-what finds them is not what made them: a smooth sign where the library has a sharp one,
-elements that slip one by one where it has Dahl's equation.
-"""
+"""Recordings of motions as planned, simulated by inverse dynamics, with their truth."""
 
 from dataclasses import dataclass, field, replace
 

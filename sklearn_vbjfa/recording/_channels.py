@@ -1,8 +1,4 @@
-"""The columns of a file as channels of the robot's joints, in their order.
-
-A file whose columns are not recognised is refused: with all that is missing at once,
-the columns that come nearest to it, and the options with which it would be read.
-"""
+"""The columns of a file as channels of the robot's joints, in their order."""
 
 import re
 from collections import Counter

@@ -1,9 +1,4 @@
-"""Columns that a caller gives: those of the joints, and signals beside them.
-
-A temperature, a voltage, the state of a tool are conditions of the robot that its
-friction may vary with. What is merely the motion or the torque under another name (a
-motor current, a reference) explains the torque by itself, and is none; nor is a clock.
-"""
+"""Columns that a caller gives: those of the joints, and signals beside them."""
 
 import itertools
 import re

@@ -1,9 +1,4 @@
-"""Drives: what a robot is told in place of torques, and the torques that follow.
-
-A drive turns a recording of commands into one of torques. Of what it was told, the part
-that follows from commands alone is kept as `Recording.command`: a delay moves that part
-and not the one that the drive makes of the positions it measures.
-"""
+"""Drives: what a robot is told in place of torques, and the torques that follow."""
 
 import re
 import warnings
@@ -83,18 +78,7 @@ class Drive(BaseEstimator):
         )
 
     def facts(self, recording):
-        """Return what a report says of the drive, a dict of numbers and lists.
-
-        Parameters
-        ----------
-        recording : Recording
-            As `driven` has made it.
-
-        Returns
-        -------
-        dict
-            Empty for nothing.
-        """
+        """Return what a report says of the drive, a dict of numbers and lists."""
         return {}
 
     def taken(self, y, signals):
@@ -337,25 +321,7 @@ class PDDrive(Drive):
     # -- in simulation -----------------------------------------------------------------
 
     def updates(self, dt, usual=None):
-        """Return how often torques are set in a sample period.
-
-        Parameters
-        ----------
-        dt : float
-            Sample period of the recording [s].
-        usual : float, default=None
-            Time [s] between them where the drive has no `period`; None for `dt`.
-
-        Returns
-        -------
-        int
-            Number of updates, at least one.
-
-        Raises
-        ------
-        ValueError
-            If `period` is not a positive time, or longer than the sample period.
-        """
+        """Return how often torques are set in a sample period."""
         if self.period is None:
             return 1 if usual is None else max(round(dt / usual), 1)
         try:
@@ -376,25 +342,7 @@ class PDDrive(Drive):
         return _by_joint("saturation", limit, names, finite=False)
 
     def law(self, names, recording=None):
-        """Gains of position and velocity of joints, with the gear.
-
-        Parameters
-        ----------
-        names : sequence of str
-            Names of the joints.
-        recording : Recording, default=None
-            Where gains that the drive does not have are looked for, in its channels.
-
-        Returns
-        -------
-        kp, kd : ndarray of shape (nv,) or (n_samples, nv)
-            Gains.
-
-        Raises
-        ------
-        ValueError
-            If they are missing, not finite, negative, or of another number of joints.
-        """
+        """Gains of position and velocity of joints, with the gear."""
         gear = _by_joint("gear", self.gear, names, least=None)
         return tuple(gear * self._gain(one, names, recording) for one in ("kp", "kd"))
 
@@ -416,22 +364,7 @@ class PDDrive(Drive):
         return values
 
     def torque(self, q_desired, v_desired, q, v, names=None):
-        """Torques of the law at no delay.
-
-        Parameters
-        ----------
-        q_desired, v_desired : ndarray of shape (..., nv)
-            Command [rad or m, and per s].
-        q, v : ndarray of shape (..., nv)
-            State.
-        names : sequence of str, default=None
-            Names of the joints, for gains by name.
-
-        Returns
-        -------
-        ndarray of shape (..., nv)
-            Torques, in the unit of the gains, within `saturation`.
-        """
+        """Torques of the law at no delay."""
         nv = np.shape(q)[-1]
         names = [str(j) for j in range(nv)] if names is None else names
         kp, kd = self.law(names)

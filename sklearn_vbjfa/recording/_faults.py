@@ -1,9 +1,4 @@
-"""Faults visible in the samples of a recording alone, without a robot model.
-
-Loggers, clocks and angle conversions leave rows out of order, wrapped or duplicated;
-single channels may be held at a lower rate, clipped, coarsely quantised, frozen or
-contain outliers. `inspect_samples` checks for all of them.
-"""
+"""Faults visible in the samples of a recording alone, without a robot model."""
 
 from dataclasses import dataclass
 

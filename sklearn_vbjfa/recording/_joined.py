@@ -1,8 +1,4 @@
-"""Files of one recording side by side: positions in one, torques in another.
-
-Each column comes from one file. Rows go by the stamps where files have their own, or
-one by one where the files have as many and no stamps. What was done is a note.
-"""
+"""Files of one recording side by side: positions in one, torques in another."""
 
 import functools
 from dataclasses import dataclass, replace

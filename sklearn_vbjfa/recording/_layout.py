@@ -1,12 +1,4 @@
-"""Which columns of a file are which channels, and in which units they are.
-
-A mapping renames: ``q=actual_q_{i}`` says that the column actual_q_3 is what this
-package calls q3. Presets are mappings with names that tools give. What is renamed is
-looked at like a file that has these names.
-
-A unit stands in brackets behind a name (``q1 [deg]``, ``tau1 (Nm)``, ``t / ms``) or is
-its last part (``q1_deg``, ``t_ns``).
-"""
+"""Which columns of a file are which channels, and in which units they are."""
 
 import re
 from collections.abc import Mapping

@@ -1,8 +1,4 @@
-"""Names of columns that tools for robots give to the channels that they log.
-
-Each preset is a tool or a maker, each of its logs one way to write its channels:
-patterns in which ``{i}`` stands for the number of a joint and ``{joint}`` for its name.
-"""
+"""Names of columns that tools for robots give to the channels that they log."""
 
 import itertools
 from collections.abc import Mapping

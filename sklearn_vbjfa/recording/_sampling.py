@@ -1,15 +1,4 @@
-"""When rows were sampled, by their time stamps, and recordings on a uniform time grid.
-
-Stamps are irregular for three reasons. A steady sampling was stamped late: the rows are
-taken as they are. Rows are missing: these are interpolated. The robot was really
-sampled at irregular times: all is interpolated. Positions tell the first from the last,
-as they are smooth functions of the time at which they were sampled, and of no other.
-
-The logs of measured sets, which the loaders know, go through `join`: their period is
-given, their stamps are those of the sampling. A user's file goes through `on_grid`,
-which asks the stamps first what they are; several of them then go through
-`on_one_grid`.
-"""
+"""Sample times by time stamps, and recordings on a uniform time grid."""
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -1,7 +1,4 @@
-"""Formats of files, a module each, and how files are opened: unpacked, out of pipes.
-
-The ending tells the format, or the first bytes where there is none, as in a pipe.
-"""
+"""Formats of files, a module each, and how files are opened: unpacked, out of pipes."""
 
 import bz2
 import contextlib
@@ -131,10 +128,7 @@ def tables_in(path):
 
 
 def recordings_in(path):
-    """Return the tables, bags and data sets of a folder, in order; itself if it is one.
-
-    Files of bags without a description are a recording each.
-    """
+    """Return the tables, bags and data sets of a folder, or itself if it is one."""
     path = expanded(path)
     if _is_one(path, [mark for mark in _MARKS if "*" not in mark]):
         return [path]

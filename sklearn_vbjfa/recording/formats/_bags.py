@@ -1,9 +1,4 @@
-"""Joint states out of bags of ROS 1 and ROS 2, and MCAP files, without ROS.
-
-A message names its joints, in any order and not always the same ones: drivers of an arm
-and of a gripper may publish on one topic. The joints are taken that give most samples,
-from all messages that have them.
-"""
+"""Joint states out of bags of ROS 1 and ROS 2, and MCAP files, without ROS."""
 
 import difflib
 import re

@@ -1,10 +1,4 @@
-"""Tables out of text: separators guessed, numbers with points or commas.
-
-Text goes through numpy, or line by line where a cell is not a plain number, so that a
-refusal names the line and the column. A reader of data frames would be no shorter: it
-takes most damaged tables for good ones (short rows, names that come twice, decimal
-commas between commas) and does not know the line that a row came from.
-"""
+"""Tables out of text: separators guessed, numbers with points or commas."""
 
 import array
 import codecs

@@ -133,25 +133,6 @@ def test_names_may_stand_beside_a_matrix(kind, made, tmp_path):
     assert "'data'" in note
 
 
-def test_names_that_come_twice_are_refused(made, tmp_path):
-    path = tmp_path / "log.npz"
-    names = ["t", *(12 * ["q1"])]
-    np.savez(path, data=numbers(made, ("q", "tau")), names=np.array(names))
-    with pytest.raises(
-        ValueError, match="'q1' is there twice, by the names in 'names'"
-    ):
-        read_recording(path)
-
-
-def test_a_comment_names_columns_only_if_it_has_as_many_cells(made, tmp_path):
-    matrix = numbers(made, ("q", "tau"))
-    path = written(tmp_path / "log.txt", matrix, " ", "# recorded on Monday")
-    assert "has no names of columns" in refused(path, made).reason
-    names = " ".join(["t", *(f"{x}{k + 1}" for x in ("q", "tau") for k in range(DOF))])
-    recording, _ = read(written(path, matrix, " ", f"# {names}"), made)
-    assert_same(recording, made)
-
-
 # -- JSON ------------------------------------------------------------------------------
 
 
@@ -230,14 +211,6 @@ def test_a_last_line_that_is_cut_is_left_out_with_a_word(cut, made, text, tmp_pa
     assert any("the last line is cut" in x for x in notes)
 
 
-def test_a_whole_last_line_needs_no_end(made, text, tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([text[0], *text[1]]))
-    recording, notes = read(path, made)
-    assert_same(recording, made)
-    assert not notes
-
-
 def test_a_short_line_in_the_middle_is_still_refused(made, text, tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(
@@ -303,21 +276,4 @@ def test_matlab_with_an_object_beside_arrays(compressed, made, tmp_path):
     assert any("1 object(s) of MATLAB's own classes are left out" in x for x in notes)
 
 
-def test_matlab_with_nothing_but_an_object(made, tmp_path):
-    from scipy.io import savemat
-
-    path = tmp_path / "log.mat"
-    savemat(path, {})
-    path.write_bytes(path.read_bytes() + opaque())
-    assert "holds objects of MATLAB, such as a table" in str(refused(path, made))
-
-
 # -- currents --------------------------------------------------------------------------
-
-
-def test_columns_i_are_offered_as_currents(made, text, tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("\n".join([text[0].replace("tau", "i"), *text[1]]) + "\n")
-    options = refused(path, made).options
-    assert options == {"columns": "tau=i{i}", "gains": "unknown"}
-    assert set(read(path, made, **options)[0].torque_units) == {"A"}

@@ -11,7 +11,6 @@ import pytest
 pytest.importorskip("rosbags")
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
-from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._bags import States, states, write_ros1, write_ros2
 
 N, DT = 80, 0.01
@@ -193,16 +192,6 @@ def test_sensors_and_joints_that_were_not_recorded(tmp_path, made):
     assert "no columns of joint(s) joint_5, joint_6: held at zero" in said
 
 
-def test_joints_of_another_prefix_are_asked_for(tmp_path, made):
-    joints = [name.replace("joint_", "fer_joint") for name in made.joint_names]
-    file = write_ros2(tmp_path / "bag", [states(made.t, joints, made.q, made.tau)])
-    text, options = refused(file, urdf=made.urdf)
-    assert "its joints fer_joint1, fer_joint2" in text
-    assert "are not those of the robot, joint_1, joint_2" in text
-    recording, _ = read(file, urdf=made.urdf, **options)
-    np.testing.assert_array_equal(recording.q, made.q)
-
-
 # -- what is refused -------------------------------------------------------------------
 
 
@@ -234,11 +223,6 @@ def test_the_only_topic_with_efforts_of_the_robot_is_taken(tmp_path):
     command = arm(topic="/command", tau=N * [[]])
     recording, _ = read(write_ros2(tmp_path / "bag", [command, arm()]))
     np.testing.assert_array_equal(recording.tau, TAU)
-
-
-def test_states_without_efforts(tmp_path):
-    text, _ = refused(write_ros2(tmp_path / "bag", [arm(tau=N * [[]])]))
-    assert "none of the 80 messages of /joint_states has positions and efforts" in text
 
 
 @pytest.mark.parametrize("part", [0.02, 0.5, 0.9])
@@ -273,19 +257,6 @@ def test_damage_never_ends_in_another_error(write):
     assert not any("\n" in text for text in messages)
 
 
-def test_unknown_compression(tmp_path):
-    file = write_ros1(tmp_path / "arm.bag", [arm()], "BZ2")
-    content = file.read_bytes()
-    assert b"compression=bz2" in content
-    file.write_bytes(content.replace(b"compression=bz2", b"compression=xyz"))
-    text, _ = refused(file)
-    assert "rosbag decompress" in text
-    packed = file.rename(tmp_path / "arm.db3.lz4")
-    text, _ = refused(packed)
-    assert "is packed as lz4, expected .csv, .xlsx" in text
-    assert text.endswith(f"unpack it first: lz4 -d {packed}")
-
-
 @pytest.mark.parametrize("mode", ["FILE", "MESSAGE", "STORAGE"])
 def test_bags_packed_by_zstandard(tmp_path, mode):
     plugin = "MCAP" if mode == "STORAGE" else "SQLITE3"
@@ -296,40 +267,6 @@ def test_bags_packed_by_zstandard(tmp_path, mode):
     content = file.read_bytes()
     file.write_bytes(content[: len(content) // 2])
     refused(file)
-
-
-def test_a_topic_is_one_of_a_bag(tmp_path):
-    path = tmp_path / "arm.csv"
-    path.write_text("t,q1,tau1\n0,1,2\n")
-    text, _ = refused(path, topic="/joint_states")
-    assert "is not a bag, so it has no topic '/joint_states'" in text
-
-
-def test_bags_without_rosbags_name_the_package(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "rosbags.highlevel", None)
-    path = tmp_path / "arm.db3"
-    path.write_bytes(b"SQLite format 3\0")
-    with pytest.raises(ImportError, match="pip install rosbags"):
-        read_recording(path)
-
-
-def test_a_refusal_carries_options(tmp_path):
-    topics = [arm(), arm(topic="/b")]
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(write_ros2(tmp_path / "bag", topics))
-    assert caught.value.options == {"topic": "/b"}
-    assert str(caught.value).endswith("; try topic='/b'.")
-
-
-def test_a_topic_that_is_misspelled(tmp_path):
-    file = write_ros2(tmp_path / "bag", [arm(), arm(topic="/left/joint_states")])
-    text, options = refused(file, topic="/joint_state")
-    assert "has no topic /joint_state; it holds /joint_states (" in text
-    assert options == {"topic": "/joint_states"}
-    recording, _ = read(file, **options)
-    np.testing.assert_array_equal(recording.q, Q)
-    _, options = refused(file, topic="/tf")
-    assert options == {}
 
 
 def test_a_driver_that_does_not_know_yet(tmp_path):
@@ -353,54 +290,6 @@ def test_a_joint_whose_effort_nobody_knows(tmp_path, made):
     file = write_ros2(tmp_path / "none", [arm(tau=np.full_like(TAU, np.nan))])
     text, _ = refused(file)
     assert "none of the 80 messages of /joint_states has positions and efforts" in text
-
-
-def test_messages_are_counted_from_the_first(tmp_path):
-    late = arm(tau=np.where(T[:, None] < 0.1, np.nan, TAU))
-    late.q[20] = np.array([1e15, 0, 0])
-    text, _ = refused(write_ros2(tmp_path / "bag", [late]))
-    assert "1e+15 in message 21, column" in text
-
-
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("arm.db3", b"", "is called .db3 and is empty"),
-        ("arm.bag", b"hello", "is called .bag and does not begin like one"),
-        ("arm.mcap", b"#ROSBAG V2.0\n", "is called .mcap and does not begin like one"),
-    ],
-)
-def test_a_file_that_is_no_bag(tmp_path, name, content, message):
-    path = tmp_path / name
-    path.write_bytes(content)
-    assert message in refused(path)[0]
-
-
-def test_a_folder_says_what_it_holds(tmp_path):
-    folder = tmp_path / "logs"
-    folder.mkdir()
-    assert "It holds nothing." in refused(folder)[0]
-    (folder / "a.md").write_text("t,q1\n")
-    assert "It holds a.md." in refused(folder)[0]
-    (folder / "bag.db3.lz4").write_bytes(b"1")
-    text = str(refused_at(folder / "bag.db3.lz4", folder))
-    assert text.endswith(f"unpack it first: lz4 -d {folder / 'bag.db3.lz4'}")
-
-
-def refused_at(named, path):
-    """Return the refusal of a path that names another one."""
-    with pytest.raises(ValueError, match=str(named)) as caught:
-        read_recording(path)
-    return caught.value
-
-
-def test_a_bag_of_unknown_compression_names_the_tool(tmp_path):
-    file = write_ros2(tmp_path / "bag", [arm()], packed="MESSAGE")
-    description = file.parent / "metadata.yaml"
-    description.write_text(description.read_text().replace("zstd", "lz9"))
-    text, _ = refused(file.parent)
-    assert f"ros2 bag convert -i {file.parent} -o plain.yaml" in text
-    assert "output_bags: [{uri: plain, all_topics: true}]" in text
 
 
 # -- commanded positions ---------------------------------------------------------------
@@ -431,13 +320,6 @@ def test_without_a_drive_commands_are_no_states(tmp_path):
     file = write_ros1(tmp_path / "arm.bag", [arm(), told()])
     recording, _ = read(file, joint_names=JOINTS)
     np.testing.assert_allclose(recording.tau, TAU, atol=1e-9)
-
-
-def test_a_bag_without_commands_says_what_to_record(tmp_path):
-    file = write_ros1(tmp_path / "arm.bag", [arm()])
-    text, _ = refused(file, drive=DRIVE)
-    assert "0 of commanded ones" in text
-    assert "control_msgs/JointTrajectoryControllerState" in text
 
 
 CONTROLLER = """std_msgs/Header header

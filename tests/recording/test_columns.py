@@ -9,8 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.inspection import inspect_channels
-from sklearn_vbjfa.recording import positions_in_order, torques_in_order
-from sklearn_vbjfa.robot._recording_checks import warn_of_disorder
+from sklearn_vbjfa.recording import positions_in_order
 
 pandas = pytest.importorskip("pandas")
 
@@ -64,13 +63,6 @@ def test_states_by_name():
     np.testing.assert_array_equal(positions_in_order(shuffled, NAMES), values)
 
 
-def test_without_names_places_count():
-    values = np.arange(12.0).reshape(2, 6)
-    assert positions_in_order(values, NAMES) is values
-    numbered = pandas.DataFrame(values)
-    assert torques_in_order(numbered, NAMES) is numbered
-
-
 def test_foreign_names_are_refused(simulated):
     X = pandas.DataFrame(simulated.q, columns=[*NAMES[:5], "gripper"])
     with pytest.raises(ValueError, match="of which gripper name no joint") as caught:
@@ -108,13 +100,3 @@ def test_shuffled_rows_are_told_of(simulated):
     order = np.random.default_rng(0).permutation(simulated.n_samples)
     said = messages(simulated, order, None)
     assert said[0].startswith("The rows are not in the order of time")
-
-
-@pytest.mark.parametrize("n", range(1, 20))
-def test_recordings_of_a_few_rows_are_looked_at(simulated, n):
-    """A jump needs samples around it; there is none to be had here."""
-    q = simulated.q[:n].copy()
-    q[n // 2 :] += 1.0
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warn_of_disorder(NAMES, q[: min(n, 15)], [slice(0, min(n, 15))], None)

@@ -8,7 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from sklearn_vbjfa.datasets import read_recording
-from sklearn_vbjfa.recording import PRESETS, PDDrive, RecordingRefused, parse_drive
+from sklearn_vbjfa.recording import PDDrive, RecordingRefused, parse_drive
 from tests.recording.test_reader import DT, N, write
 
 KP, KD = (20.0, 40.0), (1.0, 2.0)
@@ -364,17 +364,6 @@ def test_a_lerobot_data_set_of_servos(servos):
     assert "q_desired = action.shoulder_pan ... action.gripper" in said
 
 
-def test_degrees_of_servos_are_asked_for(servos):
-    folder = servos(180 / np.pi)
-    with pytest.raises(RecordingRefused, match="degrees if the robot was") as refused:
-        read(folder, drive=TEXT)
-    assert "range_min and range_max of each motor" in str(refused.value)
-    recording, _ = read(folder, drive=TEXT, **refused.value.options)
-    assert_told(recording)
-    assert recording.group_names == ("0", "1")
-    assert set(recording.signals) == {"q_desired"}
-
-
 def calibrated(folder, text=None):
     """Put a calibration into a data set, as LeRobot writes it."""
     ends = {"shoulder_pan": (747, 3450), "gripper": (2032, 3288)}
@@ -401,40 +390,6 @@ def test_shares_of_a_calibrated_range_are_converted(servos):
     assert_allclose(recording.q, 100 * q * per_cent, rtol=1e-5, atol=1e-6)
     told = recording.signals["q_desired"]
     assert_allclose(told, 100 * aim * per_cent, rtol=1e-5, atol=1e-6)
-
-
-@pytest.mark.parametrize(
-    ("text", "said"),
-    [
-        (None, "'observation.state.shoulder_pan' is a share of a calibrated range"),
-        ("{", "calibration.json: is not a complete JSON file"),
-        ('{"gripper": {"range_min": 5, "range_max": 5}}', "'gripper' has the ends"),
-        ('{"gripper": 7}', r"has the ends \[None, None\]; expected range_min and"),
-        ('{"gripper": {"range_min": 5, "range_max": 9}}', "which is not known: put"),
-    ],
-)
-def test_a_calibration_that_tells_nothing_is_refused(servos, text, said):
-    folder = servos(100.0)
-    if text is not None:
-        calibrated(folder, text)
-    with pytest.raises(ValueError, match=said):
-        read(folder, drive=TEXT, columns="q=observation.state.{joint} [%]")
-
-
-def test_servos_without_a_drive_say_which_would_read_them(servos):
-    with pytest.raises(RecordingRefused) as refused:
-        read(servos())
-    said = "no torques, but commands: q_desired (action.shoulder_pan ... action.gripper"
-    assert said in str(refused.value)
-    assert '--drive "pd kp=... kd=..."' in str(refused.value)
-
-
-def test_presets_of_commands_say_where_their_names_are_from():
-    told = [log for logs in PRESETS.values() for log in logs if log.commands]
-    assert len(told) > 2
-    for log in told:
-        assert "github.com" in log.source
-        assert "q_desired" in log.commands
 
 
 # -- a drive as a text -----------------------------------------------------------------
@@ -493,36 +448,3 @@ def test_bad_files_of_commands(tmp_path):
     np.savez(tmp_path / "e.npz", t=t, q=q, q_desired=aim, kp=np.ones(3), kd=1.0)
     with pytest.raises(ValueError, match=r"kp has the shape \(3,\); expected one"):
         read(tmp_path / "e.npz", drive="pd")
-
-
-LEGGED = [f"{leg}_{motor}_joint" for leg in LEGS for motor in MOTORS]
-
-
-@pytest.mark.parametrize(
-    ("joints", "given", "offered"),
-    [
-        (
-            LEGGED,
-            (20, 20, 40.5),
-            " By words of their names: kp=hip:20,thigh:20,calf:40.5.",
-        ),
-        # Nothing tells them apart by a word, or they are no whole number of legs.
-        (LEGGED, (20, 20), ""),
-        (LEGGED[:5], (20, 20, 40), ""),
-        (["j1", "j2", "j3", "j4"], (1, 2), ""),
-    ],
-)
-def test_gains_of_one_leg_are_offered_for_all(joints, given, offered, tmp_path):
-    own = columns(q="q{}", nv=len(joints))
-    for j, joint in enumerate(joints):
-        for kind in ("q", "q_desired"):
-            own[f"{kind}_{joint}"] = own.pop(f"{kind}{j + 1}")
-    path = write(tmp_path / "legs.csv", own)
-    text = f"pd kp={','.join(map(str, given))} kd=1"
-    with pytest.raises(ValueError, match="kp must be one finite number or") as caught:
-        read(path, joint_names=joints, drive=text)
-    assert str(caught.value).endswith(f"].{offered}")
-    if offered:
-        words = offered.split("kp=")[1].rstrip(".")
-        recording, _ = read(path, joint_names=joints, drive=f"pd kp={words} kd=1")
-        assert recording.nv == len(joints)

@@ -10,14 +10,12 @@ import re
 import sys
 import threading
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import _reader, _table, recordings_in
-from sklearn_vbjfa.recording.formats import FORMATS
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
 PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
@@ -61,23 +59,6 @@ def check_damage(path):
         assert "\n" not in message
 
 
-def test_the_guide_names_every_format():
-    root = Path(__file__).parents[2]
-    guide = root.joinpath("docs", "own_robot.rst").read_text()
-    project = root.joinpath("pyproject.toml").read_text()
-    for one in FORMATS:
-        assert one.name.split()[0] in guide
-        if one.needs:
-            found = re.search(rf'^(\w+) = \["{one.needs[0]}', project, re.MULTILINE)
-            assert f"[{found[1]}]" in guide
-
-
-def test_every_ending_is_of_one_format():
-    endings = [ending for one in FORMATS for ending in one.endings]
-    assert len(set(endings)) == len(endings)
-    assert all(x.startswith(".") and x == x.lower() for x in endings)
-
-
 # -- packed ----------------------------------------------------------------------------
 
 
@@ -104,30 +85,11 @@ def test_damage_of_packed_text(tmp_path, ending):
     check_damage(path)
 
 
-def test_packed_without_an_inner_ending(tmp_path):
-    columns = table()
-    path = tmp_path / "arm.gz"
-    path.write_bytes(gzip.compress(write(tmp_path / "arm.csv", columns).read_bytes()))
-    assert_same(read_recording(path), columns)
-
-
 def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
     monkeypatch.setattr(_table, "LARGEST", 1 << 20)
     path = tmp_path / "arm.csv.gz"
     path.write_bytes(gzip.compress(bytes(3 << 20)))
     assert "too large to be read at once; give a shorter recording" in refused(path)
-
-
-@pytest.mark.parametrize(
-    ("ending", "command"),
-    [(".zip", "unzip"), (".7z", "7z x"), (".lz4", "lz4 -d"), (".tgz", "tar xf")],
-)
-def test_other_packers_are_named_with_their_command(tmp_path, ending, command):
-    path = tmp_path / f"my arm.csv{ending}"
-    path.write_bytes(b"anything")
-    message = refused(path)
-    assert f"is packed as {ending[1:]}, expected .csv" in message
-    assert message.endswith(f"unpack it first: {command} '{path}'")
 
 
 # -- pipes -----------------------------------------------------------------------------
@@ -160,14 +122,6 @@ def test_a_named_pipe(tmp_path):
     writer.start()
     assert_same(read_recording(pipe), columns)
     writer.join()
-
-
-def test_an_endless_pipe_is_refused(monkeypatch):
-    monkeypatch.setattr(_table, "LARGEST", 3 << 20)
-    if not os.path.exists("/dev/zero"):
-        pytest.skip("there is no endless file")
-    assert "too large" in refused("/dev/zero")
-    assert "is empty" in refused("/dev/null")
 
 
 # -- spreadsheets ----------------------------------------------------------------------
@@ -219,20 +173,6 @@ def test_a_sheet_with_a_row_of_units_text_and_dates(sheet):
     assert recording.dt == pytest.approx(DT)
 
 
-def test_cells_and_names_of_a_sheet_are_refused_by_their_line(sheet):
-    rows = rows_of(table(1))
-    rows[7][1] = "off"
-    assert "'off' in line 8 of sheet 'Sheet', column 'q1' is no" in refused(sheet(rows))
-    rows = rows_of(table(1))
-    rows[7][1] = None
-    assert "nan or nothing in line 8 of sheet" in refused(sheet(rows))
-    rows[0][1] = "t"
-    assert "line 1 names column 't' twice" in refused(sheet(rows))
-    assert "has no names of columns" in refused(sheet(rows[1:]))
-    assert "no rows of data" in refused(sheet([]))
-    assert "only a header" in refused(sheet([["t", "q1"], ["s", "rad"]]))
-
-
 def test_the_first_sheet_with_something_in_it(sheet):
     columns = table()
     path = sheet([], rows_of(columns))
@@ -242,19 +182,6 @@ def test_the_first_sheet_with_something_in_it(sheet):
 
 def test_damaged_sheets(sheet):
     check_damage(sheet(rows_of(table())))
-
-
-def test_a_large_sheet_is_refused_early(sheet, monkeypatch):
-    monkeypatch.setattr(_table, "LARGEST", 1000)
-    assert "too large to be read at once" in refused(sheet(rows_of(table())))
-
-
-def test_sheets_without_calamine_name_the_package(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "python_calamine", None)
-    path = tmp_path / "arm.xlsx"
-    path.write_bytes(b"PK")
-    with pytest.raises(ImportError, match="pip install python-calamine"):
-        read_recording(path)
 
 
 # -- MATLAB ----------------------------------------------------------------------------
@@ -317,14 +244,6 @@ def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
     assert "too large to be read at once" in refused(path)
 
 
-def test_matlab_without_channels(tmp_path):
-    from scipy.io import savemat
-
-    path = tmp_path / "arm.mat"
-    savemat(path, {"x": np.arange(5.0), "names": ["a", "b"]})
-    assert "holds x, names; expected arrays q and tau" in refused(path)
-
-
 # -- npy -------------------------------------------------------------------------------
 
 
@@ -336,18 +255,6 @@ def test_npy_with_named_fields(tmp_path):
         record[name] = x
     np.save(tmp_path / "arm.npy", record)
     assert_same(read_recording(tmp_path / "arm.npy"), columns)
-
-
-def test_npy_of_something_else(tmp_path):
-    path = tmp_path / "arm.npy"
-    np.save(path, np.zeros((N, 5, 2)))
-    message = refused(path)
-    assert "array of shape (60, 5, 2) without names" in message
-    assert "numpy.savez(FILE, t=t, q=q, tau=tau)" in message
-    np.save(path, {"q": np.zeros(3)}, allow_pickle=True)
-    assert "holds Python objects and not numbers, which are not loaded" in refused(path)
-    path.write_bytes(path.read_bytes()[:20])
-    assert "is not a complete npy file" in refused(path)
 
 
 # -- LeRobot ---------------------------------------------------------------------------
@@ -401,12 +308,6 @@ def test_a_lerobot_data_set(lerobot, nested):
     np.testing.assert_allclose(recording.q[:, 0], table()["q1"][N // 2 :], atol=1e-9)
 
 
-def test_a_lerobot_data_set_without_names(lerobot):
-    with pytest.warns(UserWarning, match="LeRobot"):
-        recording = read_recording(lerobot(names=None))
-    assert_same(recording, table())
-
-
 def test_a_folder_that_is_written_to_while_it_is_read(lerobot, monkeypatch):
     folder, read = lerobot(), _reader.read_table
     *_, last = sorted(folder.rglob("*.parquet"))
@@ -432,20 +333,6 @@ def test_recordings_in_a_folder(lerobot, tmp_path):
     names = [path.name for path in recordings_in(tmp_path)]
     assert names == ["a.npz", "b.csv", "bag", "c.mcap", "set"]
     assert recordings_in(data_set) == [data_set]
-
-
-def test_lerobot_data_sets_that_lack_something(lerobot):
-    folder = lerobot(effort=False)
-    message = refused(folder)
-    said = "no torques, but commands: q_desired (action.hip ... action.knee)"
-    assert said in message
-    assert '--drive "pd kp=... kd=..."' in message
-    (folder / "meta" / "info.json").write_text("{")
-    with pytest.raises(ValueError, match="is not a complete JSON file"):
-        read_recording(folder)
-    for file in (folder / "data").rglob("*.parquet"):
-        file.unlink()
-    assert "LeRobot data set without parquet files in its folder" in refused(folder)
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -490,73 +377,6 @@ def test_json_lines(ending, tmp_path):
     path = tmp_path / f"arm{ending}"
     path.write_bytes(PACK.get(f".{ending.split('.')[-1]}", bytes)(text.encode()))
     assert_same(read_recording(path), columns)
-
-
-def test_nested_records_are_named_with_points(tmp_path):
-    text, columns = as_json("nested lines")
-    path = tmp_path / "arm.jsonl"
-    path.write_text(text)
-    found = read_recording(path, columns="q=state.q{i},tau=state.tau{i},t=t")
-    assert_same(found, columns)
-    # A record that lacks something has the names of the others.
-    lines = text.split("\n")
-    lines[4] = json.dumps({"state": json.loads(lines[4])["state"]})
-    path.write_text("\n".join(lines))
-    message = refused(path, columns="q=state.q{i},tau=state.tau{i},t=t")
-    assert "nan or nothing in row 5, column 't'" in message
-
-
-def test_json_out_of_a_pipe(tmp_path, monkeypatch):
-    for kind in ("arrays", "records", "lines"):
-        text, columns = as_json(kind)
-        path = tmp_path / "arm"
-        path.write_text(text)
-        with path.open() as stream:
-            monkeypatch.setattr(sys, "stdin", stream)
-            assert_same(read_recording("-"), columns)
-
-
-def test_what_is_beside_the_channels_in_json(tmp_path):
-    columns = table()
-    records = records_of(columns)
-    for k, record in enumerate(records):
-        record |= {"mode": "auto", "heat": None if k == 3 else 20.0 + k, "on": k > 4}
-    path = tmp_path / "arm.jsonl"
-    path.write_text("\n".join(map(json.dumps, records)))
-    with pytest.warns(UserWarning, match="mode, heat hold no finite numbers"):
-        recording = read_recording(path)
-    np.testing.assert_array_equal(recording.signals["on"], np.arange(N) > 4)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("", "no rows of data; expected one row"),
-        ("[]", "holds nothing"),
-        ("{}", "holds nothing"),
-        ("5", "holds 5 as record 1; expected objects such as"),
-        ('[{"q1": 1}, 2]', "holds 2 as record 2"),
-        (
-            '[{"q1": 1}',
-            "is not a complete JSON file (Expecting ',' delimiter in line 1)",
-        ),
-        ('{"q1": 1}\n{"q1": 1\n', "(Expecting ',' delimiter in line 2)"),
-        ('{"q": [[1, 2], [3]], "tau": [1, 2]}', "or lists of other lengths"),
-        ('{"q": [1, "off"], "tau": [1, 2]}', "'q' holds 1 and others that are no"),
-        ("[" * 100_000, "is not a complete JSON file"),
-    ],
-)
-def test_json_that_is_none_is_refused(text, message, tmp_path):
-    path = tmp_path / "arm.json"
-    path.write_text(text)
-    assert message in refused(path, dt=DT)
-
-
-def test_large_json_is_refused_early(tmp_path, monkeypatch):
-    monkeypatch.setattr(_table, "LARGEST", 1000)
-    path = tmp_path / "arm.jsonl"
-    path.write_text(as_json("lines")[0])
-    assert "GiB as objects, too large to be read at once" in refused(path)
 
 
 def test_damaged_json(tmp_path):

@@ -1,12 +1,10 @@
 """Several files of one recording, side by side."""
 
-import json
 import re
 
 import numpy as np
 import pytest
 
-from sklearn_vbjfa._cli import main
 from sklearn_vbjfa.datasets import read_recording
 from tests.recording.test_as_they_lie import (
     DOF,
@@ -129,11 +127,6 @@ def test_rows_that_one_file_lacks_are_taken_by_their_stamps(two, made):
     assert "interpolated" not in text
 
 
-def test_units_of_time_may_differ_where_names_say_them(two, made):
-    save(two / "efforts.csv", ["t_ms", *named("tau")], 1e3 * made.t, made.tau)
-    assert_same(read(two, made)[0], made)
-
-
 def test_clocks_without_a_common_time_are_refused(two, made):
     save(two / "efforts.csv", ["t", *named("tau")], made.t + 1e3, made.tau)
     assert "with nothing in common; expected one clock" in str(refused(two, made))
@@ -181,51 +174,3 @@ def test_recordings_that_need_a_mapping_are_not_joined(made, tmp_path):
         written(tmp_path / f"run{k}.txt", matrix)
     recording, _ = read(tmp_path, made, columns="t=1,q=2-7,tau=8-13")
     assert len(recording.group_names) == 2
-
-
-def test_a_file_whose_name_says_nothing_is_named(made, tmp_path):
-    written(tmp_path / "q.txt", np.column_stack([made.t, made.q]))
-    written(tmp_path / "log2.txt", made.tau)
-    message = str(refused(tmp_path, made))
-    assert "the columns of log2.txt have no names" in message
-    assert "positions, velocities, torques, currents or time" in message
-
-
-def test_references_and_further_clocks_are_left_out_with_a_word(two, made):
-    written(two / "start_time.txt", made.t + 5)
-    written(two / "tau_target.txt", made.tau)
-    recording, notes = read(two, made)
-    assert_same(recording, made)
-    assert any(
-        "start_time.txt" in x and "tau_target.txt" in x and "left out" in x
-        for x in notes
-    )
-
-
-def test_formats_may_be_mixed(two, made):
-    (two / "efforts.csv").unlink()
-    np.save(two / "torques.npy", made.tau)
-    (two / "stamps.json").write_text(json.dumps([[t] for t in made.t.tolist()]))
-    (two / "positions.csv").unlink()
-    np.save(two / "positions.npy", made.q)
-    assert_same(read(two, made)[0], made)
-
-
-@pytest.mark.parametrize("command", ["inspect", "close-loop", "simulate"])
-def test_every_command_that_reads_joins(command, two, made, tmp_path, capsys):
-    more = {
-        "close-loop": ["--effects", "none", "--out", tmp_path / "out"],
-        "simulate": ["--window", "0.3", "--out", tmp_path / "out"],
-    }
-    files = [two / "positions.csv", two / "efforts.csv"]
-    options = ["--urdf", made.urdf, "--quiet", *more.get(command, [])]
-    code = main([command, *map(str, [*files, "--join", *options])])
-    assert code in (0, 3), capsys.readouterr().err
-
-
-def test_the_command_that_is_offered_joins(two, made, capsys):
-    files = [str(two / "positions.csv"), str(two / "efforts.csv")]
-    assert main(["inspect", *files, "--urdf", str(made.urdf)]) == 2
-    assert capsys.readouterr().err.rstrip().endswith("--join")
-    assert main(["simulate", *files, "--urdf", str(made.urdf)]) == 2
-    assert capsys.readouterr().err.rstrip().endswith("--join")

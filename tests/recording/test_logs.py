@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
-from sklearn_vbjfa.recording import PRESETS, RecordingRefused
+from sklearn_vbjfa.recording import RecordingRefused
 from tests.recording._logs import EPOCH, GAINS, KINDS, plain
 from tests.recording.test_reader import table, write
 
@@ -49,22 +49,6 @@ def test_logs_of_tools_are_recognised(made, tmp_path, kind):
     about = [x for x in said if "taken as" in x or "converted" in x]
     assert len(about) == (kind not in ("plain CSV", "csv.gz"))
     assert all("\n" not in x for x in said)
-
-
-@pytest.mark.parametrize("kind", ["ROS joint_states as CSV (bagpy)", "PlotJuggler"])
-def test_joints_are_called_as_in_the_log_without_a_robot(made, tmp_path, kind):
-    recording, _ = read(KINDS[kind](made, tmp_path))
-    assert set(recording.joint_names) == set(made.joint_names)
-    order = [recording.joint_names.index(x) for x in made.joint_names]
-    np.testing.assert_allclose(recording.q[:, order], made.q, atol=2e-9)
-
-
-def test_what_was_taken_is_said_in_one_line(made, tmp_path):
-    _, said = read(KINDS["libfranka log"](made, tmp_path), urdf=made.urdf)
-    assert said[0].endswith(
-        "taken as the log of libfranka: q = state.q[0] ... state.q[5], tau = "
-        "state.tau_J[0] ... state.tau_J[5] [N m], t = time [ms]."
-    )
 
 
 def test_stamps_of_the_message_count_not_those_of_the_recorder(made, tmp_path):
@@ -148,30 +132,6 @@ def test_rows_of_other_topics_are_left_out(made, tmp_path):
 
 
 # -- presets ---------------------------------------------------------------------------
-
-
-def test_every_preset_says_where_its_names_are_from():
-    for logs in PRESETS.values():
-        for log in logs:
-            assert re.search(r"\.(org|com|co)\b", log.source), log
-            assert {"q", "tau"} <= set(log.__dataclass_fields__)
-
-
-def test_a_preset_that_does_not_fit(made, tmp_path):
-    path = KINDS["libfranka log"](made, tmp_path)
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(path, urdf=made.urdf, preset="ur")
-    text = str(caught.value)
-    assert (
-        "does not fit the preset 'ur', which expects columns actual_q_{i} and" in text
-    )
-    assert "found time, success_rate, state.q[0]" in text
-    recording, _ = read(path, urdf=made.urdf, preset="franka")
-    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
-    with pytest.raises(ValueError, match="preset must be one of ros, ur, franka"):
-        read_recording(path, preset="kuka")
-    with pytest.raises(ValueError, match="columns or a preset, not both"):
-        read_recording(path, preset="ros", columns="q=state.q[{i}]")
 
 
 def test_a_log_of_two_tools_asks_which(tmp_path):
@@ -300,29 +260,6 @@ def test_the_refusal_names_options_that_work(tmp_path, names):
     np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
     np.testing.assert_allclose(recording.tau[:, 0], columns["tau1"], atol=1e-9)
     assert recording.dt == pytest.approx(0.01)
-
-
-def test_all_that_is_missing_is_said_at_once(tmp_path):
-    columns = table()
-    names = {"t": "clock", "q1": "A", "q2": "B", "tau1": "C", "tau2": "D"}
-    path = write(tmp_path / "arm.csv", renamed(names, columns))
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(path)
-    text = str(caught.value)
-    for part in ("no positions", "no torques", "no time", "found clock, A, v1, C, B"):
-        assert part in text
-    assert 'give columns="q=NAME{i},tau=NAME{i},t=NAME"' in text
-    assert caught.value.options == {}
-
-
-def test_joints_under_other_names_are_put_beside_the_robots(made, tmp_path):
-    path = KINDS["PlotJuggler"](made, tmp_path)
-    path.write_text(path.read_text().replace("/joint_", "/fer_joint"))
-    path.write_text(path.read_text().replace("/fer_jointstates", "/joint_states"))
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(path, urdf=made.urdf)
-    recording, _ = read(path, urdf=made.urdf, **caught.value.options)
-    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
 
 
 # -- units -----------------------------------------------------------------------------
@@ -477,65 +414,6 @@ def follow(path, **options):
     return str(caught.value), read(path, **options | caught.value.options)[0]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"columns": "q=q{i},tau=q{i}"}, "columns names 'q1' twice, for q and tau"),
-        ({"columns": "q1=q1,q2=q1"}, "columns names 'q1' twice, for q1 and q2"),
-        ({"columns": "q=angle{i}"}, r"has no column angle\{i\}, which columns asks"),
-        ({"preset": "franka"}, "does not fit the preset 'franka', which expects"),
-        ({"preset": "ur", "columns": "q=q{i}"}, "give columns or a preset, not both"),
-        ({"time_unit": "ns"}, "too fast for a robot; column 't' cannot be in ns, in s"),
-        ({"gains": (2.0,)}, r"1 gain\(s\) for 2 joint\(s\) .*one for each, in this"),
-        ({"gains": (2.0, 3.0, 4.0)}, r"3 gain\(s\) for 2 .*or unknown, to have them"),
-    ],
-)
-def test_a_plain_file_is_read_after_one_refusal(tmp_path, options, message):
-    columns = table()
-    path = write(tmp_path / "arm.csv", columns)
-    said, recording = follow(path, **options)
-    assert re.search(message, said), said
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-    factor = 2.0 if options.get("gains") == (2.0,) else 1.0
-    torque = factor * columns["tau1"]
-    np.testing.assert_allclose(recording.tau[:, 0], torque, atol=1e-9)
-
-
-def test_a_preset_that_does_not_fit_gives_way_to_another(made, tmp_path):
-    path = KINDS["libfranka log"](made, tmp_path)
-    said, recording = follow(path, preset="ur")
-    assert "try preset=None" in said
-    np.testing.assert_allclose(recording.q, made.q, atol=1e-8)
-
-
-def test_a_preset_that_does_not_fit_gives_way_to_a_mapping(tmp_path):
-    columns = table()
-    names = {f"q{k}": f"axis{k}_angle" for k in (1, 2)}
-    names |= {f"tau{k}": f"axis{k}_moment" for k in (1, 2)}
-    motion = {k: x for k, x in renamed(names).items() if k[0] != "v"}
-    path = write(tmp_path / "arm.csv", motion)
-    _, recording = follow(path, preset="ur")
-    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
-    # Only one of several joints was named.
-    robot = {"joint_names": ("shoulder", "elbow")}
-    mapping = "q=axis1_angle,tau=axis1_moment"
-    _, recording = follow(path, columns=mapping, **robot)
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-
-
-def test_columns_of_currents_are_offered_with_their_gains(tmp_path):
-    names = {f"tau{k}": f"motor_current_{k}" for k in (1, 2)}
-    path = write(tmp_path / "arm.csv", renamed(names))
-    said, recording = follow(path)
-    assert "columns='tau=motor_current_{i}', gains='unknown'" in said
-    assert recording.torque_units == ("A", "A")
-    # Gains that are known stay.
-    said, recording = follow(path, gains=(2.0, 3.0))
-    assert "unknown" not in said
-    assert recording.torque_units == ("N m", "N m")
-    np.testing.assert_allclose(recording.tau[:, 1], 3 * table()["tau2"], atol=1e-9)
-
-
 @pytest.mark.parametrize("name", ["i{}", "current{}", "motor_amps_{}"])
 def test_a_column_that_is_named_like_a_current_is_one(name, tmp_path):
     path = write(
@@ -557,37 +435,3 @@ def test_torques_that_were_made_of_currents_are_torques(tmp_path):
     path = write(tmp_path / "arm.csv", renamed(names))
     _, recording = follow(path)
     assert recording.torque_units == ("N m", "N m")
-
-
-def test_currents_that_are_never_negative_are_offered_without_signs(tmp_path):
-    names = {f"tau{k}": f"current{k}" for k in (1, 2)}
-    columns = renamed(names)
-    columns |= {name: np.abs(columns[name]) for name in names.values()}
-    path = write(tmp_path / "arm.csv", columns)
-    said, recording = follow(path)
-    assert "columns='tau=current{i}', drive='current signed=no'" in said
-    assert (recording.tau >= 0).all()
-
-
-def test_the_first_joints_are_offered_for_fewer_columns(made, tmp_path):
-    path = KINDS["plain CSV"](made, tmp_path)
-    lines = path.read_text().splitlines()
-    keep = [k for k, x in enumerate(lines[0].split(",")) if x not in ("q6", "tau6")]
-    cells = [[line.split(",")[k] for k in keep] for line in lines]
-    path.write_text("\n".join(map(",".join, cells)))
-    _, recording = follow(path, urdf=made.urdf)
-    assert recording.joint_names == made.joint_names[:5]
-
-
-def test_of_two_patterns_that_fit_the_one_that_says_more_counts(tmp_path):
-    columns = table()
-    new = {"t": columns["t"]}
-    for name, j in (("shoulder", 1), ("elbow", 2)):
-        new |= {name: columns[f"q{j}"], f"{name}.torque": columns[f"tau{j}"]}
-    path = write(tmp_path / "arm.csv", new)
-    robot = {"joint_names": ("shoulder", "elbow")}
-    for order in ("q={joint},tau={joint}.torque", "tau={joint}.torque,q={joint}"):
-        mapping = f"{order},t=t"
-        recording, _ = read(path, columns=mapping, **robot)
-        np.testing.assert_allclose(recording.tau[:, 1], columns["tau2"], atol=1e-9)
-        np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)

@@ -1,6 +1,5 @@
 """Tables as other tools write them: titles, an index, no header, mixed units."""
 
-import re
 import warnings
 
 import numpy as np
@@ -85,34 +84,6 @@ def test_titles_above_the_names(titles, units, tmp_path):
         read(path)
 
 
-def test_a_short_first_row_is_no_title(tmp_path):
-    lines = rows()
-    lines[1] = "0,0.1,0.2"
-    path = tmp_path / "arm.csv"
-    path.write_text("\n".join(lines))
-    with pytest.raises(ValueError, match="line 2 has 3 cells, the header names 5"):
-        read(path)
-
-
-@pytest.mark.parametrize("units", [False, True])
-def test_titles_of_a_sheet(units, tmp_path):
-    openpyxl = pytest.importorskip("openpyxl")
-    pytest.importorskip("python_calamine")
-    book = openpyxl.Workbook()
-    sheet = book.active
-    sheet.append(["Measurement", 3])
-    sheet.append([])
-    header, *lines = rows()
-    sheet.append(header.split(","))
-    if units:
-        sheet.append(["s", "rad", "rad", "Nm", "Nm"])
-    for line in lines:
-        sheet.append([float(x) for x in line.split(",")])
-    path = tmp_path / "arm.xlsx"
-    book.save(path)
-    same(read(path)[0])
-
-
 # -- an index, no header ---------------------------------------------------------------
 
 
@@ -158,21 +129,6 @@ def test_joint_states_without_a_header(tmp_path, urdf):
         read(path)
 
 
-@pytest.mark.parametrize(
-    ("name", "advice"),
-    [
-        ("echo.yaml", "ros2 topic echo --csv TOPIC > FILE.csv, or record a bag"),
-        ("echo.txt", "ros2 topic echo --csv TOPIC > FILE.csv (rostopic echo -p)"),
-        ("log.h5", "write numpy.savez(FILE, t=t, q=q, tau=tau)"),
-    ],
-)
-def test_what_is_not_read_says_what_would_be(name, advice, tmp_path):
-    path = tmp_path / name
-    path.write_text("header:\n  stamp:\n    sec: 1\n")
-    with pytest.raises(ValueError, match=re.escape(advice)):
-        read(path)
-
-
 # -- units -----------------------------------------------------------------------------
 
 
@@ -209,21 +165,6 @@ def test_efforts_of_sliding_joints_are_forces(tmp_path, urdf):
     assert recording.torque_units == ("N m", "N")
 
 
-@pytest.mark.parametrize("unit", ["A", "%", "V"])
-def test_units_of_a_motor_are_offered_with_gains(unit, tmp_path):
-    columns = table()
-    new = {"t": columns["t"]}
-    for j in (1, 2):
-        new |= {f"axis {j} angle": columns[f"q{j}"]}
-        new |= {f"axis {j} moment [{unit}]": columns[f"tau{j}"]}
-    path = write(tmp_path / "arm.csv", new)
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(path)
-    assert caught.value.options["gains"] == "unknown"
-    recording, _ = read(path, **caught.value.options)
-    assert recording.torque_units == (unit, unit)
-
-
 # -- arrays ----------------------------------------------------------------------------
 
 
@@ -255,44 +196,6 @@ def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
 # -- units that no name says -----------------------------------------------------------
 
 
-@pytest.mark.parametrize(
-    ("size", "offered"),
-    [(0.5, ""), (90.0, " [deg]"), (4000.0, "")],
-    ids=["radians", "degrees", "counts"],
-)
-def test_positions_beyond_two_turns_are_offered_in_degrees(size, offered, tmp_path):
-    columns, path = table(), tmp_path / "arm.csv"
-    new = {"t": columns["t"]}
-    for j in (1, 2):
-        swing = columns[f"q{j}"] / np.abs(columns[f"q{j}"]).max()
-        new[f"left_joint{j}.pos"] = size * swing
-        new[f"left_joint{j}.effort"] = columns[f"tau{j}"]
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(write(path, new))
-    options = caught.value.options
-    assert options["columns"] == (
-        f"q=left_joint{{i}}.pos{offered},tau=left_joint{{i}}.effort"
-    )
-    recording, _ = read(path, **options)
-    factor = np.pi / 180 if offered else 1.0
-    assert np.abs(recording.q).max() == pytest.approx(factor * size)
-
-
-def test_a_unit_in_the_names_is_not_said_twice(tmp_path):
-    columns, path = table(), tmp_path / "arm.csv"
-    new = {"t": columns["t"]}
-    for j in (1, 2):
-        new[f"axis{j} pos [deg]"] = 90 * columns[f"q{j}"]
-        new[f"axis{j} effort"] = columns[f"tau{j}"]
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(write(path, new))
-    assert caught.value.options["columns"].count("deg") <= 1
-    recording, _ = read(path, **caught.value.options)
-    np.testing.assert_allclose(
-        recording.q[:, 0], np.radians(90 * columns["q1"]), atol=1e-8
-    )
-
-
 # -- torques that the motors estimate --------------------------------------------------
 
 
@@ -314,32 +217,3 @@ def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
 
 
 # -- joints that the robot calls otherwise ---------------------------------------------
-
-
-def test_a_known_log_of_joints_with_other_names_is_offered_by_their_places(
-    urdf, tmp_path
-):
-    columns, path = table(), tmp_path / "arm.csv"
-    new = {"timestamp": columns["t"], "episode_index": np.repeat([0, 1], N // 2)}
-    # Degrees, of a robot whose second joint turns as well.
-    urdf.write_text(ROBOT.replace("prismatic", "revolute"))
-    for j, name in enumerate(("pan", "tilt"), 1):
-        new[f"observation.state.{name}"] = 20 * columns[f"q{j}"]
-        new[f"action.{name}"] = 20 * columns[f"q{j}"] + 1.0
-    drive = {"urdf": urdf, "drive": "pd kp=20 kd=1"}
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(write(path, new), **drive)
-    text = str(caught.value)
-    assert "its joints are not those of the robot" in text
-    assert "if both have the same order" in text
-    recording, _ = read(path, **drive, **caught.value.options)
-    assert recording.joint_names == ("shoulder", "lift")
-    assert len(recording.group_names) == 2
-    expected = np.radians(20 * np.column_stack([columns["q1"], columns["q2"]]))
-    np.testing.assert_allclose(recording.q, expected, atol=1e-8)
-    # Another number of joints is no order.
-    for gone in ("observation.state.tilt", "action.tilt"):
-        del new[gone]
-    with pytest.raises(RecordingRefused) as caught:
-        read_recording(write(path, new), **drive)
-    assert "same order" not in str(caught.value)

@@ -74,25 +74,6 @@ def test_only_long_gaps_split(gap, n_parts):
         np.testing.assert_allclose(parts[1][1]["q"][:, 0], t[50:])
 
 
-def test_short_parts_are_left_out():
-    t = np.concatenate([[0.0], 1 + 0.01 * np.arange(30)])
-    ((grid, part),) = resample_uniform(t, {"q": t[:, None]}, dt=0.01)
-    assert len(grid) == 30
-    np.testing.assert_allclose(part["q"][:, 0], t[1:])
-
-
-def test_decreasing_stamps_are_refused():
-    t = np.array([0.0, 0.1, 0.05, 0.2])
-    with pytest.raises(ValueError, match="must not decrease, they do after row 1"):
-        resample_uniform(t, {"q": t[:, None]}, dt=0.1)
-
-
-def test_a_period_that_does_not_suit_is_refused():
-    t = np.arange(20.0)
-    with pytest.raises(ValueError, match="does not suit these stamps"):
-        resample_uniform(t, {"q": t[:, None]}, dt=0.01)
-
-
 def test_join_labels_logs_and_their_parts(make_stamps):
     t = make_stamps(60)
     gapped = np.concatenate([t, t + 2.0])

@@ -73,13 +73,6 @@ def test_recordings_are_called_after_their_files(here):
     assert read_recording(paths[:1]).group_names == ("slow",)
 
 
-def test_files_in_several_folders_are_called_after_the_first(here):
-    paths = [*files(slow=motion(0.1)), str(write(Path("slow.csv"), motion(0.2)))]
-    recording, _ = told(map(Path, paths))
-    assert recording.name == "slow"
-    assert recording.group_names == ("runs/slow.csv", "slow.csv")
-
-
 def test_recordings_in_a_file_keep_their_own_names(here):
     gap = motion(0.3, n=3 * N)
     gap = {name: np.delete(column, slice(N, 2 * N)) for name, column in gap.items()}
@@ -90,24 +83,6 @@ def test_recordings_in_a_file_keep_their_own_names(here):
     ((message, doubt),) = said
     assert message.startswith("runs/gap.csv: 1 gap(s) of more than 5 periods")
     assert doubt
-
-
-def test_names_that_would_be_the_same_are_numbered(here):
-    x = {"a": in_segments(motion(0.1), "1", "2"), "a 1": motion(0.2)}
-    assert read_recording(files(**x)).group_names == ("a 1", "a 2", "a 1 (2)")
-
-
-def test_a_note_on_all_files_is_told_once(here):
-    x = {
-        name: {key.replace("q", "Q "): column for key, column in motion(k).items()}
-        for k, name in enumerate("abcde")
-    }
-    mapping = "q=Q {i} [deg],tau=tau{i},t=t"
-    _, said = told(files(**x), columns=mapping)
-    (message,) = {text for text, _ in said}
-    assert message.startswith("runs/a.csv, runs/b.csv, runs/c.csv and 2 more: ")
-    _, said = told(files(**x)[:2], columns=mapping)
-    assert said[0][0].startswith("runs/a.csv, runs/b.csv: ")
 
 
 def test_signals_are_those_of_all_files(here):
@@ -310,35 +285,4 @@ def test_almost_the_same_motion_is_no_copy(here):
     assert said == []
 
 
-def test_standard_input_is_read_once(here, monkeypatch):
-    import io
-    import sys
-
-    (path,) = files(a=motion(0.1))
-    stream = io.BytesIO(Path(path).read_bytes())
-    monkeypatch.setattr(sys, "stdin", stream)
-    (other,) = files(b=motion(0.2))
-    found, said = told(["-", other, "-"])
-    assert found.group_names == ("standard input", "b")
-    assert said == [("- is given more than once: taken once.", True)]
-
-
 # -- files that cannot be read ---------------------------------------------------------
-
-
-def test_a_file_that_cannot_be_read_is_named(here):
-    paths = files(a=motion(0.1))
-    with pytest.raises(FileNotFoundError, match=r"^runs/none\.csv: no such file"):
-        read_recording([*paths, "runs/none.csv"])
-    Path("runs/odd.csv").write_text("t,q1,tau1\n0,1,x\n")
-    assert refused([*paths, "runs/odd.csv"], "'x'").startswith("runs/odd.csv: ")
-    with pytest.raises(FileNotFoundError, match=r"^~nobody0/a\.csv: no such file"):
-        read_recording([*paths, "~nobody0/a.csv"])
-    refused([], "path must name one file or more")
-
-
-def test_options_for_one_file_are_not_offered_for_all(here):
-    odd = {re.sub(r"^q", "angle", key): x for key, x in motion(0.2).items()}
-    good, bad = files(a=motion(0.1), b=odd)
-    refused([bad], "; try columns=")
-    assert "try" not in refused([good, bad], "runs/b.csv: no positions")

@@ -8,7 +8,6 @@ from hypothesis import strategies as st
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import (
     OfferedSignals,
-    check_given,
     columns_beside,
     fault,
     positions_in_order,
@@ -120,21 +119,6 @@ def test_clocks_are_known(values):
     assert fault(np.asarray(values, dtype=float), MEASURED).startswith("is a clock")
 
 
-def test_rows_without_a_clock_have_none():
-    timeless = take_arrays(
-        np.hstack([Q, V, A]), TAU, dt=None, joint_names=("hip", "knee")
-    )
-    assert fault(T, timeless) == ""
-    assert fault(WARM, timeless) == ""
-
-
-@pytest.mark.parametrize("size", [0.0, 21.5, 1e9])
-def test_constants_are_known(size):
-    assert fault(np.full(N, size), MEASURED).startswith("is constant")
-    rounded = np.full(N, size) * (1 + 1e-16 * NOISE)
-    assert fault(rounded, MEASURED).startswith("is constant")
-
-
 # -- what is given and what is offered
 
 
@@ -145,14 +129,6 @@ class Uses:
 
     def __init__(self, *recorded):
         self.recorded = recorded
-
-
-def test_signals_by_name_become_floats():
-    found = check_given({"tool": np.array([True, False]), "n": [1, 2]}, 2)
-    assert {name: x.dtype.kind for name, x in found.items()} == {"tool": "f", "n": "f"}
-    boxed = np.array([1.5, 2.5], dtype=object)
-    np.testing.assert_array_equal(check_given({"x": boxed}, 2)["x"], [1.5, 2.5])
-    assert check_given(None, 2) == {}
 
 
 def test_what_is_offered_is_taken_or_said():
@@ -220,16 +196,6 @@ def test_columns_of_a_frame_are_divided():
     ).assign(warm=WARM)
     assert list(columns_beside(states, names).columns) == ["warm"]
     np.testing.assert_array_equal(positions_in_order(states, names), STATES.states)
-
-
-def test_frames_without_columns_beside_are_as_they_were():
-    pandas = pytest.importorskip("pandas")
-    for X in (Q, pandas.DataFrame(Q), pandas.DataFrame(Q, columns=["knee", "hip"])):
-        assert columns_beside(X, ("hip", "knee")).names == ()
-    with pytest.raises(ValueError, match="of which warm name no joint"):
-        positions_in_order(
-            pandas.DataFrame(Q, columns=["hip", "warm"]), ("hip", "knee")
-        )
 
 
 @pytest.mark.parametrize("kind", ["csv", "npz", "parquet"])

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import protocols, read_recording
-from sklearn_vbjfa.recording import inspect_time_stamps, prediction_errors
+from sklearn_vbjfa.recording import inspect_time_stamps
 
 DT = 0.004
 N = 3000
@@ -65,13 +65,6 @@ def test_positions_tell_late_stamps_from_late_samples(share):
     assert sampled.dt == pytest.approx(DT, rel=0.01)
 
 
-def test_what_positions_cannot_tell_is_taken_as_steady():
-    rng = np.random.default_rng(1)
-    t = late(0.2, rng)
-    for positions in (None, np.zeros((N, 2)), rng.standard_normal((N, 2))):
-        assert not inspect_time_stamps(t, positions=positions).sampled
-
-
 @pytest.mark.parametrize("share", [0.01, 0.05, 0.1])
 @pytest.mark.parametrize("jitter", [0.0, 0.02])
 def test_lost_rows_are_counted(share, jitter):
@@ -114,16 +107,6 @@ def test_noise_is_measured_before_interpolation(tmp_path):
     steady, said = save(tmp_path / "b.npz", DT * np.arange(N), motion(t), tau)
     assert steady.torque_noise is None
     assert said == ""
-
-
-def test_prediction_errors_are_as_large_as_the_noise():
-    rng = np.random.default_rng(5)
-    t = late(0.4, rng, n=20_000)
-    # A cubic is predicted without an error.
-    cubic = 3 + t - 0.1 * t**2 + 0.01 * t**3
-    np.testing.assert_allclose(prediction_errors(t, cubic[:, None]), 0, atol=1e-6)
-    noise = rng.standard_normal((t.size, 1))
-    np.testing.assert_allclose(prediction_errors(t, noise).std(), 1.0, rtol=0.03)
 
 
 def test_rows_written_twice_are_left_out_once(tmp_path):
@@ -172,19 +155,6 @@ def test_a_drifting_clock_loses_no_row(share):
     np.testing.assert_array_equal(checked.slots, np.arange(N))
     assert not checked.sampled
     assert checked.dt == pytest.approx(DT, rel=1e-6)
-
-
-def test_stamps_that_say_nothing_of_the_period():
-    rng = np.random.default_rng(8)
-    t = DT * np.arange(N)
-    with pytest.raises(ValueError, match=r"2 different stamps in 3000 rows"):
-        inspect_time_stamps(np.where(t > 5, 10.0, 0.0))
-    with pytest.raises(ValueError, match=r"positions do not follow these stamps"):
-        inspect_time_stamps(np.sort(rng.uniform(0, t[-1], N)), positions=motion(t))
-    slower = np.where(t > 6, 6 + 1.5 * (t - 6), t)
-    with pytest.raises(ValueError, match=r"by 0\.004 s .* and by 0\.006 s"):
-        inspect_time_stamps(slower, positions=motion(t))
-    assert inspect_time_stamps(slower, positions=motion(slower)).sampled
 
 
 @pytest.mark.parametrize(

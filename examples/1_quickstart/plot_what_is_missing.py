@@ -50,7 +50,7 @@ print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 # squared error it saves on stretches of time that were not fitted. What is more
 # probable than not and is not named stands apart.
 
-for step in loop.rounds_:
+for step in loop.report_.outcome.rounds:
     print(
         f"{step.action:8s}{step.name:15s}{step.joint_name}: "
         f"log odds {step.log_odds:.1f}"

@@ -100,10 +100,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     possible_ : tuple of DiscoveredEffect
         Effects that are more probable than not but not named; `warning` says why. They
         are part of `identifier_` and `judged_` like those that are named.
-    rounds_ : tuple of Round
-        The path to the most probable model: what was added, replaced or dropped
-        (`action`), its `log_odds` beside the others as they were then (nan where it
-        went because another effect contains it), and the `rivals` in that place.
     added_ : tuple of str
         Plain terms that were fitted on every joint beyond what was declared.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
@@ -380,8 +376,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _close(self, model, whole, told, offered, library, unusable, names):
         """Close the loop on a checked recording; returns its `Outcome`."""
-        # told: with the channels of the drive; offered: signals as they were given;
-        # unusable: what is wrong with some.
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
             channels += unusable
@@ -548,7 +542,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     def _hand_over(self, found, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
-        # known: when recordings begin, and the motion that they repeat.
         band = {}
         if isinstance(self.identifier.cutoff, str):
             cutoff = self.judged_.cutoff_
@@ -574,7 +567,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     def _set(self, outcome):
         """Set the results and the report."""
         self.effects_, self.possible_ = outcome.effects, outcome.possible
-        self.rounds_ = outcome.rounds
         self.added_ = outcome.added
         self.error_before_ = outcome.error_before
         self.error_plain_ = outcome.error_plain

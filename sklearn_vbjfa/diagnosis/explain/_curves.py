@@ -178,8 +178,6 @@ def _most_of(own, residual, weight):
 
 def curves_over(x, after, law, weight, *, most=_CLOUD, **named):
     """Curves of an effect from rows (m,); None of too few."""
-    # x: signal. after, law: what the model leaves with the effect, and its torque.
-    # most: points of the cloud. named: the other attributes of `EffectCurves`.
     if x.size < _BINS[0] or not np.ptp(x) > 0:
         return None
     low, high = np.quantile(x, _ENDS)
@@ -232,7 +230,6 @@ def _bins(x, law, weight, low, high):
 
 def friction_curves(declared, final):
     """Friction curves of each joint that moves, a tuple of FrictionCurves."""
-    # declared: the declared model, fitted; what it lacks of the plain terms is zero.
     view, motion, after = final.view, final.motion, final.residuals()[1]
     given = dict(zip(declared.parameter_names_, declared.theta_))
     names, theta = final.identifier.parameter_names_, final.identifier.theta_
@@ -340,7 +337,6 @@ class Spectra:
 
 def time_line(judgement, clock, begins):
     """Torques over time of the models that were judged, `TimeLine`."""
-    # clock (n,): time of each row [s] or None; begins: first rows of the recordings.
     parts = (judgement.searched, (judgement.before, judgement.after))
     index = np.concatenate([pair[0].index for pair in parts])
     order = np.argsort(index, kind="stable")
@@ -374,7 +370,6 @@ def time_line(judgement, clock, begins):
 
 def over_time(seconds, gaps, measured, before, after, counts, step):
     """Thin what was measured and predicted, (n, nv); `TorqueCurves` of each joint."""
-    # gaps: rows before which nothing is known; step: time between rows [s].
     measured, before, after = (
         np.insert(values, gaps, np.nan, axis=0) for values in (measured, before, after)
     )

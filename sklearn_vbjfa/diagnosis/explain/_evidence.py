@@ -1,8 +1,4 @@
-"""Whether a prediction is better, block by block, and what a residual varies with.
-
-Blocks of time are compared in rows without what the residual's own past predicts: what
-is left of these is independent.
-"""
+"""Whether a prediction is better, block by block, and what a residual varies with."""
 
 import itertools
 from dataclasses import dataclass

@@ -1,9 +1,4 @@
-"""What remains unexplained, what the data cannot show, what the motion leaves open.
-
-Friction shows in both directions and at several speeds, weight in several poses. A
-joint that has one of each only leaves coefficients that cannot be told apart, and
-nothing in the residual says so: the fit is as good with one as with the other.
-"""
+"""What remains unexplained, what the data cannot show, what the motion leaves open."""
 
 from dataclasses import dataclass, replace
 
@@ -332,7 +327,6 @@ class MotionLimit:
 
 def motion_limits(view):
     """Return the `MotionLimit` of each joint of a recording, a tuple."""
-    # view: `RecordingView` of all recordings.
     found = []
     for joint in range(view.nv):
         rows = np.flatnonzero(view.equations.weight[:, joint] > 0)

@@ -81,8 +81,6 @@ def parameter_values(robot):
 
 def alike_values(alike):
     """Return what alike joints share, and factors of those that do not share it."""
-    # alike: `RobotIdentifier.alike_`. Yields a `ParameterValue`, its standard deviation
-    # and, for what is shared, the scatter between the joints.
     for one in alike:
         name = f"{one.group}:{one.parameter}"
         if one.joints:
@@ -146,8 +144,6 @@ class Band:
 
 def measure_band(view, asked, longest):
     """Describe the band of a fitted declared model, as a `Band`."""
-    # view: of the part that was searched; asked: its cut-off; longest: rows of the
-    # longest piece of that part.
     robot = view.robot
     estimator, nv = robot.state_estimator_, view.nv
     bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan

@@ -1,9 +1,4 @@
-"""The errors on the held-out part, which is looked at here and only once.
-
-A model without the constraints fits its recording better, if only its noise. Where it
-also predicts held-out data better, by more than chance, the constraints contradict the
-torques: something that is not in the model was taken up by impossible bodies.
-"""
+"""The errors on the held-out part, which is looked at here and only once."""
 
 import copy
 from dataclasses import dataclass, replace
@@ -106,9 +101,6 @@ def without_constraints(robot):
 
 def cost_of(robot, untouched, searched, spread, step):
     """Price of the constraints of a fitted identifier, a `ConsistencyCost`."""
-    # untouched, searched: pairs of `TorqueResiduals`, with its unconstrained and with
-    # its own parameters; spread (nv,): of the torque [N m or N]; step: time between
-    # rows [s].
     free, held = (part.relative_error(spread) for part in untouched)
     interval = error_intervals(untouched, searched, spread, step)["difference"]
     with np.errstate(invalid="ignore"):

@@ -343,7 +343,6 @@ def parameters(outcome, verdict):
 
 def parameter_groups(outcome):
     """Parameters of each joint beside the robot description; None without any."""
-    # groups: of each joint its label, a summary, and rows of cells.
     by_joint = {}
     for one in outcome.parameters:
         joint = _joint_of(one.name, outcome.joint_names)

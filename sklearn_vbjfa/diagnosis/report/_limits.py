@@ -1,7 +1,4 @@
-"""What the figures of a report hold for: their band, and what cannot be known.
-
-Functions with "sentences" in their names return none where there is nothing to say.
-"""
+"""What the figures of a report hold for: their band, and what cannot be known."""
 
 from dataclasses import replace
 

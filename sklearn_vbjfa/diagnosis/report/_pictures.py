@@ -1,9 +1,4 @@
-"""Pictures of a page as paths: charts with axes.
-
-A picture is a frame that a page stretches to the room there is; texts stand beside it.
-The numbers of a chart go along in 16 bits each, for the library that zooms: from them a
-picture that is zoomed is drawn, exported or written as a table.
-"""
+"""Pictures of a page as paths: charts with axes."""
 
 import base64
 from dataclasses import dataclass, replace
@@ -166,9 +161,6 @@ def torque_figure(
     from_zero=True,
 ):
     """Draw measured and predicted torque over time, and both residuals below."""
-    # floor: noise floor [N m or N], nan if unknown; x_label: empty for the time of the
-    # recording; border: what begins at those of the line; finer: factor of residuals;
-    # from_zero: whether the axis of what was measured has zero in it.
     seconds, counts = torques.seconds, torques.counts
     # The declared model on top, or the completed one would hide where they agree.
     values = (torques.measured, torques.after, torques.before)

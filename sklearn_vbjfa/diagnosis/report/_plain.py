@@ -1,8 +1,4 @@
-"""Effects of the robot model in words and units of those who have to mend them.
-
-An angle in degrees, a length in mm, a gain in per cent of what is too much; the values
-in SI units stay in `DiscoveredEffect.parameters`.
-"""
+"""Effects of the robot model in words and units of those who have to mend them."""
 
 import math
 from dataclasses import dataclass

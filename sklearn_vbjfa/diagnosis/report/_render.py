@@ -176,7 +176,6 @@ def text_table(heads, rows, *, numbers):
 
 def page(sections, package=None):
     """Write the sections as a whole page."""
-    # package: dotted name of one whose folder ``templates`` has further templates.
     zooms = any("figures" in (section.drawn or ()) for section in sections)
     return _template("page.html.j2", package).render(
         sections=sections,

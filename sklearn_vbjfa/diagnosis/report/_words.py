@@ -145,8 +145,6 @@ def effect_at(outcome, name, joint, shape=None):
 
 def other_label(outcome, other, name):
     """Name an effect that stands beside another, with its joint if that differs."""
-    # other: name, with the joint's own name behind " on " for that of another joint;
-    # name: of the effect that it stands beside.
     joint = _joint_of(outcome, other)
     if joint is not None:
         return effect_at(outcome, _name_of(outcome, other), joint)
@@ -171,7 +169,6 @@ def _name_of(outcome, other):
 
 def record_for(outcome, name):
     """Return what to record to see an effect; empty if its class does not say."""
-    # name: with or without a joint's name behind " on ".
     found = outcome.library.get(_name_of(outcome, name))
     return "" if found is None else found.record
 

@@ -1,11 +1,4 @@
-"""Blocks of time, and what a residual remembers from one to the next.
-
-The search asks how much its evidence scatters between blocks (`Fit.excess`). Where
-blocks themselves are compared, each counts as one independent piece of evidence. A
-residual that stays correlated for seconds amounts to a few independent values, and
-blocks long enough to be independent would be too few in a short recording. Rows are
-therefore whitened before: what the residual's own past predicts is subtracted.
-"""
+"""Blocks of time, and what a residual remembers from one to the next."""
 
 import itertools
 from dataclasses import dataclass, field

@@ -1,9 +1,4 @@
-"""A robot of many joints searched branch by branch, and what was found put together.
-
-The branches that leave a fixed base share no body: neither the torques of one nor their
-parameters depend on the others, so that a search on all of them together finds what
-searches on each find, at a cost that rises with the cube of all joints.
-"""
+"""A robot of many joints searched branch by branch, and what was found put together."""
 
 from dataclasses import dataclass, replace
 
@@ -132,9 +127,6 @@ def _alone(model, joints):
 
 def put_together(view, motion, branches, found):
     """Put what was `Found` on the branches of a robot together."""
-    # view: of the whole robot, with the four plain terms; motion: its signals, with the
-    # load of that model. Steps come in the order of the branches, effects are numbered
-    # by the robot's joints.
     findings, steps = [], []
     residual = np.zeros_like(view.target)
     for branch, own in zip(branches, found):

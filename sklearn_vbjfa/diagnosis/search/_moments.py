@@ -1,7 +1,4 @@
-"""Second moments by joint and band of frequency, or block of time, read once.
-
-Under other weights, or without a fold, no row is read again.
-"""
+"""Second moments by joint and band of frequency, or block of time, read once."""
 
 import copy
 import functools

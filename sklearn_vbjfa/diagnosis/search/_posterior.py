@@ -23,8 +23,6 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 
 def search(view, library, settings, alpha, max_effects=None):
     """Find the most probable effects of a recording, and say which are named."""
-    # alpha: share of recordings with nothing missing that get any name; the rest as
-    # `Path`.
     path = Path(view, library, settings, max_effects)
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())

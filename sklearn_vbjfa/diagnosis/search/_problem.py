@@ -196,8 +196,6 @@ class Base:
 
     def promised_less(self, columns):
         """How much less than the variance of a score the weights promise of it."""
-        # columns: cosines (nv, n) that the score is the product with. One where the
-        # weights are the inverse of the spectrum.
         if self.spectrum is None:
             return 1.0
         cosines, power = self.problem.cosines, columns**2 * self.weights

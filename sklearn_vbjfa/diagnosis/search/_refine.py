@@ -107,8 +107,6 @@ def _between(motion):
 
 def refined(candidates, evidence, motion):
     """Search shape parameters on between the points of the grid."""
-    # candidates: effects to start from; evidence: effect -> what its shape is worth
-    # [nats]. Returns the best effect of all that were tried.
     found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
     for values, least in _plainer(found, motion):
         plain = clone(found).set_params(**values)

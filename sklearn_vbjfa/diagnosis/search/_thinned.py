@@ -1,10 +1,4 @@
-"""What of a long recording the search looks at: every so many samples, and stretches.
-
-Behind a low-pass of cut-off f_c, 2 f_c values in a second are independent, however
-many samples there are; and what an effect has to save for a name is a share of the
-squared error, which shows in some thousand of them. Parameters and errors are found
-from all rows.
-"""
+"""Thinning of long recordings for the search."""
 
 from dataclasses import replace
 

@@ -325,7 +325,6 @@ class RecordingView:
 
     def family(self, effect, motion, cosines):
         """Effect with all shapes of its grid; kept until the load is another."""
-        # cosines: `Cosines` of this view; rows are too many to be kept.
         key = (effect.name, effect.joint)
         made_from, found = self._families.get(key, (None, None))
         stale = "load" in effect.needs and made_from is not motion

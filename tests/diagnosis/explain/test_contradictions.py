@@ -245,6 +245,7 @@ def test_the_report_names_the_recording_and_the_cause():
     assert "Limits of the recordings" not in loop.report_.to_html()
 
 
+@pytest.mark.slow
 def test_recordings_of_one_motion_are_left_out_together():
     q = np.concatenate([PAIR[k].position for k in (0, 1, 0)])
     rng = np.random.default_rng(0)

@@ -196,6 +196,7 @@ def loop_on(model, states, tau, effects=("spring",)):
     return loop.fit(states, tau)
 
 
+@pytest.mark.slow
 def test_half_widths_are_those_of_ninety_per_cent():
     """States without noise, white residuals: least squares knows what to expect."""
     ratios = []

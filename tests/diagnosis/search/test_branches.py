@@ -133,7 +133,7 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     ).fit(recording.q, recording.tau)
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
     assert loop.effects_[0].joint_name == recording.joint_names[5]
-    added = [r for r in loop.rounds_ if r.action == "add"]
+    added = [r for r in loop.report_.outcome.rounds if r.action == "add"]
     assert {r.joint for r in added} == {5}
     assert loop.error_after_[5] < 0.8 * loop.error_before_[5]
     others = np.arange(8) != 5
@@ -143,6 +143,7 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     assert "spring" in str(loop.report_)
 
 
+@pytest.mark.slow
 def test_a_branch_is_told_its_own_commands(two_arms):
     recording, robot = two_arms
     kp = 20.0 + np.arange(8)
@@ -153,6 +154,7 @@ def test_a_branch_is_told_its_own_commands(two_arms):
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
 
 
+@pytest.mark.slow
 def test_signals_are_those_of_all_branches(two_arms):
     recording, robot = two_arms
     tool = np.floor(recording.t / 3.0) % 2

@@ -211,6 +211,7 @@ def test_a_short_lag_is_one_or_a_delay_and_nothing_else():
     assert effect.parameters[value] == pytest.approx(0.015, rel=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("smoothed", "kind", "name", "value", "others"),
     [

@@ -54,7 +54,7 @@ def test_plain_terms_are_added_and_not_discovered(loops):
         for robot in (loop.baseline_, loop.judged_, loop.identifier_):
             assert set(robot.features_.friction_) == set(PLAIN)
         assert not {e.name for e in loop.effects_} & set(PLAIN)
-        assert not {r.name for r in loop.rounds_} & set(PLAIN)
+        assert not {r.name for r in loop.report_.outcome.rounds} & set(PLAIN)
         assert ("Added on every joint" in text_of(loop.report_)) == bool(loop.added_)
     assert loops[PLAIN].declared_ is loops[PLAIN].baseline_
     assert (loops[PLAIN].error_before_ == loops[PLAIN].error_plain_).all()
@@ -103,21 +103,7 @@ def test_no_effects_are_wanted_but_the_plain_terms_stay():
 # -- what is not the robot's
 
 
-def test_the_order_of_recordings_does_not_matter():
-    torque = lacking()
-    parts = np.array_split(np.arange(ARM.t.size), 3)
-    sets = []
-    for order in ((0, 1, 2), (2, 0, 1), (1, 2, 0)):
-        rows = np.concatenate([parts[k] for k in order])
-        labels = np.concatenate([np.full(parts[k].size, k) for k in order])
-        loop = ARM.robot()
-        loop = effects_of(loop, ARM.position[rows], torque[rows], labels)
-        sets.append(loop)
-    for other in sets[1:]:
-        assert named(other) == named(sets[0])
-        assert_allclose(other.error_after_, sets[0].error_after_, rtol=1e-6)
-
-
+@pytest.mark.slow
 def test_a_sample_period_that_is_off_by_two_per_cent_does_not_matter():
     """Speeds, forces of inertia and the band are off; what the robot has is not."""
     torque = lacking()

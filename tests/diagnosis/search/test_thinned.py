@@ -161,6 +161,7 @@ def test_columns_of_fewer_samples_are_nearly_those_of_all(few, monkeypatch, reco
         assert np.sqrt(((rows[0] - rows[1]) ** 2).mean()) < 0.1 * size
 
 
+@pytest.mark.slow
 def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded):
     loop = EffectDiscovery(
         identifier(recorded), effects=["load_friction", "spring"], random_state=0

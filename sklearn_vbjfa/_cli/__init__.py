@@ -53,7 +53,7 @@ _RECORDING = (
 _LIMITS = (
     "limits of {} [{}], one for each joint with commas between them, or one for all"
 )
-_OUT = "folder for the files; by default the name of RECORDING{} plus -{}"
+_OUT = "output directory; by default the name of RECORDING{} plus -{}"
 
 # Settings of each argument, which a command may override; `default` is filled in after
 # parsing, so that options that were typed are known.
@@ -110,7 +110,7 @@ _ARGUMENTS = {
     },
     "--drive": {
         "metavar": "LAW",
-        "help": "what the motors follow, where no torque was measured, such as "
+        "help": "motor control law, for logs without torques, such as "
         '"pd kp=20,20,40 kd=1,1,2" or "pd kp=hip:20,thigh:20,calf:40 kd=1": RECORDING '
         "then has columns q_desired of each joint in place of tau, also v_desired and "
         "tau_ff, and kp and kd unless they are given here. Further values are "
@@ -168,7 +168,7 @@ _ARGUMENTS = {
     "--out": {"metavar": "DIR"},
     "--quiet": {
         "action": "store_true",
-        "help": "do not show what takes its time",
+        "help": "suppress progress output",
     },
     "--force": {
         "action": "store_true",
@@ -258,7 +258,7 @@ _COMMANDS = {
                 "help": "effects to look for, by default all; see the command effects",
             },
         },
-        "help": "find what the model of your robot lacks",
+        "help": "find effects missing from the robot model",
         "description": "Identify a robot from a recording or several, find effects "
         "that its model lacks, add them, and report the error before and after on "
         "parts of the recordings that were set aside. Writes report.html, report.json, "
@@ -269,10 +269,9 @@ _COMMANDS = {
         "run": "_inspect:inspect",
         "arguments": f"recording --urdf {_READ} --signals --quiet",
         "overrides": _REQUIRED,
-        "help": "say what a recording is, what is wrong with it and what it can show",
-        "description": "Say what a recording is as it is understood, what is wrong "
-        "with it, and what its motion can show of a robot. Nothing is identified and "
-        "nothing is written.",
+        "help": "check a log: format, channel faults, excitation",
+        "description": "Check a log: its format as detected, faults of its channels, "
+        "and the effects that its motion excites. Nothing is identified or written.",
     },
     "simulate": {
         "run": "_simulate:run",
@@ -288,7 +287,7 @@ _COMMANDS = {
                 "effects",
             },
         },
-        "help": "simulate the identified robot beside the measured motion",
+        "help": "simulate the identified robot from recorded torques or commands",
         "description": "Drive the identified robot by the measured torques, over "
         "windows that begin at measured states, and print how far it gets from the "
         "measured motion. A robot whose --drive is told positions is told the recorded "
@@ -328,7 +327,7 @@ _COMMANDS = {
             },
             "--seed": {"help": "draws the motions of which the best is improved"},
         },
-        "help": "design the motion to record next",
+        "help": "design an exciting trajectory",
         "description": "Design a periodic motion within the limits of the robot that "
         "determines its model best; with the folder of a report, the one that decides "
         "what the report left open. Writes the motion as CSV (t, then q_, v_ and a_ of "
@@ -392,6 +391,7 @@ def _parse(words):
     """Parse the words of a command line."""
     parser = _parser()
     arguments, more = parser.parse_known_args(words)
+    parser.prog = " ".join(filter(None, [parser.prog, arguments.command]))
     files = getattr(arguments, "recording", None)
     unknown = [word for word in more if word.startswith("-") and word != "-"]
     if isinstance(files, list) and not unknown:
@@ -401,7 +401,6 @@ def _parse(words):
         option = (unknown or more)[0].partition("=")[0]
         known = _COMMANDS.get(arguments.command, {}).get("arguments", "").split()
         near = _suggestion(option, known)
-        parser.prog = " ".join(filter(None, [parser.prog, arguments.command]))
         parser.error(f"unrecognized arguments: {' '.join(unknown or more)}{near}")
     values = vars(arguments)
     if values.get("urdf", "") is None and arguments.command in _WITH_URDF:

@@ -128,9 +128,9 @@ USABLE, REFUSED, DOUBTFUL = 0, 2, 3
 
 # What is shown below the help of every command.
 EPILOG = (
-    "exit code: 0 if the result can be used; 2 if nothing was done, and one line on "
-    "stderr says why; 3 if it was done with a doubt that is stated: something was left "
-    "out, failed, could not be judged, or is not to be trusted; 130 for an interrupt"
+    "exit code: 0 without warnings; 2 if nothing was done, with the reason in one line "
+    "on stderr; 3 with warnings: something was left out, failed, could not be judged, "
+    "or cannot be trusted; 130 for an interrupt"
 )
 
 # Doubts that the last line names; all of them are in what was printed before, or on

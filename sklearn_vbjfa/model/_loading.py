@@ -32,6 +32,7 @@ from sklearn_vbjfa.model._trees import (
     led_by,
     nominal_parameters,
     solid_bodies,
+    with_extension,
 )
 from sklearn_vbjfa.model._urdf import UrdfRobot, is_text, text_of_tree
 from sklearn_vbjfa.model._xml import parse_description, parse_text
@@ -234,6 +235,8 @@ def _folded(tree, path, moving=None, base=None):
     found = fold(in_order(model, _parents_first(robot.names, robot.carriers)), folded)
     apart = [name for name in links if name not in folded]
     _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
+    for one in (found.model, found.still):
+        with_extension(one)
     return found
 
 
@@ -280,8 +283,9 @@ def _left_out(mimics, model, between=()):
     if wrong:
         found.append(
             f"what {', '.join(wrong)} move(s) has no mass, or an inertia that no solid "
-            "body can have; it is taken as a ball where the recording cannot tell "
-            "(correct the inertial element of its link)"
+            "body can have; it is taken as a ball, with the mass and centre that are "
+            "described, where the recording cannot tell (correct the inertial element "
+            "of its link)"
         )
     return found
 

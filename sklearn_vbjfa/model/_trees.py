@@ -17,6 +17,9 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which the body has next to no extension in some direction.
 _SOLID = 1e-6
+# Radius of the ball that a mass without extension is, over the largest distance between
+# joints.
+_BALL = 0.1
 # Distance of two models by rounding alone [m, and of the axes' components].
 ROUNDING = 1e-9
 # Sine of the angle from the vertical below which a base is called level.
@@ -98,6 +101,19 @@ def solid_bodies(bodies, least=_SOLID):
     smallest = min_eigenvalue(bodies[solid], mass_scale=mass, length_scale=size)
     solid[solid] = smallest > least
     return solid
+
+
+def with_extension(model):
+    """Give masses without a possible extension that of a small ball."""
+    size = [np.linalg.norm(place.translation) for place in model.jointPlacements[1:]]
+    radius = _BALL * (max(size, default=0.0) or 1.0)
+    pin = import_pinocchio()
+    for k in np.flatnonzero(~solid_bodies(nominal_parameters(model))):
+        body = model.inertias[int(k) + 1]
+        if body.mass > 0:
+            ball = 0.4 * body.mass * radius**2 * np.eye(3)
+            model.inertias[int(k) + 1] = pin.Inertia(body.mass, body.lever, ball)
+    return model
 
 
 class Tree(NamedTuple):
@@ -183,7 +199,12 @@ def in_order(model, names):
         made.inertias[numbers[old]] = model.inertias[old]
         made.armature[numbers[old] - 1] = model.armature[old - 1]
     frames = {0: 0}
-    for old, frame in enumerate(list(model.frames)[1:], 1):
+    # Those of a joint come after those of the joint that carries it.
+    order = sorted(
+        range(1, len(model.frames)), key=lambda k: numbers[model.frames[k].parentJoint]
+    )
+    for old in order:
+        frame = model.frames[old]
         moved = frame.copy()
         moved.parentJoint = numbers[frame.parentJoint]
         moved.parentFrame = frames[frame.parentFrame]

@@ -184,16 +184,18 @@ def _loader(name, read) -> Callable[..., Recording]:
     given += [(one.name, one.default) for one in options]
     given += [("resample", True)] * entry.get("irregular", False)
 
-    def fetch(**arguments):
-        bound = fetch.__signature__.bind(**arguments)
-        bound.apply_defaults()
-        return _load(name, read, **bound.arguments)
-
     keyword = inspect.Parameter.KEYWORD_ONLY
-    fetch.__signature__ = inspect.Signature(
+    signature = inspect.Signature(
         [inspect.Parameter(key, keyword, default=value) for key, value in given],
         return_annotation=Recording,
     )
+
+    def fetch(**arguments):
+        bound = signature.bind(**arguments)
+        bound.apply_defaults()
+        return _load(name, read, **bound.arguments)
+
+    fetch.__dict__["__signature__"] = signature
     fetch.__annotations__ = {"return": Recording}
     fetch.__name__ = fetch.__qualname__ = f"fetch_{name}"
     fetch.__doc__ = _documentation(name)
@@ -290,7 +292,13 @@ def _emps(files):
 
 # Ratio 101 times 0.125 (large) or 0.0922 (small drives) N m/A; not verified.
 _UR5_GAINS = (12.63, 12.63, 12.63, 9.31, 9.31, 9.31)
-_UR5_LOGS = ("q_actual", "qd_actual", "i_actual", "m_target", "i_target")
+_UR5_LOGS: tuple[str, ...] = (
+    "q_actual",
+    "qd_actual",
+    "i_actual",
+    "m_target",
+    "i_target",
+)
 _UR5_LOGS += ("q_target", "qd_target", "qdd_target")
 
 

@@ -168,25 +168,6 @@ def test_odds_of_another_value_are_those_of_the_integral_over_both_scales():
     assert found.argmax() == 2
 
 
-@pytest.mark.parametrize("bodies", ["prior", "free", "fixed"])
-def test_where_the_scatter_has_no_limit_the_fit_is_the_free_one(
-    bodies, model, recording, monkeypatch
-):
-    free = fitted(model, recording, bodies=bodies, alike=None)
-
-    def open_(problem, labels):
-        nothing = [Site.of_scale(1e9, part.size - 1) for part in problem.parts]
-        return problem, nothing, [[] for _ in problem.parts]
-
-    monkeypatch.setattr(_alike, "_depart", open_)
-    alike = fitted(model, recording, bodies=bodies)
-    assert len(alike.alike_) == 6
-    scale = free.theta_std_ + np.abs(free.theta_unconstrained_) + 1e-12
-    away = np.abs(alike.theta_unconstrained_ - free.theta_unconstrained_) / scale
-    assert np.nanmax(away) < 1e-9
-    np.testing.assert_allclose(alike.theta_std_, free.theta_std_, rtol=1e-6)
-
-
 def test_where_there_is_no_scatter_a_group_has_one_value(model, recording, monkeypatch):
     def equal(problem, labels):
         one = [Site.of_scale(1e-6, part.size - 1) for part in problem.parts]
@@ -244,21 +225,6 @@ def test_offsets_are_not_shared(model, recording):
     assert not any("offset" in one.parameter for one in robot.alike_)
 
 
-def test_units_and_the_order_of_groups_do_not_matter(model, recording):
-    q, tau = recording
-    robot = fitted(model, recording)
-    other = fitted(model, (q, 1e3 * tau))
-    np.testing.assert_allclose(
-        found_drives(other), 1e3 * found_drives(robot), rtol=1e-6
-    )
-    for a, b in zip(other.alike_, robot.alike_):
-        assert a.value == pytest.approx(1e3 * b.value, rel=1e-6)
-        assert a.scatter == pytest.approx(b.scatter, rel=1e-5)
-    names = [[f"{leg}_{part}_joint" for leg in LEGS] for part in ("calf", "hip")]
-    turned = fitted(model, recording, alike=[names[0][::-1], names[1]])
-    np.testing.assert_allclose(turned.theta_, robot.theta_, rtol=1e-9, atol=1e-12)
-
-
 def test_the_posterior_has_what_is_shared(model, recording):
     free = fitted(model, recording, alike=None)
     robot = fitted(model, recording)
@@ -279,7 +245,7 @@ def test_the_posterior_has_what_is_shared(model, recording):
 
 def groups_of(model, alike="auto", **settings):
     robot = RobotIdentifier(model, dt=DT, alike=alike, **settings).build_model()
-    return {one.name: one.joints for one in robot._alike}
+    return {one.name: one.joints for one in robot._shared_drives}
 
 
 def test_names_and_bodies_make_a_group():

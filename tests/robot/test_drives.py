@@ -18,7 +18,6 @@ from sklearn_vbjfa import (  # noqa: E402
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     PDDrive,
     RecordingStates,
@@ -110,21 +109,6 @@ def test_all_channels_of_the_law_are_used():
     assert_allclose(found.tau, torques(q, v, a), rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("dt", [0.001, 0.005, 0.02])
-def test_a_velocity_is_as_late_as_the_recorded_one(dt):
-    """Drives filter theirs: by how much is found, joint by joint, at any rate."""
-    lag = np.array([0.001, 0.004, 0.007])
-    t = dt * np.arange(round(8.0 / dt))
-    q, v, _ = states(t)
-    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
-    noise = 0.02 * np.random.default_rng(0).normal(size=v.shape)
-    recording = take_arrays(q, 0.0 * q, dt=dt, joint_names=NAMES)
-    found = velocities(replace(recording, v=late + noise))
-    away = np.sqrt(((found - late)[50:-50] ** 2).mean(axis=0))
-    plain = np.sqrt(((v - late)[50:-50] ** 2).mean(axis=0))
-    assert (away < 0.1 * plain).all()
-
-
 @pytest.mark.parametrize("delay", [-0.004, 0.0, 0.0072, 0.03])
 def test_the_delay_is_found(delay):
     """Between samples, of commands that are known for the time before."""
@@ -164,24 +148,6 @@ def test_the_column_is_the_derivative_by_the_delay():
     made = replace(robot.robot_, plan=at).equations(recording)
     # The law moves by minus what the column adds to the model.
     assert_allclose(made.Phi[20:-20, :, -1], -slope[20:-20], rtol=1e-4, atol=1e-3)
-
-
-def test_commands_may_come_in_any_way():
-    recording = told(0.006)
-    whole = identify(recording)
-    X, aim = recording.states, recording.signals["q_desired"]
-    settings = {**EXACT, "dt": DT, "drive": PDDrive(KP, KD)}
-    other = RobotIdentifier(ARM, **settings).fit(X, aim)
-    assert_array_equal(other.theta_, whole.theta_)
-    assert other.score(X, aim) > 0.999
-    left = other.residuals(X, aim)
-    assert left.normalised_error().max() < 1e-3
-    named = PDDrive(
-        dict(zip(("_1", "_2", "_3"), KP)), dict(zip(NAMES, KD)), delay="auto"
-    )
-    assert_array_equal(identify(recording, named).theta_, whole.theta_)
-    geared = PDDrive(KP / 5.0, KD / 5.0, gear=5.0)
-    assert_allclose(identify(recording, geared).theta_, whole.theta_, rtol=1e-5)
 
 
 def test_units_do_not_matter():
@@ -453,22 +419,6 @@ def test_a_robot_follows_its_commands_as_it_did():
     late = replace(recording, signals={"q_desired": command(recording.clock(), 0.0)})
     other = robot.follow(late)
     assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
-
-
-def test_a_drive_that_filters_its_velocity_does_so_in_simulation():
-    t, lag = DT * np.arange(2400), np.array([0.008, 0.004, 0.006])
-    q, v, a = states(t)
-    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
-    recording = told()
-    robot = identify(recording, PDDrive(KP, KD, delay=0.0, period=2.5e-4))
-    aim = {"q_desired": q + (torques(q, v, a) + KD * late) / KP}
-    filtered = replace(recording, states=None, v=late, signals=aim)
-    left, without = (
-        np.sqrt(((robot.follow(one)[:, :3] - q) ** 2).mean(axis=0))
-        for one in (filtered, replace(filtered, v=None))
-    )
-    assert (left < 2e-3 * q.std(axis=0)).all()
-    assert (left < 0.3 * without).all()
 
 
 @pytest.fixture(scope="module")

@@ -319,28 +319,6 @@ def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
     assert "joint_2 reads 1.1" in text
 
 
-def test_urdf_lists_what_it_has_not(robot, tmp_path):
-    path = tmp_path / "identified.urdf"
-    left = robot.to_urdf(path)
-    found = {one.name for one in left}
-    assert {
-        "base_tilt",
-        "joint_zero",
-        "torque_gain",
-        "spring",
-        "stribeck",
-        "offset",
-        "rotor_inertia",
-    } <= found
-    assert "joint_axis" not in found
-    for one in left:
-        assert one.size >= 0
-        assert str(one).replace("--", "- -") in path.read_text()
-    # 15 % of what the channel reads too much.
-    (gain,) = (one for one in left if one.name == "torque_gain")
-    assert gain.joint == 1
-
-
 def test_friction_that_was_found_is_in_the_urdf(recording, tmp_path):
     """What a search adds counts as what was declared, and both add up."""
     robot = RobotIdentifier(

@@ -1,13 +1,9 @@
 """Regressor matrices: the identity Phi theta = inverse dynamics, layout, names."""
 
-import copy
-import pickle
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from sklearn.base import clone
 
 pin = pytest.importorskip("pinocchio")
 
@@ -127,21 +123,6 @@ def test_what_a_torque_does_not_depend_on_is_exactly_zero():
     # the second turns about y at a distance: its m c_y is not felt by itself
     assert size[1, 1, 2] == 0.0
     assert size[size > 0].min() > 1e-6
-
-
-def test_copies_compute_the_same():
-    rng = np.random.default_rng(4)
-    model, _ = random_tree(rng, 3)
-    states = states_of(rng, model)
-    features = RigidBodyFeatures(model, friction=("coulomb",)).fit(states)
-    expected = features.transform(states)
-    for other in (
-        clone(features).fit(states),
-        pickle.loads(pickle.dumps(features)),
-        copy.deepcopy(features),
-        pickle.loads(pickle.dumps(clone(features))).fit(states),
-    ):
-        np.testing.assert_array_equal(other.transform(states), expected)
 
 
 @pytest.mark.parametrize(

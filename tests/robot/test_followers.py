@@ -7,7 +7,6 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import (  # noqa: E402
     RobotIdentifier,
-    load_identified,
 )
 from sklearn_vbjfa.model import joint_names, load_folded  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
@@ -120,20 +119,6 @@ def test_a_follower_has_ten_parameters_of_its_own(fitted):
     true = pin.Inertia.FromDynamicParameters(full.toDynamicParameters())
     moment = true.matrix()[3:, 3:]
     assert axis @ found @ axis == pytest.approx(axis @ moment @ axis, rel=0.02)
-
-
-def test_a_saved_robot_is_the_same(fitted, recorded, motion, tmp_path):
-    fitted.save(tmp_path / "robot.json")
-    read = load_identified(tmp_path / "robot.json")
-    q, _ = recorded
-    np.testing.assert_array_equal(read.predict(q), fitted.predict(q))
-    states = np.hstack(motion)[:50]
-    steps = [read.step(*row.reshape(3, 3)) for row in states]
-    np.testing.assert_allclose(steps, read.predict(states), atol=1e-9)
-    for write in ("to_urdf", "to_mjcf"):
-        for robot, name in ((fitted, "one"), (read, "other")):
-            assert getattr(robot, write)(tmp_path / name) == ()
-        assert (tmp_path / "one").read_text() == (tmp_path / "other").read_text()
 
 
 def test_a_written_mjcf_has_the_follower(fitted, motion, tmp_path):

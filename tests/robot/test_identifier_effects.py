@@ -244,31 +244,6 @@ MIXED = (
 )
 
 
-# -- the clock
-
-
-def test_fit_and_query_share_one_clock():
-    drift = effects.Drift(1, of="offset", time_constant=5.0)
-    added = on_joint(1, 2 * np.exp(-T / 5))
-    robot = fit(added, drift, t=T)
-    assert coefficients(robot)[0] == pytest.approx(2.0, rel=1e-6)
-    counted = fit(added, drift)
-    assert_allclose(counted.theta_, robot.theta_, rtol=1e-9, atol=1e-9)
-    later = slice(700, None)
-    assert_allclose(
-        robot.predict(STATES[later], t=T[later]), (DECLARED + added)[later], atol=1e-6
-    )
-    restarted = robot.predict(STATES[later]) - robot.predict(STATES[later], t=T[later])
-    assert_allclose(
-        restarted,
-        on_joint(1, 2 * np.exp(-T / 5))[: T.size - 700]
-        - on_joint(1, 2 * np.exp(-T / 5))[later],
-        atol=1e-6,
-    )
-    found = robot.residuals(STATES[later], (DECLARED + added)[later], t=T[later])
-    assert np.abs(found.residual).max() < 1e-6
-
-
 # -- projection
 
 
@@ -283,9 +258,6 @@ def test_projection_moves_the_effects_along():
     scale = np.sqrt(np.diagonal(metric)) * np.sqrt(change @ metric @ change)
     assert np.abs((metric @ change)[p:] / scale[p:]).max() < 1e-6
     assert np.all(robot.robot_.bodies(robot.theta_)[:, 10] >= 0)
-
-
-# -- without effects
 
 
 # -- settings
@@ -304,48 +276,3 @@ def test_projection_moves_the_effects_along():
 def test_bad_effects_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         RobotIdentifier(MODEL, effects=given, **EXACT).fit(STATES, DECLARED)
-
-
-@pytest.mark.parametrize(
-    ("effect", "given"),
-    [
-        (effects.Drift(1), {"dt": None}),
-        (effects.Delay(1), {"dt": None}),
-        (effects.Coupling(1, other=5), {}),
-        (effects.Payload(0, instant=3.0), {}),
-    ],
-    ids=["drift without clock", "delay without clock", "no such joint", "first body"],
-)
-def test_effects_that_cannot_be_are_refused(effect, given):
-    with pytest.raises(ValueError, match=effect.name):
-        fit(0 * DECLARED, effect, **given)
-
-
-# -- plain terms that effects hold
-
-
-def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
-    """The data know the sum; it is the spring's, with its own standard error."""
-    offset = np.array([0.7, -0.4, 0.2])
-    torque = DECLARED + offset
-    torque[:, 1] += 3.0 * (Q[:, 1] - 0.3)
-    friction = ("viscous", "offset")
-    asked = {**EXACT, "friction": friction}
-    robot = RobotIdentifier(MODEL, effects=[effects.Spring(1)], **asked)
-    robot.fit(STATES, torque)
-    names = robot.parameter_names_
-    values = dict(zip(names, robot.theta_))
-    assert values["joint_2:spring:c"] == pytest.approx(-0.4 - 0.9, rel=1e-6)
-    assert values["joint_2:offset"] == 0.0
-    known = dict(zip(names, robot.identifiable_))
-    assert known["joint_2:spring:c"]
-    assert not known["joint_2:offset"]
-    # Elsewhere an offset is an offset.
-    for j in (1, 3):
-        assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
-    plain = RobotIdentifier(
-        MODEL,
-        effects=[effects.Offset(0), effects.Spring(1), effects.Offset(2)],
-        **{**EXACT, "friction": ("viscous",)},
-    ).fit(STATES, torque)
-    assert_allclose(robot.predict(STATES), plain.predict(STATES), atol=1e-7)

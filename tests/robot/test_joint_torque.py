@@ -167,21 +167,6 @@ def test_refuses_a_regressor_that_is_not_linear(rng, regressor):
 # -- sample weights
 
 
-def test_weights_of_samples_and_of_single_equations(rng):
-    Phi, tau, _ = joint_equations(rng, noise=1.0)
-    weight = rng.integers(1, 4, size=300).astype(float)
-    model = fitted(Phi, tau, joint_weights=None, fit={"sample_weight": weight})
-    each = np.repeat(weight[:, None], 3, axis=1)
-    np.testing.assert_allclose(
-        model.theta_, weighted_least_squares(Phi, tau, each), rtol=1e-9
-    )
-    each = rng.uniform(0.1, 3.0, size=(300, 3))
-    model = fitted(Phi, tau, joint_weights=None, fit={"sample_weight": each})
-    np.testing.assert_allclose(
-        model.theta_, weighted_least_squares(Phi, tau, each), rtol=1e-9
-    )
-
-
 REGRESSORS = [
     LinearRegression(),
     Ridge(alpha=0.1),

@@ -108,21 +108,6 @@ def test_a_mass_that_turns_does_not():
     assert np.isnan(mass.std)
 
 
-def test_a_sum_of_masses_is_enough():
-    """A slider that carries a pendulum weighs both, and neither by itself."""
-    model = arm("zY")
-    _, states = motion(2, duration=20.0, dt=DT, seed=4)
-    gains, names = np.array([6.0, 9.0]), ("joint_1", "joint_2")
-    tau = recorded(model, gains, 0, states=states)
-    masses = {name: model.inertias[j + 1].mass for j, name in enumerate(names)}
-    both = fit(tau, masses, model, (), states)
-    assert_allclose(both.gains_.gain, gains, rtol=0.03)
-    assert all(m.used and not m.shown for m in both.gains_.common.masses)
-    for name in names:
-        alone = fit(tau, {name: masses[name]}, model, (), states)
-        assert not alone.gains_.absolute
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [

@@ -43,15 +43,6 @@ def routing():
         yield
 
 
-class LooksAtRows(LinearRegression):
-    """Least squares that keeps what `fit` was given."""
-
-    def fit(self, X, y, sample_weight=None, groups=None):
-        self.given_ = {"sample_weight": sample_weight, "groups": groups}
-        self.rows_ = X, y
-        return super().fit(X, y, sample_weight)
-
-
 def chain(recording, cutoff=5.0):
     return Pipeline(
         [
@@ -125,46 +116,6 @@ def test_groups_need_no_ceremony(recording, routing):
 # -- the regressor inside -------------------------------------------------------------
 
 
-def equations(recording):
-    features = RigidBodyFeatures(recording.urdf)
-    return features.fit_transform(recording.states), recording.tau
-
-
-def test_labels_stay_with_their_equations(recording, weight, routing):
-    Phi, tau = equations(recording)
-    rows = LooksAtRows().set_fit_request(groups=True)
-    model = JointTorqueRegressor(rows, joint_weights=None, dt=DT, cutoff=5.0)
-    model.fit(Phi, tau, groups=recording.groups, sample_weight=weight)
-    given = model.regressor_.given_
-    assert given["sample_weight"] is None  # folded into the equations
-    counts = [
-        JointTorqueRegressor(LinearRegression(), dt=DT, cutoff=5.0)
-        .fit(Phi[part], tau[part], sample_weight=weight[part])
-        .n_rows_.sum()
-        for part in (recording.groups == label for label in range(4))
-    ]
-    np.testing.assert_array_equal(given["groups"], np.repeat(range(4), counts))
-
-
-def test_weights_go_to_a_regressor_that_requests_them(recording, weight, routing):
-    Phi, tau = equations(recording)
-    settings = {"joint_weights": None, "dt": DT, "cutoff": 5.0}
-    folded = JointTorqueRegressor(LooksAtRows(), **settings)
-    folded.fit(Phi, tau, sample_weight=weight)
-    asked = JointTorqueRegressor(
-        LooksAtRows().set_fit_request(sample_weight=True), **settings
-    )
-    asked.fit(Phi, tau, sample_weight=weight)
-    w = asked.regressor_.given_["sample_weight"]
-    assert w.mean() == pytest.approx(1.0)
-    A, b = asked.regressor_.rows_
-    np.testing.assert_allclose(folded.regressor_.rows_[0], A * np.sqrt(w)[:, None])
-    np.testing.assert_allclose(folded.regressor_.rows_[1], b * np.sqrt(w))
-    np.testing.assert_allclose(
-        asked.predict(Phi), folded.predict(Phi), atol=1e-6 * np.abs(tau).max()
-    )
-
-
 def test_routing_of_the_joint_torques(routing):
     plain = JointTorqueRegressor(LinearRegression()).get_metadata_routing()
     assert isinstance(plain, MetadataRouter)
@@ -221,6 +172,3 @@ def test_score_knows_the_borders_of_recordings(recording):
     predicted = robot.predict(recording.q, groups=groups)
     assert score == r2_score(recording.tau, predicted)
     assert score > robot.score(recording.q, recording.tau)
-
-
-# -- locally weighted -----------------------------------------------------------------

@@ -9,15 +9,13 @@ import numpy as np
 import pytest
 from sklearn.linear_model import Ridge
 
-pin = pytest.importorskip("pinocchio")
-
-from sklearn_vbjfa import (  # noqa: E402
+from sklearn_vbjfa import (
     IdentifiedRobot,
     RobotIdentifier,
     load_identified,
 )
-from sklearn_vbjfa._core._whole_files import write_whole  # noqa: E402
-from sklearn_vbjfa.effects import (  # noqa: E402
+from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa.effects import (
     BaseTilt,
     Counterbalance,
     Delay,
@@ -31,8 +29,6 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Signal,
     TorqueGain,
 )
-from tests.model._trees import build  # noqa: E402
-from tests.model.test_description_text import with_bodies  # noqa: E402
 
 DT = 0.01
 
@@ -53,33 +49,6 @@ class Stiffening(Effect):
 
     def columns(self, motion):
         return motion.q[:, [self.joint]] ** self.power
-
-
-def tree_recording(seed=0, n=400):
-    """Robot without a URDF, its joints in another order than URDF has, and its data."""
-    rng = np.random.default_rng(seed)
-    kinds = ["RZ", "PrismaticUnaligned", "RevoluteUnaligned", "RX"]
-    model = pin.Model()
-    made = build(rng, kinds, parents=[0, 1, 1, 3])
-    names = ("z", "y", "b", "a")
-    for j, name in enumerate(names):
-        model.addJoint(
-            made.parents[j + 1], made.joints[j + 1], made.jointPlacements[j + 1], name
-        )
-    model.gravity.linear = np.array([3.0, 0.0, -9.0])
-    with_bodies(model, rng)
-    t = DT * np.arange(n)
-    waves = np.array([2.0, 3.0, 5.0, 7.0])
-    X = np.hstack(
-        [
-            np.sin(np.outer(t, waves)),
-            waves * np.cos(np.outer(t, waves)),
-            -(waves**2) * np.sin(np.outer(t, waves)),
-        ]
-    )
-    data = model.createData()
-    tau = np.array([pin.rnea(model, data, *np.split(x, 3)) for x in X])
-    return model, X, tau + 0.01 * rng.normal(size=tau.shape)
 
 
 def fitted_plain(recording):
@@ -222,28 +191,6 @@ def test_the_robot_in_a_file_is_the_fitted_one(fitted, simulated, tmp_path):
         read.to_urdf(tmp_path / "two.urdf")
         written = [(tmp_path / f"{n}.urdf").read_text() for n in ("one", "two")]
         assert written[0] == written[1]
-
-
-@pytest.mark.parametrize("seed", [0, 1])
-def test_a_robot_without_description(seed, tmp_path):
-    model, X, tau = tree_recording(seed)
-    robot = RobotIdentifier(
-        model, dt=DT, effects=[LoadFriction(joint=1)], friction=("viscous",)
-    ).fit(X, tau)
-    robot.save(tmp_path / "tree.json")
-    read = load_identified(tmp_path / "tree.json")
-    assert read.joint_names_ == ("z", "y", "b", "a")
-    expected, _ = predicted(robot, X)
-    torque, _ = predicted(read, X)
-    assert np.abs(torque - expected).max() < 1e-12 * expected.std(axis=0).max()
-    np.testing.assert_array_equal(
-        read.features_.model_.gravity.linear, model.gravity.linear
-    )
-    read.save(tmp_path / "again.json")
-    assert (tmp_path / "again.json").read_text() == (tmp_path / "tree.json").read_text()
-    # What cannot be written of the identifier can of the file.
-    read.to_urdf(tmp_path / "tree.urdf")
-    assert pin.buildModelFromUrdf(str(tmp_path / "tree.urdf")).nv == 4
 
 
 def test_an_effect_of_ones_own(simulated, tmp_path):

@@ -13,11 +13,8 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import (  # noqa: E402
     BaseTilt,
-    Coulomb,
-    Delay,
     JointAxis,
     JointZero,
-    Spring,
     TorqueGain,
 )
 from sklearn_vbjfa.robot import (  # noqa: E402
@@ -241,54 +238,6 @@ def test_a_weight_of_two_is_a_row_twice():
     assert_same(some, only, 1e-6)
 
 
-# -- the model as found
-
-
-def test_predictions_are_those_of_the_corrected_robot(reference):
-    other, shifts, gains = faulty(ARM, reference.effects_)
-    bodies = reference.theta_[: reference.features_.n_parameters_].reshape(3, -1)
-    data, expected = other.createData(), []
-    for row in ELSEWHERE - np.r_[shifts, np.zeros(6)]:
-        Phi = pin.computeJointTorqueRegressor(other, data, *row.reshape(3, 3))
-        friction = bodies[:, 10] * row[3:6]
-        expected.append(gains * (Phi @ bodies[:, :10].ravel() + friction))
-    found = reference.predict(ELSEWHERE)
-    assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
-    there = measured(ARM, ELSEWHERE, TRUTH, VISCOUS[:3])
-    residuals = reference.residuals(ELSEWHERE, there)
-    assert_allclose(residuals.torque - residuals.predicted, there - found, atol=1e-9)
-    assert np.abs(there - found).max() < 0.1
-
-
-@pytest.mark.parametrize(
-    ("beside", "torque"),
-    [
-        (Coulomb(1), lambda tau: 2.0 * np.sign(STATES[:, [4]]) * [0, 1, 0]),
-        (Spring(0), lambda tau: 8.0 * STATES[:, [0]] * [1, 0, 0]),
-        (
-            Delay(2, delay=DT),
-            lambda tau: np.vstack([0 * tau[:1], tau[:-1] - tau[1:]]) * [0, 0, 1],
-        ),
-    ],
-    ids=["coulomb", "spring", "delay"],
-)
-def test_other_effects_are_found_beside_them(beside, torque):
-    """A channel's gain is on all that passes the channel."""
-    truth = [JointZero(1, 0.1), TorqueGain(0, 1.3)]
-    plain = measured(ARM, STATES, truth[:1], VISCOUS[:3])
-    tau = (plain + torque(plain)) * faulty(ARM, truth)[2]
-    robot = fit(ARM, [*idle(truth), beside], tau)
-    if isinstance(beside, Delay):
-        # Its column is made of the model of the fit before, edges aside.
-        assert_allclose(values(robot), [0.1, 1.3], atol=5e-3)
-        assert robot.theta_[-1] == pytest.approx(DT, rel=0.05)
-        return
-    assert_allclose(values(robot), [0.1, 1.3], atol=1e-6)
-    assert robot.effects_[-1].get_params() == beside.get_params()
-    assert_allclose(robot.predict(STATES), tau, atol=1e-5)
-    assert robot.theta_[35] == pytest.approx({1: 2.0, 0: 8.0}[beside.joint], abs=1e-5)
-
-
 # -- what no recording shows, and what is implausible
 
 
@@ -367,6 +316,3 @@ def test_of_one_joint_nothing_shows(effect):
 def test_what_cannot_be_is_refused(effects, message):
     with pytest.raises(ValueError, match=message):
         fit(ARM, effects, NOISY)
-
-
-# -- one correction

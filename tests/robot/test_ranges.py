@@ -1,7 +1,6 @@
 """What effects were fitted on, and predictions that leave it."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -106,20 +105,6 @@ def test_one_warning_names_joint_and_range(fitted):
     assert "coulomb" not in message
 
 
-def test_what_is_held_is_said(fitted):
-    (message,) = said(fitted, 2.0 * STATES)
-    edge, law = "Held beyond the margin", "Going on by the law"
-    assert f"). {edge}: spring. {law}: viscous." in message
-    # Only of what is outside.
-    slow = STATES * np.repeat([2.0, 1.0, 1.0], 3)
-    (message,) = said(fitted, slow)
-    assert f"). {edge}: spring." in message
-    assert law not in message
-    (message,) = said(robot(RIPPLE).fit(Q, TORQUE), slow)
-    assert f"). {law}: ripple." in message
-    assert edge not in message
-
-
 # -- torques outside
 
 
@@ -165,28 +150,6 @@ def test_a_ripple_is_followed_beyond_its_range(tmp_path):
     assert_allclose(one, law(far)[::50], atol=1e-7)
 
 
-def test_the_deviation_of_a_held_torque_is_that_at_the_end():
-    noise = 0.1 * np.random.default_rng(0).normal(size=TORQUE.shape)
-    fitted = robot(SPRING, bodies="free").fit(STATES, TORQUE + noise)
-    low, high = fitted.effect_ranges_[-1].position
-    high += 0.2 * (high - low) + 1e-9 * max(abs(low), abs(high))
-    rows = STATES[[100, 700, 900]].copy()
-    rows[:, 1] = high + np.array([0.0, 0.05, 5.0])
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        torque, std = fitted.predict(rows, return_std=True)
-    end = np.tile([high, 1.0], (3, 1))
-    phi = np.hstack([fitted.features_.matrices(rows)[:, 1], end])
-    known = fitted.robot_.prediction_covariance
-    assert_allclose(torque[:, 1], phi @ fitted.theta_, rtol=1e-9)
-    told = np.isfinite(np.diagonal(known.covariance))
-    C, phi = known.covariance[np.ix_(told, told)], phi[:, told]
-    variance = np.einsum("nk,kl,nl->n", phi, C, phi) + known.rest[1]
-    assert_allclose(std[:, 1], np.sqrt(variance), rtol=1e-6)
-    free = replace(fitted.robot_, effect_ranges_=()).predict(rows, return_std=True)
-    assert free[1][2, 1] > 2 * std[2, 1]
-
-
 def test_a_fit_holds_nothing():
     # Equations of a fit are those of a robot with an effect without `depends`.
     class Everywhere(effects.Spring):
@@ -214,20 +177,3 @@ def test_rest_is_no_speed():
     assert said(own, ramp * [1.0, 0.0, 0.0]) == []
     (message,) = said(own, ramp * [1.0, 0.4, 1.0])
     assert "speeds to 0.2 rad/s, fitted on 0.5 to 0.5 rad/s" in message
-
-
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_a_joint_that_never_reversed_is_known_one_way(way):
-    t = np.arange(0, 8.0, DT)
-    speed = 1.0 + 0.5 * np.sin(t)
-    forth = way * np.column_stack([t - 0.5 * np.cos(t), speed, 0.5 * np.cos(t)])
-    own = RobotIdentifier(
-        arm("Z"), dt=DT, standstill=0.01, projector=None, friction="coulomb"
-    ).fit(forth, forth[:, 1:2] + way * 2.0)
-    (coulomb,) = own.effect_ranges_
-    assert coulomb.direction == (way, way)
-    assert said(own, forth) == []
-    assert said(own, 3.0 * forth) == []  # however fast
-    (message,) = said(own, -forth)
-    first, second = ("forward", "backward")[:: int(-way)]
-    assert f"joint_1: {first} motion, fitted on {second} motion only (coul" in message

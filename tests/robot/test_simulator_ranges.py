@@ -419,6 +419,3 @@ def test_a_regressor_without_a_covariance(urdf):
     for ask in (robot.ranges, lambda: robot.sample(1)):
         with pytest.raises(ValueError, match="its regressor gives none"):
             ask()
-
-
-# -- drives ----------------------------------------------------------------------------

@@ -1,9 +1,5 @@
 """Statistics piece by piece against those of the whole regressor matrix."""
 
-import functools
-import itertools
-from types import SimpleNamespace
-
 import joblib
 import numpy as np
 import pytest
@@ -17,8 +13,7 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import BlockAssignment, MotionFacts, _equations
-from sklearn_vbjfa.robot._plan import n_fastest
+from sklearn_vbjfa.robot import BlockAssignment, _equations
 from tests.model._trees import build, by_sample
 
 FRICTION = ("viscous", "coulomb")
@@ -221,54 +216,3 @@ def test_effects_are_streamed_as_well(monkeypatch, recording):
     expected = fit(recording, **settings)
     monkeypatch.setattr(_equations, "CHUNK_BYTES", 1 << 20)
     assert_same(fit(recording, n_jobs=2, **settings), expected)
-
-
-def test_only_the_support_is_made_and_filtered(recording):
-    rng = np.random.default_rng(12)
-    features = RigidBodyFeatures(recording.urdf, friction=FRICTION).load()
-    nv = features.n_joints_
-    states = rng.normal(size=(500, 3 * nv))
-    columns = [
-        (SimpleNamespace(whole_robot=True), rng.normal(size=(500, nv, 2))),
-        (SimpleNamespace(whole_robot=False, joint=1), rng.normal(size=(500, 3))),
-    ]
-    for effects in ([], columns):
-        rows = _equations.RegressorRows(features, states, effects)
-        Phi = rows(slice(0, 500))
-        assert not Phi[:, ~rows.support].any()
-        entries = rows.entries(slice(0, 500))
-        assert entries.shape[0] == np.count_nonzero(rows.support)
-        assert_array_equal(rows.spread(entries.T), Phi)
-        theta = rng.normal(size=rows.n_parameters)
-        assert_allclose(rows.predict(theta), Phi @ theta, rtol=0, atol=1e-11)
-        lowpass = _lowpass.design(0.01, 5.0)
-        count = lowpass.centres(500).size
-        made = _equations._filter_rows((rows,), slice(0, 500), lowpass, count)
-        ((_, (filtered,)),) = made
-        matrices = rows.spread(filtered)
-        assert_allclose(matrices, lowpass(Phi), rtol=0, atol=1e-11)
-        assert_array_equal(matrices[:, ~rows.support], 0.0)
-
-
-# -- what is known of all recordings before
-
-
-@settings(max_examples=40, derandomize=True, deadline=None)
-@given(
-    n=st.integers(1, 900),
-    cuts=st.lists(st.integers(1, 899), max_size=5, unique=True),
-    seed=st.integers(0, 1000),
-)
-def test_fastest_speeds_merge_to_the_quantile(n, cuts, seed):
-    rng = np.random.default_rng(seed)
-    q, v = rng.normal(size=(2, n, 3))
-    v = np.round(v, 2)  # ties
-    keep = n_fastest(n)
-    edges = [0, *sorted(c for c in cuts if c < n), n]
-    parts = [MotionFacts.of(q[a:b], v[a:b], keep) for a, b in itertools.pairwise(edges)]
-    facts = functools.reduce(lambda one, other: one.merge(other, keep), parts)
-    assert facts.fastest.shape[0] <= keep
-    expected = np.quantile(np.abs(v), 0.995, axis=0)
-    assert_allclose(facts.fast(), expected, rtol=1e-15)
-    assert_array_equal(facts.lowest, q.min(axis=0))
-    assert_array_equal(facts.highest, q.max(axis=0))

@@ -1,6 +1,5 @@
 """Effects of time in predictions outside the time of the fit, against closed forms."""
 
-import pickle
 import warnings
 from types import SimpleNamespace
 
@@ -102,26 +101,6 @@ def test_deviation_of_a_drift_is_that_of_its_coefficient():
     assert (expected > 0).all()
     assert_allclose(found.std[:, 1], expected, rtol=1e-9)
     assert_array_equal(found.std[:, [0, 2]], 0 * V[:, [0, 2]])
-
-
-def test_deviation_with_the_time_constant_beside_the_coefficient():
-    """The delta method by hand: d/dD = f e, d/dT = D f t / T^2 e, e = exp(-t/T)."""
-    robot = fit("coulomb")
-    covariance = np.array([[0.04, -0.1], [-0.1, 0.9]])
-    known = SimpleNamespace(shape=("time_constant",), covariance=covariance)
-    robot.tell_spreads([known])
-    later = T + START + 30.0
-    slopes = np.exp(-later / CONSTANT)[:, None] * np.column_stack(
-        [np.ones_like(T), D * later / CONSTANT**2]
-    )
-    expected = np.sqrt(np.einsum("ni,ij,nj->n", slopes, covariance, slopes))
-    moves = np.abs(V[:, 1]) > 0.05
-    for own in (robot, pickle.loads(pickle.dumps(robot))):
-        (found,) = own.effects_of_time(STATES, t=later)
-        assert_allclose(found.std[moves, 1], expected[moves], rtol=1e-5)
-    # A new fit knows nothing of it.
-    again = robot.fit(STATES, TORQUE, t=T)
-    assert np.isnan(again.effects_of_time(STATES)[0].std[:, 1]).all()
 
 
 def test_the_warning_says_how_far_and_how_much():

@@ -1,16 +1,13 @@
 """Time stamps against the sample period."""
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.effects import Drift
-from sklearn_vbjfa.recording import check_time_stamps, take_arrays
-from sklearn_vbjfa.robot import Plan
+from sklearn_vbjfa.recording import check_time_stamps
 
 DT = 0.01
 PARTS = [slice(0, 60), slice(60, 100)]
@@ -80,29 +77,3 @@ def test_what_is_no_time():
         check_time_stamps(stamps()[:-1], DT, PARTS)
     with pytest.raises(ValueError, match=r"t must be finite; row 5 is not"):
         check_time_stamps(np.where(np.arange(100) == 5, np.nan, stamps()), DT, PARTS)
-
-
-def test_restarts_are_for_effects_without_a_clock():
-    def clock(t, dt=DT, *, stamped):
-        groups = np.repeat([0, 1], [60, 40])
-        made = take_arrays(
-            np.zeros((100, 3)), np.zeros((100, 1)), groups, t=t, dt=dt, joint_names="a"
-        )
-        return made.clock(stamped=stamped)
-
-    np.testing.assert_array_equal(clock(stamps(), stamped=False), DT * np.arange(100))
-    assert clock(stamps(), None, stamped=False) is None
-    with pytest.raises(ValueError, match="t must rise from row to row, over all"):
-        clock(stamps(), stamped=True)
-    later = stamps() + np.repeat([0.0, 30.0], [60, 40])
-    np.testing.assert_array_equal(clock(later, stamped=True), later)
-    # an effect that changes with time is what asks for the stamps
-    plan = Plan(
-        dt=DT, state_estimator=None, cutoff=5.0, lowpass=None, standstill=np.zeros(1)
-    )
-    made = take_arrays(
-        np.zeros((100, 1)), np.zeros((100, 1)), t=later, dt=DT, joint_names="a"
-    )
-    np.testing.assert_array_equal(plan.clock(made), DT * np.arange(100))
-    timed = replace(plan, effects=(Drift(),))
-    np.testing.assert_array_equal(timed.clock(made), later)

@@ -178,21 +178,6 @@ def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(monkeypatch, peri
     assert held() < 0.6
 
 
-def test_repetition_is_seen_between_recordings(monkeypatch):
-    """Six recordings of one motion are not six times the evidence of one."""
-    model, states, tau, noise = repeating(0, 10.0)
-    groups = np.arange(len(tau)) // 500
-    robot = RobotIdentifier(model, dt=DT, friction=FRICTION)
-
-    def widths():
-        robot.fit(states, tau + noise, groups=groups)
-        return robot.theta_std_[robot.identifiable_]
-
-    found = widths()
-    monkeypatch.setattr(_identifier, "numbered", by_time)
-    assert np.median(found / widths()) > 1.5
-
-
 # -- deviations of predicted torques
 
 

@@ -1,6 +1,5 @@
 """Windows of a recording: where they begin, their errors, and those that fail."""
 
-import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import simulate_windows
 from sklearn_vbjfa.effects import Drift
 from sklearn_vbjfa.robot._windows import clearly_smaller
-from sklearn_vbjfa.simulation import SimulationError
 
 pytest.importorskip("pinocchio")
 
@@ -138,23 +136,6 @@ def test_clearly_smaller_is_a_test_at_five_per_cent():
     assert not clearly_smaller(-np.ones((1, 3)), np.zeros((1, 3))).any()
 
 
-def test_windows_begin_at_the_smoothed_state(found, robot, recording):
-    nv = recording.nv
-    k = 4
-    np.testing.assert_allclose(found.simulated[k, 0, :nv], found.start_positions[k])
-    np.testing.assert_allclose(found.simulated[k, 0, nv:-nv], found.velocities[k, 0])
-    rows = slice(found.starts[k], found.starts[k] + 51)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)
-        alone = robot.simulate(
-            recording.tau[rows],
-            found.start_positions[k],
-            found.velocities[k, 0],
-            found.t[k],
-        )
-    np.testing.assert_array_equal(found.simulated[k], alone)
-
-
 def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
     robot.save(tmp_path / "arm.json")
     again = simulate_windows(
@@ -177,51 +158,6 @@ def test_robots_are_compared_on_the_same_windows(found, recording):
     for name in ("starts", "t", "positions", "velocities", "start_positions"):
         np.testing.assert_array_equal(getattr(other, name), getattr(found, name))
     assert np.median(other.errors) > 3 * np.median(found.errors)
-
-
-class Failing:
-    """A robot whose simulation ends in an error in some windows."""
-
-    def __init__(self, robot, errors):
-        self._robot, self._errors, self._count = robot, errors, -1
-
-    def __getattr__(self, name):
-        return getattr(self._robot, name)
-
-    def simulate(self, *given, **named):
-        self._count += 1
-        if self._count in self._errors:
-            raise self._errors[self._count]
-        return self._robot.simulate(*given, **named)
-
-
-def part_of(recording, rows):
-    return recording.q[rows], recording.tau[rows]
-
-
-def test_windows_that_fail_are_named_and_the_others_kept(robot, recording):
-    errors = {
-        1: SimulationError("it diverges", 1.25),
-        2: ValueError("q0 lies outside the limits"),
-    }
-    part = part_of(recording, slice(0, 300))
-    found = simulate_windows(Failing(robot, errors), *part, window=0.5)
-    assert found.failed.tolist() == [
-        False,
-        True,
-        True,
-        *[False] * (found.n_windows - 3),
-    ]
-    first, second = found.failures
-    assert (first.window, first.time, first.message) == (1, 1.25, "it diverges")
-    assert (second.window, second.message) == (2, "q0 lies outside the limits")
-    assert np.isnan(found.errors[1:3]).all()
-    assert np.isfinite(found.errors[0]).all()
-    some = found.select(np.arange(found.n_windows) >= 2)
-    (kept,) = some.failures
-    assert (kept.window, kept.message) == (0, "q0 lies outside the limits")
-    # Rivals go on where the simulation did not.
-    assert not found.staying().failed.any()
 
 
 def test_effects_of_time_have_the_clock_of_the_fit(recording):

@@ -234,7 +234,6 @@ def test_saturated_samples_count_nothing():
 BAD = {
     "no drive": ({"drive": "pd"}, {}, "drive must be a PDDrive, CurrentDrive"),
     "gains of channels": ({"gains": "unknown"}, {}, "cannot be combined with gains"),
-    "period": ({"period": 1.0}, {}, "cannot be combined with period"),
     "no kp": ({"drive": PDDrive(kd=KD)}, {}, "kp is missing: give kp="),
     "wrong number": (
         {"drive": PDDrive(KP[:2], KD)},

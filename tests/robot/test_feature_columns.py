@@ -15,12 +15,23 @@ from sklearn.preprocessing import (
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures
+from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.robot._features import parameter_names_of
 
 FRICTION = ("viscous", "coulomb", "offset")
 
 
 # -- names
+
+
+@pytest.fixture(scope="module", name="recording")
+def fixture_recording():
+    return make_robot_recording(duration=4.0, dt=0.01, random_state=3)
+
+
+@pytest.fixture(scope="module", name="features")
+def fixture_features(recording):
+    return RigidBodyFeatures(recording.urdf, friction=FRICTION).fit(recording.states)
 
 
 def test_names_of_the_parameters(features):

@@ -34,6 +34,11 @@ def fitted(X=ARM.q, *effects, **given):
     return robot(*(effects or (EFFECT,))).fit(X, TAU, **given)
 
 
+@pytest.fixture(scope="module", name="found")
+def fixture_found():
+    return fitted(signals=GIVEN)
+
+
 def frame(**columns):
     pandas = pytest.importorskip("pandas")
     made = pandas.DataFrame(ARM.q, columns=[f"q_{name}" for name in NAMES])

@@ -104,15 +104,14 @@ def solid_bodies(bodies, least=_SOLID):
 
 
 def with_extension(model):
-    """Give masses without a possible extension that of a small ball."""
+    """Give masses without any extension that of a small ball."""
     size = [np.linalg.norm(place.translation) for place in model.jointPlacements[1:]]
     radius = _BALL * (max(size, default=0.0) or 1.0)
     pin = import_pinocchio()
-    for k in np.flatnonzero(~solid_bodies(nominal_parameters(model))):
-        body = model.inertias[int(k) + 1]
-        if body.mass > 0:
+    for k, body in enumerate(model.inertias):
+        if k and body.mass > 0 and not body.inertia.any():
             ball = 0.4 * body.mass * radius**2 * np.eye(3)
-            model.inertias[int(k) + 1] = pin.Inertia(body.mass, body.lever, ball)
+            model.inertias[k] = pin.Inertia(body.mass, body.lever, ball)
     return model
 
 
@@ -180,6 +179,7 @@ def in_order(model, names):
         )
     made = import_pinocchio().Model()
     made.name, made.gravity = model.name, model.gravity
+    made.inertias[0] = model.inertias[0]
     numbers = {0: 0}
     for name in names:
         old = model.getJointId(name)

@@ -87,18 +87,22 @@ def explained(model, names, signals, rivals=None):
 
 def log_odds_of(model, signals, other):
     """Log odds of one reading of the signals against another one, of any scale."""
+    # None at all if it does not lower the squared errors by half.
     if min(bodies.mass for bodies in list(model.inertias)[1:]) <= 0:
         return 0.0
     right, now = DescribedRobot(model, signals), DescribedRobot(model, other)
     right.times = now.times = np.minimum(right.times, now.times)
-    return _any_scale(right) - _any_scale(now) + PRIOR
+    one, two = _any_scale(right), _any_scale(now)
+    if np.log(one.noise.mean() / two.noise.mean()) > -_CLEAR:
+        return min(one.evidence - two.evidence, 0.0)
+    return one.evidence - two.evidence + PRIOR
 
 
 def _any_scale(robot):
-    """Evidence of torques that may be in any unit."""
-    now = robot.fit().evidence
-    factor = _factor(robot)[0]
-    return max(now, robot.fit(scale=factor).evidence) if factor > 0 else now
+    """`Fit` to torques that may be in any unit."""
+    now, factor = robot.fit(), _factor(robot)[0]
+    scaled = robot.fit(scale=factor) if factor > 0 else now
+    return max(now, scaled, key=lambda fit: fit.evidence)
 
 
 def _factor(robot):

@@ -5,10 +5,14 @@ xi_1 e_1 + xi_2 e_2 + xi_3 e_3, with the origin p and the axes e_k in the world,
 accelerates with a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3. Mass times acceleration and its
 moment, summed over the points, are all ten columns of a body's regressor: cross
 products of (p, e_1, e_2, e_3) and (a, d_1, d_2, d_3). A joint's torque is its screw
-times the forces on what it carries.
+times the forces on what it carries. `_compiled` does this; without Numba Pinocchio's
+recursion.
 """
 
+import functools
+
 import numpy as np
+from scipy import sparse
 
 from sklearn_vbjfa.model._corrected import cross, dot, links_of, mixed
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
@@ -18,8 +22,10 @@ from sklearn_vbjfa.model._trees import describe, import_pinocchio
 _ROUNDING = 1e-12
 # Random states that tell which entries are zero whatever the motion.
 _N_PROBES = 32
-# Samples that go through together: few enough to stay in the processor's cache.
+# Samples whose torques are computed together, and bytes of regressor matrices that are
+# in memory at once for that: few enough to stay in the processor's cache.
 _ROWS = 2048
+_CACHE = 1 << 19
 
 
 def rounding_entries(power):
@@ -34,6 +40,18 @@ def rounding_entries(power):
         largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
         rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
     return rounding
+
+
+@functools.cache
+def load_kernel():
+    """Return the compiled loop over samples, or None where Numba is not installed."""
+    try:
+        from sklearn_vbjfa.model._compiled import fill
+    except ModuleNotFoundError as error:
+        if error.name != "numba":
+            raise
+        return None
+    return fill
 
 
 class TreeRegressor:
@@ -95,27 +113,44 @@ class TreeRegressor:
         # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
         # parameter, -1 for none, as it must be outside the support. Rows without an
         # entry are left alone.
-        parents = self._tree.parents
-        for begin in range(0, q.shape[0], _ROWS):
-            rows = slice(begin, begin + _ROWS)
-            links = links_of(self._tree, q[rows], v[rows], a[rows])
-            for j, link in enumerate(links):
-                forces, moments = _forces_and_moments(link)
-                # The joint itself and all those that carry it.
-                i = j
-                while i >= 0:
-                    own = links[i]
-                    torque = dot(own.moment[:, None], moments)
-                    torque[:4] += dot(own.force[:, None], forces)
-                    used = places[i, j] >= 0
-                    out[places[i, j][used], rows] = torque[used]
-                    i = parents[i]
+        kernel = load_kernel()
+        if kernel is not None:
+            kernel(q, v, a, self._tree, places, out)
+            return
+        one, used = self.one_by_one(), places >= 0
+        matrices = np.empty((q.shape[0], *places.shape))
+        for matrix, *sample in zip(matrices, q, v, a):
+            matrix[...] = one(*sample)
+        out[places[used]] = matrices[:, used].T
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
         inertial = np.reshape(inertial, (self.nv, 10))
+        if load_kernel() is None:
+            return self._torques_of_links(q, v, a, inertial)
+        count = np.count_nonzero(self.support)
+        places = np.full(self.support.shape, -1)
+        places[self.support] = np.arange(count)
+        # Each torque is a sum over its entries, of which a robot of many branches has
+        # few.
+        joint, *parameter = np.nonzero(self.support)
+        sums = sparse.csr_array(
+            (inertial[tuple(parameter)], (joint, np.arange(count))),
+            shape=(self.nv, count),
+        )
+        torque = np.empty(q.shape)
+        size = max(1, _CACHE // (8 * max(count, 1)))
+        for begin in range(0, q.shape[0], size):
+            rows = slice(begin, min(begin + size, q.shape[0]))
+            entries = np.empty((count, rows.stop - begin))
+            self.entries(q[rows], v[rows], a[rows], places, entries)
+            torque[rows] = (sums @ entries).T
+        return torque
+
+    def _torques_of_links(self, q, v, a, inertial):
+        """Compute inverse dynamics in NumPy, where Numba is not installed."""
         torque = np.empty(q.shape)
         for begin in range(0, q.shape[0], _ROWS):
             rows = slice(begin, begin + _ROWS)
@@ -132,39 +167,15 @@ class TreeRegressor:
         return torque
 
 
-def _swung(link):
-    """Accelerations (3, 3, n) of the tips of a body's axes relative to its origin."""
-    w, dw = link.spin[:, None], link.gain[:, None]
-    return cross(dw, link.axes) + cross(w, cross(w, link.axes))
-
-
 def _wrench(link, body):
     """Force and moment about the world's origin (3, n) that a body (10,) takes."""
     xx, xy, yy, xz, yz, zz = body[4:]
     inertia = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     second = 0.5 * np.trace(inertia) * np.eye(3) - inertia
-    d = _swung(link)
+    # Accelerations (3, 3, n) of the tips of the body's axes relative to its origin.
+    w, dw = link.spin[:, None], link.gain[:, None]
+    d = cross(dw, link.axes) + cross(w, cross(w, link.axes))
     force = body[0] * link.field + mixed(body[None, 1:4], d)[:, 0]
     arm = mixed(body[None, 1:4], link.axes)[:, 0]
     turned = cross(link.axes, mixed(second, d)).sum(axis=1)
     return [force, cross(link.origin, force) + cross(arm, link.field) + turned]
-
-
-def _forces_and_moments(link):
-    """Return forces (3, 4, n) by m and mc, and moments (3, 10, n) by all ten."""
-    e, d = link.axes, _swung(link)
-    origins = np.concatenate([link.origin[:, None], e], axis=1)
-    forces = np.concatenate([link.field[:, None], d], axis=1)
-    # [:, k, l]: the k-th of (p, e_1, e_2, e_3) times the l-th of (a, d_1, d_2, d_3)
-    crossed = cross(origins[:, :, None], forces[:, None])
-    moments = np.empty((3, 10, e.shape[2]))
-    moments[:, 0] = crossed[:, 0, 0]
-    moments[:, 1:4] = crossed[:, 0, 1:] + crossed[:, 1:, 0]
-    # A moment of inertia sums the squares of the other two coordinates, a product of
-    # inertia is a mixed second moment times minus one.
-    xx, yy, zz = (crossed[:, k, k] for k in (1, 2, 3))
-    half = 0.5 * (xx + yy + zz)
-    moments[:, 4], moments[:, 6], moments[:, 9] = half - xx, half - yy, half - zz
-    for place, k, m in ((5, 1, 2), (7, 1, 3), (8, 2, 3)):
-        moments[:, place] = -(crossed[:, k, m] + crossed[:, m, k])
-    return forces, moments

@@ -9,9 +9,17 @@ the inertia of composite bodies is a sum.
 
 import math
 
-import numba
 import numpy as np
 
+from sklearn_vbjfa.model._compiled import (
+    axpy,
+    combine,
+    compiled,
+    cross,
+    dot,
+    turn,
+    vector,
+)
 from sklearn_vbjfa.simulation import _integrate, _terms
 
 # Rows of what is known of a body: its axes, origin, angular velocity and acceleration,
@@ -23,85 +31,28 @@ _MASS, _FIRST, _INERTIA = 33, 34, 37
 _STATE = 46
 
 
-# The machine code is kept on disk: only the first use after an installation takes the
-# seconds of the compilation. Fused multiplications and additions round once instead of
-# twice.
-_compiled = numba.njit(
-    nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
-)
-_add_terms = _compiled(_terms.add_terms)
-remember = _compiled(_terms.remember)
-step_error = _compiled(_integrate.step_error)
-is_stiff = _compiled(_integrate.is_stiff)
-load_size = _compiled(_terms.load_size)
-directions = _compiled(_integrate.directions)
-past_events = _compiled(_integrate.past_events)
+_add_terms = compiled(_terms.add_terms)
+remember = compiled(_terms.remember)
+step_error = compiled(_integrate.step_error)
+is_stiff = compiled(_integrate.is_stiff)
+load_size = compiled(_terms.load_size)
+directions = compiled(_integrate.directions)
+past_events = compiled(_integrate.past_events)
 
 
-@_compiled
-def _vector(x):
-    """Return three numbers as a tuple."""
-    return x[0], x[1], x[2]
-
-
-@_compiled
-def _cross(x, y):
-    """Cross product of two vectors."""
-    return (
-        x[1] * y[2] - x[2] * y[1],
-        x[2] * y[0] - x[0] * y[2],
-        x[0] * y[1] - x[1] * y[0],
-    )
-
-
-@_compiled
-def _dot(x, y):
-    """Scalar product of two vectors."""
-    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
-
-
-@_compiled
-def _axpy(a, x, y):
-    """Return a x + y."""
-    return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
-
-
-@_compiled
-def _combine(a, x, y, z):
-    """Return a_1 x + a_2 y + a_3 z."""
-    return (
-        a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
-        a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
-        a[0] * x[2] + a[1] * y[2] + a[2] * z[2],
-    )
-
-
-@_compiled
-def _turn(axis, cosine, sine):
-    """Return the axes of a frame turned about an axis, in that frame, by rows."""
-    u, v, w = axis
-    rest = 1.0 - cosine
-    x, y, z = rest * u, rest * v, rest * w
-    return (
-        (x * u + cosine, x * v + w * sine, x * w - v * sine),
-        (y * u - w * sine, y * v + cosine, y * w + u * sine),
-        (z * u + v * sine, z * v - u * sine, z * w + cosine),
-    )
-
-
-@_compiled
+@compiled
 def _get(state, at):
     """Return three numbers from a place on."""
     return state[at], state[at + 1], state[at + 2]
 
 
-@_compiled
+@compiled
 def _put(state, at, x):
     """Write three numbers from a place on."""
     state[at], state[at + 1], state[at + 2] = x[0], x[1], x[2]
 
 
-@_compiled
+@compiled
 def _add(state, at, x):
     """Add three numbers from a place on."""
     state[at] += x[0]
@@ -109,13 +60,13 @@ def _add(state, at, x):
     state[at + 2] += x[2]
 
 
-@_compiled
+@compiled
 def _scaled(a, x):
     """Return a x."""
     return a * x[0], a * x[1], a * x[2]
 
 
-@_compiled
+@compiled
 def _rows(body, x):
     """Inertia of a body (10,) about its joint times a vector in its own axes."""
     xx, xy, yy, xz, yz, zz = body[4], body[5], body[6], body[7], body[8], body[9]
@@ -126,7 +77,7 @@ def _rows(body, x):
     )
 
 
-@_compiled
+@compiled
 def bodies_at(q, v, tree, bodies, armature, M, h):
     """Write the inertia matrix M (nv, nv) and nonlinear effects h (nv,) at a state."""
     # bodies (nv, 10); armature (nv,): rotor inertias [kg m^2 or kg], which M includes;
@@ -144,30 +95,30 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         else:
             e1, e2, e3 = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
             p, w = (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)
-            dw, field = _vector(tree.base_angular), (0.0, 0.0, 0.0)
-        x = _combine(_vector(tree.frames[j, 0]), e1, e2, e3)
-        y = _combine(_vector(tree.frames[j, 1]), e1, e2, e3)
-        z = _combine(_vector(tree.frames[j, 2]), e1, e2, e3)
-        direction = _vector(tree.axes[j])
-        axis = _combine(direction, x, y, z)
+            dw, field = vector(tree.base_angular), (0.0, 0.0, 0.0)
+        x = combine(vector(tree.frames[j, 0]), e1, e2, e3)
+        y = combine(vector(tree.frames[j, 1]), e1, e2, e3)
+        z = combine(vector(tree.frames[j, 2]), e1, e2, e3)
+        direction = vector(tree.axes[j])
+        axis = combine(direction, x, y, z)
         if turns != 0.0:
             angle = turns * q[j]
-            rows = _turn(direction, math.cos(angle), math.sin(angle))
+            rows = turn(direction, math.cos(angle), math.sin(angle))
             x, y, z = (
-                _combine(rows[0], x, y, z),
-                _combine(rows[1], x, y, z),
-                _combine(rows[2], x, y, z),
+                combine(rows[0], x, y, z),
+                combine(rows[1], x, y, z),
+                combine(rows[2], x, y, z),
             )
-        offset = _combine(_vector(tree.offsets[j]), e1, e2, e3)
-        offset = _axpy(slides * q[j], axis, offset)
-        p = _axpy(1.0, p, offset)
-        across = _cross(w, axis)
-        field = _axpy(1.0, field, _vector(tree.base[j]))
-        field = _axpy(1.0, _cross(w, _cross(w, offset)), field)
-        field = _axpy(1.0, _cross(dw, offset), field)
-        field = _axpy(2.0 * slides * v[j], across, field)
-        w = _axpy(turns * v[j], axis, w)
-        dw = _axpy(turns * v[j], across, dw)
+        offset = combine(vector(tree.offsets[j]), e1, e2, e3)
+        offset = axpy(slides * q[j], axis, offset)
+        p = axpy(1.0, p, offset)
+        across = cross(w, axis)
+        field = axpy(1.0, field, vector(tree.base[j]))
+        field = axpy(1.0, cross(w, cross(w, offset)), field)
+        field = axpy(1.0, cross(dw, offset), field)
+        field = axpy(2.0 * slides * v[j], across, field)
+        w = axpy(turns * v[j], axis, w)
+        dw = axpy(turns * v[j], across, dw)
         _put(own, 0, x)
         _put(own, 3, y)
         _put(own, 6, z)
@@ -177,24 +128,24 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         _put(own, _FIELD, field)
         angular = _scaled(turns, axis)
         _put(own, _ANGULAR, angular)
-        _put(own, _LINEAR, _axpy(slides, axis, _cross(p, angular)))
+        _put(own, _LINEAR, axpy(slides, axis, cross(p, angular)))
         # The body's own force and moment.
-        mass, first = body[0], _combine((body[1], body[2], body[3]), x, y, z)
-        force = _axpy(mass, field, _cross(w, _cross(w, first)))
-        force = _axpy(1.0, _cross(dw, first), force)
-        w_own = _dot(x, w), _dot(y, w), _dot(z, w)
-        dw_own = _dot(x, dw), _dot(y, dw), _dot(z, dw)
-        spun = _axpy(1.0, _cross(w_own, _rows(body, w_own)), _rows(body, dw_own))
-        moment = _axpy(1.0, _cross(first, field), _combine(spun, x, y, z))
+        mass, first = body[0], combine((body[1], body[2], body[3]), x, y, z)
+        force = axpy(mass, field, cross(w, cross(w, first)))
+        force = axpy(1.0, cross(dw, first), force)
+        w_own = dot(x, w), dot(y, w), dot(z, w)
+        dw_own = dot(x, dw), dot(y, dw), dot(z, dw)
+        spun = axpy(1.0, cross(w_own, _rows(body, w_own)), _rows(body, dw_own))
+        moment = axpy(1.0, cross(first, field), combine(spun, x, y, z))
         _put(own, _FORCE, force)
-        _put(own, _MOMENT, _axpy(1.0, _cross(p, force), moment))
+        _put(own, _MOMENT, axpy(1.0, cross(p, force), moment))
         # Its mass, first moments and inertia about the common origin.
         own[_MASS] = mass
-        _put(own, _FIRST, _axpy(mass, p, first))
-        tx = _combine((body[4], body[5], body[7]), x, y, z)
-        ty = _combine((body[5], body[6], body[8]), x, y, z)
-        tz = _combine((body[7], body[8], body[9]), x, y, z)
-        trace = mass * _dot(p, p) + 2.0 * _dot(p, first)
+        _put(own, _FIRST, axpy(mass, p, first))
+        tx = combine((body[4], body[5], body[7]), x, y, z)
+        ty = combine((body[5], body[6], body[8]), x, y, z)
+        tz = combine((body[7], body[8], body[9]), x, y, z)
+        trace = mass * dot(p, p) + 2.0 * dot(p, first)
         for r in range(3):
             for c in range(3):
                 value = x[r] * tx[c] + y[r] * ty[c] + z[r] * tz[c]
@@ -206,20 +157,20 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
         own, parent = state[j], tree.parents[j]
         angular, linear = _get(own, _ANGULAR), _get(own, _LINEAR)
         first = _get(own, _FIRST)
-        h[j] = _dot(angular, _get(own, _MOMENT)) + _dot(linear, _get(own, _FORCE))
+        h[j] = dot(angular, _get(own, _MOMENT)) + dot(linear, _get(own, _FORCE))
         # Momentum of all that the joint carries, at its unit velocity.
-        momentum = _axpy(own[_MASS], linear, _cross(angular, first))
+        momentum = axpy(own[_MASS], linear, cross(angular, first))
         spin = (
-            _dot(_get(own, _INERTIA), angular),
-            _dot(_get(own, _INERTIA + 3), angular),
-            _dot(_get(own, _INERTIA + 6), angular),
+            dot(_get(own, _INERTIA), angular),
+            dot(_get(own, _INERTIA + 3), angular),
+            dot(_get(own, _INERTIA + 6), angular),
         )
-        spin = _axpy(1.0, spin, _cross(first, linear))
+        spin = axpy(1.0, spin, cross(first, linear))
         i = j
         while i >= 0:
             other = state[i]
-            value = _dot(_get(other, _ANGULAR), spin)
-            value += _dot(_get(other, _LINEAR), momentum)
+            value = dot(_get(other, _ANGULAR), spin)
+            value += dot(_get(other, _LINEAR), momentum)
             M[i, j] = value
             M[j, i] = value
             i = tree.parents[i]
@@ -229,7 +180,7 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
                 state[parent, k] += own[k]
 
 
-@_compiled
+@compiled
 def _eliminate(A, b):
     """Solve A x = b in place by elimination with row exchanges; x is in b."""
     n = b.size
@@ -255,7 +206,7 @@ def _eliminate(A, b):
         b[k] /= A[k, k]
 
 
-@_compiled
+@compiled
 def _hold(A, b, stuck):
     """Replace the equations of joints that stick by that of no acceleration."""
     n = b.size
@@ -268,7 +219,7 @@ def _hold(A, b, stuck):
             b[j] = 0.0
 
 
-@_compiled
+@compiled
 def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     """Accelerations at one state, see `ForwardDynamics.accelerate`; power [W]."""
     # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
@@ -344,7 +295,7 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     return power
 
 
-@_compiled
+@compiled
 def explicit_step(
     q,
     v,

@@ -383,7 +383,6 @@ def read(arguments, urdf, joints, gains, *, identified=True):
             topic=arguments.topic,
             gains=gains,
             time_unit=arguments.time_unit,
-            on_bad_files="warn",
             drive=drive(arguments.drive),
             join=bool(arguments.join),
         )

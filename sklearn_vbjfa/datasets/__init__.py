@@ -48,7 +48,6 @@ _MODULES = {
         "fetch_ur5",
         "remote_files",
     ),
-    "_protocols": ("Protocol", "protocols"),
     "_robot_recording": (
         "SimulatedRecording",
         "load_demo_recording",

@@ -7,6 +7,7 @@ import operator
 import warnings
 from functools import partial
 from os import PathLike, fspath
+from pathlib import Path
 
 import numpy as np
 
@@ -23,7 +24,6 @@ from sklearn_vbjfa.recording import (
     levels,
     read_recording,
     recordings_in,
-    without_repeats,
 )
 from sklearn_vbjfa.robot._equations import accumulate, build_segments
 from sklearn_vbjfa.robot._estimate import from_moments
@@ -217,7 +217,7 @@ def _paths(source):
         source = recordings_in(folder)
         if not source:
             raise FileNotFoundError(f"{folder} contains no recording.")
-    paths, _ = without_repeats(source)
+    paths = list(dict.fromkeys(map(Path, source)))
     if not paths:
         raise ValueError("source must name at least one file; got none.")
     return [str(path) for path in paths]

@@ -49,12 +49,8 @@ _MODULES = {
     ),
     "_presets": ("PRESETS",),
     "_reader": (
-        "check_on_bad_files",
         "common_folder",
         "read_recording",
-        "said_of_bad",
-        "said_of_copies",
-        "without_repeats",
     ),
     "_recording": (
         "Recording",

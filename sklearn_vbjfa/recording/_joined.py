@@ -80,7 +80,7 @@ def joined(tables, joints, path) -> Table:
         at = taken.get(part.table.path, keep)
         at = at if part is base else at[keep]
         for name, values in part.table.columns.items():
-            if part is not base and part.time and name == part.time.column:
+            if part is not base and part.time and name in part.time.columns:
                 continue
             values = _at(values, at)
             if name in columns and not np.array_equal(columns[name], values):
@@ -135,7 +135,7 @@ def _part(table: Table, joints):
     time = plain.times[0] if plain.times else None
     if any(_channels._matched(plain, x, joints) for x in _layout.KINDS) or not kind:
         return _Part(table=table, time=time)
-    own = [x for x in table.columns if time is None or x != time.column]
+    own = [x for x in table.columns if time is None or x not in time.columns]
     held = {x: [one for one in joints if _holds(x, one, joints)] for x in own}
     found = [one for x in held.values() for one in x]
     if len(own) == len(found) == len({*found}) and all(held.values()):
@@ -297,7 +297,10 @@ def _seconds(part):
     if stamps.dtype.kind not in "biuf":
         return None
     unit = _layout.channel_unit(part.table, "t", part.time)
-    return stamps.astype(float) * (1.0 if unit is None else unit.factor)
+    seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
+    if part.time.nanoseconds:
+        seconds += 1e-9 * part.table.columns[part.time.nanoseconds]
+    return seconds
 
 
 def _lost(keep, base):

@@ -179,6 +179,8 @@ TIME_NAMES = (
     "__time",
     "ts",
 ) + ("%time", "time_s", "seconds", "secs", "datetime", "zeitstempel", "elapsed")
+# How the parts of a ROS stamp are called.
+_CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
 
 
@@ -188,6 +190,12 @@ class Role:
 
     column: str  # its name
     unit: str = ""  # empty if nothing tells
+    nanoseconds: str = ""  # column of those within the seconds of this one
+
+    @property
+    def columns(self):
+        """Names of all its columns, tuple of str."""
+        return (self.column, self.nanoseconds) if self.nanoseconds else (self.column,)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -413,7 +421,12 @@ def _begin(role):
 def by_names(table: Table, joints=()) -> Layout:
     """Lay out columns by their own names, units in them taken off."""
     roles, times = {}, []
+    clocks = _clocks_of_two(table)
+    parts = {name for clock in clocks for name in clock.columns}
     for name in table.columns:
+        if name in parts:
+            roles[name] = Role(column=name)
+            continue
         bare, unit = name_and_unit(table, name)
         if bare.lower() in TIME_NAMES:
             times.append(Role(column=name, unit=unit))
@@ -435,7 +448,21 @@ def by_names(table: Table, joints=()) -> Layout:
     exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
     if exact:
         roles |= {x.column: x for x in times if x not in exact}
+    if not times and len(clocks) == 1:
+        times = clocks
+        roles = {name: role for name, role in roles.items() if name not in parts}
     return Layout(roles=roles, times=tuple(exact or times))
+
+
+def _clocks_of_two(table):
+    """Return the clocks that have a column of seconds and one of nanoseconds."""
+    return [
+        Role(column=name, unit="s", nanoseconds=other)
+        for name in table.columns
+        for seconds, nanoseconds in _CLOCK_PARTS
+        if name.lower().endswith(seconds)
+        and (other := name[: -len(seconds)] + nanoseconds) in table.columns
+    ]
 
 
 def _is_channel(bare, unit, joints=None):
@@ -521,7 +548,7 @@ def _fitted(table, log: KnownLog, joints, told, chosen):
         if any(re.fullmatch(pattern, name) for pattern in log.beside)
     }
     used = {role.column for role in roles.values()}
-    used |= {part for time in times for part in time.column.split("+")}
+    used |= {part for time in times for part in time.columns}
     for name in table.columns:
         if name not in beside and name not in used:
             roles.setdefault(name, Role(column=name))
@@ -584,7 +611,9 @@ def _times(table, log, prefix):
         parts = [part.replace("*", prefix) for part in bare.split("+")]
         if all(part in table.columns for part in parts):
             unit = "s" if len(parts) == 2 else own or log.time_unit
-            found.append(Role(column="+".join(parts), unit=unit))
+            found.append(
+                Role(column=parts[0], unit=unit, nanoseconds="".join(parts[1:]))
+            )
     return found
 
 

@@ -73,7 +73,6 @@ def read_recording(
     topic: str | None = None,
     gains: str | tuple[float, ...] | None = None,
     time_unit: str | None = None,
-    on_bad_files: str = "raise",
     drive: str | Drive | None = None,
     join: bool = False,
 ) -> Recording:
@@ -126,11 +125,6 @@ def read_recording(
         the unit of a motor current without a word.
     time_unit : {"s", "ms", "us", "ns"}, default=None
         Unit of time; None takes what the names say, or seconds.
-    on_bad_files : {"raise", "warn"}, default="raise"
-        What becomes of those of several files, or of a folder, that cannot be read, or
-        do not go with most of the others. ``"warn"`` leaves them out; a file that does
-        not exist is an error all the same, and so are two files of which none is the
-        odd one.
     drive : Drive or str, default=None
         What the robot follows, where no torque was measured: a `PDDrive`, or a text
         such as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
@@ -170,11 +164,11 @@ def read_recording(
         If the file is damaged, not what its ending says, or written to while it is
         read, the number of columns is wrong, two columns could be meant, a value is not
         finite or beyond 1e12, time runs backwards, is not in seconds or does not reveal
-        the period, or there is neither time nor `dt`; if one of several files has other
-        joints or channels, a sample period that differs by more than 1 %, or no time
-        stamps while others have some. The message names the file, what was expected and
-        what to do; where other options would read the file, the attribute ``options``
-        of the error has them.
+        the period, or there is neither time nor `dt`; if one of several files is a copy
+        of another, or has other joints or channels, a sample period that differs by
+        more than 1 %, or no time stamps while others have some. The message names the
+        file, what was expected and what to do; where other options would read the file,
+        the attribute ``options`` of the error has them.
 
     Warns
     -----
@@ -186,8 +180,7 @@ def read_recording(
         taken as equidistant. If up to five consecutive rows are missing: they are
         interpolated and the others kept. If more are missing: the recording is split
         there, and pieces of fewer than 16 rows are dropped. If rows occur twice, or
-        stamps repeat. If one of several files is a copy of another: it is taken once.
-        With ``on_bad_files="warn"``, which files are left out, and why.
+        stamps repeat.
 
     Examples
     --------
@@ -230,9 +223,8 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
-    check_on_bad_files(on_bad_files)
     is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
-    paths, again = ([path], []) if is_one else without_repeats(path)
+    paths = [path] if is_one else list(dict.fromkeys(map(Path, path)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     given = dt, urdf, joint_names, asked, topic, gains, time_unit
@@ -240,18 +232,14 @@ def read_recording(
     is_one = is_one or join
     if len(paths) > 1:
         is_one = False
-    bad = None if is_one or on_bad_files == "raise" else {}
-    files = _read_files(paths, given, bad)
+    files = _read_files(paths, given)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:
         recording, notes = files[0].recording, _said(files)
         if name:
             recording = replace(recording, name=name)
     else:
-        if bad is not None:
-            files = _without_odd(files, bad)
-        recording, notes = _concatenate(files, again, name)
-        notes = [*said_of_bad(bad or {}), *notes]
+        recording, notes = _concatenate(files, name)
     if asked.drive is not None:
         recording = _driven(recording, asked.drive, files)
     for note in notes:
@@ -266,54 +254,18 @@ if read_recording.__doc__:  # not if Python leaves docstrings out
     ).replace("PACKAGES", formats.PACKAGES)
 
 
-def _read_files(paths, given, bad):
-    """Read files one by one; those that cannot be read go to `bad` with the reason."""
-    # given: arguments of `_read_file`; bad: dict of errors by path, None to raise them.
+def _read_files(paths, given):
+    """Read files one by one."""
     files = []
-    for one in counted(paths, "reading", "files"):
+    for path in counted(paths, "reading", "files"):
         try:
-            file = _read_file(one, *given)
-        except (FileNotFoundError, ImportError):
-            raise
-        except (ValueError, OSError) as error:
-            if bad is not None:
-                bad[one] = error
-            elif not files:
-                _offer_join(paths, given, error)
+            files.append(_read_file(path, *given))
+        except RecordingRefused as error:
+            if not files:
                 raise
-            elif isinstance(error, RecordingRefused):
-                # The files before it were read without the options that it offers.
-                raise RecordingRefused(error.reason) from error
-            else:
-                raise
-        else:
-            files.append(file)
-    if bad and not files:
-        first = next(iter(bad.values()))
-        _offer_join(paths, given, first)
-        raise first
+            # The files before it were read without the options that it offers.
+            raise RecordingRefused(error.reason) from error
     return files
-
-
-def _offer_join(paths, given, error):
-    """Raise the offer to join several files, if they are parts of one recording."""
-    # error: about the first of them.
-    options = getattr(error, "options", {})
-    if len(paths) < 2 or options or any(isinstance(x, tuple) for x in paths):
-        return
-    try:
-        _read_file(tuple(map(Path, paths)), *given)
-    except RecordingRefused as other:
-        if not other.options:
-            return
-        options = other.options
-    except (ValueError, OSError):
-        return
-    raise RecordingRefused(
-        f"{_named(paths)}: none is a recording on its own; side by side they would be "
-        "one",
-        {"join": True, **options},
-    ) from error
 
 
 def _without_folders(paths, join, given):
@@ -411,7 +363,7 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = _time(table, layout, dt, time_unit)
     labels, segment = _segments(table, layout)
-    taken |= {segment, *(() if time is None else time.column.split("+"))}
+    taken |= {segment, *(() if time is None else time.columns)}
     signals, left_out = _signals(table, layout, taken, notes)
     own = torque_units[0] if len(set(torque_units)) == 1 else ""
     _say_what_was_taken(table, layout, asked, found, time, time_unit, own, notes)
@@ -827,7 +779,7 @@ def _signals(table: Table, layout, taken, notes):
     """Return the other columns, and what is wrong with those that are not numbers."""
     signals, left_out = {}, {}
     known = {role.column: name for name, role in layout.roles.items()}
-    clocks = {role.column for role in layout.times if layout.what}
+    clocks = {x for role in layout.times if layout.what for x in role.columns}
     for column, values in table.columns.items():
         if column in taken or column in layout.beside or column in clocks:
             continue
@@ -860,7 +812,7 @@ def _say_what_was_taken(
     stamped = ""
     if time is not None:
         unit = time_unit or time.unit or "s"
-        stamped = f"t = {_with_unit(time.column, unit)}"
+        stamped = f"t = {_with_unit('+'.join(time.columns), unit)}"
     if layout.what:
         for kind in [x for x in ("q", *asked.told) if found[x]]:
             unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
@@ -917,23 +869,24 @@ def _time(table: Table, layout, dt, time_unit):
             {"columns": f"t={times[0].column}"},
         )
     for role in times:
-        parts = role.column.split("+") if layout.what else [role.column]
-        t = _layout.seconds_of_dates(table, parts[0]) if len(parts) == 1 else None
+        t = None
+        if not role.nanoseconds:
+            t = _layout.seconds_of_dates(table, role.column)
         if t is not None:
             return t, replace(role, unit="s")
-        values = [_numbers(table, part) for part in parts]
+        values = [_numbers(table, part) for part in role.columns]
         t = values[0] - values[0][0]
         unit = _layout.channel_unit(table, "t", role)
         factor = 1.0 if unit is None else unit.factor
-        if time_unit is not None and len(parts) == 1:
+        if time_unit is not None and not role.nanoseconds:
             factor = TIME_UNITS[time_unit]
         t = t * factor
-        if len(parts) == 2:
+        if role.nanoseconds:
             t = t + 1e-9 * (values[1] - values[1][0])
         if np.ptp(t) > 0 or role is times[-1]:
             _check_unit(table, role, values[0], usual_step(t), time_unit)
             # Without a unit stamps stay as they are, for messages that quote them.
-            exact = values[0] if factor == 1.0 and len(parts) == 1 else t
+            exact = values[0] if factor == 1.0 and not role.nanoseconds else t
             return exact, role
     return None, None
 
@@ -991,36 +944,17 @@ class _File:
     torque_units: tuple[str, ...]  # before they were multiplied by gains
 
 
-def without_repeats(paths):
-    """Return each file's first path, and (path, first path) of those given again."""
-    first, again = {}, []
-    for path in map(Path, paths):
-        try:
-            found = expanded(path).stat()
-            key = found.st_dev, found.st_ino
-        except OSError:
-            # Standard input, or what the reader will refuse.
-            key = str(path)
-        if key in first:
-            again.append((path, first[key]))
-        first.setdefault(key, path)
-    return list(first.values()), again
-
-
 def common_folder(paths):
     """Return the name of the folder that holds all files, "" if there is none."""
     folders = {expanded(path).parent.resolve() for path in paths}
     return folders.pop().name if len(folders) == 1 else ""
 
 
-def _concatenate(files, again=(), name=None):
+def _concatenate(files, name=None):
     """Return the recording of all files, and what to say of it."""
-    # again: (path, first path) of files that were given twice and read once.
     _check_agreement(files)
-    files, copies = _without_copies(files)
-    copies = [*again, *copies]
-    notes = [said_of_copies(copies)] if copies else []
-    notes += _said(files)
+    _refuse_copies(files)
+    notes = _said(files)
     common, left_out, missing = _shared_signals(files)
     if missing:
         notes.append(
@@ -1065,72 +999,13 @@ def _named(paths):
     return ", ".join(shown) + (f" and {more} more" if more else "")
 
 
-# -- files that are left out -----------------------------------------------------------
-
-
-def _without_odd(files, bad):
-    """Return the files that go together; the odd ones go to `bad` with the reason."""
-    for alike, told in ((_recorded_alike, _trait_told), (_same_period, _period_told)):
-        counts = [sum(alike(one, other) for other in files) for one in files]
-        most = max(counts)
-        model = files[counts.index(most)]
-        odd = [one for one in files if not alike(model, one)]
-        if 2 * most <= len(files):
-            # None of them is the odd one.
-            continue
-        for one in odd:
-            bad[one.path] = ValueError(told(one, model))
-        files = [one for one in files if alike(model, one)]
-    return files
-
-
-def _recorded_alike(one, other):
-    return list(_traits(one)) == list(_traits(other))
-
-
-def _trait_told(odd, model):
-    """Say what of a file is not as in the others."""
-    pairs = zip(_traits(odd), _traits(model))
-    own, others = next((x, y) for x, y in pairs if x != y)
-    return f"it has {own}, where the others have {others}"
-
-
-def _same_period(one, other):
-    dts = one.recording.dt, other.recording.dt
-    return max(dts) <= (1 + _DT_TOLERANCE) * min(dts)
-
-
-def _period_told(odd, model):
-    """Say that the sample period of a file is another."""
-    return (
-        f"it has a sample period of {odd.recording.dt:.6g} s, where the others have "
-        f"{model.recording.dt:.6g} s"
-    )
-
-
-def check_on_bad_files(value):
-    """Refuse what is none of the ways to deal with bad files."""
-    if value not in ("raise", "warn"):
-        raise ValueError(f'on_bad_files must be "raise" or "warn"; got {value!r}.')
-
-
-def said_of_bad(bad):
-    """Say of each file that is left out why."""
-    notes = []
-    for path, error in bad.items():
-        reason = getattr(error, "reason", None) or getattr(error, "strerror", None)
-        reason = (reason or str(error)).removeprefix(f"{path}: ").removesuffix(".")
-        notes.append(Loss(f"{path} is left out: {reason}."))
-    return notes
-
-
 # -- what must agree -------------------------------------------------------------------
 
 
 def _check_agreement(files):
     """Refuse files that cannot be of one robot, or were not recorded alike."""
-    first = files[0]
-    for other in files[1:]:
+    first, *others = files
+    for other in others:
         for one, two in zip(_traits(first), _traits(other)):
             if one != two:
                 raise ValueError(
@@ -1149,6 +1024,18 @@ def _check_agreement(files):
         )
 
 
+def _refuse_copies(files):
+    """Refuse files with the same motion: their evidence would count twice."""
+    for k, file in enumerate(files):
+        for other in files[:k]:
+            if np.array_equal(file.recording.q, other.recording.q) and np.array_equal(
+                file.recording.tau, other.recording.tau
+            ):
+                raise ValueError(
+                    f"{file.path} is a copy of {other.path}; leave one of them out."
+                )
+
+
 def _traits(file):
     """Yield what must be the same in all files, in words."""
     recording = file.recording
@@ -1165,47 +1052,6 @@ def _traits(file):
 
 def _units(units):
     return listed(units[:1] if len(set(units)) == 1 else units)
-
-
-# -- copies ----------------------------------------------------------------------------
-
-
-def _without_copies(files):
-    """Return files whose motion is in none before, and (path, of which) of copies."""
-    kept, copies = [], []
-    for file in files:
-        of = next((x for x in kept if _is_copy(x.recording, file.recording)), None)
-        if of is None:
-            kept.append(file)
-        else:
-            copies.append((file.path, of.path))
-    return kept, copies
-
-
-def _is_copy(one, other):
-    # The first row tells most files apart.
-    return (
-        np.array_equal(one.q[:1], other.q[:1])
-        and np.array_equal(one.q, other.q)
-        and np.array_equal(one.tau, other.tau)
-    )
-
-
-def said_of_copies(copies):
-    """Name all copies, in one line."""
-    of = {}
-    for path, first in copies:
-        of.setdefault(str(first), {})[str(path)] = None
-    parts = []
-    for first, found in of.items():
-        others = [path for path in found if path != first]
-        if len(others) < len(found):
-            parts.append(f"{first} is given more than once")
-        if others:
-            names = " and ".join(filter(None, [", ".join(others[:-1]), others[-1]]))
-            are = "is a copy" if len(others) == 1 else "are copies"
-            parts.append(f"{names} {are} of {first}")
-    return Loss(f"{'; '.join(parts)}: {'each ' * (len(of) > 1)}taken once.")
 
 
 # -- names and signals -----------------------------------------------------------------

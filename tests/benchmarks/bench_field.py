@@ -8,7 +8,7 @@ that is not there is left out with a line that says so. With ``--out`` every row
 as soon as it is there, so that sets and peers can be run one by one; the tables have
 all rows that are in the files.
 
-Sets, splits, filters and masks are those of ``datasets.protocols``, but for the Go2:
+Sets, splits, filters and masks are those of ``_protocols``, but for the Go2:
 runs 0 to 6 are fitted, runs 7 to 9 judged, and all peers are told its commands, not
 torques. The slide EMPS is judged by its authors' rule as well
 (``bench_protocol_emps.py``). Every peer has viscous and Coulomb friction, offset and
@@ -72,12 +72,13 @@ from _field_peers import (
     names_of,
 )
 from _figaroh import held_out_error, recordings
+from _protocols import protocols
 from _report import fixed, parser, publish, rst_table, rst_title, run_study
 from _rivals import settings_of
 from scipy import signal
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, StateEstimator
-from sklearn_vbjfa.datasets import fetch_emps, protocols
+from sklearn_vbjfa.datasets import fetch_emps
 
 KEYS = ("set", "peer")
 GO2 = "unitree_go2"

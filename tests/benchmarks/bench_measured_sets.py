@@ -3,7 +3,7 @@
 Run ``python tests/benchmarks/bench_measured_sets.py --sets development --data-home DIR
 [--write]``; how often the sets were run stands in ``README.md``.
 
-Filters and masks are those of `datasets.protocols`, but for EMPS (20 Hz).
+Filters and masks are those of `_protocols`, but for EMPS (20 Hz).
 Split: the loop's own. Every model is fitted to the rows that the loop searched and
 judged on those that it held out, in the same band and with the same mask; errors
 are root mean squares over the spread of the torque in the moving time of the whole
@@ -32,12 +32,12 @@ import warnings
 
 import numpy as np
 from _perhaps import undecided
+from _protocols import protocols
 from _report import fixed, parser, publish, rst_table, run_study
 from _rivals import settings_of
 from sklearn.base import clone
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-from sklearn_vbjfa.datasets import protocols
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.recording import take_arrays

@@ -146,68 +146,12 @@ def test_the_folder_of_the_recordings_is_not_written_to(here, capsys):
 # -- bad input -------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_a_copy_is_a_doubt(command, here, capsys):
-    paths = [*RUNS, "runs/d.csv", "runs/e.csv", "runs/b.csv"]
-    for name in ("d", "e"):
-        Path(f"runs/{name}.csv").write_bytes(Path("runs/a.csv").read_bytes())
-    plain = run(capsys, command, *RUNS)
-    # The report of the first stays where it is, unless it is put away.
-    shutil.rmtree("runs-report", ignore_errors=True)
-    code, out, err = run(capsys, command, *paths)
-    told = (
-        "runs/b.csv is given more than once; runs/d.csv and runs/e.csv are copies of "
-        "runs/a.csv: each taken once"
-    )
-    assert (plain[0], code) == (0, 3)
-    if command != "close-loop":
-        assert err == [f"note: {told}.", f"note: exit code 3: {told}"]
-    # All else is as without the copies.
-    assert out.replace("(more; notes: 1)", "(more)") == plain[1]
-    if command == "close-loop":
-        # The page has it whole.
-        assert err == ["note: exit code 3: runs/b.csv is given more than once"]
-        report = json.loads(Path("runs-report/report.json").read_text("utf-8"))
-        assert report["provenance"]["file"] == paths[:5]
-        assert report["provenance"]["warnings"][0] == f"{told}."
-
-
-def more_joints(motion, path):
-    """Write the columns of three joints."""
-    q, tau = (np.column_stack([x, x[:, 0]]) for x in (motion.q, motion.tau))
-    write_csv(path, motion, q=q, tau=tau)
-
-
-def test_bad_files_of_a_folder_are_left_out(here, capsys):
-    Path("runs/a0.csv").write_text("")
+def test_a_bad_file_is_refused_by_its_name(here, capsys):
     shutil.copy("runs/b.csv", "runs/d.csv")
-    _, plain, _ = run(capsys, "inspect", *RUNS)
-    code, out, err = run(capsys, "inspect", "runs")
-    assert (code, out) == (3, plain)
-    assert next(line for line in err[:-1] if "is left out: " in line).startswith(
-        "note: runs/a0.csv is left out: "
-    )
-    assert any("runs/d.csv is a copy of runs/b.csv" in line for line in err)
-
-
-@pytest.mark.slow
-def test_the_loop_is_closed_without_the_odd_files(here, motions, capsys):
-    more_joints(motions[2], Path("runs/odd.csv"))
-    Path("runs/empty.csv").write_text("")
-    plain = run(capsys, "close-loop", *RUNS, "--out", "plain")
-    paths = ("runs/empty.csv", *RUNS, "runs/odd.csv")
-    code, out, err = run(capsys, "close-loop", *paths, "--out", "out")
-    assert (plain[0], code) == (0, 3)
-    moved = out.replace("out/", "plain/")
-    assert moved.replace("(more; notes: 2)", "(more)") == plain[1]
-    assert err[-1].startswith("note: exit code 3: runs/empty.csv is left out: ")
-    report = json.loads(Path("out/report.json").read_text("utf-8"))
-    assert [one.split(":")[0] for one in report["provenance"]["warnings"]][:2] == [
-        "runs/empty.csv is left out",
-        "runs/odd.csv is left out",
-    ]
-    for name in ("parameters.csv", "identified.urdf"):
-        assert Path("out", name).read_text() == Path("plain", name).read_text()
+    line = refusal(capsys, "inspect", "runs")
+    assert "runs/d.csv is a copy of runs/b.csv; leave one of them out" in line
+    Path("runs/d.csv").write_text("")
+    assert "runs/d.csv: no rows of data" in refusal(capsys, "inspect", "runs")
 
 
 @pytest.mark.slow

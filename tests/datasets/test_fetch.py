@@ -14,9 +14,10 @@ import pytest
 from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
-from sklearn_vbjfa.datasets import SETS, _measured, protocols, remote_files
+from sklearn_vbjfa.datasets import SETS, _measured, remote_files
 from sklearn_vbjfa.model import build_model
 from sklearn_vbjfa.robot import PDDrive
+from tests.benchmarks._protocols import protocols
 
 # name -> (samples of each recording, joints, period [s])
 CONTENT = {
@@ -441,18 +442,6 @@ def test_protocols_name_recordings_that_exist(fetch):
         train, test = protocol.split(recording)
         assert not set(train) & set(test)
         assert min(train.size, test.size) > 0
-
-
-def test_a_protocol_splits_in_time():
-    recording = datasets.make_robot_recording(
-        duration=1.0, n_recordings=3, random_state=0
-    )
-    protocol = protocols()["demo"]
-    train, test = protocol.split(recording)
-    np.testing.assert_array_equal(np.sort(np.append(train, test)), np.arange(600))
-    for k in range(3):  # what is held out is later than what is fitted
-        own = recording.groups == k
-        assert train[own[train]].max() < test[own[test]].min()
 
 
 # -- single sets -----------------------------------------------------------------------

@@ -383,3 +383,82 @@ def test_damaged_json(tmp_path):
     path = tmp_path / "arm.json"
     path.write_text(as_json("arrays")[0])
     check_damage(path)
+
+
+# -- lists within cells, recordings within a list --------------------------------------
+
+
+@pytest.mark.parametrize("separator", [",", ", ", " "])
+def test_cells_that_hold_lists_are_columns(separator, tmp_path):
+    arrays, columns = matrices()[1], matrices()[0]
+    names = ("q", "tau")
+    lines = [",".join(("t", *names))]
+    for k in range(N):
+        cells = [separator.join(f"{x:.12g}" for x in arrays[name][k]) for name in names]
+        lines.append(",".join([f"{arrays['t'][k]:.12g}", *(f'"[{x}]"' for x in cells)]))
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(lines) + "\n")
+    assert_same(read_recording(path), columns)
+    # A row that is cut within a list is no row.
+    path.write_text("\n".join(lines)[:-3])
+    with pytest.warns(UserWarning, match="the last line is cut"):
+        assert read_recording(path).n_samples == N - 1
+    lines[1] = lines[1].replace(f"{separator}", f"{separator}7{separator}", 1)
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.raises(ValueError, match=r"cells|lists|entries"):
+        read_recording(path)
+
+
+def test_rows_of_lists_in_brackets_have_no_names(tmp_path):
+    columns = table()
+    lines = [
+        f"({q1:.12g} {q2:.12g}) 1 ({tau1:.12g} {tau2:.12g}) 1"
+        for q1, q2, tau1, tau2 in zip(
+            *(columns[x] for x in ("q1", "q2", "tau1", "tau2"))
+        )
+    ]
+    path = tmp_path / "arm.txt"
+    path.write_text("\n".join(lines) + "\n")
+    assert "no names of columns; give the places of its 6 columns" in refused(path)
+    found = read_recording(path, columns="q=1-2,tau=4-5", dt=DT)
+    np.testing.assert_allclose(found.q[:, 1], columns["q2"], atol=1e-9)
+    np.testing.assert_allclose(found.tau[:, 0], columns["tau1"], atol=1e-9)
+
+
+def test_a_list_of_recordings_of_different_lengths(tmp_path):
+    columns = table()
+    trials = [
+        {"kind": kind, **{key: columns[key][:n].tolist() for key in ("q1", "tau1")}}
+        for kind, n in (("chirp", N), ("step", N - 20), ("ramp", N - 30))
+    ]
+    path = tmp_path / "arm.json"
+    path.write_text(json.dumps({"config": {"limits": [-1, 1]}, "data": trials}))
+    with pytest.warns(UserWarning, match="the 3 entries of 'data' are one recording"):
+        found = read_recording(path, dt=DT)
+    lengths = [rows.stop - rows.start for rows in found.segments]
+    assert lengths == [N, N - 20, N - 30]
+    np.testing.assert_array_equal(
+        found.q[found.segments[2], 0], columns["q1"][: N - 30]
+    )
+    trials[1]["tau1"] = trials[1]["tau1"][:-1]
+    path.write_text(json.dumps({"data": trials}))
+    assert "'data' has 3 records with arrays of different lengths" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "nanoseconds"),
+    [("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec")],
+)
+def test_seconds_and_nanoseconds_are_one_clock(seconds, nanoseconds, tmp_path):
+    columns = table()
+    stamps = np.round((1_700_000_000.25 + columns.pop("t")) * 1e9).astype(int)
+    clock = {seconds: stamps // 10**9, nanoseconds: stamps % 10**9}
+    path = tmp_path / "arm.csv"
+    lines = [",".join([*clock, *columns])]
+    for row in zip(*clock.values(), *columns.values()):
+        lines.append(",".join(f"{x:.12g}" for x in row))
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.warns(UserWarning, match=f"t = {seconds}"):
+        found = read_recording(path)
+    assert found.dt == pytest.approx(DT)
+    assert not found.signals

@@ -242,39 +242,14 @@ def test_units_that_can_be_converted_are_the_same(here):
 # -- copies ----------------------------------------------------------------------------
 
 
-def test_copies_are_left_out_in_one_line(here):
-    paths = files(a=motion(0.1), b=motion(0.1), c=motion(0.2), d=motion(0.1))
-    # the same motion in another form
-    recording = read_recording(paths[2])
-    np.savez(
-        "runs/e.npz", q=recording.q, v=recording.v, tau=recording.tau, t=recording.t
-    )
-    found, said = told([*paths, "runs/e.npz"])
-    assert found.group_names == ("a", "c")
-    assert said == [
-        (
-            "runs/b.csv and runs/d.csv are copies of runs/a.csv; runs/e.npz is a copy "
-            "of runs/c.csv: each taken once.",
-            True,
-        )
-    ]
-
-
-def test_a_file_that_is_given_twice_is_read_once(here):
-    (path,) = files(a=motion(0.1))
-    Path("link.csv").symlink_to(path)
-    found, said = told([path, "./runs/../runs/a.csv", "link.csv", Path(path)])
-    assert found.group_names == ("a",)
-    assert said == [
-        (
-            "runs/a.csv is given more than once; runs/../runs/a.csv and link.csv are "
-            "copies of runs/a.csv: taken once.",
-            True,
-        )
-    ]
-    assert told([path, path])[1] == [
-        ("runs/a.csv is given more than once: taken once.", True)
-    ]
+def test_copies_are_refused(here):
+    paths = files(a=motion(0.1), b=motion(0.2), c=motion(0.1))
+    refused(paths, "runs/c.csv is a copy of runs/a.csv; leave one of them out.")
+    # The same motion in another form, and the same path twice.
+    recording = read_recording(paths[0])
+    np.savez("e.npz", q=recording.q, v=recording.v, tau=recording.tau, t=recording.t)
+    refused([paths[0], "e.npz"], "e.npz is a copy of runs/a.csv")
+    assert read_recording([paths[0], paths[0]]).group_names == ("a",)
 
 
 def test_almost_the_same_motion_is_no_copy(here):
@@ -283,6 +258,3 @@ def test_almost_the_same_motion_is_no_copy(here):
     recording, said = told(files(a=motion(0.1), b=other))
     assert recording.group_names == ("a", "b")
     assert said == []
-
-
-# -- files that cannot be read ---------------------------------------------------------

@@ -5,8 +5,9 @@ import warnings
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import protocols, read_recording
+from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import inspect_time_stamps
+from tests.benchmarks._protocols import protocols
 
 DT = 0.004
 N = 3000

@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets import protocols
+from tests.benchmarks._protocols import protocols
 
 # One bench and one robot are in the quick tests.
 QUICK = ("emps", "ur5")

@@ -31,7 +31,16 @@ def read_json(path: Source, wanted) -> Table:
     if isinstance(found, dict):
         records = _records_in(found)
         if not records:
-            table = table_of_arrays(path, without_common_part(flattened(found)))
+            trials = _trials_in(found)
+            arrays = without_common_part(flattened(found))
+            if trials:
+                arrays = _one_after_another(path, trials, found[trials])
+                notes = (
+                    *notes,
+                    f"the {len(found[trials])} entries of {trials!r} are one recording "
+                    "each.",
+                )
+            table = table_of_arrays(path, arrays)
             return replace(table, notes=(*table.notes, *notes))
         found = found[records]
         notes = (*notes, f"the records are those of {records!r}.")
@@ -47,13 +56,18 @@ def read_json(path: Source, wanted) -> Table:
     return replace(table_of_records(path, found), notes=notes)
 
 
-def _records_in(found):
-    """Return the name of the only list of records in an object, "" for none."""
-    lists = [
+def _lists_of_objects(found):
+    """Return the names of the lists of objects in an object."""
+    return [
         name
         for name, one in found.items()
         if isinstance(one, list) and one and all(isinstance(x, dict) for x in one)
     ]
+
+
+def _records_in(found):
+    """Return the name of the only list of records in an object, "" for none."""
+    lists = _lists_of_objects(found)
     # A list of joints has arrays in it, not samples.
     if len(lists) != 1 or any(
         isinstance(x, list) and len(x) > len(found[lists[0]])
@@ -61,6 +75,36 @@ def _records_in(found):
     ):
         return ""
     return lists[0]
+
+
+def _trials_in(found):
+    """Return the name of a list of recordings: arrays that differ in length; or ""."""
+    for name in _lists_of_objects(found):
+        longest = [max(map(len, _lists(one)), default=0) for one in found[name]]
+        beside = max(map(len, _lists(found)))
+        if len(set(longest)) > 1 and beside < max(longest):
+            return name
+    return ""
+
+
+def _lists(record):
+    return [x for x in record.values() if isinstance(x, list)]
+
+
+def _one_after_another(path, name, records):
+    """Return the arrays of recordings end to end, with a column segment."""
+    counts = [{len(x) for x in _lists(record)} for record in records]
+    channels = {
+        tuple(k for k, x in record.items() if isinstance(x, list)) for record in records
+    }
+    if len(channels) > 1 or any(len(count) != 1 for count in counts):
+        raise ValueError(
+            f"{path}: the list {name!r} has {len(records)} records with arrays of "
+            "different lengths; write one file each, or rows with a column segment."
+        )
+    found = {k: [x for one in records for x in one[k]] for k in channels.pop()}
+    segment = np.repeat(np.arange(len(records)), [count.pop() for count in counts])
+    return {**found, "segment": segment}
 
 
 def _is_row(one):

@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 
 from sklearn_vbjfa.recording._table import Format, Source, Table, check_size, quoted
-from sklearn_vbjfa.recording.formats._text import row_of_units
+from sklearn_vbjfa.recording.formats._text import row_of_units, spread_lists
 
 
 def read_sheet(path: Source, wanted) -> Table:
@@ -61,7 +61,7 @@ def read_sheet(path: Source, wanted) -> Table:
         notes = (f"sheet {used!r} of {len(names)} was read.",)
     return Table(
         path=path.shown,
-        columns=columns,
+        columns=spread_lists(path, columns),
         where=where,
         units=units,
         nameless=nameless,

@@ -4,7 +4,7 @@ import array
 import codecs
 import csv
 import re
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -38,11 +38,19 @@ _SHEET_ERROR = re.compile(r"#(N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 _TOLD_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 
 
+# A row of numbers some of which stand in brackets, as YARP prints its ports.
+_BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
+_NO_BRACKETS = str.maketrans("()[]", "    ")
+# A cell that is a list, as Python and NumPy write it.
+_LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
+
+
 @dataclass(frozen=True)
 class _Text(Source):
     """A text file, and its encoding."""
 
     encoding: str
+    bracketed: bool = False  # whether brackets in its lines mean nothing
 
 
 class _Lines:
@@ -92,7 +100,8 @@ def _raw_lines(path):
                     f"{path}: line {k + 1} has more than {_LONGEST_LINE} "
                     "characters; expected one row per sample."
                 )
-            yield k, line.rstrip("\n")
+            line = line.rstrip("\n")
+            yield k, line.translate(_NO_BRACKETS) if path.bracketed else line
             k += 1
 
 
@@ -100,7 +109,8 @@ def read_text(path: Source, wanted) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
     text = _Text(path.file, path.shown, _encoding_of(path))
     try:
-        return _read(text)
+        first = next(iter(_Lines(text)), "")
+        return _read(replace(text, bracketed=bool(_BRACKETED.fullmatch(first))))
     except csv.Error as error:
         raise ValueError(
             f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
@@ -138,7 +148,7 @@ def _read(path):
         columns = dict(zip(names, values.T))
     else:
         # Text, empty cells, decimal commas; or to say where the trouble is.
-        columns = _cells(lines, names, separator)
+        columns = spread_lists(path, _cells(lines, names, separator))
     if "" in columns:
         notes.append(_left_out_index(path, columns, header))
     if path.encoding == _WINDOWS:
@@ -170,6 +180,8 @@ def _cut_line(path, lines, n_columns, separator):
         return None
     cells, usual = _split(last, separator), _split(before, separator)
     whole = len(cells) >= n_columns and bool(cells[-1]) >= bool(usual[-1])
+    if _LIST.fullmatch(usual[-1]):
+        return None if whole and _LIST.fullmatch(cells[-1]) else lines.numbers[-1]
     if whole and _decimals(last, separator) >= fewest:
         return None
     return lines.numbers[-1]
@@ -394,6 +406,37 @@ def _cells(lines, names, separator):
                     f"{quoted(names[k])} is not a number; correct or remove that line."
                 )
     return {name: np.array(column) for name, column in zip(names, columns)}
+
+
+def spread_lists(path, columns):
+    """Give each entry of cells that are lists a column: q1, q2, ... of q."""
+    found = {}
+    for name, values in columns.items():
+        lists = _lists(path, name, values)
+        own = {f"{name}{k + 1}": x for k, x in enumerate(lists)} or {name: values}
+        if found.keys() & own.keys():
+            raise ValueError(
+                f"{path}: column {quoted(name)} holds lists, whose entries have the "
+                f"name of another column; rename it."
+            )
+        found |= own
+    return found
+
+
+def _lists(path, name, values):
+    """Return the entries of cells that are lists, one column each; () for others."""
+    if values.dtype.kind != "U" or not _LIST.fullmatch(values[0]):
+        return ()
+    matches = [_LIST.fullmatch(cell) for cell in values]
+    cells = [re.split(r"[\s,;]+", x[1].strip()) if x else [] for x in matches]
+    if len({len(x) for x in cells}) > 1:
+        raise ValueError(
+            f"{path}: the lists in column {quoted(name)} have different lengths; all "
+            "rows need as many entries."
+        )
+    entries = np.char.strip(np.array(cells), "\"'")
+    is_text = not all(map(_is_number, entries[0]))
+    return entries.T if is_text else entries.T.astype(float)
 
 
 def _remedy(line, cells, names, separator):

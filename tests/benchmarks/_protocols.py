@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.datasets import _measured
-from sklearn_vbjfa.datasets._robot_recording import load_demo_recording
+from sklearn_vbjfa import datasets
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -53,11 +52,11 @@ def protocols():
     """Return name -> `Protocol` of the demo and every set."""
     # Taken from what is published about the sets and their quick fits, not tuned on the
     # held-out part.
-    found = {"demo": Protocol(load=load_demo_recording)}
-    for name, entry in _measured.SETS.items():
+    found = {"demo": Protocol(load=datasets.load_demo_recording)}
+    for name, entry in datasets.SETS.items():
         settings = {
             key: tuple(value) if isinstance(value, list) else value
             for key, value in entry["protocol"].items()
         }
-        found[name] = Protocol(load=getattr(_measured, f"fetch_{name}"), **settings)
+        found[name] = Protocol(load=getattr(datasets, f"fetch_{name}"), **settings)
     return found

@@ -57,23 +57,6 @@ def test_excel_in_german(separator, encoding, note, told, tmp_path):
     np.testing.assert_allclose(recording.signals["Öl [°C]"], np.linspace(20, 40, N))
 
 
-@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "utf-16"])
-@pytest.mark.parametrize("after", [1, 2, 3])
-def test_characters_on_the_border_of_two_pieces(encoding, after, tmp_path):
-    # Files are looked at in pieces of a MiB.
-    beginning = "t,q1,tau1,µ €\n# "
-    rows = "".join(f"\n{DT * k:.6f},{0.1 * k},1,2" for k in range(N))
-    left = (1 << 20) - after - len(beginning.encode(encoding))
-    padding = "x" * (left // len("x".encode(encoding.replace("16", "16-le"))))
-    path = tmp_path / "log.csv"
-    path.write_bytes(f"{beginning}{padding}€°{rows}".encode(encoding))
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path)
-    assert list(recording.signals) == ["µ €"]
-    assert (encoding == "cp1252") == any("cp1252" in str(x.message) for x in caught)
-
-
 @pytest.mark.parametrize(
     ("content", "message"),
     [

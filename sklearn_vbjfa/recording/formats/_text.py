@@ -409,11 +409,11 @@ def _cells(lines, names, separator):
 
 
 def spread_lists(path, columns):
-    """Give each entry of cells that are lists a column: q1, q2, ... of q."""
+    """Give each entry of cells that are lists of numbers a column: q_0, q_1, ..."""
     found = {}
     for name, values in columns.items():
         lists = _lists(path, name, values)
-        own = {f"{name}{k + 1}": x for k, x in enumerate(lists)} or {name: values}
+        own = {f"{name}_{k}": x for k, x in enumerate(lists)} or {name: values}
         if found.keys() & own.keys():
             raise ValueError(
                 f"{path}: column {quoted(name)} holds lists, whose entries have the "
@@ -424,19 +424,24 @@ def spread_lists(path, columns):
 
 
 def _lists(path, name, values):
-    """Return the entries of cells that are lists, one column each; () for others."""
-    if values.dtype.kind != "U" or not _LIST.fullmatch(values[0]):
+    """Return the entries of cells that are lists of numbers; () for other cells."""
+    first = _LIST.fullmatch(values[0]) if values.dtype.kind == "U" else None
+    if not first or not all(map(_is_number, _entries(first))):
         return ()
     matches = [_LIST.fullmatch(cell) for cell in values]
-    cells = [re.split(r"[\s,;]+", x[1].strip()) if x else [] for x in matches]
-    if len({len(x) for x in cells}) > 1:
+    cells = [_entries(match) if match else [] for match in matches]
+    if len({len(x) for x in cells}) > 1 or not all(
+        _is_number(x) for row in cells for x in row
+    ):
         raise ValueError(
-            f"{path}: the lists in column {quoted(name)} have different lengths; all "
-            "rows need as many entries."
+            f"{path}: the cells of column {quoted(name)} are not lists of as many "
+            "numbers; correct or remove those rows."
         )
-    entries = np.char.strip(np.array(cells), "\"'")
-    is_text = not all(map(_is_number, entries[0]))
-    return entries.T if is_text else entries.T.astype(float)
+    return np.array(cells, dtype=float).T
+
+
+def _entries(match):
+    return re.split(r"[\s,;]+", match[1].strip())
 
 
 def _remedy(line, cells, names, separator):

@@ -309,10 +309,9 @@ _COMMANDS = {
             "--out": {
                 "default": "motion.csv",
                 "metavar": "FILE",
-                "help": "file for the motion, by default motion.csv; the page goes "
-                "beside it with the ending .html",
+                "help": "file for the motion, by default motion.csv",
             },
-            "--force": {"help": "replace files that exist"},
+            "--force": {"help": "replace a file that exists"},
             "--dt": {
                 "help": "sample period [s], by default that of the report, or "
                 f"{PERIOD:g}"
@@ -331,7 +330,7 @@ _COMMANDS = {
         "description": "Design a periodic motion within the limits of the robot that "
         "determines its model best; with the folder of a report, the one that decides "
         "what the report left open. Writes the motion as CSV (t, then q_, v_ and a_ of "
-        "each joint, in SI units) and a page beside it. Takes a minute or two.",
+        "each joint, in SI units). Takes a minute or two.",
     },
     "effects": {"run": "_inspect:list_effects", "help": "list the library of effects"},
 }

@@ -1,4 +1,4 @@
-"""The command ``design``: the motion to record next, as a file and a page."""
+"""The command ``design``: the motion to record next."""
 
 import math
 import shlex
@@ -30,7 +30,7 @@ class _Robot:
     known: object
     model: object  # its description, joints in its own order
     file: str  # description that was given, or that a report tells
-    held: tuple = ()  # joints that are held
+    is_reduced: bool = False  # whether further joints are held
     dt: float | None = None  # sample period of its recordings so far [s]
     # whether its torques are in units of a channel, not in N m or N
     is_relative: bool = False
@@ -39,7 +39,7 @@ class _Robot:
 def run(arguments, folder):
     """Design a motion, tell what it decides and write the files."""
     from sklearn_vbjfa import effects
-    from sklearn_vbjfa.design import _page
+    from sklearn_vbjfa.design import _summary
     from sklearn_vbjfa.design._open_questions import read_report
 
     _check(arguments)
@@ -51,45 +51,39 @@ def run(arguments, folder):
     report = None if arguments.report is None else _input.expanded(arguments.report)
     found = None if report is None else read_report(report)
     robot = _robot(arguments, report, found, folder)
-    limits = _limits(arguments, robot)
-    motion = _motion(arguments, robot, limits, asked, found, seed)
+    motion = _motion(arguments, robot, _limits(arguments, robot), asked, found, seed)
     noise = np.array(robot.known.torque_noise)
-    background = _page.Background(
-        robot=Path(robot.file).name,
-        description=robot.file,
-        report="" if report is None else str(report),
-        found=found,
-        measured=np.isfinite(noise) & (noise > 0),
-        seed=seed,
-        settings=_settings(arguments, limits),
-        held=robot.held,
-        file=out.name,
-        commands=_next(arguments, robot, found),
-    )
+    measured = np.isfinite(noise) & (noise > 0)
+    name = Path(robot.file).name
+    steps = [*_summary.before(motion), _step(arguments, found)]
+    first = 2 - len(steps)
 
     def write(folder, warned):
-        page = _page.page(motion, background)
         motion.to_csv(folder / out.name)
-        folder.joinpath(_page_of(out).name).write_text(page, encoding="utf-8")
-        steps = _page.steps(motion, background)
-        return ["", "Next:", *(f"  {step}" for step in steps)]
+        lines = [
+            line
+            for number, step in enumerate(steps, first)
+            for line in _summary.wrapped(f"{number}. {step}", "   ")
+        ]
+        command = _next_command(arguments, robot, found)
+        return ["", "Next:", *(f"  {line}" for line in (*lines, command))]
 
     return Done(
-        text="\n".join(_page.summary(motion, background)),
+        text="\n".join(_summary.summary(motion, name, measured, found)),
         doubts=(
-            *_page.unchecked(motion),
-            *_page.undecided(motion),
-            *_page.unseen(motion, asked),
+            *_summary.unchecked(motion),
+            *_summary.undecided(motion),
+            *_summary.unseen(motion, asked),
         ),
         folder=out.parent,
-        files=(out.name, _page_of(out).name),
+        files=(out.name,),
         write=write,
     )
 
 
 def _motion(arguments, robot, limits, asked, found, seed):
     """Design the motion, refused if it goes beyond the limits."""
-    from sklearn_vbjfa.design import _page, design_motion
+    from sklearn_vbjfa.design import _summary, design_motion
 
     names = robot.known.joint_names
     start = _numbers("--start", arguments.start, names, positive=False)
@@ -109,7 +103,7 @@ def _motion(arguments, robot, limits, asked, found, seed):
         )
     if not motion.within_limits:
         raise ValueError(
-            f"no motion within the limits was found: {_page.exceeded(motion)}; "
+            f"no motion within the limits was found: {_summary.exceeded(motion)}; "
             "give another --start, a longer --duration or another --seed."
         )
     return motion
@@ -153,29 +147,16 @@ def _check(arguments):
 
 def _check_out(out, force):
     """Refuse, before the work begins, a file that cannot be or that there is."""
-    page = _page_of(out)
-    there = [str(path) for path in (out, page) if path.exists()]
     if out.is_dir():
-        wrong, other = f"{out} is a folder, where --out must name a file", "motion.csv"
-        other = _input.free(out / other)
-    elif page == out:
-        wrong = f"{out} is where the page goes; --out names the file of the motion"
-        other = _input.free(out.with_suffix(".csv"))
+        wrong = f"{out} is a folder, where --out must name a file"
+        other = _input.free(out / "motion.csv")
     else:
-        ending = f"-motion{out.suffix}"
-        _input.check_folder(out.parent, "needs a folder", ending)
-        if force or not there:
+        _input.check_folder(out.parent, "needs a folder", f"-motion{out.suffix}")
+        if force or not out.exists():
             return
-        ends, them = ("", "them") if len(there) > 1 else ("s", "it")
-        wrong = f"{' and '.join(there)} exist{ends}; give another --out, or --force to "
-        wrong += f"replace {them}"
-        other = _input.free(out, page.suffix)
+        wrong = f"{out} exists; give another --out, or --force to replace it"
+        other = _input.free(out)
     raise _input.Refused(wrong, {"out": str(other)})
-
-
-def _page_of(out):
-    """Return where the page goes."""
-    return out.with_suffix(".html")
 
 
 def _numbers(option, text, names, *, positive=True):
@@ -235,7 +216,7 @@ def _described(arguments, found, folder):
         known=known,
         model=known.features.model_,
         file=str(given),
-        held=tuple(held),
+        is_reduced=bool(held),
     )
 
 
@@ -257,7 +238,6 @@ def _identified(arguments, path, found, folder):
         )
     provenance = (found.get("provenance") or {}) if found else {}
     file = provenance.get("description") or str(path)
-    held = tuple(provenance.get("held") or ())
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
     if arguments.urdf is not None:
@@ -275,7 +255,7 @@ def _identified(arguments, path, found, folder):
         known=replace(KnownRobot.of(robot), description=str(description)),
         model=model,
         file=file,
-        held=held,
+        is_reduced=bool(provenance.get("held")),
         dt=robot.dt,
         is_relative=is_relative,
     )
@@ -366,49 +346,33 @@ def _limits(arguments, robot):
     )
 
 
-# -- what is told and written ----------------------------------------------------------
+# -- next steps ------------------------------------------------------------------------
 
 
-def _settings(arguments, limits):
-    """Return what was asked for, as rows of the provenance."""
-    typed = [
-        f"--{name} {getattr(arguments, name)}"
-        for name in _LIMITS
-        if getattr(arguments, name) is not None
-    ]
-    source = ", ".join(["of the description", *typed])
-    scale = f"{arguments.scale:.0%} of those of velocity and acceleration"
-    if arguments.scale < 1 and np.isinf(limits.acceleration).any():
-        scale += " (some joints have none of acceleration; their torque limits them)"
-    rows = (
-        ("Limits", source),
-        ("Scale", "" if arguments.scale == 1 else scale),
-        ("Effects asked for", arguments.effects or ""),
-        ("Start", arguments.start or "chosen"),
-    )
-    return tuple(rows)
+def _files(found):
+    """Files of the recordings so far."""
+    files = (found.get("provenance") or {}).get("file") or "before.csv"
+    files = [files] if isinstance(files, str) else files
+    # What came through a pipe is not there any more.
+    return ["before.csv" if file == "-" else file for file in files]
 
 
-def _next(arguments, robot, found):
-    """Say what to do with the motion: sentences, and a command to type."""
-    files = ((found or {}).get("provenance") or {}).get("file") or "before.csv"
-    words = ["python", "-m", "sklearn_vbjfa", "close-loop"]
-    if robot.file.endswith(".json"):
-        urdf = "ROBOT.urdf"
-    else:
-        urdf = robot.file
-    options = []
-    if robot.held:
+def _step(arguments, found):
+    """Say what to do with the motion."""
+    like = ""
+    if found is not None:
+        like = f", with the columns of {_files(found)[0]}, and give both to close-loop"
+    return f"Run {arguments.out} and record q and tau while it runs{like}."
+
+
+def _next_command(arguments, robot, found):
+    """Return the command to type once the motion was recorded."""
+    before = [] if found is None else _files(found)
+    urdf = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
+    options = ["--urdf", urdf]
+    if robot.is_reduced:
         options += ["--joints", ",".join(robot.known.joint_names)]
     if arguments.base_orientation is not None:
         options += ["--base-orientation", arguments.base_orientation]
-    like = ""
-    if found is not None:
-        before = [files] if isinstance(files, str) else files
-        # What came through a pipe is not there any more.
-        before = ["before.csv" if file == "-" else file for file in before]
-        words += before
-        like = f", with the columns of {before[0]}, and give both to close-loop"
-    step = f"Run {arguments.out} and record q and tau while it runs{like}."
-    words += ["recording.csv"]
-    return (step, shlex.join([*words, "--urdf", urdf, *options]))
+    words = ["python", "-m", "sklearn_vbjfa", "close-loop", *before, "recording.csv"]
+    return shlex.join([*words, *options])

@@ -500,19 +500,14 @@ def _beside(out):
     return free(out / "report")
 
 
-def free(wanted, *endings):
-    """Return a path, with a number behind its stem if there is something already."""
-    # endings: of further files beside it, which must not be there either.
+def free(wanted):
+    """Return a path, with a number after its stem if there is something already."""
     # Of a folder a point in the name begins no ending.
     stem, suffix = wanted.stem, wanted.suffix
     if wanted.is_dir():
         stem, suffix = wanted.name, ""
     more = (wanted.with_name(f"{stem}-{k}{suffix}") for k in itertools.count(2))
-    return next(
-        x
-        for x in itertools.chain([wanted], more)
-        if not any(one.exists() for one in (x, *map(x.with_suffix, endings)))
-    )
+    return next(x for x in itertools.chain([wanted], more) if not x.exists())
 
 
 def check_folder(out, needs="must name a folder", ending="-report"):

@@ -28,18 +28,6 @@ _MODULES = {
     "_known_robot": ("KnownRobot",),
     "_open_questions": ("read_report",),
     "_optimise": ("Lagrangian", "optimise", "shrunk"),
-    "_page": (
-        "Background",
-        "decisions",
-        "effect_label",
-        "exceeded",
-        "invisible_sentences",
-        "page",
-        "steps",
-        "summary",
-        "unchecked",
-        "undecided",
-        "unseen",
-    ),
+    "_summary": ("effect_label", "summary"),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -19,7 +19,6 @@ _MODULES = {
         "HEIGHT",
         "WIDTH",
         "effect_figure",
-        "line_figure",
         "packed",
         "ticks",
     ),

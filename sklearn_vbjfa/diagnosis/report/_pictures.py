@@ -289,35 +289,6 @@ def spectrum_figure(curves, *, title, y_label):
     )
 
 
-def line_figure(seconds, values, *, title, y_label, levels=()):
-    """Draw one signal (n,) over time [s] between levels that it keeps to."""
-    # Levels that would leave the signal less than a quarter of the height are not
-    # drawn, but said.
-    low, high = float(values.min()), float(values.max())
-    size = max(high - low, max(abs(low), abs(high))) or 1.0
-    near = [x for x in levels if low - 3 * size <= x <= high + 3 * size]
-    far = [x for x in levels if x not in near]
-    ends = min(low, 0.0, *near), max(high, 0.0, *near)
-    room = 0.06 * (ends[1] - ends[0]) or 1.0
-    frame = _Frame(x=_ends(seconds), y=(ends[0] - room, ends[1] + room))
-    x_label = "time [s]"
-    rows = extremes(values, _CURVE)
-    shapes = [
-        Shape(kind="zero", path=frame.level(0.0)),
-        Shape(kind="limit", path="".join(map(frame.level, near))),
-        Shape(kind="line-after", path=_line(frame, seconds[rows], values[rows])),
-    ]
-    series = [(title, "line-after", values)]
-    series += [("limit", "limit", np.full(values.size, x)) for x in near]
-    keys = [("limit", "limit")] if near else []
-    if far:
-        told = " and ".join(words.number(x) for x in far)
-        keys.append(("limit", f"beyond the picture: {told}"))
-    chart = _chart(frame, "", x_label, y_label, shapes)
-    data = _data(title, x_label, y_label, seconds, series)
-    return Figure(title=title, charts=(chart,), data=data, keys=tuple(keys))
-
-
 def _chart(frame, title, x_label, y_label, shapes):
     return Chart(
         title=title,

@@ -174,10 +174,10 @@ def text_table(heads, rows, *, numbers):
     return "\n".join(line.rstrip() for line in table.splitlines())
 
 
-def page(sections, package=None):
+def page(sections):
     """Write the sections as a whole page."""
     zooms = any("figures" in (section.drawn or ()) for section in sections)
-    return _template("page.html.j2", package).render(
+    return _template("page.html.j2").render(
         sections=sections,
         whole=True,
         zooms=zooms,
@@ -217,13 +217,12 @@ def _vendored():
 
 
 @lru_cache
-def _template(name, package=None):
+def _template(name):
     """Load a template, in which every value is escaped."""
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+    from jinja2 import Environment, PackageLoader, StrictUndefined
 
-    packages = filter(None, ("sklearn_vbjfa.diagnosis.report", package))
     environment = Environment(
-        loader=ChoiceLoader([PackageLoader(one) for one in packages]),
+        loader=PackageLoader("sklearn_vbjfa.diagnosis.report"),
         autoescape=True,
         finalize=_page_value,
         undefined=StrictUndefined,

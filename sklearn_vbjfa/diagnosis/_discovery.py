@@ -378,6 +378,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Close the loop on a checked recording; returns its `Outcome`."""
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
+            for late in (x.value for x in channels if x.kind == "delay"):
+                whole, told = (x.with_torques_shifted(late) for x in (whole, told))
             channels += unusable
         with stage("declared model"):
             split = split_in_time(self.identifier, whole, self.test_size)

@@ -19,7 +19,7 @@ from sklearn_vbjfa.robot._features import RigidBodyFeatures
 # which it is reported, and log odds within which two are rivals.
 PRIOR = -np.log(100.0)
 DECISIVE = 5.0
-_RIVAL = 3.0
+RIVAL = 3.0
 # Standard errors of a 90 % interval.
 INTERVAL = 1.645
 # Torques of all joints together are not this many times the described ones by chance.
@@ -34,6 +34,8 @@ _ANGLES = np.radians([-120.0, -80.0, -40.0, 40.0, 80.0, 120.0, 180.0])
 _STEP, _SLOPE = 0.5, 1e-4
 # Other zeros must lower the squared errors of all joints by this [log].
 _CLEAR = np.log(2.0)
+# Time constants of a low-pass that are tried, over the lag.
+_CONSTANTS = (0.7, 1.0, 1.4)
 # A common lag must not raise the squared error of any joint by more than this [log].
 _HARM = 0.1
 _PASSES = 6
@@ -80,7 +82,7 @@ def explained(model, names, signals, rivals=None):
     best = max(found, key=lambda x: x.log_odds)
     for other in rivals(signals) if rivals is not None else ():
         evidence = DescribedRobot(model, other, robot.times).fit().evidence
-        if evidence - now + PRIOR > best.log_odds + _RIVAL:
+        if evidence - now + PRIOR > best.log_odds + RIVAL:
             return [], model, signals
     return [best.finding], best.model(model), best.signals(signals)
 
@@ -133,7 +135,7 @@ def zeros(model, signals):
             evidence = (
                 DescribedRobot(model, signals.shifted(tried), times).fit().evidence
             )
-            if evidence > best + _RIVAL:
+            if evidence > best + RIVAL:
                 best, place = evidence, tried
     for _ in range(_PASSES):
         robot = DescribedRobot(model, signals.shifted(place), times)
@@ -313,13 +315,28 @@ def lag(model, signals):
     best = int(np.argmax(evidence))
     gain = float(evidence[best] - evidence[middle])
     step = float(shifts[1] - shifts[0])
-    if best in (0, shifts.size - 1):
+    if best in (0, shifts.size - 1) and fits[best].noise.size > 1:
         return float(shifts[best]), np.inf, gain
     change = np.log(fits[best].noise / fits[middle].noise)
-    if best != middle and not ((change < 0).mean() > 0.5 and change.max() < _HARM):
+    shared = change.size > 1 and (change < 0).mean() > 0.5 and change.max() < _HARM
+    if best != middle and not shared:
+        return 0.0, 1.0, 0.0
+    if not 0 < best < shifts.size - 1:
         return 0.0, 1.0, 0.0
     vertex, spread = _peak(evidence[best - 1 : best + 2])
     return step * (best - middle + vertex), step * spread, gain
+
+
+def lowpass_gain(model, signals, samples):
+    """Gain of the evidence by a low-pass of all torques, of some time constants."""
+    # What a filter of first order let through is made undone by its derivative.
+    robot = DescribedRobot(model, signals)
+    tau, middle = robot.signals.tau, signals.shifts.size // 2
+    step = float(signals.shifts[1] - signals.shifts[0])
+    slope = (tau[:, :, middle + 1] - tau[:, :, middle - 1]) / (2 * step)
+    now = robot.fit().evidence
+    made = [tau[:, :, middle] + part * samples * slope for part in _CONSTANTS]
+    return float(max(robot.fit(tau=y).evidence for y in made) - now)
 
 
 def _peak(values):

@@ -6,8 +6,10 @@ from sklearn_vbjfa.inspection._hypotheses import (
     DECISIVE,
     INTERVAL,
     PRIOR,
+    RIVAL,
     lag,
     log_odds_of,
+    lowpass_gain,
     zeros,
 )
 from sklearn_vbjfa.inspection._rivals import (
@@ -511,16 +513,24 @@ def common_lag(model, names, dt, signals_after):
     log_odds = gained + PRIOR
     if not (log_odds > DECISIVE and abs(samples) > _LEAST_LAG * spread):
         return []
+    every = tuple(range(len(names)))
+    filtered = samples > 0 and lowpass_gain(model, signals_after(0), samples)
+    if filtered and filtered > gained + RIVAL:
+        message = (
+            f"All torques look filtered, by a low-pass with a time constant of about "
+            f"{1e3 * samples * dt:.2g} ms (log odds {filtered + PRIOR:.0f}): log them "
+            "before the filter, or with a higher cut-off frequency."
+        )
+        return [ChannelFinding("torque_lowpass", every, "warning", message)]
     seconds, error = samples * dt, INTERVAL * spread * dt
     way = "late" if samples > 0 else "early"
     message = (
         f"All torques are {1e3 * abs(seconds):.3g} ± {1e3 * error:.2g} ms {way} "
-        f"against the positions (log odds {log_odds:.0f}): two clocks, or a filter of "
-        "the torques. Shift the torque columns by as much, or record both with one "
-        "clock."
+        f"against the positions (log odds {log_odds:.0f}): two clocks, or a delay of "
+        "the torques. The search shifts them by this lag."
     )
-    every = tuple(range(len(names)))
-    return [ChannelFinding("delay", every, "warning", message)]
+    found = ChannelFinding("delay", every, "warning", message, value=seconds)
+    return [found]
 
 
 def moved_zeros(model, names, q, signals):

@@ -97,12 +97,15 @@ class ChannelFinding:
         inaccurate.
     message : str
         One line: the channel by name, the evidence in numbers, the remedy.
+    value : float, default=nan
+        Size of the fault in SI units, where it has one: the lag [s] of a "delay".
     """
 
     kind: str
     joints: tuple[int, ...]
     severity: str
     message: str
+    value: float = np.nan
 
 
 def in_order(findings):

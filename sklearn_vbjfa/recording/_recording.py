@@ -7,6 +7,7 @@ from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -249,6 +250,31 @@ class Recording:
     def segments(self) -> tuple[slice, ...]:
         """Rows of each recording; nothing is filtered across their boundaries."""
         return tuple(contiguous_groups(self.groups, self.n_samples))
+
+    def with_torques_shifted(self, lag: float) -> "Recording":
+        """Return a copy whose torques are read later by a lag.
+
+        Parameters
+        ----------
+        lag : float
+            Time [s] by which the torques are late against the positions.
+
+        Returns
+        -------
+        Recording
+            Torques between rows are interpolated; rows at the ends of recordings whose
+            torques lie outside have no weight.
+        """
+        rows = lag / self.dt
+        tau = np.empty_like(self.tau)
+        weight = np.ones(self.q.shape) if self.weight is None else self.weight.copy()
+        for part in self.segments:
+            at = np.arange(part.stop - part.start) + rows
+            inside = (at >= 0) & (at <= at.size - 1)
+            known = CubicSpline(np.arange(at.size), self.tau[part])
+            tau[part] = known(np.clip(at, 0, at.size - 1))
+            weight[part][~inside] = 0.0
+        return replace(self, tau=tau, weight=weight)
 
     def clock(self, *, stamped: bool = False) -> np.ndarray | None:
         """Return the time of each row [s], rising over all recordings.

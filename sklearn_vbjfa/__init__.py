@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
     from sklearn_vbjfa.robot._robot import IdentifiedRobot, load_identified
-    from sklearn_vbjfa.robot._simulator_ranges import ParameterRange, Ranges
+    from sklearn_vbjfa.robot._simulator_ranges import Ranges
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.2.0.dev0"
@@ -32,7 +32,6 @@ __all__ = [
     "JFARegressor",
     "JointTorqueRegressor",
     "LocallyWeightedRegressor",
-    "ParameterRange",
     "PhysicalProjector",
     "Ranges",
     "RigidBodyFeatures",
@@ -65,7 +64,7 @@ _MODULES = {
     "robot._robot": ("IdentifiedRobot", "load_identified"),
     "robot._identifier": ("RobotIdentifier",),
     "robot._joint_torque": ("JointTorqueRegressor",),
-    "robot._simulator_ranges": ("ParameterRange", "Ranges"),
+    "robot._simulator_ranges": ("Ranges",),
     "robot._states": ("StateEstimator",),
 }
 _ROOMS = (

@@ -1,6 +1,5 @@
 """The guide, the README and the code say the same, and their examples run."""
 
-import importlib.metadata
 import importlib.util
 import json
 import os
@@ -8,6 +7,7 @@ import re
 import subprocess
 import sys
 import textwrap
+import tomllib
 from collections import Counter
 from pathlib import Path
 
@@ -60,11 +60,6 @@ def tagged_equations(text):
     return numbers
 
 
-def own_tags(text):
-    """Numbers of the guide's own equations, such as [C3] in the code, in order."""
-    return re.findall(r"\[([BC]\d+)\]", text)
-
-
 def code_blocks(path):
     """Python examples of a page, in order, with the line at which each begins."""
     text = read(path)
@@ -108,14 +103,17 @@ def test_own_equations_are_in_the_guide_and_in_the_code():
         assert numbers == list(range(1, len(numbers) + 1)), letter
         assert numbers, f"no equation {letter}1"
     source = ROOT / "sklearn_vbjfa"
-    used = {tag for path in source.rglob("*.py") for tag in own_tags(read(path))}
+    tag = re.compile(r"\[([BC]\d+)\]")
+    used = {own for path in source.rglob("*.py") for own in tag.findall(read(path))}
     assert used == set(printed)
-    assert set(own_tags(guide)) <= set(printed)
+    assert set(tag.findall(guide)) <= set(printed)
 
 
 def test_every_public_name_is_in_api_once():
-    modules = PUBLIC_MODULES
-    public = {name for module in modules for name in module.__all__}
+    for module in PUBLIC_MODULES:
+        assert list(module.__all__) == sorted(set(module.__all__)), module
+        assert set(module.__all__) <= set(dir(module)), module
+    public = {name for module in PUBLIC_MODULES for name in module.__all__}
     blocks = re.findall(
         r"\.\. autosummary::\n(?:    :.*\n)*\n((?:    \S+\n)+)", read(DOCS / "api.rst")
     )
@@ -143,7 +141,9 @@ def test_setup_is_two_commands():
 
 def test_every_dependency_is_explained():
     text = read(DOCS / "dependencies.rst")
-    for requirement in importlib.metadata.requires("sklearn-vbjfa"):
+    project = tomllib.loads(read(ROOT / "pyproject.toml"))["project"]
+    extras = project["optional-dependencies"].values()
+    for requirement in sum(extras, project["dependencies"]):
         # Builders may write one name with any of the three.
         name = re.sub(r"[._-]+", "[._-]", re.match(r"[\w.-]+", requirement).group())
         assert re.search(rf"^(\w+ +)?{name} ", text, flags=re.M), name
@@ -187,15 +187,6 @@ def recorded():
         yield script(DOCS / "_ext" / "recorded.py", patch)
 
 
-def test_recorded_tables_are_chosen_from(recorded):
-    table = recorded.RecordedTable(headers=("a", "b"), rows=(("x", "1"), ("y", "2")))
-    assert table.chosen(["b"], ["y"]).rows == (("2",),)
-    with pytest.raises(KeyError):
-        table.chosen(["c"])
-    with pytest.raises(KeyError):
-        table.chosen(rows=["z"])
-
-
 TABLES = sorted((DOCS / "tables").glob("*.rst"))
 
 
@@ -213,34 +204,6 @@ def test_a_table_and_its_data_agree(path, recorded):
     for commit in record["commits"]:
         assert commit in read(path)
     assert recorded.made(path.stem).startswith(f"Made at {record['commits'][0]}")
-
-
-def test_a_written_table_is_read_again(recorded, tmp_path):
-    text = (
-        "Of two.\n\n====  =====\na     b [%]\n====  =====\none     1.5\n====  =====\n"
-    )
-    recorded.write("new", text, "bench_new.py", ["abc", "def+"], tmp_path)
-    assert recorded.read("new", tmp_path) == text
-    assert recorded.made("new", tmp_path) == "Made at abc and def+."
-    (table,) = json.loads(read(tmp_path / "new.json"))["tables"]
-    assert table == {"headers": ["a", "b [%]"], "rows": [["one", "1.5"]]}
-
-
-def test_evidence_shows_what_was_recorded(recorded):
-    text = read(DOCS / "evidence.rst")
-    shown = re.findall(r"\.\. recorded-table:: (\w+)\n((?:    :.*\n)*)", text)
-    assert len(shown) >= 6
-    for name, options in shown:
-        given = dict(re.findall(r":(\w+): (.*)", options))
-        parts = {
-            key: given[key].split(" | ") for key in ("columns", "rows") if key in given
-        }
-        table = recorded.tables_in(recorded.read(name))[0]
-        assert table.chosen(**parts).rows, name
-    for name, words in re.findall(
-        r"\.\. recorded-line:: (\w+)\n    :begins: (.*)", text
-    ):
-        assert recorded.paragraph_in(recorded.read(name), words)
 
 
 @pytest.mark.slow
@@ -363,13 +326,3 @@ sys.meta_path.insert(0, Absent())
         check=False,
     )
     assert done.returncode == 0, done.stderr
-
-
-def test_examples_that_come_first_exist(monkeypatch):
-    order = script(DOCS / "_ext" / "gallery_order.py", monkeypatch)
-    there = [path.name for path in (ROOT / "examples").rglob("plot_*.py")]
-    assert set(order.FIRST) <= set(there)
-    key = order.MostWantedFirst("examples")
-    assert sorted([*there, "plot_another.py"], key=key)[: len(order.FIRST)] == list(
-        order.FIRST
-    )

@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tarfile
 import textwrap
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -39,7 +40,6 @@ def requirements(names):
 
 
 def test_the_conda_recipe_asks_for_what_pip_asks_for():
-    tomllib = pytest.importorskip("tomllib")
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
     recipe = (ROOT / ".ci" / "conda" / "recipe.yaml").read_text("utf-8")
     listed = re.findall(r"^    - (\S+ >=[\d.]+)$", recipe, flags=re.M)
@@ -95,7 +95,6 @@ def test_a_release_names_one_version_everywhere():
 
 
 def test_links_of_a_release_are_absolute(tmp_path):
-    tomllib = pytest.importorskip("tomllib")
     for name in ("README.md", "pyproject.toml"):
         shutil.copy(ROOT / name, tmp_path)
     script, address = (

@@ -13,13 +13,12 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.diagnosis.report._report import Report
     from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
     from sklearn_vbjfa.robot._windows import (
-        FailedWindow,
         SimulatedWindows,
         simulate_windows,
     )
 
 _MODULES = {
-    ".robot._windows": ("FailedWindow", "SimulatedWindows", "simulate_windows"),
+    ".robot._windows": ("SimulatedWindows", "simulate_windows"),
     "_discovery": ("EffectDiscovery",),
     "displays._recordings": ("ResidualDisplay", "TorqueDisplay"),
     "report._report": ("Report",),
@@ -27,7 +26,6 @@ _MODULES = {
 }
 __all__ = [
     "EffectDiscovery",
-    "FailedWindow",
     "Report",
     "ResidualDisplay",
     "SearchSettings",

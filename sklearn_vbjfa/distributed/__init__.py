@@ -2,7 +2,7 @@
 
 A fit needs only second moments, and those of disjoint rows add up: each worker reduces
 the files that it reads to matrices whose size depends on the number of parameters
-alone. Requires Dask (``pip install "dask[array]" distributed``).
+alone. Requires Dask (``pip install "sklearn-vbjfa[dask]"``).
 """
 
 from sklearn_vbjfa.distributed._passes import fit_recordings

@@ -313,6 +313,6 @@ def _import_dask():
         import dask
     except ImportError as error:
         raise ImportError(
-            "Fits on several machines need Dask: pip install 'dask[array]' distributed."
+            'Fits on several machines need Dask: pip install "sklearn-vbjfa[dask]".'
         ) from error
     return dask

@@ -7,24 +7,18 @@ from sklearn_vbjfa import _lazily
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
     from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
-    from sklearn_vbjfa.robot._exports import LeftOut
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-    from sklearn_vbjfa.robot._output_error import SimulationCriteria
     from sklearn_vbjfa.robot._residuals import TorqueResiduals
-    from sklearn_vbjfa.robot._spreads import EffectOfTime
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __all__ = [
     "CurrentDrive",
-    "EffectOfTime",
     "JointTorqueRegressor",
-    "LeftOut",
     "PDDrive",
     "RigidBodyFeatures",
     "RobotIdentifier",
-    "SimulationCriteria",
     "StateEstimator",
     "TorqueResiduals",
     "VoltageDrive",
@@ -45,7 +39,6 @@ _MODULES = {
     ),
     "_equations": ("Equations", "is_plain"),
     "_estimate": ("estimate", "project"),
-    "_exports": ("LeftOut",),
     "_features": ("RigidBodyFeatures",),
     "_fit": ("ModelValues",),
     "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
@@ -59,7 +52,6 @@ _MODULES = {
         "sum_moments",
     ),
     "_joint_torque": ("JointTorqueRegressor",),
-    "_output_error": ("SimulationCriteria",),
     "_plan": ("MotionFacts", "Plan"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
     "_ranges": ("SignalRanges",),
@@ -70,7 +62,6 @@ _MODULES = {
     "_spreads": (
         "BodyMass",
         "ColumnMeanSquares",
-        "EffectOfTime",
         "Spread",
         "body_masses",
         "note_of_masses",

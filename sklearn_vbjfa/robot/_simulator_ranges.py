@@ -68,17 +68,6 @@ class ParameterRange:
     See Also
     --------
     Ranges : All parameters of a robot.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa import ParameterRange
-    >>> one = ParameterRange(
-    ...     name="hip:rotor_inertia", joint="hip", unit="kg m^2", value=0.1,
-    ...     lower=0.08, upper=0.12, mean=0.1, std=0.012, within=0.01, between=0.007,
-    ...     known="yes", nonnegative=True,
-    ... )
-    >>> one.words["genesis"]
-    'set_dofs_armature'
     """
 
     name: str

@@ -18,6 +18,7 @@ from sklearn_vbjfa import (  # noqa: E402
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
+from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     PDDrive,
     RecordingStates,
@@ -107,6 +108,19 @@ def test_all_channels_of_the_law_are_used():
     recording.signals["q_desired"] = command(t, 0.0, rate, ahead)
     found = PDDrive().driven(recording)
     assert_allclose(found.tau, torques(q, v, a), rtol=1e-9, atol=1e-9)
+
+
+def test_a_velocity_is_as_late_as_the_recorded_one():
+    """Drives filter theirs: by how much is found, joint by joint."""
+    lag, t = np.array([0.001, 0.004, 0.007]), 0.005 * np.arange(1600)
+    q, v, _ = states(t)
+    late = np.column_stack([states(t - x)[1][:, j] for j, x in enumerate(lag)])
+    noise = 0.02 * np.random.default_rng(0).normal(size=v.shape)
+    recording = take_arrays(q, 0.0 * q, dt=0.005, joint_names=NAMES)
+    found = velocities(replace(recording, v=late + noise))
+    away = np.sqrt(((found - late)[50:-50] ** 2).mean(axis=0))
+    plain = np.sqrt(((v - late)[50:-50] ** 2).mean(axis=0))
+    assert (away < 0.1 * plain).all()
 
 
 @pytest.mark.parametrize("delay", [-0.004, 0.0, 0.0072, 0.03])

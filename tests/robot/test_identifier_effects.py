@@ -276,3 +276,16 @@ def test_projection_moves_the_effects_along():
 def test_bad_effects_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         RobotIdentifier(MODEL, effects=given, **EXACT).fit(STATES, DECLARED)
+
+
+def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
+    """The data know the sum; it is the spring's."""
+    offset = np.array([0.7, -0.4, 0.2])
+    added = offset + on_joint(1, 3.0 * (Q[:, 1] - 0.3))
+    robot = fit(added, effects.Spring(1), friction=("viscous", "offset"))
+    values = dict(zip(robot.parameter_names_, robot.theta_))
+    assert values["joint_2:spring:c"] == pytest.approx(-0.4 - 0.9, rel=1e-6)
+    assert values["joint_2:offset"] == 0.0
+    # Elsewhere an offset is an offset.
+    for j in (1, 3):
+        assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)

@@ -15,13 +15,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from sklearn_vbjfa.model._mjcf import write_tree_of
 from sklearn_vbjfa.model._mjcf_reading import read_mjcf
 from sklearn_vbjfa.model._trees import (
     ROUNDING,
+    Description,
     Folded,
-    LoadedRobot,
     check_joints,
-    check_known,
     describe,
     fold,
     foldable,
@@ -29,13 +29,13 @@ from sklearn_vbjfa.model._trees import (
     import_pinocchio,
     in_order,
     joint_names,
-    led_by,
     nominal_parameters,
+    rotation_of,
     solid_bodies,
     with_extension,
 )
-from sklearn_vbjfa.model._urdf import UrdfRobot, is_text, text_of_tree
-from sklearn_vbjfa.model._xml import parse_description, parse_text
+from sklearn_vbjfa.model._urdf import hold_in_urdf, is_text, read_urdf, text_of_tree
+from sklearn_vbjfa.model._xml import parse_description, parse_text, write_tree
 
 if TYPE_CHECKING:
     import pinocchio as pin
@@ -120,7 +120,8 @@ def load_folded(model, base_orientation=None):
         return _folded(parse_description(path), path, base=base_orientation)
     if isinstance(model, pin.Model):
         called = f"The model {model.name!r}"
-        held, said = hold_base(LoadedRobot(model.copy()), base_orientation, called)
+        given = Description(model=model.copy(), called=called)
+        held, said = hold_base(given, base_orientation)
         _warn(said, model.name, stacklevel=4)
         return Folded.without(check_joints(held.model))
     raise TypeError(
@@ -142,11 +143,9 @@ def movable_joints(path):
     # Those that follow others are listed if they cannot be folded, see `load_model`; a
     # free joint that is held there is not.
     path = Path(path)
-    robot, _ = _described(parse_description(path), path)
-    robot = robot.settled()
-    names = robot.names
-    folded = foldable(robot.carriers, robot.links, path)
-    return tuple(name for name in names if name not in folded)
+    robot, _ = hold_base(_read(parse_description(path), path), None)
+    folded = foldable(robot.carriers, robot.links, robot.called)
+    return tuple(name for name in robot.names if name not in folded)
 
 
 def write_reduced(path, target, moving, base_orientation=None):
@@ -154,12 +153,23 @@ def write_reduced(path, target, moving, base_orientation=None):
     # Of an MJCF file the copy has the bodies and joints alone. Returns the joints that
     # were fixed, without that of a free base.
     path = Path(path)
-    robot, _ = _described(parse_description(path), path, base=base_orientation)
-    names = robot.names
-    reduced = _holding(robot, path, moving)
-    reduced.write(target)
-    still = reduced.names
-    return tuple(name for name in names if name not in still)
+    tree = parse_description(path)
+    is_mjcf = _is_mjcf(tree, path)
+    whole = _read(tree, path)
+    robot, _ = hold_base(whole, base_orientation)
+    reduced = robot.held(moving)
+    if is_mjcf:
+        reduced.check()
+        write_tree_of(reduced, target)
+    else:
+        tree, base = parse_description(path), None
+        if base_orientation is not None:
+            (name,) = whole.free
+            placed = whole.model.jointPlacements[whole.model.getJointId(name)]
+            base = name, placed.rotation.T @ rotation_of(base_orientation)
+        hold_in_urdf(tree, reduced.names, reduced.links, base)
+        write_tree(tree, target)
+    return tuple(name for name in robot.names if name not in reduced.names)
 
 
 def is_urdf(source):
@@ -201,54 +211,28 @@ def _is_mjcf(tree, path):
     return tag == "mujoco"
 
 
-def _described(tree, path, base=None):
-    """Return what a description says, with its base held, and what to say of it."""
-    # A `UrdfRobot` or `MjcfRobot`; base: orientation of a free base, None for that of
-    # the file.
+def _read(tree, path):
+    """Return what a description says, `Description`."""
     if _is_mjcf(tree, path):
-        robot = read_mjcf(tree.getroot(), path, parse_description)
-    else:
-        robot = UrdfRobot(tree, path)
-    return hold_base(robot, base, repr(str(path)))
-
-
-def _holding(robot, path, moving):
-    """Hold the joints of a description that neither move nor follow those that do."""
-    check_known(moving, robot.names, path)
-    # A follower that is named has columns and a torque of its own.
-    links = {name: link for name, link in robot.links.items() if name not in moving}
-    return robot.held(moving, led_by(moving, robot.carriers, links, path))
+        return read_mjcf(tree.getroot(), path, parse_description)
+    return read_urdf(tree, path)
 
 
 def _folded(tree, path, moving=None, base=None):
     """Build and check a robot, `Folded`; say what of it does not enter the model."""
     # moving: joints that are not held, None for all; base: orientation of a free base.
-    robot, said = _described(tree, path, base)
+    robot, said = hold_base(_read(tree, path), base)
     if moving is not None:
-        robot = _holding(robot, path, moving)
+        robot = robot.held(moving)
     robot.check()
-    robot = robot.settled()
     links = robot.links
-    said, folded = [*said, *robot.left_out()], foldable(robot.carriers, links, path)
-    model = check_joints(robot.build())
-    # Pinocchio sorts the branches of a URDF by name.
-    found = fold(in_order(model, _parents_first(robot.names, robot.carriers)), folded)
+    folded = foldable(robot.carriers, links, robot.called)
+    found = fold(robot.model, folded)
     apart = [name for name in links if name not in folded]
+    said = [*said, *robot.left_out(robot.names)]
     _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
     for one in (found.model, found.still):
         with_extension(one)
-    return found
-
-
-def _parents_first(names, carriers):
-    """Return names in the order of the file, carriers before what they carry."""
-    found = []
-    for name in names:
-        chain = []
-        while name is not None and name not in found and name not in chain:
-            chain.append(name)
-            name = carriers[name]
-        found += reversed(chain)
     return found
 
 

@@ -7,7 +7,8 @@ with encoders and motors, which feel the followers' bodies.
 """
 
 import sys
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -73,7 +74,7 @@ def joint_origin(model, joint):
     """Axes (3, 3) of a joint's origin in its carrying link, as a URDF has them."""
     # Links that are fixed to each other are one body of the model, in whose axes the
     # placement is; that of the carrying link is among its frames. A model without
-    # frames has the body's axes.
+    # frames of links has the body's axes.
     pin = import_pinocchio()
     placed = model.jointPlacements[joint + 1].rotation
     name = model.names[joint + 1]
@@ -81,7 +82,8 @@ def joint_origin(model, joint):
         return placed.copy()
     own = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
     link = model.frames[own.parentFrame]
-    if link.parentJoint != model.parents[joint + 1]:
+    carried = link.parentJoint == model.parents[joint + 1]
+    if link.type != pin.FrameType.BODY or not carried:
         return placed.copy()
     return link.placement.rotation.T @ placed
 
@@ -185,19 +187,22 @@ def in_order(model, names):
         old = model.getJointId(name)
         if model.parents[old] not in numbers:
             raise ValueError(f"joint {name} comes before the one that carries it")
-        at = model.joints[old].idx_q
+        joint = model.joints[old]
+        q = slice(joint.idx_q, joint.idx_q + joint.nq)
+        v = slice(joint.idx_v, joint.idx_v + joint.nv)
         numbers[old] = made.addJoint(
             numbers[model.parents[old]],
-            model.joints[old],
+            joint,
             model.jointPlacements[old],
             name,
-            model.effortLimit[[at]],
-            model.velocityLimit[[at]],
-            model.lowerPositionLimit[[at]],
-            model.upperPositionLimit[[at]],
+            model.effortLimit[v],
+            model.velocityLimit[v],
+            model.lowerPositionLimit[q],
+            model.upperPositionLimit[q],
         )
         made.inertias[numbers[old]] = model.inertias[old]
-        made.armature[numbers[old] - 1] = model.armature[old - 1]
+        at = made.joints[numbers[old]].idx_v
+        made.armature[at : at + joint.nv] = model.armature[v]
     frames = {0: 0}
     # Those of a joint come after those of the joint that carries it.
     order = sorted(
@@ -237,75 +242,157 @@ def check_joints(loaded):
     return loaded
 
 
-def check_number(n_joints, path):
+def check_number(n_joints, called):
     """Refuse more joints than robots have."""
     if n_joints > _MOST_JOINTS:
         raise ValueError(
-            f"{str(path)!r}: the robot has {n_joints} moving joints, at most "
-            f"{_MOST_JOINTS} can be identified; hold the others (--joints)."
+            f"{called}: the robot has {n_joints} moving joints, at most "
+            f"{_MOST_JOINTS} can be read; fix the others in the description."
         )
 
 
-def check_known(moving, names, path):
+def check_known(moving, names, called):
     """Refuse names that are not joints of a description."""
     unknown = [name for name in moving if name not in names]
     if unknown:
         raise ValueError(
-            f"{str(path)!r}: the robot has no movable joint {unknown[0]!r}; it has "
+            f"{called}: the robot has no movable joint {unknown[0]!r}; it has "
             f"{', '.join(map(str, names)) or 'none'}."
         )
+
+
+# -- what a description says -----------------------------------------------------------
+
+
+class Closure(NamedTuple):
+    """What a description has beside its tree of joints and cannot be kept."""
+
+    said: str
+    bodies: tuple = ()  # links that it joins, None for the world
+    joints: tuple = ()  # joints that it couples, where it joins no links
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Description:
+    """What a description says of a robot, all its joints in one model."""
+
+    model: object
+    called: str  # how messages call the robot
+    links: dict = field(default_factory=dict)  # name -> `Link`
+    closures: tuple = ()
+    bodies: tuple = ()  # names of the joints of one body, for each that has several
+    # names of joints -> sentences on what does not enter the model
+    left_out: Callable = lambda names: []
+
+    @property
+    def names(self):
+        """Names of the joints, a tuple."""
+        return joint_names(self.model)
+
+    @property
+    def carriers(self):
+        """Name of the joint that carries each joint, name -> name or None."""
+        return carriers_of(self.model)
+
+    @property
+    def free(self):
+        """Names of the joints that let a body float freely."""
+        kinds = [joint.shortname() for joint in self.model.joints][1:]
+        pairs = zip(self.names, kinds)
+        return [name for name, kind in pairs if kind == "JointModelFreeFlyer"]
+
+    @property
+    def massless(self):
+        """Names of joints that move the next joint of the same body and no mass."""
+        kept = [[x for x in body if x in self.names] for body in self.bodies]
+        return [name for body in kept for name in body[:-1]]
+
+    def with_base(self, name, turn=None):
+        """Hold the free joint at the root; return the robot, and its base's axes."""
+        # turn (3, 3): axes of the base in the world; None for those of the description.
+        pin, model = import_pinocchio(), self.model
+        at = model.getJointId(name)
+        placed = model.jointPlacements[at].rotation
+        turn = placed if turn is None else turn
+        q = pin.neutral(model)
+        first = model.joints[at].idx_q + 3
+        q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
+        return replace(self, model=pin.buildReducedModel(model, [at], q)), turn
+
+    def held(self, moving):
+        """Return the robot, whose joints that are not named stay at zero."""
+        # A follower that is named has columns and a torque of its own.
+        check_known(moving, self.names, self.called)
+        links = {name: link for name, link in self.links.items() if name not in moving}
+        follow = led_by(moving, self.carriers, links, self.called)
+        pin, model = import_pinocchio(), self.model
+        still = [
+            k
+            for k, name in enumerate(self.names, 1)
+            if name not in moving and name not in follow
+        ]
+        if still:
+            model = pin.buildReducedModel(model, still, pin.neutral(model))
+        links = {name: link for name, link in links.items() if name in follow}
+        return replace(self, model=model, links=links)
+
+    def check(self):
+        """Refuse what is not a tree of joints of one degree of freedom each."""
+        wrong = [one.said for one in self.closures if self._closes(one)]
+        if wrong:
+            raise ValueError(
+                f"{self.called}: {'; '.join(wrong)}. Take out what closes the loop, or "
+                "hold what is not recorded at zero: name the joints that are (--joints "
+                "in the command line, joint_names in Python)."
+            )
+        check_joints(self.model)
+
+    def _closes(self, closure):
+        """Whether a closure is felt by the joints; held ones make one body of two."""
+        if closure.joints:
+            return not set(closure.joints).isdisjoint(self.names)
+        return len(closure.bodies) < 2 or len(set(map(self._mover, closure.bodies))) > 1
+
+    def _mover(self, link):
+        """Return the number of the joint that moves a link, 0 for the base."""
+        if link is None:
+            return 0
+        kind = import_pinocchio().FrameType.BODY
+        return self.model.frames[self.model.getFrameId(link, kind)].parentJoint
+
+
+def carriers_of(model):
+    """Name of the joint that carries each joint, name -> name or None."""
+    names = list(model.names)
+    return {
+        name: names[above] if above else None
+        for name, above in zip(names[1:], list(model.parents)[1:])
+    }
 
 
 # -- a base that is free ---------------------------------------------------------------
 
 
-def hold_base(robot, orientation, called):
+def hold_base(robot, orientation):
     """Hold a base that alone carries all joints; return the robot, and what to say."""
-    # robot: with the names of its `free` joints, the `carriers` of all, and
-    # `with_base`; orientation: a quaternion, None for that of the description; called:
-    # how messages call the robot.
+    # orientation: a quaternion, None for that of the description.
     free, carriers = robot.free, robot.carriers
     on_world = [name for name, above in carriers.items() if above is None]
     # A body that carries nothing is no base.
     if len(free) != 1 or not on_world == free != [*carriers]:
         if orientation is not None:
             raise ValueError(
-                f"{called} has no free joint that alone carries all other joints, so "
-                "that its base stands as described; leave base_orientation out."
+                f"{robot.called} has no free joint that alone carries all other "
+                "joints, so that its base stands as described; leave base_orientation "
+                "out."
             )
         return robot, []
-    turn = None if orientation is None else _rotation_of(orientation)
+    turn = None if orientation is None else rotation_of(orientation)
     robot, axes = robot.with_base(free[0], turn)
     return robot, [_said_of(free[0], axes)]
 
 
-class LoadedRobot:
-    """A Pinocchio model as `UrdfRobot` and `MjcfRobot` are, for `hold_base`."""
-
-    def __init__(self, model):
-        self.model = model
-        self._names = names = list(model.names)
-        self.carriers = {
-            name: names[above] if above else None
-            for name, above in zip(names[1:], model.parents.tolist()[1:])
-        }
-        kinds = (joint.shortname() for joint in model.joints)
-        self.free = [
-            n for n, kind in zip(names, kinds) if kind == "JointModelFreeFlyer"
-        ]
-
-    def with_base(self, name, turn=None):
-        """Hold the free joint at the root; return the robot, and its base's axes."""
-        pin, at = import_pinocchio(), self._names.index(name)
-        placed = self.model.jointPlacements[at].rotation
-        turn = placed if turn is None else turn
-        q = pin.neutral(self.model)
-        first = self.model.joints[at].idx_q + 3
-        q[first : first + 4] = pin.Quaternion(placed.T @ turn).coeffs()
-        return LoadedRobot(pin.buildReducedModel(self.model, [at], q)), turn
-
-
-def _rotation_of(orientation):
+def rotation_of(orientation):
     """Rotation (3, 3) of a quaternion w, x, y, z, of any length."""
     try:
         given = np.asarray(orientation, dtype=float)
@@ -390,14 +477,14 @@ class Folded:
         return cls(model=model, followers=(), still=model, full=model, links={})
 
 
-def foldable(carriers, links, path):
+def foldable(carriers, links, called):
     """Return the followers that carry nothing but followers, by name."""
     # Their leaders do not follow themselves. carriers: for each joint the one that
-    # carries it, or None; path: what messages name.
+    # carries it, or None; called: how messages call the robot.
     for name, link in links.items():
         if link.leader not in carriers:
             raise ValueError(
-                f"{str(path)!r}: joint {name!r} is to follow {link.leader!r}, which is "
+                f"{called}: joint {name!r} is to follow {link.leader!r}, which is "
                 "not a moving joint of the robot; correct the description."
             )
         seen = [name]
@@ -405,7 +492,7 @@ def foldable(carriers, links, path):
             seen.append(links[seen[-1]].leader)
             if seen[-1] in seen[:-1]:
                 raise ValueError(
-                    f"{str(path)!r}: the joints {', '.join(seen[:-1])} follow each "
+                    f"{called}: the joints {', '.join(seen[:-1])} follow each "
                     "other in a ring; correct the description."
                 )
     kept = dict(links)
@@ -430,10 +517,10 @@ def _resolved(name, links):
     return Link(leader=leader, multiplier=rate, offset=offset)
 
 
-def led_by(moving, carriers, links, path):
+def led_by(moving, carriers, links, called):
     """Names of the followers that joints which move lead, if they can be folded."""
     # carriers, links: as for `foldable`, of all joints, whose mistakes it refuses.
-    foldable(carriers, links, path)
+    foldable(carriers, links, called)
     follow = set(links)
     while True:
         # What is held is one body with the joint that carries it, and leads nothing.
@@ -441,7 +528,7 @@ def led_by(moving, carriers, links, path):
         own = {name: links[name] for name in follow if links[name].leader in left}
         if len(own) == len(follow):
             above = {name: _next(carriers, name, left) for name in left}
-            own = foldable(above, own, path)
+            own = foldable(above, own, called)
         if len(own) == len(follow):
             return follow
         follow = set(own)

@@ -12,11 +12,15 @@ import numpy as np
 
 from sklearn_vbjfa.model._trees import (
     ROUNDING,
+    Closure,
+    Description,
     Link,
     body_names,
+    carriers_of,
     check_number,
     describe,
     import_pinocchio,
+    in_order,
     joint_names,
 )
 from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
@@ -34,243 +38,183 @@ _CLOSURES = (
     "distance_constraint",
 )
 _TREE = "and only trees of joints can be identified"
-_REMEDY = (
-    "take out the joint that closes it, or hold what is not recorded at zero: name the "
-    "joints that are (--joints in the command line, joint_names in Python)"
-)
 # What URDF readers take for no limit.
 _UNLIMITED = 1e12
 
 
-class UrdfRobot:
-    """What a URDF says of a robot, as `MjcfRobot`; its tree of XML is changed."""
+def read_urdf(tree, path):
+    """Return what a URDF says of a robot, `Description`; the tree is changed."""
+    called, root = repr(str(path)), tree.getroot()
+    _check_masses(root, called)
+    _check_axes(root, called)
+    _check_tree(root, called)
+    links = _followers(root, called)
+    closures = _closures(root)
+    model = _build(root, called)
+    return Description(model=model, called=called, links=links, closures=closures)
 
-    # path: what messages name.
-    massless = ()
 
-    def __init__(self, tree, path):
-        self._tree, self._path = tree, path
-        self._root = tree.getroot()
+def _joints(root, *kinds):
+    """Return the elements of joints, of some types alone if any are named."""
+    joints = root.findall("joint")
+    return [joint for joint in joints if not kinds or joint.get("type") in kinds]
 
-    def _joints(self, *kinds):
-        """Return the elements of joints, of some types alone if any are named."""
-        joints = self._root.findall("joint")
-        return [joint for joint in joints if not kinds or joint.get("type") in kinds]
 
-    def _moving(self):
-        """Elements of the joints that are not fixed."""
-        return [joint for joint in self._joints() if joint.get("type") != "fixed"]
+def _followers(root, called):
+    """Return joints that follow others, name -> `Link`; fix those of a fixed one."""
+    still = {joint.get("name") for joint in _joints(root, "fixed")}
+    found, joints = {}, {}
+    for joint in _joints(root, *_AXIAL):
+        mimic = joint.find("mimic")
+        if mimic is None:
+            continue
+        name, values = joint.get("name"), []
+        for key, otherwise in (("multiplier", "1"), ("offset", "0")):
+            value = _floats(mimic.get(key, otherwise), 1)
+            if value is None:
+                raise ValueError(
+                    f"{called}: joint {name!r} follows another one with the {key} "
+                    f"{mimic.get(key)[:40]!r}, which is not a number; correct the "
+                    "description."
+                )
+            values.append(value[0])
+        leader, joints[name] = mimic.get("joint", ""), joint
+        found[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
+    while follow := [name for name, link in found.items() if link.leader in still]:
+        for name in follow:
+            _fix(joints[name])
+            still.add(name)
+            del found[name]
+    return found
 
-    @property
-    def names(self):
-        """Names of the joints that are not fixed, a list."""
-        return [joint.get("name") for joint in self._moving()]
 
-    @property
-    def free(self):
-        """Names of the joints that let a body float freely."""
-        return [joint.get("name") for joint in self._joints("floating")]
+def _build(root, called):
+    """Build Pinocchio's model, joints in the order of the file."""
+    # Shapes, and friction, which is not used and may be anything, are not worth a
+    # complaint of the parser.
+    for parent in root.findall("link") + root.findall("joint"):
+        for tag in ("visual", "collision", "dynamics", "mimic"):
+            for one in parent.findall(tag):
+                parent.remove(one)
+    for joint in _joints(root, "continuous"):
+        joint.set("type", "revolute")
+        limit = joint.find("limit")
+        if limit is None:
+            limit = ElementTree.SubElement(joint, "limit")
+            limit.set("effort", "1e12")
+            limit.set("velocity", "1e12")
+        limit.set("lower", "-1e12")
+        limit.set("upper", "1e12")
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        model = import_pinocchio().buildModelFromXML(text)
+    except (ValueError, RuntimeError) as error:
+        raise ValueError(
+            f"Pinocchio cannot build a robot from {called}: {error}"
+        ) from error
+    # Pinocchio sorts the branches by name.
+    names = [joint.get("name") for joint in _joints(root)]
+    carriers = carriers_of(model)
+    return in_order(
+        model, _parents_first(filter(carriers.__contains__, names), carriers)
+    )
 
-    @property
-    def carriers(self):
-        """Name of the joint that carries each moving joint, name -> name or None."""
-        above = self._above()
-        return {
-            joint.get("name"): self._joint_above(_link(joint.find("parent")), above)
-            for joint in self._moving()
-        }
 
-    @property
-    def links(self):
-        """Joints that follow others, name -> `Link`."""
-        found = {}
-        for joint in self._joints(*_AXIAL):
-            mimic = joint.find("mimic")
-            if mimic is None:
-                continue
-            name, values = joint.get("name"), []
-            for key, otherwise in (("multiplier", "1"), ("offset", "0")):
-                value = _floats(mimic.get(key, otherwise), 1)
-                if value is None:
-                    raise ValueError(
-                        f"{str(self._path)!r}: joint {name!r} follows another one with "
-                        f"the {key} {mimic.get(key)[:40]!r}, which is not a number; "
-                        "correct the description."
-                    )
-                values.append(value[0])
-            leader = mimic.get("joint", "")
-            found[name] = Link(leader=leader, multiplier=values[0], offset=values[1])
-        return found
+def _parents_first(names, carriers):
+    """Return names in the order of the file, carriers before what they carry."""
+    found = []
+    for name in names:
+        chain = []
+        while name is not None and name not in found:
+            chain.append(name)
+            name = carriers[name]
+        found += reversed(chain)
+    return found
 
-    def left_out(self):
-        """Sentences on what is in the file and does not enter the model."""
-        return []
 
-    def with_base(self, name, turn=None):
-        """Hold the free joint at the root; return the robot, and its base's axes."""
-        # turn (3, 3): axes of the base in the world; None for those of the file.
-        above = self._above()
-        own = next(joint for joint in self._joints() if joint.get("name") == name)
-        carrying, link, seen = np.eye(3), _link(own.find("parent")), set()
-        joints = {_link(joint.find("child")): joint for joint in self._joints()}
-        while link in above and link not in seen:
-            seen.add(link)
-            carrying = _turned(joints[link]) @ carrying
-            link = above[link][0]
-        if turn is not None:
-            origin = own.find("origin")
-            if origin is None:
-                origin = ElementTree.SubElement(own, "origin")
-            origin.set("rpy", numbers(_rpy(carrying.T @ turn)))
-        _fix(own)
-        return self, carrying @ _turned(own)
+# -- what is not a tree of joints ------------------------------------------------------
 
-    def held(self, moving, follow):
-        """Return the robot, whose joints that neither move nor follow stay at zero."""
-        for joint in self._moving():
-            name = joint.get("name")
-            if name in moving:
-                # A follower that is named has columns and a torque of its own.
-                for mimic in joint.findall("mimic"):
-                    joint.remove(mimic)
-            elif name not in follow:
-                _fix(joint)
-        return self
 
-    def settled(self):
-        """Return the robot, whose joints that follow a fixed one are fixed."""
-        while True:
-            still = {joint.get("name") for joint in self._joints("fixed")}
-            links = self.links
-            follow = [name for name, link in links.items() if link.leader in still]
-            if not follow:
-                return self
-            for joint in self._joints():
-                if joint.get("name") in follow:
-                    _fix(joint)
+def _check_masses(root, called):
+    for link in root.findall("link"):
+        for mass in link.findall("inertial/mass"):
+            value = _floats(mass.get("value", "nan"), 1)
+            # Of what is not a number the parser says what is wrong.
+            if value is not None and value[0] < 0:
+                raise ValueError(
+                    f"{called}: link {link.get('name')!r} has the mass {value[0]:g} "
+                    "kg; correct the description."
+                )
 
-    def write(self, target):
-        """Write the URDF as it is now."""
-        self._tree.write(target, encoding="utf-8", xml_declaration=True)
 
-    def build(self):
-        """Build Pinocchio's model; shapes do not enter it."""
-        for link in self._root.findall("link"):
-            # They are not worth a complaint of the parser.
-            for shape in link.findall("visual") + link.findall("collision"):
-                link.remove(shape)
-        for joint in self._root.findall("joint"):
-            # Friction of the description is not used, and may be anything.
-            for friction in joint.findall("dynamics"):
-                joint.remove(friction)
-        for joint in self._joints("continuous"):
-            joint.set("type", "revolute")
-            limit = joint.find("limit")
-            if limit is None:
-                limit = ElementTree.SubElement(joint, "limit")
-                limit.set("effort", "1e12")
-                limit.set("velocity", "1e12")
-            limit.set("lower", "-1e12")
-            limit.set("upper", "1e12")
-        text = ElementTree.tostring(self._root, encoding="unicode")
+def _check_axes(root, called):
+    """Refuse joints without direction, and more joints than robots have."""
+    moving = _joints(root, *_AXIAL)
+    check_number(len(moving), called)
+    for joint in moving:
+        axis = joint.find("axis")
+        text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
         try:
-            return import_pinocchio().buildModelFromXML(text)
-        except (ValueError, RuntimeError) as error:
+            length = float(np.linalg.norm([float(x) for x in text.split()]))
+        except ValueError:
+            # The parser says what is wrong.
+            continue
+        if not 1e-6 < length < np.inf:
             raise ValueError(
-                f"Pinocchio cannot build a robot from {str(self._path)!r}: {error}"
-            ) from error
-
-    # -- what is not a tree of joints --
-
-    def check(self):
-        """Refuse what no robot has, and joints that close a loop, naming the links."""
-        self._check_masses()
-        self._check_axes()
-        self._check_tree()
-
-    def _check_masses(self):
-        for link in self._root.findall("link"):
-            for mass in link.findall("inertial/mass"):
-                try:
-                    value = float(mass.get("value", "nan"))
-                except ValueError:
-                    # The parser says what is wrong.
-                    continue
-                if value < 0:
-                    raise ValueError(
-                        f"{str(self._path)!r}: link {link.get('name')!r} has the mass "
-                        f"{value:g} kg; correct the description."
-                    )
-
-    def _check_axes(self):
-        """Refuse joints without direction, and more joints than robots have."""
-        moving = self._joints(*_AXIAL)
-        check_number(len(moving), self._path)
-        for joint in moving:
-            axis = joint.find("axis")
-            text = "1 0 0" if axis is None else axis.get("xyz", "1 0 0")
-            try:
-                length = float(np.linalg.norm([float(x) for x in text.split()]))
-            except ValueError:
-                # The parser says what is wrong.
-                continue
-            if not 1e-6 < length < np.inf:
-                raise ValueError(
-                    f"{str(self._path)!r}: joint {joint.get('name')!r} has the axis "
-                    f"{text!r}, which is not a direction; correct the description."
-                )
-
-    def _check_tree(self):
-        """Refuse a loop: links on two joints, in a ring, or joined by an extension."""
-        path, above = repr(str(self._path)), {}
-        for joint in self._joints():
-            parent, child = (_link(joint.find(tag)) for tag in ("parent", "child"))
-            if parent is None or child is None:
-                # The parser says what is missing.
-                return
-            if child in above:
-                raise ValueError(
-                    f"{path}: link {child!r} hangs on two joints, {above[child][1]!r} "
-                    f"and {joint.get('name')!r}: that is a loop, {_TREE}; take one of "
-                    "them out."
-                )
-            above[child] = parent, joint.get("name"), joint.get("type") == "fixed"
-        for link in above:
-            _check_ring(link, above, path)
-        carriers = {
-            link.get("name"): _rigid(link.get("name"), above)
-            for link in self._root.findall("link")
-        }
-        # Frames of Drake, which bushings name.
-        at = {x.get("name"): x.get("link") for x in self._root.findall("frame")}
-        for element in self._root.iter():
-            closure = _closure(element)
-            if closure is None:
-                continue
-            names = [at.get(name, name) for name in _words(closure)]
-            links = [name for name in dict.fromkeys(names) if name in carriers]
-            if len(links) < 2 or len({carriers[name] for name in links}) > 1:
-                joined = f" between {' and '.join(links)}" if links else ""
-                raise ValueError(
-                    f"{path}: {_called(closure)}{joined} closes a loop, {_TREE}; "
-                    f"{_REMEDY}."
-                )
-
-    def _above(self):
-        """Link -> link above it, joint between them, and whether that is fixed."""
-        return {
-            _link(joint.find("child")): (
-                _link(joint.find("parent")),
-                joint.get("name"),
-                joint.get("type") == "fixed",
+                f"{called}: joint {joint.get('name')!r} has the axis {text!r}, which "
+                "is not a direction; correct the description."
             )
-            for joint in self._joints()
-        }
 
-    def _joint_above(self, link, above):
-        """Name of the joint that moves a link, None for the base."""
-        link = _rigid(link, above)
-        return above[link][1] if link in above else None
+
+def _check_tree(root, called):
+    """Refuse links on two joints, or in a ring."""
+    above = {}
+    for joint in _joints(root):
+        parent, child = (_link(joint.find(tag)) for tag in ("parent", "child"))
+        if parent is None or child is None:
+            # The parser says what is missing.
+            return
+        if child in above:
+            raise ValueError(
+                f"{called}: link {child!r} hangs on two joints, {above[child][1]!r} "
+                f"and {joint.get('name')!r}: that is a loop, {_TREE}; take one of "
+                "them out."
+            )
+        above[child] = parent, joint.get("name")
+    for link in above:
+        _check_ring(link, above, called)
+
+
+def _closures(root):
+    """Return what joins links in extensions of simulators, a tuple of `Closure`."""
+    names = {link.get("name") for link in root.findall("link")}
+    # Frames of Drake, which bushings name.
+    at = {x.get("name"): x.get("link") for x in root.findall("frame")}
+    found = []
+    for element in root.iter():
+        closure = _closure(element)
+        if closure is not None:
+            words = dict.fromkeys(at.get(word, word) for word in _words(closure))
+            links = tuple(word for word in words if word in names)
+            joined = f" between {' and '.join(links)}" if links else ""
+            said = f"{_called(closure)}{joined} closes a loop, {_TREE}"
+            found.append(Closure(said, bodies=links))
+    return tuple(found)
+
+
+def hold_in_urdf(tree, names, links, base=None):
+    """Fix the joints of a URDF at zero that are not named, a free one in some axes."""
+    # links: of those that are named, the joints that still follow others; base: name
+    # of the free joint, and rotation (3, 3) of its origin in its own axes.
+    for joint in _joints(tree.getroot()):
+        name = joint.get("name")
+        if base is not None and name == base[0]:
+            _turn_origin(joint, base[1])
+        if name not in names:
+            _fix(joint)
+        elif name not in links:
+            for mimic in joint.findall("mimic"):
+                joint.remove(mimic)
 
 
 def _fix(joint):
@@ -290,31 +234,12 @@ def _floats(text, size):
     return found if found.shape == (size,) and np.isfinite(found).all() else None
 
 
-def _turned(joint):
-    """Rotation (3, 3) of the origin of a joint, none where it cannot be read."""
-    origin = joint.find("origin")
-    # Of what is not a number the parser says what is wrong.
-    angles = _floats("0 0 0" if origin is None else origin.get("rpy", "0 0 0"), 3)
-    if angles is None:
-        return np.eye(3)
-    return import_pinocchio().rpy.rpyToMatrix(angles)
-
-
 def _link(element):
     """Name of the link that a <parent> or <child> names."""
     return None if element is None else element.get("link")
 
 
-def _rigid(link, above):
-    """Return the link of the same rigid body next to the joint that moves it."""
-    seen = set()
-    while link in above and above[link][2] and link not in seen:
-        seen.add(link)
-        link = above[link][0]
-    return link
-
-
-def _check_ring(link, above, path):
+def _check_ring(link, above, called):
     """Refuse links that hang on each other."""
     seen = [link]
     while link in above:
@@ -322,7 +247,7 @@ def _check_ring(link, above, path):
         if link in seen:
             ring = " - ".join([*seen[seen.index(link) :], link])
             raise ValueError(
-                f"{path}: the links {ring} hang on each other in a ring, {_TREE}"
+                f"{called}: the links {ring} hang on each other in a ring, {_TREE}"
                 "; correct the parent of one joint."
             )
         seen.append(link)

@@ -22,17 +22,25 @@ from sklearn_vbjfa.effects._channels import (
     low_pass,
     smooth,
 )
-from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
-from sklearn_vbjfa.effects._follower import ChainJoint, Follower
+from sklearn_vbjfa.effects._drive import (
+    ChainJoint,
+    Coupling,
+    Elastic,
+    Follower,
+    RotorInertia,
+)
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
+    Backlash,
     Coulomb,
     LoadFriction,
+    Presliding,
     Stribeck,
     Viscous,
     ViscousQuadratic,
+    dahl,
+    play,
 )
-from sklearn_vbjfa.effects._hysteresis import Backlash, Presliding, dahl, play
 from sklearn_vbjfa.effects._in_model import (
     BaseTilt,
     CommandDelay,
@@ -56,19 +64,24 @@ from sklearn_vbjfa.effects._library import (
     declared_unit,
     resolve,
 )
-from sklearn_vbjfa.effects._motion import FAST, Floats, Motion, Rest, State, mean_sign
-from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
-from sklearn_vbjfa.effects._ranges import (
+from sklearn_vbjfa.effects._motion import (
     CURVED,
+    FAST,
     HELD,
     OUTLIERS,
     ROUNDING,
     STRAIGHT,
     EffectRange,
+    Floats,
+    Motion,
     OutsideRange,
+    Rest,
+    State,
+    mean_sign,
     outside,
     own_motions,
 )
+from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 __all__ = [

@@ -48,10 +48,8 @@ _MODULES = {
         "two_values",
     ),
     "_presets": ("PRESETS",),
-    "_reader": (
-        "common_folder",
-        "read_recording",
-    ),
+    "_reader": ("read_recording",),
+    "_several": ("common_folder",),
     "_recording": (
         "Recording",
         "as_one",

@@ -1,6 +1,5 @@
 """Drives: what a robot is told in place of torques, and the torques that follow."""
 
-import re
 import warnings
 from collections.abc import Mapping
 from dataclasses import replace
@@ -674,12 +673,9 @@ def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):
     nv = len(joints)
     wrong = np.isnan(values) | (finite & np.isinf(values))
     if values.shape not in {(), (nv,)} or wrong.any():
-        parts = _repeated_parts(joints, values.size)
-        alike = ",".join(f"{part}:{x:.6g}" for part, x in zip(parts, values.flat))
         raise ValueError(
             f"{owner}: {name} must be one finite number or {nv}, one for each joint in "
             f"the order {', '.join(joints)}; got {given!r}."
-            + (f" By words of their names: {name}={alike}." if parts else "")
         )
     if least is not None and (values < least).any():
         raise ValueError(
@@ -687,26 +683,6 @@ def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):
             f"got {given!r}."
         )
     return np.broadcast_to(values, (nv,)).copy()
-
-
-def _repeated_parts(joints, count):
-    """Return the word that tells each of a few kinds of joints apart, () for none."""
-    # Of FL_hip, FL_thigh, FL_calf, FR_hip, ... the words hip, thigh and calf.
-    if count < 2 or len(joints) % count or len(joints) == count:
-        return ()
-    kinds = [
-        set.intersection(*(set(re.split(r"[\W_]+", x)) for x in joints[k::count]))
-        for k in range(count)
-    ]
-    own = [
-        [
-            word
-            for word in kind
-            if word and not any(word in x for x in joints if x not in joints[k::count])
-        ]
-        for k, kind in enumerate(kinds)
-    ]
-    return tuple(min(words) for words in own) if all(own) else ()
 
 
 def _by_name(name, given, joints, least, owner):

@@ -3,12 +3,10 @@
 import contextlib
 import re
 import warnings
-from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
-from statistics import median_low
 
 import numpy as np
 
@@ -22,14 +20,15 @@ from sklearn_vbjfa.recording._channels import (
     is_current,
     laid_out,
     otherwise,
+    refuse_codes,
     refuse_two,
     unit_is_wrong,
     unit_of_steps,
     usual_step,
+    without_second_source,
 )
 from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
-from sklearn_vbjfa.recording._joined import joined
 from sklearn_vbjfa.recording._layout import (
     TIME_UNITS,
     kind_of,
@@ -37,26 +36,26 @@ from sklearn_vbjfa.recording._layout import (
     unit_of,
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
-from sklearn_vbjfa.recording._raw_rows import refuse_codes, without_second_source
-from sklearn_vbjfa.recording._recording import Recording, _check_dt
+from sklearn_vbjfa.recording._recording import Recording, check_dt
 from sklearn_vbjfa.recording._sampling import (
     SAME_DT,
     check_given,
-    distinct,
     in_order,
     on_grid,
-    on_one_grid,
+)
+from sklearn_vbjfa.recording._several import (
+    ReadFile,
+    common_folder,
+    concatenated,
+    joined,
+    listed_paths,
+    notes_of,
 )
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
-# Relative difference between the periods of two files that is refused: accelerations
-# go with its square.
-_DT_TOLERANCE = 0.01
-# Files of which a note is told that are named; more are counted.
-_NAMED = 3
 # Units of torque; a motor is recorded in others.
 _TORQUES = ("N m", "N")
 
@@ -204,7 +203,7 @@ def read_recording(
     ('slow', 'fast')
     """
     if dt is not None:
-        _check_dt(dt)
+        check_dt(dt)
     asked = Asked(
         mapping={} if columns is None else _layout.parse_mapping(columns),
         preset=_layout.checked_preset(preset),
@@ -235,11 +234,11 @@ def read_recording(
     files = _read_files(paths, given)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:
-        recording, notes = files[0].recording, _said(files)
+        recording, notes = files[0].recording, notes_of(files)
         if name:
             recording = replace(recording, name=name)
     else:
-        recording, notes = _concatenate(files, name)
+        recording, notes = concatenated(files, name)
     if asked.drive is not None:
         recording = _driven(recording, asked.drive, files)
     for note in notes:
@@ -394,7 +393,7 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
         left_out=left_out,
         **fields,
     )
-    return _File(
+    return ReadFile(
         path=table.path,
         recording=recording,
         notes=tuple(notes),
@@ -654,7 +653,7 @@ def _driven(recording, drive, files):
     try:
         return drive.driven(recording)
     except ValueError as error:
-        raise ValueError(f"{_named([x.path for x in files])}: {error}") from error
+        raise ValueError(f"{listed_paths([x.path for x in files])}: {error}") from error
 
 
 def _check_joints(table: Table, found, asked, robot):
@@ -928,162 +927,3 @@ def _given_period(table: Table, dt):
     except ValueError as error:
         raise ValueError(f"{table.path}: {error}") from None
     return float(own) if dt is None else dt
-
-
-# -- several files of one robot --------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _File:
-    """A file as it was read, with what its recording no longer tells."""
-
-    path: Path  # as messages name it
-    recording: Recording  # what it holds
-    notes: tuple[str, ...]  # what a user should know of it
-    stamped: bool  # whether it has time stamps
-    torque_units: tuple[str, ...]  # before they were multiplied by gains
-
-
-def common_folder(paths):
-    """Return the name of the folder that holds all files, "" if there is none."""
-    folders = {expanded(path).parent.resolve() for path in paths}
-    return folders.pop().name if len(folders) == 1 else ""
-
-
-def _concatenate(files, name=None):
-    """Return the recording of all files, and what to say of it."""
-    _check_agreement(files)
-    _refuse_copies(files)
-    notes = _said(files)
-    common, left_out, missing = _shared_signals(files)
-    if missing:
-        notes.append(
-            f"column(s) {listed(missing)} are not in all files and are left out."
-        )
-    recordings = [
-        replace(x.recording, signals={key: x.recording.signals[key] for key in common})
-        for x in files
-    ]
-    dt = median_low([x.dt for x in recordings])
-    fields, moved = on_one_grid(recordings, _group_names(files), dt)
-    if moved:
-        paths = [files[k].path for k in moved]
-        notes.append(
-            f"{_named(paths)}: interpolated to the sample period of the others, "
-            f"{dt:.6g} s."
-        )
-    first = recordings[0]
-    whole = replace(
-        first,
-        name=name or common_folder([x.path for x in files]) or first.name,
-        left_out=left_out,
-        description=f"Read from {listed([x.path.name for x in files])}.",
-        **fields,
-    )
-    return whole, notes
-
-
-def _said(files):
-    """Return the notes of files with their paths before them, equal ones in one."""
-    paths = {}
-    for file in files:
-        for note in file.notes:
-            paths.setdefault((type(note), str(note)), {})[str(file.path)] = None
-    return [kind(f"{_named(of)}: {note}") for (kind, note), of in paths.items()]
-
-
-def _named(paths):
-    """Name files; of many the first."""
-    shown = [str(path) for path in paths][:_NAMED]
-    more = len(paths) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "")
-
-
-# -- what must agree -------------------------------------------------------------------
-
-
-def _check_agreement(files):
-    """Refuse files that cannot be of one robot, or were not recorded alike."""
-    first, *others = files
-    for other in others:
-        for one, two in zip(_traits(first), _traits(other)):
-            if one != two:
-                raise ValueError(
-                    f"{first.path} has {one} and {other.path} has {two}; expected "
-                    "files with the same joints and channels: mend one of them, or "
-                    "take them one by one."
-                )
-    fast = min(files, key=lambda x: x.recording.dt)
-    slow = max(files, key=lambda x: x.recording.dt)
-    if slow.recording.dt > (1 + _DT_TOLERANCE) * fast.recording.dt:
-        raise ValueError(
-            f"{fast.path} has a sample period of {fast.recording.dt:.6g} s and "
-            f"{slow.path} one of {slow.recording.dt:.6g} s; expected periods that "
-            f"differ by {100 * _DT_TOLERANCE:g} % at most: resample one of the files, "
-            "or take them one by one."
-        )
-
-
-def _refuse_copies(files):
-    """Refuse files with the same motion: their evidence would count twice."""
-    for k, file in enumerate(files):
-        for other in files[:k]:
-            if np.array_equal(file.recording.q, other.recording.q) and np.array_equal(
-                file.recording.tau, other.recording.tau
-            ):
-                raise ValueError(
-                    f"{file.path} is a copy of {other.path}; leave one of them out."
-                )
-
-
-def _traits(file):
-    """Yield what must be the same in all files, in words."""
-    recording = file.recording
-    yield f"the joints {listed(recording.joint_names)}"
-    yield f"positions in {_units(recording.position_units)}"
-    yield f"torques in {_units(file.torque_units)}"
-    for what, there in (
-        ("velocities", recording.v is not None),
-        ("accelerations", "a" in recording.signals),
-        ("time stamps", file.stamped),
-    ):
-        yield what if there else f"no {what}"
-
-
-def _units(units):
-    return listed(units[:1] if len(set(units)) == 1 else units)
-
-
-# -- names and signals -----------------------------------------------------------------
-
-
-def _group_names(files):
-    """Call recordings after their files, and their own names where there are more."""
-    stems = Counter(x.recording.name for x in files)
-    names = []
-    for file in files:
-        stem = file.recording.name
-        label = stem if stems[stem] == 1 else str(file.path)
-        own = file.recording.group_names
-        # What a file calls "recording" has no name of its own.
-        suffixes = [x.removeprefix("recording").strip() for x in own]
-        names += (
-            [label] if len(own) == 1 else [f"{label} {x}".strip() for x in suffixes]
-        )
-    return distinct(names)
-
-
-def _shared_signals(files):
-    """Return names of the signals in all files, and what is wrong with the others."""
-    # The third are the names of those that are missing somewhere.
-    left_out, missing = {}, []
-    for file in files:
-        for key, reason in file.recording.left_out.items():
-            left_out.setdefault(key, f"{reason} ({file.path})")
-    names = dict.fromkeys(key for x in files for key in x.recording.signals)
-    for key in [key for key in names if key not in left_out]:
-        without = [x.path for x in files if key not in x.recording.signals]
-        if without:
-            missing.append(key)
-            left_out[key] = f"is missing in {_named(without)}"
-    return [key for key in names if key not in left_out], left_out, missing

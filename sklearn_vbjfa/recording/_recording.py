@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from numbers import Real
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -189,7 +188,7 @@ class Recording:
 
     def __post_init__(self):
         if self.dt is not None or self.states is None:
-            _check_dt(self.dt)
+            check_dt(self.dt)
         q = _finite_array("q", self.q)
         if q.ndim != 2 or q.size == 0:
             raise ValueError(
@@ -456,7 +455,8 @@ def take_rows(recording, rows, groups):
     # rows (n_kept,), or slices; groups (n_kept,): labels of the segments in any form,
     # one for each of the slices.
     if not isinstance(rows, np.ndarray):
-        return _take_slices(recording, rows, groups)
+        groups = np.repeat(list(groups), [own.stop - own.start for own in rows])
+        rows = np.concatenate([np.arange(own.start, own.stop) for own in rows])
     optional = recording.t, recording.weight, recording.command, recording.v
     t, weight, command, v = (None if x is None else x[rows] for x in optional)
     taken = take_arrays(
@@ -474,36 +474,8 @@ def take_rows(recording, rows, groups):
     return taken if v is None else replace(taken, v=v)
 
 
-def _take_slices(recording, slices, groups):
-    """Make a recording of slices of the rows of another."""
-
-    def take(x):
-        return None if x is None else np.concatenate([x[own] for own in slices])
-
-    lengths = [own.stop - own.start for own in slices]
-    taken = take_arrays(
-        take(recording.inputs),
-        take(recording.tau),
-        np.repeat(list(groups), lengths),
-        take(recording.weight),
-        take(recording.t),
-        dt=recording.dt,
-        joint_names=recording.joint_names,
-        signals={name: take(values) for name, values in recording.signals.items()},
-        command=take(recording.command),
-        feedback=recording.feedback,
-    )
-    return taken if recording.v is None else replace(taken, v=take(recording.v))
-
-
 def _period(dt: float | None) -> str:
     return "unknown" if dt is None else f"{dt:.6g} s"
-
-
-def _check_dt(dt: Any) -> None:
-    """Reject a sample period that is not a positive number."""
-    if not (isinstance(dt, Real) and 0 < float(dt) < np.inf):
-        raise ValueError(f"dt must be a positive number of seconds, got {dt!r}.")
 
 
 def _finite_array(name: str, values: Any) -> np.ndarray:

@@ -10,7 +10,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import check_declared, declared_columns, declared_unit
-from sklearn_vbjfa.effects._follower import ChainJoint, Follower
+from sklearn_vbjfa.effects._drive import ChainJoint, Follower
 from sklearn_vbjfa.model import (
     CorrectedModel,
     TorqueDerivatives,

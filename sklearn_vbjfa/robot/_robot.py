@@ -8,8 +8,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import CommandDelay, OfTime
-from sklearn_vbjfa.effects._motion import Rest
-from sklearn_vbjfa.effects._ranges import outside, own_motions
+from sklearn_vbjfa.effects._motion import Rest, outside, own_motions
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,

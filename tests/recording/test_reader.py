@@ -379,7 +379,7 @@ def test_files_that_are_none(tmp_path):
     ("options", "message"),
     [
         ({"dt": 0.02}, r"steps by 0\.01 s but dt = 0\.02 s"),
-        ({"dt": -1}, "dt must be a positive number"),
+        ({"dt": -1}, "dt must be the sample period"),
         ({"joint_names": ["hip"]}, r"2 column\(s\) q for 1 joint"),
         ({"joint_names": ["hip", "hip"]}, "must differ"),
         ({"joint_names": "hip"}, "must be several names"),

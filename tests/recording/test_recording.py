@@ -65,9 +65,9 @@ def test_select_refuses_an_empty_choice(make_recording):
 @pytest.mark.parametrize(
     ("changes", "message"),
     [
-        ({"dt": 0.0}, "dt must be a positive number"),
-        ({"dt": np.nan}, "dt must be a positive number"),
-        ({"dt": "fast"}, "dt must be a positive number"),
+        ({"dt": 0.0}, "dt must be the sample period"),
+        ({"dt": np.nan}, "dt must be the sample period"),
+        ({"dt": "fast"}, "dt must be the sample period"),
         ({"q": np.zeros(9)}, r"q must have shape \(n_samples, nv\), got \(9,\)"),
         ({"q": [[0.0]]}, "q must be a numeric ndarray, got list"),
         ({"tau": np.zeros((8, 2))}, r"tau must have shape \(9, 2\) to agree with q"),

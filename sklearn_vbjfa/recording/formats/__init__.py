@@ -13,10 +13,8 @@ from pathlib import Path
 
 from sklearn_vbjfa.recording import _table
 from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed
+from sklearn_vbjfa.recording.formats._arrays import JSON, MATLAB, NPY, NPZ
 from sklearn_vbjfa.recording.formats._bags import BAG
-from sklearn_vbjfa.recording.formats._json import JSON
-from sklearn_vbjfa.recording.formats._matlab import MATLAB
-from sklearn_vbjfa.recording.formats._numpy import NPY, NPZ
 from sklearn_vbjfa.recording.formats._parquet import PARQUET
 from sklearn_vbjfa.recording.formats._sheets import SHEET
 from sklearn_vbjfa.recording.formats._text import TEXT

@@ -1,14 +1,24 @@
-"""Files of one recording side by side: positions in one, torques in another."""
+"""Several files: parts of one recording side by side, or recordings of one robot."""
 
 import functools
+from collections import Counter
 from dataclasses import dataclass, replace
+from pathlib import Path
+from statistics import median_low
 
 import numpy as np
 
 from sklearn_vbjfa.recording import _channels, _layout
 from sklearn_vbjfa.recording._channels import clock_of
-from sklearn_vbjfa.recording._sampling import GAP_PERIODS, STEADY
+from sklearn_vbjfa.recording._recording import Recording
+from sklearn_vbjfa.recording._sampling import (
+    GAP_PERIODS,
+    STEADY,
+    distinct,
+    on_one_grid,
+)
 from sklearn_vbjfa.recording._table import Loss, Table, listed
+from sklearn_vbjfa.recording.formats import expanded
 
 # Words in the names of files, and what such a file holds.
 _WORDS = {
@@ -19,6 +29,11 @@ _WORDS = {
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"}
     | {"m", "drehmoment", *_channels._CURRENT},
 }
+# Relative difference between the periods of two files that is refused: accelerations
+# go with its square.
+_DT_TOLERANCE = 0.01
+# Files of which a note is told that are named; more are counted.
+_NAMED = 3
 _NAMES = "positions, velocities, torques, currents or time"
 
 
@@ -323,3 +338,162 @@ def _at(values, rows):
     return np.where(
         share > 0, (1 - share) * values[whole] + share * after, values[whole]
     )
+
+
+# -- several files of one robot --------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ReadFile:
+    """A file as it was read, with what its recording no longer tells."""
+
+    path: Path  # as messages name it
+    recording: Recording  # what it holds
+    notes: tuple[str, ...]  # what a user should know of it
+    stamped: bool  # whether it has time stamps
+    torque_units: tuple[str, ...]  # before they were multiplied by gains
+
+
+def common_folder(paths):
+    """Return the name of the folder that holds all files, "" if there is none."""
+    folders = {expanded(path).parent.resolve() for path in paths}
+    return folders.pop().name if len(folders) == 1 else ""
+
+
+def concatenated(files, name=None):
+    """Return the recording of all files, and what to say of it."""
+    _check_agreement(files)
+    _refuse_copies(files)
+    notes = notes_of(files)
+    common, left_out, missing = _shared_signals(files)
+    if missing:
+        notes.append(
+            f"column(s) {listed(missing)} are not in all files and are left out."
+        )
+    recordings = [
+        replace(x.recording, signals={key: x.recording.signals[key] for key in common})
+        for x in files
+    ]
+    dt = median_low([x.dt for x in recordings])
+    fields, moved = on_one_grid(recordings, _group_names(files), dt)
+    if moved:
+        paths = [files[k].path for k in moved]
+        notes.append(
+            f"{listed_paths(paths)}: interpolated to the sample period of the others, "
+            f"{dt:.6g} s."
+        )
+    first = recordings[0]
+    whole = replace(
+        first,
+        name=name or common_folder([x.path for x in files]) or first.name,
+        left_out=left_out,
+        description=f"Read from {listed([x.path.name for x in files])}.",
+        **fields,
+    )
+    return whole, notes
+
+
+def notes_of(files):
+    """Return the notes of files with their paths before them, equal ones in one."""
+    paths = {}
+    for file in files:
+        for note in file.notes:
+            paths.setdefault((type(note), str(note)), {})[str(file.path)] = None
+    return [kind(f"{listed_paths(of)}: {note}") for (kind, note), of in paths.items()]
+
+
+def listed_paths(paths):
+    """Name files; of many the first."""
+    shown = [str(path) for path in paths][:_NAMED]
+    more = len(paths) - len(shown)
+    return ", ".join(shown) + (f" and {more} more" if more else "")
+
+
+# -- what must agree -------------------------------------------------------------------
+
+
+def _check_agreement(files):
+    """Refuse files that cannot be of one robot, or were not recorded alike."""
+    first, *others = files
+    for other in others:
+        for one, two in zip(_traits(first), _traits(other)):
+            if one != two:
+                raise ValueError(
+                    f"{first.path} has {one} and {other.path} has {two}; expected "
+                    "files with the same joints and channels: mend one of them, or "
+                    "take them one by one."
+                )
+    fast = min(files, key=lambda x: x.recording.dt)
+    slow = max(files, key=lambda x: x.recording.dt)
+    if slow.recording.dt > (1 + _DT_TOLERANCE) * fast.recording.dt:
+        raise ValueError(
+            f"{fast.path} has a sample period of {fast.recording.dt:.6g} s and "
+            f"{slow.path} one of {slow.recording.dt:.6g} s; expected periods that "
+            f"differ by {100 * _DT_TOLERANCE:g} % at most: resample one of the files, "
+            "or take them one by one."
+        )
+
+
+def _refuse_copies(files):
+    """Refuse files with the same motion: their evidence would count twice."""
+    for k, file in enumerate(files):
+        for other in files[:k]:
+            if np.array_equal(file.recording.q, other.recording.q) and np.array_equal(
+                file.recording.tau, other.recording.tau
+            ):
+                raise ValueError(
+                    f"{file.path} is a copy of {other.path}; leave one of them out."
+                )
+
+
+def _traits(file):
+    """Yield what must be the same in all files, in words."""
+    recording = file.recording
+    yield f"the joints {listed(recording.joint_names)}"
+    yield f"positions in {_units(recording.position_units)}"
+    yield f"torques in {_units(file.torque_units)}"
+    for what, there in (
+        ("velocities", recording.v is not None),
+        ("accelerations", "a" in recording.signals),
+        ("time stamps", file.stamped),
+    ):
+        yield what if there else f"no {what}"
+
+
+def _units(units):
+    return listed(units[:1] if len(set(units)) == 1 else units)
+
+
+# -- names and signals -----------------------------------------------------------------
+
+
+def _group_names(files):
+    """Call recordings after their files, and their own names where there are more."""
+    stems = Counter(x.recording.name for x in files)
+    names = []
+    for file in files:
+        stem = file.recording.name
+        label = stem if stems[stem] == 1 else str(file.path)
+        own = file.recording.group_names
+        # What a file calls "recording" has no name of its own.
+        suffixes = [x.removeprefix("recording").strip() for x in own]
+        names += (
+            [label] if len(own) == 1 else [f"{label} {x}".strip() for x in suffixes]
+        )
+    return distinct(names)
+
+
+def _shared_signals(files):
+    """Return names of the signals in all files, and what is wrong with the others."""
+    # The third are the names of those that are missing somewhere.
+    left_out, missing = {}, []
+    for file in files:
+        for key, reason in file.recording.left_out.items():
+            left_out.setdefault(key, f"{reason} ({file.path})")
+    names = dict.fromkeys(key for x in files for key in x.recording.signals)
+    for key in [key for key in names if key not in left_out]:
+        without = [x.path for x in files if key not in x.recording.signals]
+        if without:
+            missing.append(key)
+            left_out[key] = f"is missing in {listed_paths(without)}"
+    return [key for key in names if key not in left_out], left_out, missing

@@ -1,6 +1,8 @@
 """Fixtures that several folders of tests share."""
 
+import contextlib
 import os
+import pickle
 from pathlib import Path
 
 # Workers share the processors: with several threads each, they wait for one another.
@@ -12,6 +14,38 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 os.environ["TQDM_DISABLE"] = "1"
 
 import pytest  # noqa: E402
+
+
+@contextlib.contextmanager
+def _locked(path):
+    """Let one process at a time through; without locks of files, all."""
+    try:
+        import fcntl
+    except ImportError:
+        yield
+        return
+    with path.open("w") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        yield
+
+
+@pytest.fixture(scope="session")
+def once(tmp_path_factory):
+    """Make something in one of the workers, and read its pickle in the others."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+
+    def made(name, make):
+        path = folder / f"{name}.pickle"
+        with _locked(folder / f"{name}.lock"):
+            if not path.exists():
+                whole = path.with_suffix(".part")
+                whole.write_bytes(pickle.dumps(make()))
+                whole.replace(path)
+            return pickle.loads(path.read_bytes())
+
+    return made
 
 
 @pytest.fixture(scope="session")

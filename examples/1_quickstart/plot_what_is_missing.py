@@ -45,18 +45,15 @@ print(f"true Fc: {recording.friction['coulomb'].round(3)} N m")
 print(f"true mu: {recording.undeclared['load_friction'][1]} (joint_2)")
 
 # %%
-# Every step is recorded, with the posterior odds of the effect beside the others as
-# they were then. Of an effect that was found, the loop also says which share of the
-# squared error it saves on stretches of time that were not fitted. What is more
-# probable than not and is not named stands apart.
+# Of an effect that was found, the loop says the logarithm of its posterior odds beside
+# the others, and which share of the squared error it saves on stretches of time that
+# were not fitted. What is more probable than not and is not named stands apart.
 
-for step in loop.report_.outcome.rounds:
-    print(
-        f"{step.action:8s}{step.name:15s}{step.joint_name}: "
-        f"log odds {step.log_odds:.1f}"
-    )
 for effect in loop.effects_:
-    print(f"{effect.name} saves {100 * effect.evidence.gain:.0f} %")
+    print(
+        f"{effect.name} saves {100 * effect.evidence.gain:.0f} %, "
+        f"log odds {effect.log_odds:.1f}"
+    )
 for effect in loop.possible_:
     print(
         f"possible: {effect.name}, {100 * effect.probability:.0f} %: {effect.warning}"

@@ -148,12 +148,8 @@ for symbol, (low, high) in cables.intervals.items():
 # designed one they do not. The models warn that they are asked beyond what they have
 # seen, which is the point here.
 
-step = next(
-    step
-    for step in loop.report_.outcome.rounds
-    if step.name == "spring" and step.rivals
-)
-shapes = {trial.name: trial.shape for trial in (step, step.rivals[0])}
+(spring,) = (effect for effect in loop.effects_ if effect.name == "spring")
+shapes = {"spring": {}} | {trial.name: trial.shape for trial in spring.trials[:1]}
 
 
 def fitted(name):

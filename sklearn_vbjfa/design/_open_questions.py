@@ -126,15 +126,11 @@ def open_effects(data, names):
     """Return what a report leaves open, and then what else the joints may have."""
     _check_joints(data, names)
     weights = {}
-    completed = (*data["effects"], *data.get("possible", ()))
+    completed = _completed(data)
     doubted = {(found["name"], found["joint"]) for found in completed}
     weights |= dict.fromkeys(doubted, _ASKED)
-    for step in data.get("rounds", ()):
-        if not step.get("rivals"):
-            continue
-        weights[step["name"], step["joint"]] = _ASKED
-        for trial in step["rivals"]:
-            weights[trial["name"], trial["joint"]] = _ASKED
+    trials = [trial for one in completed for trial in one.get("trials", ())]
+    weights |= {(one["name"], one["joint"]): _ASKED for one in trials}
     for one in data.get("hidden", ()):
         if one["reason"] == "excitation":
             weights.setdefault((one["name"], one["joint"]), _ASKED)
@@ -165,12 +161,18 @@ def _check_joints(data, names):
         )
 
 
+def _completed(data):
+    """Effects of the completed model of a report."""
+    return (*data["effects"], *data.get("possible", ()))
+
+
 def _tuned(data):
     """Shapes that the search tuned, by effect and joint."""
     shapes = {}
-    for step in data.get("rounds", ()):
-        for one in (*step.get("rivals", ()), step):
-            shapes[one["name"], one["joint"]] = one.get("shape") or {}
+    for one in _completed(data):
+        for trial in one.get("trials", ()):
+            shapes[trial["name"], trial["joint"]] = trial["shape"]
+        shapes[one["name"], one["joint"]] = one.get("parameters") or {}
     return shapes
 
 

@@ -164,18 +164,11 @@ def _decides(motion, found):
 
 def _rivals(found):
     """Return pairs that a report could not tell apart, ({name, name}, joint)."""
-    joints = tuple(found.get("joint_names") or ())
-    pairs = set()
-    for one in (*(found.get("effects") or ()), *(found.get("rounds") or ())):
-        for rival in one.get("rivals") or ():
-            # Of an effect rivals are names, of a step of the search trials.
-            if isinstance(rival, str):
-                name, _, where = rival.rpartition(" on ")
-                rival = rival if where not in joints else name
-            else:
-                rival = rival["name"]
-            pairs.add((frozenset((one["name"], rival)), one["joint"]))
-    return pairs
+    return {
+        (frozenset((one["name"], trial["name"])), one["joint"])
+        for one in found.get("effects") or ()
+        for trial in one.get("trials") or ()
+    }
 
 
 def _has(motion, j):

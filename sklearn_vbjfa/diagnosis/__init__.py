@@ -6,12 +6,12 @@ from sklearn_vbjfa import _lazily
 
 if TYPE_CHECKING:
     from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
-    from sklearn_vbjfa.diagnosis.displays._recordings import (
+    from sklearn_vbjfa.diagnosis._displays import (
         ResidualDisplay,
         TorqueDisplay,
     )
     from sklearn_vbjfa.diagnosis.report._report import Report
-    from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
+    from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings
     from sklearn_vbjfa.robot._windows import (
         SimulatedWindows,
         simulate_windows,
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
 _MODULES = {
     ".robot._windows": ("SimulatedWindows", "simulate_windows"),
     "_discovery": ("EffectDiscovery",),
-    "displays._recordings": ("ResidualDisplay", "TorqueDisplay"),
+    "_displays": ("ResidualDisplay", "TorqueDisplay"),
     "report._report": ("Report",),
-    "search._settings": ("SearchSettings",),
+    "search._posterior": ("SearchSettings",),
 }
 __all__ = [
     "EffectDiscovery",

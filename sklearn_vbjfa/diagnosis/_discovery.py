@@ -19,10 +19,8 @@ from sklearn_vbjfa.diagnosis.explain import (
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
-from sklearn_vbjfa.diagnosis.search._posterior import search
-from sklearn_vbjfa.diagnosis.search._settings import SearchSettings
-from sklearn_vbjfa.diagnosis.search._thinned import stretches
-from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
+from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
 from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
 from sklearn_vbjfa.model import joint_names, load_model

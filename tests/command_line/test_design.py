@@ -45,15 +45,12 @@ def home(tmp_path_factory):
     content = {
         "joint_names": JOINTS,
         "effects": [
-            {"name": "stribeck", "joint": 0, "rivals": ["viscous_quadratic"]},
-        ],
-        "rounds": [
             {
-                "action": "add",
                 "name": "stribeck",
                 "joint": 0,
-                "rivals": [{"name": "viscous_quadratic", "joint": 0}],
-            }
+                "rivals": ["viscous_quadratic"],
+                "trials": [{"name": "viscous_quadratic", "joint": 0, "shape": {}}],
+            },
         ],
         "hidden": [
             {"name": "joint_zero", "joint": 0, "reason": "span", "remedy": ""},

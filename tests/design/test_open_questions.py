@@ -72,7 +72,7 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
 
 def test_what_is_possible_is_asked_as_what_has_a_name(loop):
     data = loop.report_.to_dict()
-    possible = {**data, "effects": [], "possible": data["effects"], "rounds": []}
+    possible = {**data, "effects": [], "possible": data["effects"]}
     named, open_ = (
         asked_of(problem_of(loop.identifier_, report=one)[0])
         for one in (data, possible)

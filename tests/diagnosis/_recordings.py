@@ -69,3 +69,58 @@ def record(axes="ZY", duration=24.0, noise=0.05, seed=0, encoder=2e-5, size=1.0)
 def named(loop):
     """Names and joints of what was found."""
     return sorted((effect.name, effect.joint) for effect in loop.effects_)
+
+
+@dataclass(frozen=True, eq=False)
+class Searched:
+    """Recordings that are searched once for many tests; see the fixtures."""
+
+    parts: tuple
+    torques: tuple
+    library: tuple
+    labels: tuple = (0,)
+    friction: tuple = ("viscous",)
+
+    @property
+    def position(self):
+        """Positions of all recordings, (n, nv)."""
+        return np.concatenate([part.position for part in self.parts])
+
+    @property
+    def torque(self):
+        """Torques of all recordings, (n, nv)."""
+        return np.concatenate(self.torques)
+
+    @property
+    def groups(self):
+        """Label of each row."""
+        return np.repeat(self.labels, [part.t.size for part in self.parts])
+
+    def robot(self, **given):
+        """Make the declared model."""
+        return self.parts[0].robot(friction=self.friction, **given)
+
+    def search(self, torque=None):
+        """Search the recordings, or the same motion with another torque."""
+        loop = EffectDiscovery(self.robot(), effects=self.library, random_state=0)
+        torque = self.torque if torque is None else torque
+        return loop.fit(self.position, torque, groups=self.groups)
+
+
+_ARM = record("ZY", seed=0, duration=20.0)
+# A spring of 4 N m/rad that rests at -0.25 rad.
+SPRINGY = Searched(
+    (_ARM,),
+    (_ARM.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0),),
+    ("spring", "ripple"),
+)
+_CLEAN = record("ZY", seed=3)
+COMPLETE = Searched((_CLEAN,), (_CLEAN.torque(),), ("spring", "ripple", "coupling"))
+_PAIR = tuple(record("ZY", seed=seed) for seed in (11, 12))
+TWO_MOTIONS = Searched(
+    _PAIR,
+    tuple(part.torque() for part in _PAIR),
+    ("spring", "load_friction"),
+    ("slow", "fast"),
+    ("viscous", "coulomb"),
+)

@@ -4,7 +4,6 @@ from sklearn_vbjfa import _lazily
 
 # Nothing of it is for users but what `EffectDiscovery` hands on.
 _MODULES = {
-    "_commands_alone": ("CommandsAlone", "commands_alone"),
     "_contradictions": (
         "Contradiction",
         "Contradictions",
@@ -24,21 +23,19 @@ _MODULES = {
         "extremes",
         "time_line",
     ),
-    "_evidence": (
-        "Dependence",
-        "SMALLEST_GAIN",
-        "Whitening",
-        "dependences",
-        "motion_signals",
-        "p_value",
-    ),
     "_gaps": (
         "ABOVE_FLOOR",
+        "Dependence",
         "Hidden",
         "MotionLimit",
+        "SMALLEST_GAIN",
         "Unexplained",
+        "Whitening",
+        "dependences",
         "inseparable",
         "motion_limits",
+        "motion_signals",
+        "p_value",
     ),
     "_identified": (
         "Band",
@@ -57,12 +54,19 @@ _MODULES = {
         "error_intervals",
         "next_recording",
     ),
-    "_judgement": ("Models", "ConsistencyCost", "Pushed", "concerned", "judge"),
+    "_judgement": (
+        "CommandsAlone",
+        "ConsistencyCost",
+        "Models",
+        "Pushed",
+        "commands_alone",
+        "concerned",
+        "judge",
+    ),
     "_outcome": (
         "DiscoveredEffect",
         "Outcome",
         "Provenance",
-        "Round",
         "Trial",
         "make_outcome",
         "named_values",

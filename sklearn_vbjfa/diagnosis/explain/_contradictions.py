@@ -6,10 +6,10 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.diagnosis.search._moments import Moments
 from sklearn_vbjfa.diagnosis.search._problem import (
     Family,
     Fit,
+    Moments,
     SelectedEffect,
     declared_alone,
     rescaled,

@@ -10,7 +10,6 @@ import sklearn
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.explain._commands_alone import CommandsAlone
 from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Contradictions,
     Parts,
@@ -21,9 +20,9 @@ from sklearn_vbjfa.diagnosis.explain._curves import (
     friction_curves,
     time_line,
 )
-from sklearn_vbjfa.diagnosis.explain._evidence import memory_seconds
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     hidden,
+    memory_seconds,
     motion_limits,
     named_beside,
     too_short,
@@ -42,8 +41,8 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
     next_recording,
     quantile,
 )
-from sklearn_vbjfa.diagnosis.explain._judgement import ConsistencyCost
-from sklearn_vbjfa.diagnosis.search._found import Evidence
+from sklearn_vbjfa.diagnosis.explain._judgement import CommandsAlone, ConsistencyCost
+from sklearn_vbjfa.diagnosis.search._posterior import Evidence
 from sklearn_vbjfa.effects import EffectRange, OfTime, declarable, resolve
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
@@ -80,6 +79,15 @@ class Afterwards:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Trial:
+    """What would take the place of an effect."""
+
+    name: str
+    joint: int  # from zero
+    shape: dict  # parameters of its best variant
+
+
+@dataclass(frozen=True, kw_only=True)
 class DiscoveredEffect:
     """An effect that the declared model lacked."""
 
@@ -97,6 +105,7 @@ class DiscoveredEffect:
     # effects that this data cannot tell from it; another use of the same one with what
     # sets it apart, such as "signal: voltage"
     rivals: tuple = ()
+    trials: tuple = ()  # the same as `Trial`s, with their shapes
     effect: object = None  # the transformer itself
     # whether it belongs to its joint, or to the robot as a whole; its joint is the
     # first one then
@@ -121,32 +130,6 @@ class DiscoveredEffect:
         return self.evidence.probability
 
 
-@dataclass(frozen=True, kw_only=True)
-class Trial:
-    """What would have taken the place of an effect."""
-
-    name: str
-    joint: int  # from zero
-    shape: dict  # parameters of its best variant
-    log_odds: float  # posterior, in that place [nats]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Round:
-    """One step of the path to the most probable model."""
-
-    action: str
-    name: str
-    joint: int  # from zero
-    joint_name: str
-    shape: dict  # parameters
-    replaced: str  # empty otherwise
-    # posterior, beside the others as they were then [nats]: above zero for what came,
-    # below for what went
-    log_odds: float
-    rivals: tuple  # what would have come in its place within the rivals' nats
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcome:
     """Everything that a discovery found out; the report is made from it."""
@@ -156,7 +139,6 @@ class Outcome:
     effects: tuple  # those that have a name
     # those that are more probable than not and have none; in the completed model too
     possible: tuple
-    rounds: tuple  # the path of the search
     unexplained: tuple  # joints that stay above their noise floor
     hidden: tuple  # effects that could not be looked for
     channels: tuple  # what is wrong with channels of the recording
@@ -253,7 +235,6 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         },
         effects=tuple(effect for effect in effects if not effect.warning),
         possible=tuple(effect for effect in effects if effect.warning),
-        rounds=tuple(_rounds(search, names)),
         unexplained=rest,
         hidden=hidden(search, names),
         channels=channels,
@@ -340,7 +321,7 @@ def _effects(search, final, names, prismatic, seconds):
             # What no column determines, or no scatter tells of, has no interval.
             if deviations[key] > 0
         }
-        told = (named_beside(r.effect, finding.effect, names) for r in finding.rivals)
+        told = (named_beside(r, finding.effect, names) for r in finding.rivals)
         known = search.settings.known
         why = finding.warning or _unknown(effect, values, deviations, intervals, known)
         yield DiscoveredEffect(
@@ -353,6 +334,10 @@ def _effects(search, final, names, prismatic, seconds):
             intervals=intervals,
             evidence=finding.evidence,
             rivals=tuple(dict.fromkeys(told)),
+            trials=tuple(
+                Trial(name=r.name, joint=r.joint, shape=r.shape())
+                for r in finding.rivals
+            ),
             effect=effect,
             ranges=fitted,
             afterwards=_afterwards(effect, estimate, seconds),
@@ -437,29 +422,6 @@ def _deviation(slope, covariance):
     seen = slope != 0
     slope = slope[seen]
     return float(np.sqrt(np.maximum(slope @ covariance[np.ix_(seen, seen)] @ slope, 0)))
-
-
-def _rounds(search, names):
-    """Yield each `Round`."""
-    for step in search.steps:
-        yield Round(
-            action=step.action,
-            name=step.effect.name,
-            joint=step.effect.joint,
-            joint_name=names[step.effect.joint],
-            shape=step.effect.shape(),
-            replaced="" if step.replaced is None else step.replaced.name,
-            log_odds=step.log_odds,
-            rivals=tuple(
-                Trial(
-                    name=rival.effect.name,
-                    joint=rival.effect.joint,
-                    shape=rival.effect.shape(),
-                    log_odds=rival.log_odds,
-                )
-                for rival in step.rivals
-            ),
-        )
 
 
 def _settings(search, judgement, asked):

@@ -7,7 +7,7 @@ from itertools import accumulate
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search._thinned import counted_rows, even_weight
+from sklearn_vbjfa.diagnosis.search._view import counted_rows, even_weight
 from sklearn_vbjfa.recording import (
     contiguous_groups,
     take_rows,

@@ -1,4 +1,4 @@
-"""What findings rest on: pictures, parameters, steps, settings, provenance."""
+"""What findings rest on: pictures, parameters, settings, provenance."""
 
 import importlib.metadata
 import inspect
@@ -36,11 +36,6 @@ _PARAMETER_HEADS: tuple[str, ...] = (
     "robot description (90 %)",
 )
 _PARAMETER_HEADS += ("unit", "measured?", "learned")
-_ACTIONS = {
-    "add": "added",
-    "replace": "replaced",
-    "drop": "dropped: improbable beside the others",
-}
 # Units of errors of positions, with factors to them.
 _FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
 _MODELS = {
@@ -432,35 +427,6 @@ def provenance_rows(outcome):
 
 
 # -- method ----------------------------------------------------------------------------
-
-
-def steps(outcome, verdict):
-    """Tabulate the steps of the search."""
-    rows = []
-    for i, step in enumerate(outcome.rounds, 1):
-        j = step.joint
-        robot = words.place_label(outcome, step.name, j) == "robot"
-        action = _ACTIONS.get(step.action, step.action)
-        if step.replaced:
-            action = f"replaced {words.effect_label(outcome, step.replaced)}"
-        rivals = [
-            words.effect_at(outcome, t.name, t.joint, t.shape)
-            if robot or t.joint != j
-            else words.effect_label(outcome, t.name, t.shape)
-            for t in step.rivals
-        ]
-        rows.append(
-            (
-                str(i),
-                words.place_label(outcome, step.name, j),
-                words.effect_label(outcome, step.name, step.shape),
-                action,
-                words.odds_text(step.log_odds),
-                words.join(rivals, 4),
-            )
-        )
-    heads = ("no.", "joint", "effect", "step", "odds", "rivals")
-    return Section(heading="Steps of the search", table=table_of(heads, rows))
 
 
 def method(outcome, verdict):

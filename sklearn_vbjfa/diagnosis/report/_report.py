@@ -12,7 +12,6 @@ from sklearn_vbjfa.diagnosis.report import (
     _evidence,
     _findings,
     _limits,
-    _plain,
     _render,
     _verdict,
 )
@@ -46,7 +45,6 @@ SECTIONS = (
     _limits.alike,
     _evidence.parameters,
     _evidence.provenance,
-    _evidence.steps,
     _evidence.method,
 )
 
@@ -142,8 +140,8 @@ class Report:
         for key in ("effects", "possible"):
             for told, effect in zip(data[key], getattr(self.outcome, key)):
                 told |= {"log_odds": effect.log_odds, "probability": effect.probability}
-                if _plain.in_model(self.outcome, effect):
-                    told["plain"] = _json(_plain.plain_values(effect))
+                if _findings.in_model(self.outcome, effect):
+                    told["plain"] = _json(_findings.plain_values(effect))
         return data
 
     def to_html(self):

@@ -5,9 +5,8 @@ from sklearn_vbjfa import _lazily
 # For what follows from a search, and for tests.
 _MODULES = {
     "_cosines": ("Cosines", "Spectrum"),
-    "_found": ("Evidence",),
     "_held_out": ("HeldOut", "CrossValidatedGain", "fold_of"),
-    "_posterior": ("SMALL", "UNDECIDED", "search"),
+    "_posterior": ("SMALL", "UNDECIDED", "Evidence", "search"),
     "_problem": ("Family", "Fit", "SelectedEffect", "Problem", "spectrum_of"),
     "_view": ("RecordingView",),
 }

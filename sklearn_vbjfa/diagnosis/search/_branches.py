@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._found import Found, FoundModel
+from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import import_pinocchio
 
@@ -62,9 +62,7 @@ class Branch:
         return [k for k, j in enumerate(self.joints) if j in joints]
 
     def on_robot(self, effect):
-        """Return an effect of the branch as one of the robot; None stays None."""
-        if effect is None:
-            return None
+        """Return an effect of the branch as one of the robot."""
         if effect.scope == "robot":
             return effect
         shape = effect.get_params(deep=False)
@@ -127,11 +125,10 @@ def _alone(model, joints):
 
 def put_together(view, motion, branches, found):
     """Put what was `Found` on the branches of a robot together."""
-    findings, steps = [], []
+    findings = []
     residual = np.zeros_like(view.target)
     for branch, own in zip(branches, found):
         residual[branch.joints] = own.model.residual
-        steps += [_on_robot(step, branch) for step in own.steps]
         known = {one.effect.key() for one in findings}
         # What belongs to the whole robot several branches may have found.
         findings += [
@@ -149,7 +146,6 @@ def put_together(view, motion, branches, found):
             residual=residual,
         ),
         findings=tuple(findings),
-        steps=tuple(steps),
         n_candidates=sum(own.n_candidates for own in found),
         needed=first.needed,
         settings=first.settings,
@@ -158,12 +154,10 @@ def put_together(view, motion, branches, found):
     )
 
 
-def _on_robot(told, branch):
-    """Return a step or a finding on a branch as one on the robot."""
-    moved = {"effect": branch.on_robot(told.effect)}
-    if hasattr(told, "replaced"):
-        moved["replaced"] = branch.on_robot(told.replaced)
-    moved["rivals"] = tuple(
-        replace(one, effect=branch.on_robot(one.effect)) for one in told.rivals
+def _on_robot(finding, branch):
+    """Return a finding on a branch as one on the robot."""
+    return replace(
+        finding,
+        effect=branch.on_robot(finding.effect),
+        rivals=tuple(map(branch.on_robot, finding.rivals)),
     )
-    return replace(told, **moved)

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
+from sklearn_vbjfa.diagnosis.search._problem import Declared, Moments
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8

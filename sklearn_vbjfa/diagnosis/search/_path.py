@@ -7,7 +7,6 @@ from scipy.special import logit
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._progress import counted, say
-from sklearn_vbjfa.diagnosis.search._found import Rival, Step
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
     Family,
@@ -66,7 +65,7 @@ class Path:
     def __init__(self, view, library, settings, max_effects=None):
         self.view, self.library, self.settings = view, library, settings
         self.max_effects, self.turn = max_effects, 0
-        self.steps, self._grids = [], {}
+        self._grids = {}
         self._cached, self._outdated, self._rejected = {}, set(), set()
         self._held = None
         # Log odds above which an effect is in the model.
@@ -407,13 +406,12 @@ class Path:
             if odds[i] > self.least:
                 break
             self._moved(fit.members[i].joints)
-            fit = self.dropped(fit, i, float(odds[i]))
+            fit = self.dropped(fit, i)
         return fit
 
-    def dropped(self, fit, i, odds):
-        """Return a fit without a member, and note that it went."""
+    def dropped(self, fit, i):
+        """Return a fit without a member."""
         effect = fit.members[i].effect
-        self.steps.append(Step(action="drop", effect=effect, log_odds=odds))
         fit = self._scaled(fit.without(i))
         # The robot is not corrected by it any more.
         return self._anew(fit) if effect.in_model else fit
@@ -467,26 +465,13 @@ class Path:
 
     def _added(self, fit, candidate):
         """Return a fit with a candidate, without what becomes improbable by that."""
-        joint = candidate.effect.joint
-        near = self._surest(fit, self._cached[joint], self.settings.rivals)
         member = self._member(fit, candidate)
-        step = Step(
-            action="add",
-            effect=member.effect,
-            log_odds=candidate.log_odds,
-            rivals=tuple(
-                Rival(effect=o.effect, log_odds=o.log_odds)
-                for o in near
-                if o.effect.key() != candidate.effect.key()
-            ),
-        )
         new = self._scaled(fit.beside(member))
         if not self.held_out(new).gain_of(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
         if not self._settles(new):
             return fit
-        self.steps.append(step)
         self._moved(member.joints)
         return self._pruned(self._absorbed(new))
 
@@ -517,12 +502,6 @@ class Path:
             )
             # Most of what both save.
             if own - both <= self.settings.worth * (none - both):
-                for member in fit.members[:-1]:
-                    if member not in rest:
-                        gone = Step(
-                            action="drop", effect=member.effect, log_odds=np.nan
-                        )
-                        self.steps.append(gone)
                 return alone
         return fit
 
@@ -597,14 +576,6 @@ class Path:
                     continue
                 if self.held_out(new).error() > self.held_out(fit).error():
                     continue
-                self.steps.append(
-                    Step(
-                        action="replace",
-                        effect=other.effect,
-                        replaced=member.effect,
-                        log_odds=float(own),
-                    )
-                )
                 self._moved()
                 return new
         return None
@@ -618,9 +589,7 @@ class Path:
             if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
                 continue
             been.add(keys_of(new))
-            steps = len(self.steps)
             new = self._pruned(self.refined(new, joint))
-            del self.steps[steps:]
             if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
                 continue
             if self.max_effects is not None and len(new.members) > self.max_effects:
@@ -636,7 +605,6 @@ class Path:
             if left_out.error() > self.held_out(fit).error():
                 continue
             if all(left_out.gain_of(i).helps for i in range(len(new.members))):
-                self._note(fit, new)
                 self._moved()
                 return new
         return None
@@ -668,19 +636,6 @@ class Path:
             m.effect.key() in self._taken(fit.without(i))
             for i, m in enumerate(fit.members)
         )
-
-    def _note(self, fit, new):
-        """Note what came and went between two fits."""
-        before, after = keys_of(fit), keys_of(new)
-        odds = self.log_odds(new)
-        for member in fit.members:
-            if member.effect.key() not in after:
-                gone = Step(action="drop", effect=member.effect, log_odds=np.nan)
-                self.steps.append(gone)
-        for member, own in zip(new.members, odds):
-            if member.effect.key() not in before:
-                came = Step(action="add", effect=member.effect, log_odds=float(own))
-                self.steps.append(came)
 
     # -- the whole ------------------------------------------------------------------
 

@@ -1,18 +1,156 @@
-"""Names from odds: which effects of the most probable model are named."""
+"""Names from odds: what decides them, what was found, and which effects are named."""
+
+from dataclasses import dataclass, fields
+from numbers import Integral, Real
 
 import numpy as np
 from scipy.special import expit, ndtr, ndtri
 
-from sklearn_vbjfa.diagnosis.search._found import (
-    Evidence,
-    Finding,
-    Found,
-    FoundModel,
-    Rival,
-)
-from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
+from sklearn_vbjfa.diagnosis.search._held_out import CrossValidatedGain, HeldOut
 from sklearn_vbjfa.diagnosis.search._path import Path
-from sklearn_vbjfa.effects import OfChannel
+from sklearn_vbjfa.diagnosis.search._problem import Fit
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
+from sklearn_vbjfa.effects import Effect, Motion, OfChannel
+
+
+@dataclass(frozen=True, kw_only=True)
+class SearchSettings:
+    """Numbers that decide what `EffectDiscovery` names, keeps and predicts.
+
+    None of them has a unit of the robot: torques count in shares of the joint's torque,
+    evidence in nats (natural logarithms of odds). The guide has them under "Numbers
+    that decide".
+
+    Parameters
+    ----------
+    expected : float, default=1.0
+        Effects that a robot is expected to lack, before its recording is looked at. The
+        prior odds of each candidate (a joint and an effect) are this number over that
+        of all candidates, so that a larger library asks for more evidence.
+    scale : float, default=0.1
+        Size of an effect that is expected: its torque over the standard deviation of
+        the joint's torque. The scale of the half-Cauchy prior of that ratio, which is
+        integrated over.
+    rivals : float, default=3.0
+        What takes the place of an effect within so many nats is told as its rival.
+    undecided : float, default=0.5
+        Probability from which on an effect is listed as possible, up to ``1 - alpha``,
+        from which on it has a name; what is less probable is not in the model.
+    smoothness : float, default=1.0
+        How far the residual's spectrum may bend: prior deviation of the change of its
+        logarithmic slope from one band of frequency to the next. It says how much of a
+        slow residual is expected from faster ones.
+    chance : float, default=1.645
+        Standard errors within which something is chance: by more of them a name must
+        lower the error of stretches of time that were not fitted, and weights by the
+        spectrum may not lead farther from least squares.
+    worth : float, default=0.02
+        Share of the squared error on stretches that were not fitted that a name saves.
+    known : float, default=3.0
+        Deviations that a correction (a zero, a tilt, a gain) must be away from none to
+        be told as "to correct".
+    above_motion : float, default=2.0
+        A filter of a channel is a name only if it acts above so many times the
+        frequency below which 90 % of the motion's power lies.
+    most : int, default=6
+        Effects of one joint that are tried beside each other, at the most.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.diagnosis import SearchSettings
+    >>> SearchSettings(expected=0.1).expected
+    0.1
+    """
+
+    expected: float = 1.0
+    scale: float = 0.1
+    rivals: float = 3.0
+    undecided: float = 0.5
+    smoothness: float = 1.0
+    chance: float = 1.645
+    worth: float = 0.02
+    known: float = 3.0
+    above_motion: float = 2.0
+    most: int = 6
+
+    def __post_init__(self):
+        for field in fields(self):
+            value = getattr(self, field.name)
+            kind = Integral if field.name == "most" else Real
+            if isinstance(value, bool) or not (
+                isinstance(value, kind) and 0 < value < np.inf
+            ):
+                expected = "a positive integer" if kind is Integral else "positive"
+                raise ValueError(
+                    f"{field.name} of SearchSettings must be {expected}; got {value!r}."
+                )
+        for name in ("undecided", "worth"):
+            if getattr(self, name) >= 1:
+                raise ValueError(
+                    f"{name} of SearchSettings is a share below 1; got "
+                    f"{getattr(self, name)!r}."
+                )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Evidence(CrossValidatedGain):
+    """What speaks for an effect beside the others of its model."""
+
+    log_odds: float  # logarithm of the posterior odds that the model lacks it
+
+    @property
+    def probability(self):
+        """Probability: the posterior one, or that it helps elsewhere, if less."""
+        return float(min(expit(self.log_odds), ndtr(self.errors)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Finding:
+    """An effect of the most probable model."""
+
+    effect: Effect  # with its shape
+    evidence: Evidence  # what speaks for it
+    # effects that would take its place within the rivals' nats, the best first
+    rivals: tuple = ()
+    warning: str = ""  # why it has no name, "" for a name
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FoundModel:
+    """The most probable model on the rows of the search."""
+
+    view: RecordingView  # recording, with the robot as its effects correct it
+    effects: tuple  # those beside the four plain terms
+    motion: Motion  # signals, with the load of the model
+    # (nv, m): residuals of rows that were not fitted, scaled by the root of the weights
+    residual: np.ndarray
+    fit: Fit | None = None  # None for a robot that was searched branch by branch
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Found:
+    """What a search found."""
+
+    model: FoundModel  # the most probable
+    findings: tuple  # its effects, those that have a name first
+    # candidates (a joint and an effect) among which prior odds are shared out
+    n_candidates: int
+    needed: float  # log odds from which on an effect has a name
+    settings: SearchSettings
+    library: tuple  # effects that were tried on every joint
+    # what was found on each, of a robot that was searched branch by branch
+    branches: tuple = ()
+
+    @property
+    def effects(self):
+        """Effects of the most probable model, in the order of the findings."""
+        return tuple(finding.effect for finding in self.findings)
+
+    @property
+    def named(self):
+        """Findings that have a name."""
+        return tuple(f for f in self.findings if not f.warning)
+
 
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
@@ -31,7 +169,7 @@ def search(view, library, settings, alpha, max_effects=None):
     for i, (member, own, worth) in enumerate(zip(fit.members, odds, worths)):
         evidence = Evidence(log_odds=float(own), **vars(worth))
         rivals = tuple(
-            Rival(effect=o.effect, log_odds=o.order)
+            o.effect
             for o in path.rivals(fit, i)
             if (o.effect.in_model or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
@@ -56,7 +194,6 @@ def search(view, library, settings, alpha, max_effects=None):
     return Found(
         model=model,
         findings=tuple(findings[i] for i in order),
-        steps=tuple(path.steps),
         n_candidates=path.n_candidates,
         needed=needed,
         settings=settings,
@@ -86,7 +223,7 @@ def _settled(path, fit):
             worst = int(np.argmin(gains))
             if gains[worst] > 0:
                 return fit, odds, worths
-        fit = path.dropped(fit, worst, float(odds[worst]))
+        fit = path.dropped(fit, worst)
 
 
 def _warning(member, evidence, settings, needed, path):

@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa.diagnosis.explain import Models, _commands_alone, commands_alone
+from sklearn_vbjfa.diagnosis.explain import Models, _judgement, commands_alone
 from sklearn_vbjfa.simulation import SimulationError
 from tests.robot.test_drives import DT, KD, KP, PDDrive, identify, told
 
@@ -71,7 +71,7 @@ def test_curves_have_the_stretches_one_after_the_other(found, recording):
 
 
 def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monkeypatch):
-    monkeypatch.setattr(_commands_alone, "_MOST", 40 * DT)
+    monkeypatch.setattr(_judgement, "_SIMULATED", 40 * DT)
     one, _ = commands_alone(models, STRETCHES, recording)
     assert one.seconds == pytest.approx(40 * DT)
     rows = np.r_[300:320, 700:720]
@@ -82,7 +82,7 @@ def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monke
 def test_a_model_that_diverges_has_no_error_and_a_reason(
     models, recording, monkeypatch
 ):
-    run, simple = _commands_alone.Follower.run, models.declared.robot_.theta_
+    run, simple = _judgement.Follower.run, models.declared.robot_.theta_
 
     def diverges(self, rows, start, t):
         if self._model.friction.shape[1] < 2:
@@ -90,7 +90,7 @@ def test_a_model_that_diverges_has_no_error_and_a_reason(
         return run(self, rows, start, t)
 
     assert simple.size < models.judged.theta_.size
-    monkeypatch.setattr(_commands_alone.Follower, "run", diverges)
+    monkeypatch.setattr(_judgement.Follower, "run", diverges)
     one, line = commands_alone(models, STRETCHES, recording)
     assert one.failed == {"before": "It diverges."}
     assert np.isnan(one.before).all()

@@ -11,8 +11,6 @@ from sklearn_vbjfa.diagnosis.explain import (
     DiscoveredEffect,
     Hidden,
     Outcome,
-    Round,
-    Trial,
     Unexplained,
 )
 from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
@@ -83,20 +81,6 @@ def make_range(name, joint, depends=("position",)):
     )
 
 
-def make_round(effect, action="add"):
-    trial = Trial(name="stribeck", joint=effect.joint, shape={}, log_odds=6.1)
-    return Round(
-        action=action,
-        name=effect.name,
-        joint=effect.joint,
-        joint_name=effect.joint_name,
-        shape={},
-        replaced="coulomb" if action == "replace" else "",
-        log_odds=-1.7 if action == "drop" else 8.9,
-        rivals=(trial,),
-    )
-
-
 def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     names = names or tuple(f"joint{j + 1}" for j in range(nv))
     rng = np.random.default_rng(0)
@@ -122,7 +106,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         },
         "effects": effects,
         "possible": (),
-        "rounds": tuple(make_round(e) for e in effects),
         "unexplained": tuple(
             Unexplained(
                 joint=j,

@@ -15,7 +15,7 @@ from sklearn_vbjfa.robot import (
     TiltCorrection,
     ZeroCorrection,
 )
-from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome, make_round
+from tests.diagnosis.report._outcomes import EVIDENCE, make_outcome
 from tests.diagnosis.report._pages import section_of, text_of
 
 NAMES = tuple(f"joint_{j + 1}" for j in range(6))
@@ -112,7 +112,6 @@ def report_of(*effects, **changes):
     corrections = {k: v for e in effects for k, v in CORRECTIONS[e.name].items()}
     given = {
         "effects": effects,
-        "rounds": tuple(make_round(effect) for effect in effects),
         "corrections": Corrections(**corrections),
         "names": NAMES,
         "hidden": (),

@@ -17,7 +17,6 @@ from tests.diagnosis.report._outcomes import (
     make_effect,
     make_outcome,
     make_possible,
-    make_round,
 )
 from tests.diagnosis.report._pages import section_of, text_of
 
@@ -34,7 +33,7 @@ CASES = {
         "unexplained": (0, 3),
         "names": tuple(f"left\narm {'x' * 70} joint_{j}" for j in range(7)),
     },
-    "no settings": {"settings": {}, "declared": {}, "curves": {}, "rounds": ()},
+    "no settings": {"settings": {}, "declared": {}, "curves": {}},
 }
 
 
@@ -340,14 +339,12 @@ class Hose(Effect):
 @pytest.mark.parametrize("shown", [line_of, text_of])
 def test_an_effect_of_ones_own_is_called_by_the_label_of_its_class(shown):
     found = replace(make_effect(0, 0, NAMES), name=Gasket.name, rivals=(Hose.name,))
-    step = replace(make_round(found, "replace"), name=Hose.name, replaced=Gasket.name)
     hidden = Hidden(
         name=Hose.name, joint=2, joint_name=NAMES[2], reason="excitation", remedy="?"
     )
     outcome = make_outcome(
         nv=6,
         effects=(found,),
-        rounds=(step,),
         hidden=(hidden,),
         library={effect.name: effect for effect in (Gasket(), Hose())},
     )

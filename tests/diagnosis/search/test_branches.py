@@ -133,8 +133,6 @@ def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     ).fit(recording.q, recording.tau)
     assert [(e.name, e.joint) for e in loop.effects_] == [("spring", 5)]
     assert loop.effects_[0].joint_name == recording.joint_names[5]
-    added = [r for r in loop.report_.outcome.rounds if r.action == "add"]
-    assert {r.joint for r in added} == {5}
     assert loop.error_after_[5] < 0.8 * loop.error_before_[5]
     others = np.arange(8) != 5
     np.testing.assert_allclose(

@@ -1,7 +1,5 @@
 """Effects of one's own, whatever their columns are."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -9,11 +7,9 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.effects import Effect
-from tests._quick import one_in
-from tests.diagnosis._recordings import named, record
+from tests.diagnosis._recordings import SPRINGY, named, record
 
-ARM = record("ZY", seed=0, duration=20.0)
-TORQUE = ARM.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0)
+ARM, TORQUE = SPRINGY.parts[0], SPRINGY.torque
 SPRING = [("spring", 0)]
 
 
@@ -35,18 +31,6 @@ def close(library, torque=TORQUE, **given):
     return ARM.discover(torque, library, **given)
 
 
-@pytest.fixture(scope="module")
-def alone():
-    """Search for a spring, and nothing else."""
-    return close(["spring"])
-
-
-def test_a_library_of_one_effect(alone):
-    assert named(alone) == SPRING
-    assert alone.possible_ == ()
-    assert alone.report_.outcome.settings["n_candidates"] == 2
-
-
 INERT = {
     "constant": lambda m, j: np.ones((len(m.q), 1)),
     "zero": lambda m, j: np.zeros((len(m.q), 1)),
@@ -57,17 +41,16 @@ INERT = {
 }
 
 
-@pytest.mark.parametrize("kind", one_in(3, INERT))
-def test_what_the_model_has_already_is_never_named(kind, alone):
+def test_what_the_model_has_already_is_never_named(springy):
     """Offset, friction, inertia and weight are fitted anyway."""
-    inert = own(kind, INERT[kind])
-    loop = close([inert, "spring"])
+    inert = [own(kind, columns) for kind, columns in INERT.items()]
+    loop = close([*inert, "spring"])
     assert named(loop) == SPRING
-    assert kind not in {e.name for e in loop.possible_}
-    found = loop.effects_[0].parameters["k"]
-    assert found == pytest.approx(alone.effects_[0].parameters["k"], rel=1e-6)
-    assert kind in {h.name for h in loop.hidden_}
-    assert close([inert]).effects_ == ()
+    assert loop.possible_ == ()
+    found, known = (one.effects_[0].parameters["k"] for one in (loop, springy))
+    assert found == pytest.approx(known, rel=1e-3)
+    assert set(INERT) <= {h.name for h in loop.hidden_}
+    assert close(inert).effects_ == ()
 
 
 def test_a_column_of_the_regressor_itself_is_never_named():
@@ -91,15 +74,15 @@ def test_a_column_twice_is_that_column():
     assert sum(loop.effects_[0].parameters.values()) == pytest.approx(4.0, rel=0.05)
 
 
-@pytest.mark.parametrize("factor", one_in(2, [1e6, 1e-6]))
-def test_the_size_of_a_column_does_not_matter(factor, alone):
-    scaled = own("scaled", lambda m, j: factor * m.q[:, [j]])
-    loop = close([scaled])
-    assert named(loop) == [("scaled", 0)]
-    assert factor * loop.effects_[0].parameters["a"] == pytest.approx(4.0, rel=0.05)
-    unscaled = close([own("scaled", lambda m, j: m.q[:, [j]])])
-    odds = [one.effects_[0].log_odds for one in (loop, unscaled)]
-    assert odds[0] == pytest.approx(odds[1], rel=1e-6)
+def test_the_size_of_a_column_does_not_matter():
+    odds = []
+    for factor in (1.0, 1e6, 1e-6):
+        scaled = own("scaled", lambda m, j, factor=factor: factor * m.q[:, [j]])
+        loop = close([scaled])
+        assert named(loop) == [("scaled", 0)]
+        assert factor * loop.effects_[0].parameters["a"] == pytest.approx(4.0, rel=0.05)
+        odds.append(loop.effects_[0].log_odds)
+    assert odds[1:] == pytest.approx(odds[:1] * 2, rel=1e-6)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
@@ -128,19 +111,10 @@ def test_columns_of_another_shape_are_refused_by_name(columns):
         close([own("odd", columns)])
 
 
-@pytest.mark.slow
-def test_two_hundred_effects_are_searched_in_little_time(alone):
-    library = [
-        own(f"wave_{i}", lambda m, j, i=i: np.sin((1 + 0.1 * i) * m.q[:, [j]] + i))
-        for i in range(200)
-    ]
-    begin = time.process_time()
-    loop = close([*library, "spring"])
-    assert time.process_time() - begin < 30.0
-    assert named(loop) == SPRING
-    assert loop.report_.outcome.settings["n_candidates"] == 402
-    # Of more candidates each is less expected.
-    assert loop.effects_[0].log_odds < alone.effects_[0].log_odds
+def test_a_recording_of_two_seconds_names_nothing_that_is_not_there():
+    short = record("ZY", seed=0, duration=2.0)
+    loop = short.discover(short.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0))
+    assert set(named(loop)) <= set(SPRING)
 
 
 @pytest.mark.filterwarnings("ignore")
@@ -154,10 +128,3 @@ def test_a_joint_that_never_moves_has_nothing():
         loop.fit(q, TORQUE)
         assert {e.joint for e in (*loop.effects_, *loop.possible_)} <= {0}
         assert loop.report_.outcome.unsearched == (1,)
-
-
-@pytest.mark.parametrize("duration", one_in(2, [1.0, 3.0, 5.0, 8.0]))
-def test_a_recording_of_a_few_seconds_names_what_is_there_or_nothing(duration):
-    short = record("ZY", seed=0, duration=duration)
-    loop = short.discover(short.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0))
-    assert set(named(loop)) <= set(SPRING)

@@ -20,8 +20,7 @@ from sklearn_vbjfa.diagnosis.search import (
     Spectrum,
     spectrum_of,
 )
-from sklearn_vbjfa.diagnosis.search._moments import Declared, Moments
-from sklearn_vbjfa.diagnosis.search._problem import Base, _by_chance
+from sklearn_vbjfa.diagnosis.search._problem import Base, Declared, Moments, _by_chance
 from sklearn_vbjfa.effects import (
     Coulomb,
     Drift,

@@ -1,6 +1,6 @@
 """The numbers that decide."""
 
-from dataclasses import FrozenInstanceError, fields, replace
+from dataclasses import FrozenInstanceError, asdict, fields, replace
 
 import numpy as np
 import pytest
@@ -10,25 +10,20 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery
 from sklearn_vbjfa.diagnosis import SearchSettings
-from tests.diagnosis._recordings import record
+from tests.diagnosis._recordings import SPRINGY
 from tests.diagnosis.report._pages import text_of
 
-ARM = record("ZY", seed=0, duration=20.0)
-TORQUE = ARM.torque(joint_1=lambda r: 4.0 * r.q[:, 0] + 1.0)
+
+def close(library=SPRINGY.library, **given):
+    loop = EffectDiscovery(SPRINGY.robot(), effects=library, **given)
+    return loop.fit(SPRINGY.position, SPRINGY.torque)
+
+
 NAMES = [field.name for field in fields(SearchSettings)]
 
 
-def close(**given):
-    return ARM.discover(TORQUE, ["spring", "ripple"], **given)
-
-
-@pytest.fixture(scope="module")
-def usual():
-    return close()
-
-
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("value", [0, -1.0, np.nan, np.inf, "1", None, True, [1.0]])
+@pytest.mark.parametrize("value", [0, np.nan, np.inf, "1", True])
 def test_values_that_are_none_are_refused(name, value):
     expected = "a positive integer" if name == "most" else "positive"
     with pytest.raises(
@@ -60,30 +55,24 @@ def test_only_by_name_and_not_to_be_changed():
     assert hash(SearchSettings()) == hash(SearchSettings())
 
 
-@pytest.mark.parametrize("given", [3, "usual", {"expected": 1.0}, SearchSettings])
-def test_other_settings_are_refused(given):
+def test_other_settings_are_refused():
     with pytest.raises(ValueError, match="settings must be SearchSettings or None"):
-        close(settings=given)
+        close(settings={"expected": 1.0})
 
 
-def test_a_clone_keeps_them(usual):
+def test_a_clone_keeps_them(springy):
     own = SearchSettings(expected=0.5)
-    loop = EffectDiscovery(ARM.robot(), settings=own)
-    assert clone(loop).settings is own or clone(loop).settings == own
+    loop = EffectDiscovery(SPRINGY.robot(), settings=own)
+    assert clone(loop).settings == own
     assert loop.get_params(deep=False)["settings"] == own
-    assert clone(usual).settings is None
-    assert usual.report_.outcome.settings["search"]["expected"] == 1.0
+    assert clone(springy).settings is None
+    # The defaults are those of None.
+    assert springy.report_.outcome.settings["search"] == asdict(SearchSettings())
 
 
-def test_the_defaults_are_those_of_none(usual):
-    given = close(settings=SearchSettings())
-    assert [e.evidence for e in given.effects_] == [e.evidence for e in usual.effects_]
-    assert str(given.report_) == str(usual.report_)
-
-
-def test_half_the_expected_effects_are_half_the_odds(usual):
+def test_half_the_expected_effects_are_half_the_odds(springy):
     half = close(settings=SearchSettings(expected=0.5))
-    (one,), (other,) = usual.effects_, half.effects_
+    (one,), (other,) = springy.effects_, half.effects_
     assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), abs=1e-6)
     assert other.parameters == one.parameters
     assert half.report_.to_dict()["settings"]["search"]["expected"] == 0.5
@@ -91,20 +80,8 @@ def test_half_the_expected_effects_are_half_the_odds(usual):
     assert "candidates, of which 0.5 is expected before looking" in said
 
 
-def test_twice_the_candidates_are_half_the_odds(usual):
-    library = ["spring", "ripple", "coupling", "backlash"]
-    more = ARM.discover(TORQUE, library)
-    few, many = (
-        loop.report_.outcome.settings["n_candidates"] for loop in (usual, more)
-    )
-    assert many == 2 * few
-    (one,), (other,) = usual.effects_, more.effects_
-    # The spectrum is that of another over-complete model.
-    assert other.log_odds == pytest.approx(one.log_odds - np.log(2.0), rel=0.2)
-
-
-def test_what_a_name_must_save_and_how_surely(usual):
-    (effect,) = usual.effects_
+def test_what_a_name_must_save_and_how_surely(springy):
+    (effect,) = springy.effects_
     for name, value in (
         ("worth", 0.5 * (1 + effect.evidence.gain)),
         ("chance", 1.1 * effect.evidence.errors),
@@ -114,4 +91,4 @@ def test_what_a_name_must_save_and_how_surely(usual):
         (possible,) = loop.possible_
         assert possible.warning not in ("", "undecided")
         # The model is the same.
-        assert (loop.error_after_ == usual.error_after_).all()
+        assert (loop.error_after_ == springy.error_after_).all()

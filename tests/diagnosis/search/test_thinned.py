@@ -12,7 +12,8 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.search import RecordingView, _thinned
+from sklearn_vbjfa.diagnosis.search import RecordingView
+from sklearn_vbjfa.diagnosis.search import _view as _thinned
 from sklearn_vbjfa.robot import RobotIdentifier
 from tests.diagnosis.report._pages import text_of
 

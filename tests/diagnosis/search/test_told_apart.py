@@ -27,7 +27,7 @@ def searched(truth, recording, library=GEOMETRY):
 def rivals(run):
     """Names and joints of what would take the place of the only effect."""
     (finding,) = run.findings
-    return [(r.effect.name, r.effect.joint) for r in finding.rivals]
+    return [(r.name, r.joint) for r in finding.rivals]
 
 
 @pytest.fixture(scope="module")

@@ -7,7 +7,7 @@ from sklearn.linear_model import LinearRegression
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis import ResidualDisplay, TorqueDisplay
-from sklearn_vbjfa.diagnosis.displays import running_median
+from sklearn_vbjfa.diagnosis._displays import running_median
 
 SIGNALS = ["velocity [rad/s]", "position [rad]", "rigid-body torque [N m]", "time [s]"]
 

@@ -281,8 +281,9 @@ def test_every_page_is_in_one_menu():
     assert {name for name, count in listed.items() if count > 1} == set()
 
 
-# Their examples simulate many times, which other tests do with smaller robots.
-LONG = {"output_error.rst", "design.rst", "effects.rst"}
+# Their examples simulate, search or compile, which other tests do with smaller robots.
+LONG = {"output_error.rst", "design.rst", "effects.rst", "simulation.rst"}
+LONG |= {"large_data.rst", "search_settings.rst"}
 
 
 @pytest.mark.parametrize(

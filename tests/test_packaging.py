@@ -1,6 +1,5 @@
 """The wheel and the source distribution hold what is needed, and install."""
 
-import json
 import os
 import re
 import shutil
@@ -15,6 +14,7 @@ from pathlib import Path
 import pytest
 
 import sklearn_vbjfa
+from tests.test_docs import PUBLIC_MODULES
 
 ROOT = Path(__file__).resolve().parents[1]
 DATA = [
@@ -50,32 +50,6 @@ def test_the_conda_recipe_asks_for_what_pip_asks_for():
     assert f"version: {sklearn_vbjfa.__version__}\n" in recipe
     (script,) = project["scripts"].items()
     assert f"- {' = '.join(script)}\n" in recipe
-
-
-LISTS = [
-    (["dev"], "dev", ["dev"]),
-    (["dev", "v0.2.0"], "v0.2.0", ["v0.2.0", "dev"]),
-    (["v0.10.0", "v0.2.0", "dev"], "v0.10.0", ["v0.10.0", "v0.2.0", "dev"]),
-    # A candidate is listed, and never the page that one is led to.
-    (["v0.2.0", "v0.3.0rc1"], "v0.2.0", ["v0.3.0rc1", "v0.2.0"]),
-    (["v0.3.0rc1", "v0.3.0"], "v0.3.0", ["v0.3.0", "v0.3.0rc1"]),
-]
-
-
-@pytest.mark.parametrize(("folders", "led_to", "order"), LISTS)
-def test_versions_of_the_pages_are_listed_newest_first(
-    folders, led_to, order, tmp_path
-):
-    for name in (*folders, ".git", "unrelated"):
-        (tmp_path / name).mkdir()
-    script = str(ROOT / ".ci" / "docs_versions.py")
-    run(script, str(tmp_path), "https://pages.example/arm/", cwd=tmp_path)
-    found = json.loads((tmp_path / "switcher.json").read_text("utf-8"))
-    assert [one["version"] for one in found] == order
-    assert [one["url"] for one in found] == [
-        f"https://pages.example/arm/{name}/" for name in order
-    ]
-    assert f"url={led_to}/" in (tmp_path / "index.html").read_text("utf-8")
 
 
 def test_a_release_names_one_version_everywhere():
@@ -132,6 +106,7 @@ def run(*arguments, cwd, **environment):
         check=False,
     )
     assert done.returncode == 0, done.stdout + done.stderr
+    return done.stdout
 
 
 def build(kind, source, target):
@@ -162,16 +137,12 @@ def test_wheel_holds_the_package_and_installs(tmp_path):
     pytest.importorskip("hatchling")
     wheel = build("wheel", ROOT, tmp_path)
     names = zipfile.ZipFile(wheel).namelist()
-    modules = {
+    files = {
         path.relative_to(ROOT).as_posix()
-        for path in (ROOT / "sklearn_vbjfa").rglob("*.py")
+        for ending in ("py", "j2")
+        for path in (ROOT / "sklearn_vbjfa").rglob(f"*.{ending}")
     }
-    templates = {
-        path.relative_to(ROOT).as_posix()
-        for path in (ROOT / "sklearn_vbjfa").rglob("*.j2")
-    }
-    assert templates
-    assert modules | templates <= set(names)
+    assert files <= set(names)
     assert set(DATA) <= set(names)
     assert any(name.endswith("licenses/LICENSE") for name in names)
     top = {name.split("/")[0] for name in names}
@@ -195,3 +166,26 @@ def test_source_distribution_builds_the_same_wheel(sdist, tmp_path):
     (tmp_path / "wheel").mkdir()
     (tmp_path / "site").mkdir()
     install_and_use(build("wheel", source, tmp_path / "wheel"), tmp_path / "site")
+
+
+@pytest.mark.slow
+def test_every_public_name_has_a_type(tmp_path):
+    """What type checkers see of the package, as ``py.typed`` promises."""
+    pytest.importorskip("mypy")
+    names = [(m.__name__, name) for m in PUBLIC_MODULES for name in m.__all__]
+    lines = [
+        f"from {module} import {name} as n{k}" for k, (module, name) in enumerate(names)
+    ]
+    lines += [f"reveal_type(n{k})" for k in range(len(names))]
+    lines += [
+        "from sklearn_vbjfa.datasets import load_demo_recording, read_recording",
+        "reveal_type(load_demo_recording().q)",
+        "reveal_type(read_recording('arm.csv').select(0).dt)",
+    ]
+    (tmp_path / "use.py").write_text("\n".join(lines), encoding="utf-8")
+    options = [f"--config-file={ROOT / 'pyproject.toml'}", "--cache-dir"]
+    options += [str(tmp_path / "cache"), str(tmp_path / "use.py")]
+    said = run("-m", "mypy", *options, cwd=ROOT)
+    revealed = [line for line in said.splitlines() if "Revealed type" in line]
+    assert len(revealed) == len(names) + 2
+    assert [line for line in revealed if line.endswith('"Any"')] == []

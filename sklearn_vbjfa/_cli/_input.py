@@ -25,7 +25,7 @@ _MIN_SAMPLES = 64
 # What the files of a run take at most [bytes].
 _ROOM = 8 << 20
 # Warnings about channels that are left out of what was asked for.
-_LEFT_OUT = ("coarse_torque", "still_joint", "unusable_signal")
+_LEFT_OUT = ("coarse_torque", "still_joint")
 
 
 class Refused(ValueError):

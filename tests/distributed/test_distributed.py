@@ -22,6 +22,8 @@ from sklearn_vbjfa import (
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import fit_recordings
+from sklearn_vbjfa.recording import take_arrays
+from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.recording._bags import states, write_ros2
 
 FITTED = (
@@ -167,16 +169,22 @@ def test_a_worker_that_dies_changes_nothing(
 # -- the loop
 
 
-def loop(recording):
+@pytest.fixture(scope="module")
+def sprung():
+    """Return an arm of two joints, and recordings of it with a spring on the second."""
+    model, rng = arm("ZY"), np.random.default_rng(0)
+    states = np.concatenate([motion(2, 10.0, seed=k)[1] for k in range(4)])
+    tau = inverse_dynamics(model, states) + 0.01 * rng.normal(size=(len(states), 2))
+    tau[:, 1] += 4.0 * states[:, 1]
+    groups = np.repeat(range(4), len(states) // 4)
+    names = ("joint_1", "joint_2")
+    return model, take_arrays(states[:, :2], tau, groups, dt=0.01, joint_names=names)
+
+
+def loop(model):
     """Return a loop that looks for one effect on each joint."""
-    return EffectDiscovery(robot(recording), effects=["spring"])
-
-
-def sprung(recording):
-    """Return the recording of a robot with a spring on joint 2, which nothing says."""
-    tau = recording.tau.copy()
-    tau[:, 1] += 4.0 * recording.q[:, 1]
-    return replace(recording, tau=tau)
+    identifier = RobotIdentifier(model, dt=0.01, friction=("viscous",))
+    return EffectDiscovery(identifier, effects=["spring"])
 
 
 def assert_same_loop(found, expected):
@@ -187,23 +195,17 @@ def assert_same_loop(found, expected):
     assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
 
 
-@pytest.fixture(scope="module")
-def closed(recording):
-    own = sprung(recording)
-    found = loop(own).fit(own.q, own.tau, groups=own.groups)
-    assert [(e.name, e.joint) for e in found.effects_] == [("spring", 1)]
-    return found
-
-
 def test_the_loop_does_not_notice_a_worker_that_dies(
-    monkeypatch, cluster, recording, tmp_path_factory, closed
+    monkeypatch, cluster, sprung, tmp_path_factory
 ):
-    source = save(sprung(recording), tmp_path_factory.mktemp("files"))
+    model, own = sprung
+    expected = loop(model).fit(own.q, own.tau, groups=own.groups)
+    assert [(e.name, e.joint) for e in expected.effects_] == [("spring", 1)]
     marker = tmp_path_factory.mktemp("killed") / "marker"
     monkeypatch.setattr(passes, "_alone", dying(passes._alone, marker))
-    found = fit_recordings(loop(recording), source)
+    found = fit_recordings(loop(model), save(own, tmp_path_factory.mktemp("files")))
     assert marker.exists()
-    assert_same_loop(found, closed)
+    assert_same_loop(found, expected)
 
 
 # -- refusals

@@ -160,14 +160,6 @@ def test_wrong_options(options, message):
         make_robot_recording(**{"duration": 1.0, **options})
 
 
-def test_selection_keeps_the_truth_of_what_is_kept():
-    recording = make_robot_recording(duration=2.0, n_recordings=2, random_state=0)
-    second = recording.select("motion_2")
-    rows = recording.groups == 1
-    np.testing.assert_array_equal(second.states, recording.states[rows])
-    np.testing.assert_array_equal(second.tau_clean, recording.tau_clean[rows])
-
-
 def test_a_robot_that_is_not_as_described():
     turn = (0.03, 0.0, -0.02)
     recording = make_robot_recording(
@@ -214,12 +206,3 @@ def test_a_misfit_that_no_robot_has():
         make_robot_recording(duration=1.0, joint_axis={-1: (0.1, 0, 0)})
     with pytest.raises(ValueError, match="must be positive"):
         make_robot_recording(duration=1.0, torque_gain={0: 0.0})
-
-
-def test_a_spring_is_at_rest_where_it_is_in_every_recording():
-    settings = {"duration": 4.0, "n_recordings": 3, "random_state": 2}
-    bare = make_robot_recording(**settings)
-    made = make_robot_recording(**settings, undeclared={"spring": (1, 7.0)})
-    torque = made.tau_clean[:, 1] - bare.tau_clean[:, 1]
-    q = made.states[:, 1]
-    np.testing.assert_allclose(torque, 7.0 * (q - q.mean()), rtol=1e-6, atol=1e-9)

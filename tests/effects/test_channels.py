@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
@@ -120,26 +120,6 @@ def test_positions_behind_a_filter_ask_for_its_inverse(kind):
     assert np.log2(errors[1] / errors[0]) == pytest.approx(order, abs=0.5)
 
 
-def test_filters_act_on_the_whole_torque_where_it_is_known():
-    torque = np.sign(np.sin(3 * T))
-    motion = moving(0 * torque, torque=torque[:, None])
-    column = effects.TorqueFilter(time_constant=0.02).columns(motion)[:, 0]
-    assert_allclose(torque + 0.02 * column, low_pass(torque, DT, 0.02), atol=1e-12)
-
-
-def test_filters_between_samples_are_not_tried():
-    motion = moving(np.sin(T), bandwidth=40.0)
-    tried = [s["time_constant"] for s in effects.TorqueFilter().shapes(motion)]
-    assert min(tried) >= 0.5 * DT
-    wide = moving(np.sin(T))
-    assert effects.TorqueFilter().shapes(wide)
-    slow = [
-        s["time_constant"]
-        for s in effects.TorqueFilter().shapes(moving(np.sin(T), bandwidth=4.0))
-    ]
-    assert_allclose([min(slow), max(slow)], np.array([0.2, 5.4]) / (2 * np.pi * 4.0))
-
-
 @pytest.mark.parametrize(
     "given", [{"kind": "notch"}, {"of": "current"}, {"time_constant": 0.0}]
 )
@@ -173,18 +153,3 @@ def test_opposites_are_opposites_of_each_other(effect):
     assert other.key() != effect.key()
     assert other.opposite().get_params() == effect.get_params()
     assert effects.Viscous().opposite() is None
-
-
-def test_directions_are_not_mixed():
-    assert effects.Delay(delay=0.001).key() == effects.Delay(delay=0.016).key()
-    assert effects.Delay(delay=0.001).key() != effects.Delay(delay=-0.001).key()
-    assert effects.Delay(delay=-0.004).natural([-0.003])
-    assert not effects.Delay(delay=-0.004).natural([-0.07])
-    assert not effects.Delay(delay=-0.004).natural([0.001])
-    assert not effects.TorqueFilter().natural([-0.01])
-
-
-def test_short_recordings_have_nothing_to_filter():
-    one = Motion(q=STILL[:1], v=STILL[:1], a=STILL[:1], t=T[:1], load=np.ones((1, 1)))
-    assert_array_equal(effects.TorqueFilter().columns(one), 0.0)
-    assert effects.TorqueFilter().shapes(one) == []

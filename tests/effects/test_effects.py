@@ -299,12 +299,6 @@ def test_delay_by_whole_samples_shifts_the_torque(samples):
     assert_allclose((early + LOAD[:, 0])[:-samples], LOAD[samples:, 0], atol=1e-12)
 
 
-def test_delay_shifts_the_whole_torque_where_it_is_known():
-    torque = LOAD + np.sin(9 * T)[:, None]
-    columns = effects.Delay(delay=0.01).columns(signals(torque=torque))[:, 0]
-    assert_allclose(columns[1:] * 0.01, torque[:-1, 0] - torque[1:, 0], atol=1e-12)
-
-
 def test_dahl_is_the_differential_equation():
     q = Q[:250, 0]
     column = effects.Presliding(displacement=0.04).fit_transform(X[:250])[:, 0]
@@ -488,13 +482,6 @@ def test_most_effects_have_one_shape_and_the_others_say_which():
         assert len({tuple(sorted(s.items())) for s in shapes}) == len(shapes)
 
 
-def test_payload_may_change_between_recordings():
-    half = T.size // 2 - 7
-    parts = (slice(0, half), slice(half, T.size))
-    shapes = effects.Payload(joint=1).shapes(signals(parts=parts))
-    assert {"instant": T[half]} in shapes
-
-
 def test_coupling_tries_every_other_joint():
     _, states = motion(3, duration=2.0)
     three = Motion(q=states[:, :3], v=states[:, 3:6], a=states[:, 6:])
@@ -511,11 +498,6 @@ def test_coupling_tries_every_other_joint():
     found = {(s["other"], s["of"]) for s in effects.Coupling(joint=1).shapes(mixed)}
     assert (0, "other") in found
     assert (0, "sum") not in found
-
-
-def test_a_joint_that_does_not_move_has_no_ripple():
-    still = signals(q=0 * Q, v=0 * V, a=0 * A)
-    assert effects.Ripple().shapes(still) == []
 
 
 SCALED = [n for n in NAMES if n not in BODIES and slides(n)]
@@ -589,22 +571,6 @@ def test_effects_of_the_bodies_ask_for_them(name):
         transform(library_effect(name))
 
 
-def test_effects_say_where_they_cannot_be():
-    with pytest.raises(ValueError, match="there is only one joint"):
-        effects.Coupling().fit_transform(np.zeros((3, 3)))
-    slides = signals((True, False))
-    assert effects.Counterbalance(joint=0).applies(slides) != ""
-    assert effects.Counterbalance(joint=1).applies(slides) == ""
-    assert "last body" in effects.Payload(joint=0).applies(signals())
-    assert effects.Payload(joint=1).applies(signals()) == ""
-
-
-@pytest.mark.parametrize("joint", [2, -1])
-def test_wrong_joints_are_refused(joint):
-    with pytest.raises(ValueError, match=rf"joint must be one of 0 to 1.* got {joint}"):
-        effects.Viscous(joint=joint).fit(X)
-
-
 @pytest.mark.parametrize(
     ("given", "message"),
     [
@@ -620,14 +586,6 @@ def test_wrong_joints_are_refused(joint):
 def test_wrong_signals_are_refused(given, message):
     with pytest.raises(ValueError, match=message):
         transform(effects.LoadFriction(), **given)
-
-
-@pytest.mark.parametrize(
-    "effect", [effects.Drift(of="inertia"), effects.Coupling(of="both")]
-)
-def test_unknown_settings_are_refused(effect):
-    with pytest.raises(ValueError, match="of must be one of"):
-        transform(effect)
 
 
 def test_a_linkage_cannot_be_longer_than_long_or_of_another_form():
@@ -654,22 +612,6 @@ def test_a_linkage_has_the_work_of_its_spring(ratio, angle, rest):
     assert_allclose(torque[1:-1], np.gradient(energy, q)[1:-1], atol=2e-3)
 
 
-def test_there_is_one_counterbalance():
-    linkage = effects.Counterbalance(form="linkage", ratio=0.3, angle=1.0)
-    harmonics = effects.Counterbalance()
-    assert (
-        linkage.excludes() == harmonics.excludes() == {linkage.key(), harmonics.key()}
-    )
-    assert linkage.shape() == {"form": "linkage", "ratio": 0.3, "angle": 1.0}
-    assert harmonics.shape() == {"form": "harmonics"}
-
-
-@pytest.mark.parametrize("cls", [effects.Coulomb, effects.LoadFriction])
-def test_friction_does_not_drive(cls):
-    assert cls().plausible([0.1])
-    assert not cls().plausible([-0.1])
-
-
 # -- an effect of one's own
 
 
@@ -694,14 +636,6 @@ def test_an_effect_needs_a_name_units_and_columns_only():
 
 
 # -- settings that cannot be
-
-
-@pytest.mark.parametrize(
-    "effect", [effects.Coupling(joint=0, other=5), effects.Viscous(joint=0.5)]
-)
-def test_joints_that_do_not_exist_are_refused(effect):
-    with pytest.raises(ValueError, match="joint"):
-        transform(effect)
 
 
 @pytest.mark.parametrize(
@@ -744,9 +678,3 @@ def test_only_a_drift_depends_on_when_the_fit_began(name):
     assert moved == (name == "drift")
     if isinstance(effect, effects.OfTime):
         assert effect.afterwards
-
-
-def test_what_is_left_of_a_drift():
-    drift = effects.Drift(time_constant=5.0)
-    assert drift.later(np.array([3.0]), 10.0) == pytest.approx({"D": 3 * np.exp(-2.0)})
-    assert effects.Payload().later(np.ones(5), 10.0) == {}

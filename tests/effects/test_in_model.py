@@ -209,14 +209,6 @@ def test_columns_of_joints_in_any_direction(seed):
             assert_allclose(found[:, :, k], expected, atol=1e-7 * size)
 
 
-def test_roll_and_pitch_are_those_of_the_usual_angles():
-    model = arm("ZY")
-    robot = CorrectedModel(model)
-    BaseTilt(roll=0.1, pitch=-0.2).correct(robot)
-    expected = pin.rpy.rpyToMatrix(0.1, -0.2, 0.0) @ model.gravity.linear
-    assert_allclose(robot.model.gravity.linear, expected, atol=1e-14)
-
-
 def test_a_gain_is_that_of_the_whole_torque_where_it_is_known():
     """Friction passes the channel as the load does."""
     q = np.linspace(0.0, 1.0, 5)[:, None] * np.ones(2)
@@ -314,22 +306,3 @@ def test_what_is_plausible(effect, low, high):
 def test_values_that_are_none_are_refused(effect, message):
     with pytest.raises(ValueError, match=message):
         effect.check()
-
-
-def test_where_they_cannot_be():
-    q = np.zeros((3, 1))
-    still = Motion(q=q, v=q, a=q, load=q)
-    assert "only joint" in TorqueGain().applies(still)
-    assert JointZero().applies(still) == "needs the rigid-body dynamics"
-    two = np.zeros((3, 2))
-
-    def known(model):
-        bodies = np.array([b.toDynamicParameters() for b in model.inertias[1:]])
-        made = TorqueDerivatives(model, two, two, two, bodies)
-        return Motion(q=two, v=two, a=two, load=two, derivatives=made)
-
-    assert BaseTilt().applies(known(arm("ZY"))) == ""
-    assert TorqueGain(1).applies(known(arm("ZY"))) == ""
-    assert "whole robot" in BaseTilt(joint=1).applies(known(arm("ZY")))
-    assert "no gravity" in BaseTilt().applies(known(arm("ZY", gravity=0.0)))
-    assert JointAxis(1).applies(known(arm("ZY", gravity=0.0))) == ""

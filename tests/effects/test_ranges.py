@@ -39,22 +39,6 @@ def judged(ranges, values, quantity="position", joint=1, counts=None, held=None)
     return outside(ranges, signals, held)
 
 
-@pytest.mark.parametrize(
-    ("quantity", "value", "expected"),
-    [
-        ("position", 0.0, 0.0),
-        ("position", 3.0, 0.0),
-        ("position", 3.5, 0.5),
-        ("position", -1.25, 0.25),
-        ("speed", 0.25, 0.25),
-        ("speed", 2.5, 0.5),
-        ("load", -6.0, 2.0),
-    ],
-)
-def test_excess_is_the_distance_from_the_range(quantity, value, expected):
-    assert_allclose(SPRING.excess(quantity, [value]), [expected], atol=1e-12)
-
-
 @pytest.mark.parametrize("curved", [False, True])
 @pytest.mark.parametrize(
     ("depends", "name", "low", "high", "width"),
@@ -86,35 +70,6 @@ def test_a_motion_is_held_within_range_and_margin(
     assert held.speed(1) == np.quantile(np.abs(held.v[:, 1]), 0.995)
 
 
-@pytest.mark.parametrize("curved", [False, True])
-@pytest.mark.parametrize("quantity", ["position", "speed", "load"])
-def test_what_is_held_counts_as_outside(quantity, curved):
-    own = dataclasses.replace(SPRING, depends=(quantity,), curved=curved)
-    low, high = own.ends(quantity)
-    for factor, counts in ((1 - 1e-9, False), (1 + 1e-9, True)):
-        found = judged([own], np.full(3, factor * high), quantity)
-        assert [one.held for one in found] == counts * [("spring",)]
-    if quantity != "speed":
-        (found,) = judged([own], np.full(3, (1 + 1e-9) * low), quantity)
-        assert found.held == ("spring",)
-
-
-@pytest.mark.parametrize(
-    "given",
-    [
-        {"depends": ()},
-        {"depends": ("direction",)},
-        {"position": (NAN, NAN)},
-        {"depends": ("load",)},
-    ],
-)
-def test_what_is_not_known_or_not_used_holds_nothing(given):
-    x = np.array([[-9.0, -9.0], [9.0, 9.0]])
-    # Without a load.
-    motion = effects.Motion(q=x, v=x, a=x)
-    assert dataclasses.replace(SPRING, **given).within(motion) is motion
-
-
 @pytest.mark.parametrize(
     ("degree", "share", "factor"), [(1, STRAIGHT, 1.31), (2, CURVED, 1.46)]
 )
@@ -125,12 +80,6 @@ def test_margin_is_where_polynomials_are_known_that_much_worse(degree, share, fa
     ends = np.vander([1.0, 1.0 + 2 * share], degree + 1)
     deviation = np.sqrt(np.einsum("ij,jk,ik->i", ends, covariance, ends))
     assert deviation[1] / deviation[0] == pytest.approx(factor, abs=0.01)
-
-
-def test_what_is_not_known_is_never_outside():
-    unknown = dataclasses.replace(SPRING, position=(NAN, NAN))
-    assert_array_equal(unknown.excess("position", [-9.0, 9.0]), [0.0, 0.0])
-    assert judged([unknown], [9.0] * 10) == ()
 
 
 def test_what_is_outside_is_told_with_its_size():
@@ -146,78 +95,6 @@ def test_what_is_outside_is_told_with_its_size():
             held=("spring",),
         ),
     )
-
-
-def test_few_rows_are_outliers():
-    values = np.zeros(1000)
-    values[:5] = 50.0
-    assert judged([SPRING], values) == ()
-    values[:6] = [50.0, 49.0, 48.0, 47.0, 46.0, 9.0]
-    (found,) = judged([SPRING], values)
-    assert found.reached == 9.0
-    assert found.share == 0.006
-
-
-def test_rows_that_do_not_count_are_not_judged():
-    values, counts = np.full(10, 9.0), np.zeros((10, 2), dtype=bool)
-    assert judged([SPRING], values, counts=counts) == ()
-    counts[3, 1] = True
-    (found,) = judged([SPRING], values, counts=counts)
-    assert found.share == 1.0
-
-
-def test_effects_of_a_joint_are_told_together():
-    ripple = dataclasses.replace(SPRING, name="ripple", curved=True)
-    # 0.6 beyond: outside for what is curved alone.
-    (found,) = judged([SPRING, ripple], np.full(10, 3.6))
-    assert found.names == ("ripple",)
-    (found,) = judged([SPRING, ripple], np.full(10, 3.9))
-    assert found.names == found.held == ("spring", "ripple")
-    (found,) = judged([SPRING, ripple], np.full(10, 3.9), held=[True, False])
-    assert (found.names, found.held) == (("spring", "ripple"), ("spring",))
-
-
-@pytest.mark.parametrize("spread", [0.7, 1.0, 3.0, 50.0])
-def test_what_is_reached_is_beyond_the_outliers(spread):
-    # Whole numbers: many are equally far, on both sides.
-    values = np.random.default_rng(0).normal(1.0, spread, 4000).round()
-    excess = np.sort(SPRING.excess("position", values))
-    for found in judged([SPRING], values):
-        reached = SPRING.excess("position", [found.reached])
-        assert reached == excess[values.size - 1 - int(0.005 * values.size)]
-        assert found.share == np.mean(excess > SPRING.margin("position"))
-    assert (len(judged([SPRING], values)) == 0) == (spread < 1.0)
-
-
-def test_one_speed_only_is_known_at_that_speed_only():
-    viscous = dataclasses.replace(
-        SPRING, name="viscous", depends=("speed",), speed=(0.99, 1.01)
-    )
-    assert judged([viscous], [1.0, 0.985, 1.015], "speed") == ()
-    (slower,) = judged([viscous], np.full(3, 0.5), "speed")
-    assert (slower.reached, slower.held) == (0.5, ())
-    (faster,) = judged([viscous], np.full(3, 1.5), "speed")
-    assert (faster.reached, faster.held) == (1.5, ("viscous",))
-
-
-def test_a_load_the_other_way_is_held_beyond_the_largest():
-    friction = dataclasses.replace(
-        SPRING, name="load_friction", depends=("load",), load=(0.0, 10.0)
-    )
-    # The margin is 2, on either side.
-    for load, held in ((-3.0, ()), (-11.9, ()), (-12.1, ("load_friction",))):
-        (found,) = judged([friction], np.full(3, load), "load")
-        assert (found.reached, found.held) == (load, held)
-
-
-def test_the_unit_does_not_matter():
-    degrees = dataclasses.replace(
-        SPRING, position=tuple(np.degrees(SPRING.position).tolist())
-    )
-    values = np.random.default_rng(0).normal(1.0, 1.5, 400)
-    (one,), (other,) = judged([SPRING], values), judged([degrees], np.degrees(values))
-    assert one.share == other.share
-    assert np.degrees(one.reached) == pytest.approx(other.reached)
 
 
 # -- what effects say of themselves

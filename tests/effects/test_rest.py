@@ -60,12 +60,6 @@ def test_a_reversal_is_no_rest():
     assert fast == 1.0
 
 
-def test_nothing_known_is_the_sign():
-    with np.errstate(all="raise"):
-        found = mean_sign(V, 0 * V, rest(speed=0.0))
-    np.testing.assert_array_equal(found, np.sign(V))
-
-
 def motion(known, nv=2, n=200):
     """Two joints that stand but for the noise of their velocities."""
     rng = np.random.default_rng(1)
@@ -110,12 +104,3 @@ def test_asymmetric_friction_keeps_its_constant_at_rest():
     standing.v[:] = 0.0
     column = effects.AsymmetricFriction().columns(standing)[:, 0]
     np.testing.assert_array_equal(column, 1.0)
-
-
-def test_the_sum_of_two_joints_has_the_noise_of_both():
-    known = Rest(
-        speed=np.array([0.1, 0.2]), time=np.array([1.0, 2.0]), noise=np.array([3.0, 4])
-    ).pick(0, 1)
-    assert known.speed[0] == pytest.approx(0.3)
-    assert known.time[0] == 2.0
-    assert known.noise[0] == pytest.approx(5.0)

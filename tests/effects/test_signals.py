@@ -55,46 +55,6 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
     assert effects.Signal().shapes(moved(signals={})) == []
 
 
-def test_units_name_the_signal():
-    warm = effects.Signal(signal="temperature", of="viscous")
-    assert warm.parameter_units() == {"k": "N m s/rad per unit of temperature"}
-    assert warm.parameter_units(True) == {"k": "N s/m per unit of temperature"}
-    assert effects.Signal().parameter_units()["k"] == "N m per unit of the signal"
-
-
-def test_rivals_are_told_apart():
-    warm = effects.Signal(signal="temperature")
-    assert effects.Signal(signal="voltage").told_beside(warm) == "signal: voltage"
-    other = effects.Signal(signal="voltage", of="viscous")
-    assert other.told_beside(warm) == "signal: voltage, viscous"
-    assert warm.told_beside(effects.Drift()) == "signal: temperature, coulomb"
-    assert effects.Drift().told_beside(warm) == "drift"
-
-
-def test_a_recording_without_signals_has_nothing_hidden():
-    reason = effects.Signal().applies(moved(signals={}))
-    assert reason != ""
-    assert not reason.startswith("needs")
-    assert effects.Signal().applies(moved()) == ""
-    named = effects.Signal(signal="current")
-    assert named.applies(moved()).startswith("needs the recorded signal 'current'")
-    assert named.recorded == ("current",)
-    assert effects.Signal().recorded == ()
-
-
-def test_an_offset_is_a_torque_of_its_own():
-    """Whatever the motion does; friction has the motion as its witness."""
-    trends = {of: effects.Signal(of=of).slow for of in ("offset", "coulomb", "viscous")}
-    assert trends == {"offset": True, "coulomb": False, "viscous": False}
-    assert not effects.Signal().slow
-
-
-@pytest.mark.parametrize("signal", ["", "current"])
-def test_unknown_signals_are_refused(signal):
-    with pytest.raises(ValueError, match="expected one of temperature, voltage"):
-        effects.Signal(signal=signal).columns(moved())
-
-
 def test_what_cannot_vary_is_refused():
     with pytest.raises(ValueError, match="of must be one of"):
         effects.Signal(signal="temperature", of="inertia").fit(X)

@@ -236,15 +236,6 @@ def test_two_recordings_one_behind_the_other_are_not_mixed(made, text, tmp_path)
     assert "time runs backwards" in str(refused(path, made))
 
 
-def test_pieces_between_gaps_are_long_enough_to_be_held_out(made, text, tmp_path):
-    path = tmp_path / "log.csv"
-    rows = [x for k, x in enumerate(text[1]) if not (300 <= k < 320 or 332 <= k < 350)]
-    path.write_text("\n".join([text[0], *rows]) + "\n")
-    recording, notes = read(path, made)
-    assert min(np.bincount(recording.groups)) >= 16
-    assert any("1 piece(s) of fewer than 16 samples" in x for x in notes)
-
-
 # -- MATLAB ----------------------------------------------------------------------------
 
 
@@ -274,6 +265,3 @@ def test_matlab_with_an_object_beside_arrays(compressed, made, tmp_path):
     recording, notes = read(path, made)
     assert_same(recording, made)
     assert any("1 object(s) of MATLAB's own classes are left out" in x for x in notes)
-
-
-# -- currents --------------------------------------------------------------------------

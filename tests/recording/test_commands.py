@@ -100,13 +100,6 @@ def test_torques_beside_a_drive_are_left_out(tmp_path):
     assert set(plain.signals) == {"q_desired1", "q_desired2"}
 
 
-def test_a_measured_velocity_may_be_called_dq(tmp_path):
-    speeds = {f"dq_{j}": np.full(N, 0.1 * j) for j in (1, 2)}
-    recording, said = read(write(tmp_path / "a.csv", columns(**speeds)), drive=TEXT)
-    assert_allclose(recording.v, [[0.1, 0.2]] * N)
-    assert "v = dq_1 ... dq_2" in said
-
-
 def test_qd_is_neither_velocity_nor_desired_position(tmp_path):
     path = write(tmp_path / "a.csv", columns(aim="qd_{}"))
     with pytest.raises(RecordingRefused, match="no desired positions: expected"):
@@ -207,17 +200,6 @@ def test_commands_on_rows_of_their_own_hold(tmp_path):
     assert_allclose(recording.q, q[4:], atol=1e-12)
 
 
-def test_of_commands_with_one_stamp_the_last_counts():
-    from sklearn_vbjfa.recording import merge_doubled
-
-    values = np.arange(4.0)[:, None]
-    _, merged = merge_doubled(
-        np.array([0.0, 1.0, 1.0, 2.0]), {"q": values, "q_desired": values}
-    )
-    assert_array_equal(merged["q"][:, 0], [0.0, 1.5, 3.0])
-    assert_array_equal(merged["q_desired"][:, 0], [0.0, 2.0, 3.0])
-
-
 # -- Unitree ---------------------------------------------------------------------------
 
 
@@ -313,15 +295,6 @@ def test_logs_of_unitree(kind, tmp_path):
     # what the motors estimate is a torque all the same, where it is asked for
     plain, _ = read(LOGS[kind](tmp_path / "log"), urdf=urdf)
     assert_array_equal(plain.tau, 9.0)
-
-
-def test_joints_that_are_given_are_those_of_the_motors(tmp_path):
-    pytest.importorskip("pinocchio")
-    urdf, names = quadruped(tmp_path / "dog.urdf")
-    options = {"urdf": urdf, "drive": "pd", "joint_names": names}
-    recording, _ = read(as_lines(tmp_path / "log"), **options)
-    order = [names.index(name) for name in recording.joint_names]
-    assert_allclose(recording.q, motion(12)[1][:, order], atol=1e-9)
 
 
 # -- LeRobot ---------------------------------------------------------------------------

@@ -192,14 +192,6 @@ def test_a_mapping_by_joints_in_any_order(tmp_path):
         read(path, columns=single, **options)
 
 
-def test_single_joints_are_mapped(tmp_path):
-    columns = table()
-    names = {"q1": "base", "q2": "elbow", "tau1": "mb", "tau2": "me"}
-    path = write(tmp_path / "arm.csv", renamed(names))
-    recording, _ = read(path, columns="q1=base,q2=elbow,tau1=mb,tau2=me")
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-9)
-
-
 @pytest.mark.parametrize(
     ("mapping", "message"),
     [
@@ -316,17 +308,6 @@ def test_units_that_cannot_be(made, tmp_path, name, message):
         read_recording(path, urdf=made.urdf)
 
 
-def test_a_unit_in_a_mapping(tmp_path):
-    columns = table()
-    names = {f"q{j}": f"pos{j}" for j in (1, 2)}
-    new = renamed(names)
-    for j in (1, 2):
-        new[f"pos{j}"] = np.rad2deg(new[f"pos{j}"])
-    path = write(tmp_path / "arm.csv", new)
-    recording, _ = read(path, columns="q=pos{i} [deg]")
-    np.testing.assert_allclose(recording.q[:, 1], columns["q2"], atol=1e-8)
-
-
 @pytest.mark.parametrize(("unit", "factor"), [("ms", 1e3), ("us", 1e6), ("ns", 1e9)])
 def test_the_unit_of_time_is_given(tmp_path, unit, factor):
     columns = table()
@@ -428,10 +409,3 @@ def test_a_column_that_is_named_like_a_current_is_one(name, tmp_path):
     # What is said of it counts.
     told = read_recording(path, columns=f"{mapping} [Nm]")
     assert told.torque_units == ("N m", "N m")
-
-
-def test_torques_that_were_made_of_currents_are_torques(tmp_path):
-    names = {f"tau{k}": f"current_as_torque_{k}" for k in (1, 2)}
-    path = write(tmp_path / "arm.csv", renamed(names))
-    _, recording = follow(path)
-    assert recording.torque_units == ("N m", "N m")

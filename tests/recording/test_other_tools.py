@@ -193,9 +193,6 @@ def test_thousandths_are_tenths_of_a_hundredth(tmp_path):
         np.testing.assert_allclose(tau, 2.0 * (3 + np.cos(t)), rtol=1e-12)
 
 
-# -- units that no name says -----------------------------------------------------------
-
-
 # -- torques that the motors estimate --------------------------------------------------
 
 
@@ -214,6 +211,3 @@ def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
     same(recording)
     assert set(recording.signals) == set(estimates)
     assert not said
-
-
-# -- joints that the robot calls otherwise ---------------------------------------------

@@ -84,14 +84,6 @@ def test_recordings_of_one_motion_are_found_wherever_they_begin():
     )
 
 
-@pytest.mark.parametrize(
-    "q",
-    [np.zeros((500, 2)), np.zeros((1, 2)), np.ones((3, 1)), np.arange(9.0)[:, None]],
-)
-def test_what_does_not_move_or_is_short_does_not_repeat(q):
-    assert not found(q)[0]
-
-
 def test_commands_are_the_signals_that_follow_a_position():
     t = DT * np.arange(4000)
     command = wave(t, np.array([1, 3, 7]) / 10.0)

@@ -133,13 +133,6 @@ def test_nearly_the_same_period_is_interpolated(here):
     assert read_recording(paths[:2]).torque_noise is None
 
 
-def test_periods_that_differ_by_rounding_are_one(here):
-    recording, said = told(files(a=sampled(0.01), b=sampled(0.0100005, 1)))
-    assert said == []
-    assert recording.n_samples == 4000
-    np.testing.assert_array_equal(recording.t[:2000], recording.t[2000:])
-
-
 def test_noise_before_interpolation_is_that_of_all_files(here):
     x = {name: sampled(0.01, seed) for seed, name in enumerate("abc")}
     for name, rows in (("b", [500]), ("c", [700, 900])):
@@ -226,17 +219,6 @@ def test_files_that_were_not_recorded_alike(kind, here):
     line = refused(paths, message, **options)
     assert line.startswith(message)
     assert "mend one of them" in line
-
-
-def test_units_that_can_be_converted_are_the_same(here):
-    degrees = {
-        f"{k} [deg]" if k[0] == "q" else k: np.rad2deg(x) if k[0] == "q" else x
-        for k, x in motion(0.2).items()
-    }
-    recording, _ = told(files(a=motion(0.1), b=degrees))
-    np.testing.assert_allclose(
-        recording.select("b").q[:, 0], motion(0.2)["q1"], atol=1e-9
-    )
 
 
 # -- copies ----------------------------------------------------------------------------

@@ -13,7 +13,6 @@ from sklearn_vbjfa.recording import (
     positions_in_order,
     survey,
     take_arrays,
-    take_rows,
 )
 
 DT, N = 0.01, 2000
@@ -154,25 +153,6 @@ def test_what_is_offered_is_taken_or_said():
         survey(None, offered, MEASURED, (Uses("torque"),))
     with pytest.raises(ValueError, match="'warm', which is a column of X as well"):
         survey({"warm": WARM}, offered, MEASURED, ())
-
-
-def test_who_asks_by_name_decides_what_a_signal_is():
-    """What follows a channel with an error of its own is a suspect, and no copy."""
-    sag = TAU[:, 0] + 0.4 * TAU[:, 0].std() * NOISE
-    offered = OfferedSignals(columns={"sag": sag})
-    nothing, (said,) = survey(None, offered, MEASURED, (Uses(),))
-    assert nothing == {}
-    assert "follows the torque of hip" in said.message
-    assert list(survey(None, offered, MEASURED, (Uses("sag"),))[0]) == ["sag"]
-    assert list(survey({"sag": sag}, OfferedSignals(), MEASURED, ())[0]) == ["sag"]
-
-
-def test_parts_of_a_recording_keep_their_rows():
-    whole = recording(signals={"warm": WARM})
-    rows = np.r_[5:300, 1200:1500]
-    part = take_rows(whole, rows, rows > 1000)
-    np.testing.assert_array_equal(part.signals["warm"], WARM[rows])
-    assert len(part.segments) == 2
 
 
 # -- data frames and files

@@ -475,56 +475,32 @@ _CHARACTERS = bytes(
     for k in range(256)
     if k in b"\t\n\r\f" or (k >= 32 and k not in b"\x7f\x81\x8d\x8f\x90\x9d")
 )
-_CHUNK = 1 << 20
 
 
 def _encoding_of(path: Source) -> str:
     """Return the encoding of a text file; refuse what is not text in any of them."""
-    with path.file.open("rb") as file:
-        begin = file.read(4)
-    marked = [name for mark, name in _BYTE_ORDER_MARKS if begin.startswith(mark)]
+    content = path.file.read_bytes()
+    marked = [name for mark, name in _BYTE_ORDER_MARKS if content.startswith(mark)]
     encoding = marked[0] if marked else "utf-8"
-    wrong = _wrong(path, encoding)
-    if not wrong:
-        return encoding
-    if not marked and _is_windows(path):
-        return _WINDOWS
-    name = encoding.removesuffix("-sig").upper()
-    raise ValueError(f"{path}: is not {name} ({wrong}); save it as CSV in UTF-8.")
+    try:
+        content.decode(encoding.removesuffix("-sig"))
+    except UnicodeDecodeError as error:
+        if not marked and _is_windows(content):
+            return _WINDOWS
+        name = encoding.removesuffix("-sig").upper()
+        raise ValueError(
+            f"{path}: is not {name} ({error.reason} at byte {error.start}); save it as "
+            "CSV in UTF-8."
+        ) from error
+    return encoding
 
 
-def _wrong(path, encoding):
-    """Say which byte is not part of a text in an encoding, "" if all are."""
-    decoder, done = codecs.getincrementaldecoder(encoding)(), 0
-    for chunk in _chunks(path):
-        held = len(decoder.getstate()[0])
-        try:
-            decoder.decode(chunk, final=not chunk)
-        except UnicodeDecodeError as error:
-            return f"{error.reason} at byte {done - held + error.start}"
-        done += len(chunk)
-    return ""
-
-
-def _is_windows(path):
+def _is_windows(content):
     """Whether bytes that are not UTF-8 are text in the code page of Windows."""
     # A file with some characters in UTF-8 is damaged, not in another encoding: by
     # chance two letters of the code page make no such character.
-    decoder = codecs.getincrementaldecoder("utf-8")("ignore")
-    for chunk in _chunks(path):
-        if chunk.translate(None, _CHARACTERS):
-            return False
-        if not decoder.decode(chunk, final=not chunk).isascii():
-            return False
-    return True
-
-
-def _chunks(path):
-    """Yield the bytes of a file in pieces, at last an empty one."""
-    with path.file.open("rb") as file:
-        while chunk := file.read(_CHUNK):
-            yield chunk
-    yield b""
+    odd = content.translate(None, _CHARACTERS)
+    return not odd and content.decode("utf-8", "ignore").isascii()
 
 
 TEXT = Format(

@@ -3,7 +3,7 @@
 import contextlib
 import re
 import warnings
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
 from os import PathLike, fspath
 from pathlib import Path
@@ -222,15 +222,12 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
-    is_one = isinstance(path, (str, bytes, PathLike)) or not isinstance(path, Iterable)
-    paths = [path] if is_one else list(dict.fromkeys(map(Path, path)))
+    given_paths = [path] if isinstance(path, (str, PathLike)) else map(Path, path)
+    given = dt, urdf, joint_names, asked, topic, gains, time_unit
+    paths, unfolded = _without_folders(dict.fromkeys(given_paths), join, given)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
-    given = dt, urdf, joint_names, asked, topic, gains, time_unit
-    paths, unfolded = _without_folders(paths, join, given)
-    is_one = is_one or join
-    if len(paths) > 1:
-        is_one = False
+    is_one = len(paths) == 1 and (join or isinstance(path, (str, PathLike)))
     files = _read_files(paths, given)
     files[0] = replace(files[0], notes=(*unfolded, *files[0].notes))
     if is_one:

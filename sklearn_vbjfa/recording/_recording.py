@@ -264,7 +264,7 @@ class Recording:
             Torques between rows are interpolated; rows at the ends of recordings whose
             torques lie outside have no weight.
         """
-        rows = lag / self.dt
+        rows = lag / check_dt(self.dt)
         tau = np.empty_like(self.tau)
         weight = np.ones(self.q.shape) if self.weight is None else self.weight.copy()
         for part in self.segments:

@@ -144,39 +144,19 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     stand out from chance, and leaving them out costs more than fitting one that is not
     there. What is found does not depend on which of them were declared.
 
-    Rows are taken to frequency, by discrete cosines of each recording, where a
-    stationary residual has nearly independent values with its spectrum as their
-    variance [1]_: slow noise takes the evidence of slow effects and leaves fast ones
-    theirs. The spectrum is estimated in bands of half an octave, of what is left beside
-    more effects than will be named. Where weights by it lead farther from least squares
-    than chance does, the model is wrong in some frequencies [5]_, and they follow a
-    smaller power of it.
+    Each candidate, a joint and an effect, has posterior odds: a Bayes factor, in which
+    coefficients are normal with a common scale, the scale has a half-Cauchy prior [2]_
+    and is integrated over [3]_, and the residual is as coloured as it is found to be
+    [1]_ where that agrees with least squares [5]_; times the expected number of effects
+    over that of the candidates. Evidence is tempered by how much it scatters between
+    blocks of time. What an effect contains comes first [4]_. The guide has all of it
+    under "How the loop decides".
 
-    The coefficients of a candidate (a joint and an effect) are normal with a common
-    scale, its torque over that of the joint. The scale has a half-Cauchy prior [2]_ and
-    is integrated over, which for one scale has a closed form [3]_; the shapes of the
-    candidate's grid are averaged. To the logarithm of this Bayes factor that of the
-    prior odds is added, the expected number of effects over the number of candidates.
-
-    Evidence is tempered: it is divided by the variance of its score between blocks of
-    time over that which the second moments promise (sandwich over Hessian), if that is
-    more than one. What is a function of time counts by the slowest changes of its score
-    alone, of which there are few: Student's t takes the place of the normal
-    distribution.
-
-    From the declared model with the plain terms on, the most probable candidate is
-    added and what became improbable beside it is dropped; where nothing is to add,
-    shapes are searched again beside each other, and effects are exchanged for more
-    probable ones. A second start, with everything of a joint from which the least
-    probable is dropped, finds effects that show only beside each other. What an effect
-    contains comes first [4]_, if it is probable by
-    itself. An effect has to lower the error on stretches of time that were not fitted,
-    an eighth each; with three or more recordings, on whole ones.
-
-    A name takes a probability of ``1 - alpha``; a gain on such stretches beyond chance
-    and of two per cent or more; and an interval of a parameter that excludes zero (a
-    value of the geometry is known to a third of itself). Filters of a channel are named
-    only above the frequencies of the motion.
+    A name takes a probability of ``1 - alpha``; a gain on stretches of time, or whole
+    recordings, that were not fitted, beyond chance and of two per cent; and an
+    interval of a parameter that excludes zero (a value of the geometry is known to a
+    third of itself). Filters of a channel are named only above the frequencies of the
+    motion.
 
     Beyond seven joints the branches that leave the base are searched one by one, as
     they share no body, each with its share of the effects that are expected; couplings
@@ -197,11 +177,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Intervals of effects' parameters come from the completed model: its estimates, and
     the scatter of its residuals between forty blocks of time, shape parameters beside
-    the coefficients. What was chosen in the search (which effects, which grid points)
-    counts as given. The intervals of the errors add how much such an error scatters in
-    the held-out part and how much in the next 50 s, as squared residuals vary slowly
-    in the whole recording (ten cosines of time, Student's t with as many degrees of
-    freedom).
+    the coefficients. What was chosen in the search counts as given.
 
     References
     ----------

@@ -16,10 +16,10 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Effect, Shaped
 from sklearn_vbjfa.recording import take_arrays
-from tests._quick import checkered
+from tests._quick import one_in
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.diagnosis.report._pages import text_of
-from tests.effects._arms import inverse_dynamics, play_sample_by_sample
+from tests.effects._arms import play_sample_by_sample
 from tests.robot import test_drives as drives
 
 ARM = SPRINGY.parts[0]
@@ -53,10 +53,10 @@ def lugre(r, joint=1, force=1.2, displacement=0.02):
 # -- the right effect, on the right joint
 
 
-@pytest.mark.parametrize(("encoder", "seed"), checkered([3e-4, 3e-3], [0]))
-def test_noise_of_the_positions_makes_no_names(encoder, seed):
+@pytest.mark.parametrize("encoder", one_in(2, [3e-4, 3e-3]))
+def test_noise_of_the_positions_makes_no_names(encoder):
     """Up to 150 times that of the other recordings: what it takes from the columns."""
-    noisy = record("ZY", seed=seed, duration=30.0, encoder=encoder)
+    noisy = record("ZY", seed=0, duration=30.0, encoder=encoder)
     library = ["load_friction", "viscous_quadratic", "jerk", "elastic", *PLAIN]
     assert noisy.discover(noisy.torque(), library).effects_ == ()
     with_spring = noisy.torque(joint_1=spring(4.0, 1.0))
@@ -67,10 +67,6 @@ def unlike(name):
     """Torque of an effect by code of its own: joint -> torque, true parameters."""
     return {
         "spring": ({"joint_1": spring(4.0, -1.0)}, {"k": 4.0, "q0": 0.25}),
-        "viscous_quadratic": (
-            {"joint_2": lambda r: 0.25 * np.copysign(r.v[:, 1] ** 2, r.v[:, 1])},
-            {"F2": 0.25},
-        ),
         "asymmetric_friction": (
             {"joint_2": lambda r: np.where(r.v[:, 1] > 0, 0.6, -0.6) * r.v[:, 1]},
             {"dFv": 0.6},
@@ -115,7 +111,6 @@ def unlike(name):
     ("name", "rivals"),
     [
         ("spring", ["coulomb", "offset", "ripple"]),
-        ("viscous_quadratic", ["coulomb", "offset"]),
         ("asymmetric_friction", ["coulomb", "viscous_quadratic"]),
         ("ripple", ["offset", "spring", "coulomb"]),
         pytest.param("stribeck", ["coulomb", "spring"], marks=pytest.mark.slow),
@@ -139,22 +134,6 @@ def test_one_effect_is_found_where_it_is_with_its_parameters(name, rivals):
     assert loop.error_after_[joint] < 0.5 * loop.error_before_[joint]
     assert {e.joint for e in loop.effects_} == {joint}
     assert len(loop.effects_) == 1
-
-
-def test_payload_is_found_with_its_instant():
-    pin = pytest.importorskip("pinocchio")
-    heavier = ARM.model.copy()
-    body = heavier.inertias[2]
-    theta = body.toDynamicParameters()
-    theta[:4] += [0.5, 0.06, 0.02, 0.1]
-    heavier.inertias[2] = pin.Inertia.FromDynamicParameters(theta)
-    extra = inverse_dynamics(heavier, np.hstack([ARM.q, ARM.v, ARM.a])) - ARM.load
-    extra *= (ARM.t > 7.3)[:, None]
-    loop = ARM.discover(ARM.torque() + extra, ["payload", "coulomb"])
-    assert named(loop) == [("payload", 1)]
-    parameters = loop.effects_[0].parameters
-    assert parameters["instant"] == pytest.approx(7.3, abs=0.15)
-    assert np.all(loop.error_after_ < loop.error_before_)
 
 
 def test_two_effects_on_two_joints():
@@ -491,15 +470,6 @@ def test_declared_effects_stay():
     assert values["joint_2:coulomb"] == pytest.approx(1.0, rel=0.05)
     assert values["joint_1:coulomb"] == pytest.approx(0.0, abs=0.05)
     assert loop.effects_[0].parameters["k"] == pytest.approx(4.0, rel=0.05)
-
-
-def test_declared_effects_with_a_shape_stay_beside_the_plain_terms():
-    torque = ARM.torque(joint_2=lambda r: 0.6 * np.cos(20 * r.q[:, 1]))
-    robot = ARM.robot(effects=(effects.Ripple(1, period=np.pi / 10),))
-    loop = ARM.discover(torque, PLAIN, robot=robot)
-    assert loop.effects_ == ()
-    assert [e.name for e in loop.identifier_.effects_] == ["ripple"]
-    assert_allclose(loop.error_after_, loop.report_.outcome.floor, rtol=0.3)
 
 
 def test_other_regressors_close_the_loop_as_well():

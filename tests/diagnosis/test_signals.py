@@ -6,7 +6,6 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery
-from sklearn_vbjfa.diagnosis import ResidualDisplay
 from sklearn_vbjfa.effects import Signal
 from tests._quick import one_in
 from tests.diagnosis._recordings import named, record
@@ -55,9 +54,8 @@ def fixture_both():
 # -- what is named
 
 
-@pytest.mark.parametrize("temperature", [CYCLES, RAMP], ids=["cycles", "ramp"])
-def test_friction_that_falls_with_temperature_is_named(temperature):
-    loop = close(heated(temperature), {"temperature": temperature})
+def test_friction_that_falls_with_temperature_is_named(warm):
+    loop = warm
     assert named(loop) == [("signal", 0)]
     found = the_signal(loop)
     assert found.parameters["signal"] == "temperature"
@@ -83,7 +81,6 @@ def test_a_drift_that_explains_as_much_is_its_rival():
     loop = close(heated(warming), {"temperature": warming})
     assert named(loop) == [("signal", 0)]
     assert "drift" in the_signal(loop).rivals
-    assert "drift of the Coulomb friction with time" in text_of(loop.report_)
 
 
 def test_a_signal_that_nothing_varies_with_is_not_named():
@@ -109,21 +106,19 @@ def test_torques_that_wander_are_no_matter_of_signals_that_wander(seed):
     assert not [effect for effect in loop.effects_ if effect.name == "signal"]
 
 
-@pytest.mark.parametrize("of", ["offset", "viscous"])
-def test_what_varies_is_named(of):
+def test_what_varies_is_named():
     open_ = (np.floor(6 * SHARE) % 2).astype(float)
 
     def torque(r):
-        return 0.8 * open_ * {"offset": 1.0, "viscous": r.v[:, 1]}[of]
+        return 0.8 * open_ * r.v[:, 1]
 
     loop = close(ONE.torque(joint_2=torque), {"gripper": open_, "supply": CYCLES})
     found = the_signal(loop)
-    assert (found.joint, found.parameters["of"]) == (1, of)
+    assert (found.joint, found.parameters["of"]) == (1, "viscous")
     assert found.parameters["signal"] == "gripper"
     low, high = found.intervals["k"]
     assert low < 0.8 < high
-    label = {"offset": "Offset", "viscous": "Viscous friction"}[of]
-    assert f"{label.lower()} that varies with gripper" in text_of(loop.report_).lower()
+    assert "iscous friction that varies with gripper" in text_of(loop.report_)
 
 
 # -- rivals
@@ -141,15 +136,7 @@ def test_signals_that_go_together_are_rivals(both):
     assert slope < 0
     said = " ".join(str(both.report_).split())
     assert f"this data cannot tell it from signal: {other}" in said
-    assert f"that varies with {other}" in text_of(both.report_)
-
-
-def test_a_signal_of_its_own_is_no_rival():
-    apart = {"temperature": CYCLES, "supply": 24 + np.sin(1.7 * ONE.t)}
-    loop = close(heated(CYCLES), apart)
-    found = the_signal(loop)
-    assert found.parameters["signal"] == "temperature"
-    assert not [rival for rival in found.rivals if "supply" in rival]
+    assert f"signal: {other}" in text_of(both.report_)
 
 
 # -- the model that is handed over
@@ -181,13 +168,6 @@ def test_the_report_names_the_signals(both, warm):
     assert not [one for one in outcome["hidden"] if one["name"] == "signal"]
 
 
-def test_without_signals_nothing_is_said_of_them():
-    loop = close(heated(np.full(SHARE.size, 25.0)), None)
-    assert "signal" not in {one.name for one in loop.hidden_}
-    assert loop.report_.to_dict()["settings"]["signals"] == []
-    assert "varies with temperature" not in text_of(loop.report_)
-
-
 def test_what_remains_varies_with_a_signal_without_a_name():
     loop = close(heated(CYCLES), {"temperature": CYCLES}, ["coulomb"])
     (rest,) = loop.unexplained_
@@ -197,14 +177,6 @@ def test_what_remains_varies_with_a_signal_without_a_name():
     loop = close(torque, {"temperature": CYCLES}, ())
     (rest,) = (one for one in loop.unexplained_ if one.joint == 1)
     assert rest.signals[0].signal == "temperature"
-
-
-def test_residuals_are_drawn_with_their_signals(warm):
-    display = ResidualDisplay.from_estimator(
-        warm, ONE.position, heated(CYCLES), signals={"temperature": CYCLES}
-    )
-    before, after = display.residual_before[:, 0], display.residual_after[:, 0]
-    assert np.nanstd(after) < 0.3 * np.nanstd(before)
 
 
 # -- what the search is given
@@ -281,20 +253,3 @@ def test_a_declared_signal_goes_through_the_loop():
     loop.fit(ONE.position, torque, signals={"temperature": CYCLES})
     assert named(loop) == [("spring", 1)]
     assert loop.identifier_.theta_[-3] == pytest.approx(-FRICTION * FALL / 20, rel=0.1)
-
-
-def test_a_frame_of_signals_is_cut_with_the_rows():
-    """Cross-validation cuts data frames and arrays, and hands mappings on whole."""
-    pandas = pytest.importorskip("pandas")
-    from sklearn.model_selection import KFold, cross_val_score
-
-    declared = Signal(joint=0, signal="temperature", reference=35.0)
-    robot = ONE.robot(friction=("viscous", "coulomb"), effects=(declared,))
-    X = pandas.DataFrame(ONE.position, columns=["q1", "q2"])
-    scores = cross_val_score(
-        robot, X.assign(temperature=CYCLES), heated(CYCLES), cv=KFold(2)
-    )
-    assert (scores > 0.95).all()
-
-
-# -- measured

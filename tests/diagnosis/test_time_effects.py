@@ -60,12 +60,6 @@ def test_what_comes_and_goes_is_no_drift(periods, phase):
     assert loop.effects_ == ()
 
 
-def test_a_trend_has_to_go_on_for_half_of_the_recording():
-    """Up and down again: each quarter alone is a trend, and no half is."""
-    loop = close(lambda s: -0.5 * np.sin(2 * np.pi * s))
-    assert loop.effects_ == ()
-
-
 # -- the time after the recording
 
 

@@ -71,9 +71,6 @@ class Contradictions:
     """What contradicts what, and why."""
 
     found: tuple = ()  # recordings and joints
-    # recording, from zero, that alone is another; None if it is not known which, or if
-    # several are
-    culprit: int | None = None
     deviations: tuple = ()  # what is another, the most probable first
 
 
@@ -93,9 +90,7 @@ def contradictions(parts, spread, alpha, settings):
     found = tuple(one for one in suffering if one.joint in of_joints)
     if not found:
         return Contradictions()
-    others = {r for one in deviations for r in one.recordings}
-    culprit = others.pop() if len(others) == 1 else None
-    return Contradictions(found=found, culprit=culprit, deviations=deviations)
+    return Contradictions(found=found, deviations=deviations)
 
 
 def _suffering(parts, spread):

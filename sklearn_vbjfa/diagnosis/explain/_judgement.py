@@ -372,8 +372,8 @@ class Judgement:
     after: TorqueResiduals
     # before and after on the search part, to which the models were fitted
     searched: tuple
-    # (nv,): root mean squares before and after in a wider band [N m or N]
-    wide: tuple | None
+    # (nv,): root mean squares after in a wider band [N m or N]; nan where there is none
+    wide: np.ndarray
     wide_cutoff: float  # where that band ends [Hz]; nan where there is none
     # (nv,): spread of the torque in the moving time of the recording [N m or N]
     spread: np.ndarray
@@ -424,7 +424,8 @@ def judge(models, found, split, near, whole, commanded):
     three = models.declared, models.plain, completed
     wide_cutoff = _wide(completed.cutoff_, dt)
     bands = ["fit", wide_cutoff] if np.isfinite(wide_cutoff) else ["fit"]
-    each, rms, roots, of_all = {}, {}, {}, None
+    each, roots, of_all = {}, {}, None
+    told, wide = (), np.full(whole.nv, np.nan)
     for one in dict.fromkeys(three):
         behind = one.robot_.residuals_behind(rest, bands)
         each[one] = _numbered(behind[0], rows)
@@ -432,7 +433,9 @@ def judge(models, found, split, near, whole, commanded):
         for part in (_numbered(own, rows) for own in behind[1:]):
             if of_all is None:
                 of_all = Spectra(part, dt, completed.cutoff_, wide_cutoff)
-            rms[one], roots[one] = part.rms(), of_all.of(part)
+            roots[one] = of_all.of(part)
+            if one is completed:
+                wide = part.rms()
         del behind
     before, plain, after = (each[one] for one in three)
     step = model.view.step
@@ -455,10 +458,8 @@ def judge(models, found, split, near, whole, commanded):
     intervals = error_intervals((before, after), searched, spread, step)
     beyond = error_intervals((plain, after), (of_plain, of_completed), spread, step)
     intervals |= {"plain": beyond["before"], "added": beyond["difference"]}
-    told, wide = (), None
     if of_all is not None:
         told = of_all.curves(roots[models.declared], roots[completed])
-        wide = tuple(rms[one] for one in three)
     # Rows in which a joint moves throughout have its largest weight.
     full = np.maximum(before.weight.max(axis=0), np.finfo(float).tiny)
     seconds = (before.weight / full).sum(axis=0) * step

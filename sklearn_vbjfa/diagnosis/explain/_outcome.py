@@ -153,9 +153,7 @@ class Outcome:
     # (nv,): deviation of the torque in the moving time of the whole recording [N m or
     # N]
     spread: object
-    # (nv,): errors in a wider band than that of the fit; nan for none
-    wide_before: object
-    wide_plain: object
+    # (nv,): error after in a wider band than that of the fit; nan for none
     wide_after: object
     wide_cutoff: float  # where that band ends [Hz]; nan for none
     seconds: object  # (nv,): held-out time in which each joint moves [s]
@@ -217,7 +215,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
     before, plain, after = judgement.errors
     decided = np.where(judgement.enough, after, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
-        wide = np.array(judgement.wide or np.full((3, spread.size), np.nan)) / spread
+        wide = judgement.wide / spread
         relative_floor = floor / spread
     rest = unexplained(search.model, names, spread, floor, decided)
     parts = Parts.of(final)
@@ -250,9 +248,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         error_plain=plain,
         error_after=after,
         spread=spread,
-        wide_before=wide[0],
-        wide_plain=wide[1],
-        wide_after=wide[2],
+        wide_after=wide,
         wide_cutoff=judgement.wide_cutoff,
         seconds=judgement.seconds,
         enough=judgement.enough,

@@ -30,7 +30,6 @@ class CrossValidatedGain:
     # mean logarithm of the ratio of the errors without and with it, over its standard
     # error: a few blocks do not decide alone
     errors: float
-    helped: float  # share of the blocks in which it helps
     n_blocks: int  # blocks in which it changes anything
 
     @classmethod
@@ -40,7 +39,7 @@ class CrossValidatedGain:
         changed = saved != 0
         count = int(changed.sum())
         if count < 2 or total == 0:
-            return cls(gain=0.0, gain_std=0.0, errors=0.0, helped=0.0, n_blocks=count)
+            return cls(gain=0.0, gain_std=0.0, errors=0.0, n_blocks=count)
         # A block that is fitted exactly would decide alone.
         tiny = _TINY * before.mean()
         ratio = np.log((before + tiny) / (after + tiny))[changed]
@@ -49,7 +48,6 @@ class CrossValidatedGain:
             gain=float(saved.sum() / total),
             gain_std=float(saved.std() * np.sqrt(saved.size) / total),
             errors=float(ratio.mean() / error) if error > 0 else 0.0,
-            helped=float((saved[changed] > 0).mean()),
             n_blocks=count,
         )
 

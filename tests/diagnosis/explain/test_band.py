@@ -29,15 +29,6 @@ def test_share_is_that_of_the_slow_part():
     assert scaled[:2] == pytest.approx(share[:2])
 
 
-def test_rows_without_weight_do_not_count():
-    rng = np.random.default_rng(0)
-    raw, left = rng.normal(size=(2, 50, 1))
-    weight = np.ones((50, 1))
-    weight[30:] = 0.0
-    cut = power_share(raw[:30], left[:30], weight[:30])
-    assert power_share(raw, left, weight) == pytest.approx(cut)
-
-
 @pytest.mark.parametrize(
     ("settings", "decided_by"),
     [({}, "motion"), ({"cutoff": 3.0}, "given"), ({"cutoff": None}, "none")],

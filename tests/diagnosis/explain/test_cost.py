@@ -31,14 +31,6 @@ def fixture_driven():
     return TWO.discover(torque, **CLOSED)
 
 
-def test_a_sound_recording_costs_nothing():
-    loop = ARM.discover(ARM.torque(), **CLOSED)
-    assert (loop.consistency_cost_ == 0).all()
-    assert "cost" not in str(loop.report_)
-    cost = loop.report_.outcome.projection
-    assert (cost.pushed, cost.channel) == ((), None)
-
-
 def test_errors_are_those_of_models_with_and_without_constraints(gain):
     torque, loop = gain
     cost = loop.report_.outcome.projection
@@ -78,13 +70,6 @@ def test_the_channel_s_share_is_what_a_fit_without_it_saves(gain):
     left = distance(without) / distance(weights)
     cost = loop.report_.outcome.projection
     assert cost.channel_share == pytest.approx(1 - left, abs=1e-6)
-
-
-def test_the_unit_of_the_torque_does_not_matter(gain):
-    torque, loop = gain
-    other = ARM.discover(1e3 * torque, **CLOSED)
-    assert other.consistency_cost_ == pytest.approx(loop.consistency_cost_, rel=1e-4)
-    assert other.report_.outcome.projection.channel == 1
 
 
 def test_friction_that_drives_is_named_with_its_value(driven):

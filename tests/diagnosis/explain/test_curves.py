@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     time_line,
 )
 from sklearn_vbjfa.diagnosis.search import RecordingView
-from sklearn_vbjfa.effects import Coulomb, Drift, Effect, Signal, Spring, resolve
+from sklearn_vbjfa.effects import Coulomb, Spring, resolve
 from sklearn_vbjfa.recording import take_arrays
 
 NAMED = {
@@ -62,17 +62,6 @@ def test_there_are_as_many_bins_as_the_law_needs(waves, n_bins):
     found = curves_over(x, 0.0 * x, law, np.ones(x.size), **NAMED)
     assert found.center.size == n_bins
     assert np.abs(found.law_mean).max() > 0.8
-
-
-def test_units_of_signal_and_torque_change_nothing_else():
-    rng = np.random.default_rng(1)
-    x, after = rng.standard_normal((2, 4000))
-    law, weight = np.sign(x), rng.uniform(0.5, 1.0, 4000)
-    one = curves_over(x, after, law, weight, **NAMED)
-    other = curves_over(1e3 * x, 1e-3 * after, 1e-3 * law, weight, **NAMED)
-    np.testing.assert_allclose(other.center, 1e3 * one.center)
-    np.testing.assert_allclose(other.mean, 1e-3 * one.mean, atol=1e-12)
-    np.testing.assert_allclose(other.deviation, 1e-3 * one.deviation)
 
 
 @pytest.mark.parametrize("x", [np.zeros(100), np.arange(10.0), np.zeros(0)])
@@ -193,11 +182,3 @@ def test_every_effect_of_the_library_names_a_signal_that_exists():
             assert effect.seen_over == "signal"
         if effect.slow:
             assert effect.seen_over == "time"
-
-
-def test_what_is_friction_counts_in_the_direction_of_motion():
-    assert Effect.with_motion is False
-    for kind in (Drift, Signal):
-        assert kind(of="coulomb").with_motion
-        assert kind(of="viscous").with_motion
-        assert not kind(of="offset").with_motion

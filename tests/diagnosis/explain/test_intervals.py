@@ -13,13 +13,12 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import (
     NEXT_SECONDS,
     EffectEstimate,
-    FinalFit,
     error_intervals,
     named_values,
 )
 from sklearn_vbjfa.effects import AsymmetricFriction
 from sklearn_vbjfa.robot import TorqueResiduals
-from tests.diagnosis._recordings import named, record
+from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 NV, DT = 2, 0.1
@@ -154,25 +153,6 @@ def test_equal_models_do_not_differ():
     assert_array_equal(found["before"], found["after"])
 
 
-def test_joints_without_samples_have_no_interval():
-    rng = np.random.default_rng(0)
-    parts = residuals(rng, 60.0), residuals(rng, 20.0)
-    for part in parts:
-        part.weight[:, 1] = 0.0
-    found = intervals_of(parts)
-    for ends in found.values():
-        assert np.isfinite(ends[:, 0]).all()
-        assert np.isnan(ends[:, 1]).all()
-
-
-def test_a_model_without_error_has_an_interval_of_nothing():
-    rng = np.random.default_rng(0)
-    found = intervals_of(
-        (residuals(rng, 60.0, size=0.0), residuals(rng, 20.0, size=0.0))
-    )
-    assert_array_equal(found["after"], 0.0)
-
-
 # -- effects, through the loop
 
 STEP = 0.02
@@ -295,53 +275,12 @@ def test_centres_are_those_of_the_completed_model():
             assert 0.5 * (low + high) == pytest.approx(effect.parameters[key])
 
 
-def test_residuals_are_those_of_the_completed_model():
-    """What the intervals are made from is what `residuals` of the models say."""
-    recording = record("ZY", duration=40.0, seed=2)
-    tau = recording.torque(
-        load_2=lambda r: 0.1 * np.abs(r.load[:, 1]) * np.sign(r.v[:, 1])
-    )
-    kept = []
-
-    class Watched(FinalFit):
-        def __init__(self, *arguments):
-            super().__init__(*arguments)
-            kept.append(self)
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("sklearn_vbjfa.diagnosis._discovery.FinalFit", Watched)
-        loop = recording.discover(tau, ["load_friction"])
-    assert named(loop) == [("load_friction", 1)]
-    (final,) = kept
-    _, after = final.residuals()
-    expected = loop.identifier_.residuals(recording.position, tau)
-    assert_array_equal(after.index, expected.index)
-    # what stands does not count, and is predicted with the mean of its friction
-    counts = expected.weight > 0
-    assert counts.mean() > 0.95
-    assert_allclose(
-        after.residual[counts], expected.residual[counts], atol=1e-3 * tau.std()
-    )
-
-
-def test_results_do_not_depend_on_the_seed():
-    model, states, tau, _ = pendulum(0, duration=40.0)
-    robot = RobotIdentifier(model, **STATES)
-    one, two = (
-        EffectDiscovery(robot, effects=["spring"], random_state=seed).fit(states, tau)
-        for seed in (0, 1)
-    )
-    for key, ends in one.report_.outcome.intervals.items():
-        assert_array_equal(ends, two.report_.outcome.intervals[key])
-    assert one.effects_[0].intervals == two.effects_[0].intervals
-
-
-def test_no_effects_no_estimates():
-    recording = record("Z", duration=24.0)
-    loop = recording.discover(recording.torque(), ["spring"])
-    assert loop.effects_ == ()
-    low, high = loop.report_.outcome.intervals["after"]
-    assert np.all((low < loop.error_after_) & (loop.error_after_ < high))
+def test_results_do_not_depend_on_the_seed(springy):
+    other = EffectDiscovery(SPRINGY.robot(), effects=SPRINGY.library, random_state=1)
+    other.fit(SPRINGY.position, SPRINGY.torque)
+    for key, ends in springy.report_.outcome.intervals.items():
+        assert_array_equal(ends, other.report_.outcome.intervals[key])
+    assert springy.effects_[0].intervals == other.effects_[0].intervals
 
 
 def test_of_two_effects_with_a_constant_one_is_told_with_it():

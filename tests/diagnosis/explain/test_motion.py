@@ -2,7 +2,6 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.datasets import load_demo_recording
 from sklearn_vbjfa.diagnosis.explain import motion_limits
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.recording import take_arrays
@@ -54,21 +53,6 @@ def test_a_motion_that_excites_everything_has_no_limits():
     assert limits(GOOD) == ()
 
 
-def test_the_demo_has_no_limits():
-    recording = load_demo_recording()
-    robot = RobotIdentifier(recording.urdf, dt=recording.dt, friction=("viscous",))
-    robot.fit(recording.q, recording.tau, groups=recording.groups)
-    measured = take_arrays(
-        recording.q,
-        recording.tau,
-        recording.groups,
-        np.ones_like(recording.q),
-        dt=recording.dt,
-        joint_names=robot.joint_names_,
-    )
-    assert motion_limits(RecordingView(robot, measured)) == ()
-
-
 @pytest.mark.parametrize("way", [1.0, -1.0])
 def test_a_joint_that_never_reverses(way):
     (found,) = limits(second(way * (0.4 * T + 0.2 * np.sin(T))))
@@ -87,13 +71,6 @@ def test_a_recording_that_goes_the_other_way_mends_it():
     assert limits(second(both), groups=groups) == ()
     same = limits(second(there), groups=groups)
     assert [(x.kind, x.recordings) for x in same] == [("one way", (0, 1))]
-
-
-def test_only_recordings_in_which_the_joint_moves_are_named():
-    groups = np.arange(T.size) // (T.size // 2)
-    there = np.where(groups == 0, 0.4 * T + 0.2 * np.sin(T), 8.0)
-    (found,) = limits(second(there), groups=groups)
-    assert (found.kind, found.recordings) == ("one way", (0,))
 
 
 def test_a_joint_of_one_speed():

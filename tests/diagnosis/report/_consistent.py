@@ -23,7 +23,6 @@ def assert_consistent(report):
         assert effect.probability >= own["undecided"], told
     for effect in (*outcome.effects, *outcome.possible):
         _assert_values(effect)
-        assert 0 <= effect.evidence.helped <= 1
         assert settings["n_candidates"] > 0
     named = {_key(effect) for effect in outcome.effects}
     possible = {_key(effect) for effect in outcome.possible}

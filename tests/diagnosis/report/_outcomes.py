@@ -17,13 +17,9 @@ from sklearn_vbjfa.diagnosis.search import UNDECIDED, Evidence
 from sklearn_vbjfa.effects import EffectRange, resolve
 from sklearn_vbjfa.inspection import ChannelFinding
 
-EVIDENCE = Evidence(
-    log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52, helped=0.9
-)
+EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_blocks=52)
 # Of probability 80 %, and of one that is sure and chance on other stretches.
-POSSIBLE = Evidence(
-    log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52, helped=0.6
-)
+POSSIBLE = Evidence(log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52)
 KINDS = (
     ("load_friction", {"mu": 0.112}, {"mu": ""}, ("presliding",)),
     (
@@ -144,7 +140,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
         "spread": np.linspace(50.0, 5.0, nv),
         "unsearched": (),
         "added": (),
-        "wide_before": 1.4 * before,
         "wide_after": 1.4 * after,
         "wide_cutoff": 40.0,
         "seconds": np.full(nv, 9.0),
@@ -196,7 +191,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
     if not values["added"]:
         # All plain terms were declared.
         values["error_plain"] = values["error_before"]
-        values["wide_plain"] = values["wide_before"]
         same = {"plain": "before", "added": "difference"}
         own = values["intervals"]
         values["intervals"] = own | {k: own[v] for k, v in same.items() if v in own}

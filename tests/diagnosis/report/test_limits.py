@@ -15,7 +15,6 @@ from sklearn_vbjfa.diagnosis.explain import (
     NextRecording,
     Pushed,
 )
-from sklearn_vbjfa.recording import RepeatedMotion
 from sklearn_vbjfa.robot import (
     AlikeValue,
     BodyMass,
@@ -60,15 +59,6 @@ def assert_said(text, *facts):
 def test_what_decided_the_band(changes, facts):
     band = replace(make_outcome(nv=3).band, **changes)
     assert_said(shown("Method", band=band), *facts)
-
-
-def test_without_a_wider_band_none_is_described():
-    nothing = {"wide_cutoff": np.nan, "wide_after": np.full(3, np.nan)}
-    band = replace(make_outcome(nv=3).band, sample_rate=25.0)
-    text = shown("Method", band=band, **nothing)
-    assert_said(text, "25 samples a second")
-    assert "40 Hz" not in text
-    assert "Errors are for" not in shown("Method", band=None)
 
 
 # -- the cost of physical consistency
@@ -218,12 +208,6 @@ def test_sound_recordings_need_no_words():
     assert shown("Limits of the recordings", recordings=("1", "2")) == ""
 
 
-def test_repeated_motion_says_where_it_is():
-    one = RepeatedMotion(seconds=9.98, count=2.0, recordings=(0, 2))
-    text = shown("Limits of the recordings", repeated=(one,), recordings=tuple("abc"))
-    assert_said(text, "9.98 s, 2 times in recordings a and c")
-
-
 @pytest.mark.parametrize(
     ("source", "said"),
     [("assumed", "assumed from"), ("mixed", "other robots"), ("measured", "4 left")],
@@ -299,9 +283,3 @@ def test_a_known_mass_fixes_the_common_gain():
 )
 def test_why_a_mass_fixes_nothing(mass, said):
     assert said in text_of(gains_of(common=CommonGain(masses=(mass,))))
-
-
-def test_masses_in_another_unit_are_not_compared():
-    heavy = body("arm", 40.0, 3.0, "yes", std=0.1)
-    assert "instead of 3 kg" in text_of(Report(make_outcome(nv=3, bodies=(heavy,))))
-    assert "instead of 3 kg" not in text_of(gains_of(bodies=(heavy,)))

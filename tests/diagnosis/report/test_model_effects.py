@@ -251,21 +251,3 @@ def test_what_is_hidden_is_named(given, facts):
     shown = section_of(report_of(hidden=given), "What this recording does not show")
     for fact in facts:
         assert fact in shown
-
-
-def test_hidden_effects_take_a_sentence_each_and_not_one_a_joint():
-    given = (
-        *hidden("joint_zero", range(5), "excitation", "weight"),
-        *hidden("joint_zero", (5,), "span"),
-        *hidden("joint_axis", range(6), "together", "base_tilt"),
-        *hidden("counterbalance", range(6), "excitation"),
-    )
-    page = report_of(hidden=given).to_html()
-    part = page.split("What this recording does not show</h2>")[1].split("<h2")[0]
-    assert part.count("<li>") == 4
-
-
-def test_what_to_record_for_a_hidden_tilt_names_no_joint():
-    given = hidden("base_tilt", (0,), "excitation", "weight")
-    shown = section_of(report_of(hidden=given), "What to do next")
-    assert f"Record {BaseTilt.record}." in shown

@@ -97,23 +97,6 @@ def test_what_is_no_change_of_status():
     assert Report(almost).status != "failed"
 
 
-def test_worse_than_the_plain_terms_alone():
-    outcome = make_outcome(nv=2, n_effects=1)
-    worse = {"added": np.array([[-0.1, 0.01], [0.1, 0.05]])}
-    report = Report(
-        make_outcome(
-            nv=2,
-            n_effects=1,
-            added=("offset",),
-            error_plain=0.5 * outcome.error_after,
-            wide_plain=outcome.wide_after,
-            intervals=outcome.intervals | worse,
-        )
-    )
-    assert report.status == "worse"
-    assert [v.status for v in report.joints] == ["floor", "worse"]
-
-
 def test_each_joint_has_a_verdict():
     after = np.array([0.05, 1.3, 3.0, 0.05])
     report = Report(
@@ -148,27 +131,11 @@ def test_a_faulty_channel_comes_first():
         assert page.index(message) < page.index("Error of each joint")
 
 
-def test_the_headline_names_few_effects_and_joints_and_counts_many():
-    report = Report(make_outcome(n_effects=2, unexplained=(1, 4)))
-    for said in ("joint 2", "joint 3", "joints 2 and 5", "4.3 %"):
-        assert said in report.headline
-    assert Report(make_outcome(n_effects=3)).headline.startswith("3 effects were")
-    named = make_outcome(nv=2, n_effects=0, unexplained=(1,), names=("base", "elbow"))
-    assert "joint 2 (elbow)" in Report(named).headline
-
-
-def test_an_effect_is_not_missing_if_the_held_out_error_did_not_fall():
-    outcome = make_outcome(n_effects=1)
-    assert " was missing; " in Report(outcome).headline
-    same = replace(outcome, error_after=outcome.error_before * 1.01)
-    assert "missing" not in Report(same).headline
-
-
 def test_plain_terms_have_an_error_of_their_own():
     outcome = make_outcome(nv=2, n_effects=1)
     plain = np.sqrt(outcome.error_before * outcome.error_after)
     added = ("offset", "rotor_inertia")
-    more = {"added": added, "error_plain": plain, "wide_plain": plain}
+    more = {"added": added, "error_plain": plain}
     report = Report(make_outcome(nv=2, n_effects=1, **more))
     errors = [outcome.error_before, plain, outcome.error_after]
     for error in errors:

@@ -55,16 +55,6 @@ def test_blocks_and_folds_divide_the_rows(lengths, correlation):
     assert blocks.length == pytest.approx(total / blocks.n_blocks)
 
 
-def test_blocks_are_of_like_length():
-    blocks = blocks_of([1000, 500])
-    count = np.bincount(blocks.label)
-    assert count.max() - count.min() <= 2
-    assert 40 <= blocks.n_blocks <= 61
-    assert np.bincount(blocks.label[:1000]).size == pytest.approx(
-        2 * np.unique(blocks.label[1000:]).size, abs=1
-    )
-
-
 def test_long_correlation_makes_fewer_blocks_but_not_too_few():
     many, some, few = (
         blocks_of([4000], correlation).n_blocks for correlation in (0.01, 0.4, 1e3)
@@ -78,22 +68,6 @@ def test_no_block_is_shorter_than_the_filter():
     blocks = blocks_of([600], filter_length=2.0)
     assert blocks.length >= 2.0
     assert FEWEST <= blocks.n_blocks <= 15
-
-
-def test_every_fold_has_blocks_from_all_over():
-    blocks = blocks_of([1200])
-    assert blocks.n_folds == 8
-    for k in range(8):
-        of_fold = np.unique(blocks.label[blocks.fold == k])
-        assert_array_equal(np.diff(of_fold), 8)
-
-
-def test_sums_are_over_each_block():
-    blocks = blocks_of([300, 200])
-    values = np.random.default_rng(0).normal(size=(500, 2))
-    expected = [values[blocks.label == b].sum(axis=0) for b in range(blocks.n_blocks)]
-    assert_allclose(blocks.sums(values), expected)
-    assert_allclose(blocks.sums(values[:, 0]), np.array(expected)[:, 0])
 
 
 def test_too_short_recordings_are_refused():
@@ -114,15 +88,6 @@ def test_correlation_time_of_an_autoregression(rho):
     assert found == pytest.approx(0.1 * (1 + rho) / (1 - rho), rel=0.25)
 
 
-def test_correlation_time_is_the_longest_of_the_joints():
-    x = np.column_stack([autoregression(0.2, 5000), autoregression(0.9, 5000, 1)])
-    both = correlation_time(x, np.ones_like(x), 0.1, np.array([0]))
-    slow = correlation_time(x[:, 1:], np.ones((5000, 1)), 0.1, np.array([0]))
-    assert both == slow
-    masked = correlation_time(x, np.array([1.0, 0.0]) * np.ones_like(x), 0.1, [0])
-    assert masked < 0.3 * both
-
-
 def test_correlation_does_not_reach_across_recordings():
     """Recordings that begin at other levels than those on which the last ended."""
     lengths = np.full(30, 60)
@@ -135,10 +100,6 @@ def test_correlation_does_not_reach_across_recordings():
     inside = correlation_time(jumping, np.ones_like(x), 1.0, starts)
     across = correlation_time(jumping, np.ones_like(x), 1.0, np.array([0]))
     assert across < 0.5 * inside
-
-
-def test_nothing_left_is_not_correlated():
-    assert correlation_time(np.zeros((50, 2)), np.ones((50, 2)), 1.0, [0]) == 0.0
 
 
 # -- memory
@@ -191,23 +152,6 @@ def test_slow_residuals_of_short_recordings_are_not_read_too_short():
     assert np.median(fast) == pytest.approx(1.0, rel=0.25)
 
 
-# Fitted to a random walk: the sum is one but for rounding.
-NEARLY = [
-    1.10321045412163,
-    -0.21069279173587957,
-    0.014057477304174656,
-    0.1660251864163003,
-    -0.2546898858867014,
-    0.0584275311953608,
-    0.12366202858511514,
-]
-
-
-def test_what_is_nearly_a_random_walk_has_no_negative_time():
-    assert 1.0 - sum(NEARLY) > 0
-    assert _integrated(np.array(NEARLY)) > 1e9
-
-
 def test_a_random_walk_is_correlated_for_ever():
     x = np.cumsum(np.random.default_rng(1).normal(size=300))
     memory = fit_memory(x, np.ones(300, bool), [0], 0.1)
@@ -235,17 +179,6 @@ def test_columns_and_torques_go_the_same_way():
     assert_allclose(white(y[[1]], [1]), white(y, [0, 1])[[1]])
 
 
-def test_missing_rows_do_not_break_the_memory():
-    """Rows after a gap still know the level before it."""
-    x = stationary(0.99, 3000) + 5.0
-    root = np.ones((3000, 1))
-    root[np.arange(3000) % 50 < 3] = 0.0
-    _, left = whitened(x, root)
-    after = np.flatnonzero(np.arange(3000) % 50 == 3)[1:]
-    assert left[after].std() < 3 * left[root[:, 0] > 0].std()
-    assert np.abs(left[after]).max() < 2.0
-
-
 def test_nothing_passes_from_one_recording_to_the_next():
     x = np.concatenate([stationary(0.9, 300, s) for s in range(4)])
     level = np.repeat([0.0, 50.0, 0.0, 50.0], 300)
@@ -264,19 +197,6 @@ def test_the_low_pass_is_no_memory():
     assert lagged(x) > 0.7
     assert lagged(left) > 0.6
     assert white.memory[0].time < 0.2
-
-
-def test_too_few_rows_have_no_memory():
-    x = stationary(0.9, 9)
-    memory = fit_memory(x, np.ones(9, bool), [0], 0.1)
-    assert memory.phi.size == 0
-    assert memory.time == 0.1
-
-
-def test_many_short_recordings_have_one_memory():
-    x = np.concatenate([stationary(0.9, 6, s) for s in range(80)])
-    memory = fit_memory(x, np.ones(480, bool), np.arange(0, 480, 6), 0.1)
-    assert memory.phi.sum() == pytest.approx(0.9, abs=0.05)
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from sklearn_vbjfa.effects import (
     TorqueGain,
 )
 from tests.diagnosis._faulty import PLAIN, with_faults
-from tests.diagnosis.search._searches import coulomb, search
+from tests.diagnosis.search._searches import search
 
 TILT, ZERO, GAIN = BaseTilt(0, 0.07, -0.04), JointZero(1, 0.05), TorqueGain(1, 1.2)
 LIBRARY = ("base_tilt", "joint_zero", "joint_axis", "torque_gain", "coulomb")
@@ -45,13 +45,6 @@ def test_the_same_corrections_are_the_same_view(view):
     assert one.corrected([ZERO, Coulomb(0), TILT]) is one
     assert view.corrected([TILT, JointZero(1, 0.06)]) is not one
     assert view.corrected([TILT, JointZero(2, 0.05)]) is not one
-
-
-def test_what_corrects_nothing_is_no_correction(view):
-    assert view.corrected(()) is view
-    assert view.corrected([Coulomb(0), BaseTilt(), TorqueGain(1)]) is view
-    # From any of its corrected views the way leads back.
-    assert view.corrected([TILT]).corrected([Coulomb(1)]) is view
 
 
 def test_rows_blocks_and_weights_stay(view):
@@ -87,16 +80,6 @@ def test_equations_are_those_of_an_identifier_with_the_corrected_model(view, eff
     assert_allclose(other.equations.Phi, gains[:, None] * expected.Phi, atol=1e-9)
     assert_allclose(other.equations.tau, expected.tau)
     assert_array_equal(other.gains, gains)
-
-
-def test_views_that_are_let_go_are_made_again_as_they_were(view):
-    first = view.corrected([TILT])
-    Phi = first.equations.Phi
-    for k in range(10):
-        view.corrected([JointZero(1, 0.01 * (k + 1))])
-    again = view.corrected([TILT])
-    assert again is not first
-    assert_array_equal(again.equations.Phi, Phi)
 
 
 def test_columns_pass_the_channel_as_the_torque_does(view):
@@ -169,24 +152,6 @@ def test_values_are_linearised_until_they_stay(truth):
     # The model is of the corrected robot.
     assert path.view is fit.problem.view
     assert path.view is not path.view.corrected(())
-
-
-def test_the_base_of_the_evidence_is_the_description():
-    """A corrected robot must not make the effect that corrected it improbable."""
-    path, fit = placed(searched([TILT]), [BaseTilt()])
-    path._noise = fit
-    assert path.log_odds(fit)[0] > 50
-    assert path.own_odds(fit)[0] > 20
-
-
-def test_other_effects_are_judged_on_the_corrected_robot():
-    now = searched([TILT], joint_2=coulomb(1.0))
-    path, fit = placed(now, [BaseTilt(), Coulomb(1)])
-    tilt, friction = (m.effect for m in fit.members)
-    assert path.view is now.view.corrected([tilt])
-    assert_allclose(tilt.values, TILT.values, atol=0.02)
-    (k,) = (i for i, m in enumerate(fit.members) if m.effect is friction)
-    assert_allclose(fit.coefficients(k), [1.0], atol=0.05)
 
 
 def test_a_gain_changes_the_robot_for_what_comes_later():

@@ -37,21 +37,6 @@ def test_they_are_orthonormal_and_invertible(starts):
     assert_allclose(cosines.rows(cosines(x, [0, 1])), x, atol=1e-12)
 
 
-def test_recordings_do_not_mix():
-    cosines = Cosines(view(starts=(0, 80)))
-    x = np.zeros((1, 200))
-    x[0, :80] = np.random.default_rng(0).normal(size=80)
-    back = cosines.rows(cosines(x, [0]))
-    assert_allclose(back[0, 80:], 0.0, atol=1e-14)
-    # The constant of each is a cosine of its own, in the slowest band.
-    for rows in (slice(0, 80), slice(80, 200)):
-        one = np.zeros((1, 200))
-        one[0, rows] = 1.0
-        (places,) = np.nonzero(np.abs(cosines(one, [0])[0]) > 1e-9)
-        assert places.size == 1
-        assert cosines.band[places] == 0
-
-
 def test_what_lies_above_the_low_pass_is_left_out():
     nyquist = 0.5 / STEP
     cosines = Cosines(view(cutoff=nyquist / 4))
@@ -78,15 +63,6 @@ def test_gaps_are_bridged_by_straight_lines():
     # The other joint lacks nothing.
     assert_allclose(both[1], broken, atol=1e-10)
     assert_allclose(cosines.fill, [1 - len(gap) / 200, 1.0])
-
-
-def test_gaps_are_not_bridged_from_one_recording_to_the_next():
-    gap = [*range(70, 90), *range(150, 200)]
-    cosines = Cosines(view(starts=(0, 80, 150), missing=gap))
-    x = np.repeat([1.0, 5.0, 9.0], [80, 70, 50])
-    x[gap] = 0.0
-    (back,) = cosines.rows(cosines(x[None], [0]))
-    assert_allclose(back, np.repeat([1.0, 5.0, 0.0], [80, 70, 50]), atol=1e-10)
 
 
 def test_bands_are_half_octaves_from_the_slowest():
@@ -134,41 +110,6 @@ def test_the_spectrum_of_an_autoregression_is_found(keep):
     truth = 1.0 / np.abs(1 - keep * np.exp(-1j * angle)) ** 2
     band_mean = np.bincount(cosines.band, truth) / np.bincount(cosines.band)
     assert_known(cosines, variance / band_mean[cosines.band])
-
-
-def test_a_band_of_few_cosines_follows_its_neighbours():
-    octave = np.arange(12) / 2
-    power, freedom = np.full((1, 12), 1.0), np.full((1, 12), 200.0)
-    power *= freedom
-    for few in (1.0, 3.0, 400.0):
-        freedom[0, 5], power[0, 5] = few, 0.01 * few
-        found = Spectrum.of(power, freedom, octave, 0.3).variance[0]
-        if few < 10:
-            assert 0.3 < found[5] < 1.1
-        else:
-            assert found[5] < 0.05
-    # Of none it is what lies between them.
-    freedom[0, 5] = 0.0
-    found = Spectrum.of(power, freedom, octave, 0.3).variance[0]
-    assert_allclose(found, 1.0, rtol=0.02)
-
-
-def test_joints_that_are_not_heard_have_no_weight():
-    power = np.array([[1.0, 2.0, 3.0], [0.0, 0.0, 0.0]])
-    spectrum = Spectrum.of(power, np.full((2, 3), 9.0), np.arange(3.0), 1.0)
-    cosines = SimpleNamespace(fill=np.array([0.5, 1.0]), edges=np.arange(4))
-    weights = spectrum.weights(cosines)
-    assert_array_equal(weights[1], 0.0)
-    assert_allclose(weights[0], 0.5 / spectrum.variance[0])
-
-
-def test_the_unit_of_the_torque_does_not_matter():
-    rng = np.random.default_rng(0)
-    power, freedom = rng.gamma(3.0, size=(2, 9)), np.full((2, 9), 6.0)
-    one = Spectrum.of(power, freedom, np.arange(9.0), 1.0)
-    other = Spectrum.of(1e6 * power, freedom, np.arange(9.0), 1.0)
-    assert_allclose(other.variance, 1e6 * one.variance, rtol=1e-5)
-    assert other.log_prior == pytest.approx(one.log_prior, abs=1e-4)
 
 
 def test_a_crooked_spectrum_is_less_probable():

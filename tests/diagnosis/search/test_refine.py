@@ -33,11 +33,6 @@ def test_the_best_place_between_two_points_is_found():
     assert best.vs == pytest.approx(truth, rel=0.01)
 
 
-def test_what_is_no_better_between_stays_on_the_grid():
-    start = effects.Stribeck(1, vs=GRID[2])
-    assert refined([start], lambda e: float(e.vs == GRID[2]), MOTION) is start
-
-
 def two_recordings():
     half = MOTION.t.size // 2
     parts = (slice(0, half), slice(half, MOTION.t.size))

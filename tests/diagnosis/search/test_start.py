@@ -12,7 +12,7 @@ from tests.diagnosis.search._searches import stribeck
 
 ARM = record("ZY", seed=4, duration=30.0)
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
-STARTS = ((), ("rotor_inertia", "coulomb"), PLAIN)
+STARTS = ((), PLAIN)
 
 
 def lacking():
@@ -80,25 +80,6 @@ def test_the_three_errors_are_those_of_the_three_models(loops):
         assert_allclose(rms, error, rtol=0.2)
 
 
-def test_a_library_of_one_effect_has_the_plain_terms_beside_it():
-    loop = ARM.discover(
-        ARM.torque(joint_1=lambda r: 3.0 * r.q[:, 0]),
-        ["spring"],
-        robot=ARM.robot(friction=()),
-    )
-    assert named(loop) == [("spring", 0)]
-    assert loop.added_ == PLAIN
-    assert_allclose(loop.error_after_, loop.report_.outcome.floor, rtol=0.3)
-
-
-def test_no_effects_are_wanted_but_the_plain_terms_stay():
-    loop = ARM.discover(lacking(), robot=ARM.robot(friction=()), max_effects=0)
-    assert loop.effects_ == ()
-    assert loop.added_ == PLAIN
-    assert (loop.error_after_ == loop.error_plain_).all()
-    assert "with the four plain terms" in loop.report_.verdict
-
-
 # -- what is not the robot's
 
 
@@ -109,11 +90,3 @@ def test_a_sample_period_that_is_off_by_two_per_cent_does_not_matter():
     for factor in (0.98, 1.02):
         loop = ARM.discover(torque, robot=ARM.robot(dt=factor * DT))
         assert named(loop) == [("spring", 0), ("stribeck", 1)]
-
-
-def effects_of(robot, position, torque, labels):
-    from sklearn_vbjfa import EffectDiscovery
-
-    names = ["coulomb", "offset", "rotor_inertia", "stribeck", "spring", "presliding"]
-    loop = EffectDiscovery(robot, effects=names)
-    return loop.fit(position, torque, groups=labels)

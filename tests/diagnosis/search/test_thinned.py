@@ -51,25 +51,6 @@ def identifier(recorded):
 # -- every so many samples
 
 
-def test_short_recordings_are_looked_at_as_a_whole():
-    n = _thinned._SAMPLES
-    assert _thinned.stride(n, LOWPASS) == 1
-    parts = [slice(0, 20_000), slice(20_000, n)]
-    rows, label = _thinned.stretches(parts, moving(n), LOWPASS)
-    assert_array_equal(rows, np.arange(n))
-    assert_array_equal(label, np.arange(n) >= 20_000)
-    assert _thinned.coarser(LOWPASS, 1) is LOWPASS
-    assert _thinned.coarser_rows(parts, LOWPASS, 1) == (slice(None), tuple(parts))
-
-
-@pytest.mark.parametrize("cutoff", [2.0, 5.0, 23.0, 80.0, np.inf])
-def test_enough_samples_are_left_of_each_filtered_row(cutoff):
-    lowpass = _lowpass.design(0.001, cutoff)
-    every = _thinned.stride(10**7, lowpass)
-    assert lowpass.step % every == 0
-    assert every == 1 or lowpass.step // every >= _thinned._PER_ROW
-
-
 @pytest.mark.parametrize("every", [2, 5, 10])
 def test_a_coarser_filter_has_the_same_outputs_at_the_same_rows(every):
     sizes = [700, 726, 727, 728, 1400, 5003]
@@ -108,32 +89,6 @@ def test_stretches_do_not_grow_with_the_recording():
         assert (np.diff(rows)[inside] == 1).all()
         assert (np.diff(rows) >= 1).all()
     assert counts[0] == counts[1]
-
-
-def test_a_joint_that_seldom_moves_has_its_share():
-    n = 2 * 10**6
-    moves = moving(n)
-    moves[:, 1] = False
-    moves[1_200_000:1_300_000, 1] = True
-    rows, _ = _thinned.stretches([slice(0, n)], moves, LOWPASS)
-    share = moves[rows].sum(axis=0) / moves.sum(axis=0)
-    assert share[1] > 1.5 * share[0]
-
-
-def test_short_recordings_come_in_turns_whatever_their_order():
-    rng = np.random.default_rng(0)
-    sizes = 8_000 + np.arange(300)
-    found = []
-    for order in (np.arange(300), rng.permutation(300)):
-        edges = np.cumsum(np.r_[0, sizes[order]])
-        parts = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-        rows, label = _thinned.stretches(parts, moving(edges[-1]), LOWPASS)
-        most = _thinned._SAMPLES * _thinned.stride(edges[-1], LOWPASS)
-        assert rows.size <= most
-        own = np.searchsorted(edges, rows, side="right") - 1
-        found.append(set(sizes[order][own]))
-        assert np.unique(label).size == np.unique(own).size
-    assert found[0] == found[1]
 
 
 # -- in the loop

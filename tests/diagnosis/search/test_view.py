@@ -8,7 +8,6 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.diagnosis.search import Cosines
 from sklearn_vbjfa.diagnosis.search._view import reduced
 from sklearn_vbjfa.robot import Equations
 from tests.diagnosis._recordings import DT
@@ -50,30 +49,6 @@ def test_filter_and_blocks_respect_recordings():
     first = np.flatnonzero(view.index >= 500)[0]
     assert_array_equal(view.starts, [0, first])
     assert view.blocks.label[first] == view.blocks.label[first - 1] + 1
-
-
-def test_a_family_has_every_shape_of_the_grid():
-    view = search(CLEAN.torque(), ["drift"]).view
-    motion = view.motion(None)
-    cosines = Cosines(view)
-    family = view.family(effects.Drift(0), motion, cosines)
-    shapes = effects.Drift(0).shapes(motion)
-    assert [e.shape() for e in family.effects] == [
-        effects.Drift(0, **shape).shape() for shape in shapes
-    ]
-    for k, effect in enumerate(family.effects):
-        rows = view.columns([effect], motion)[:, :, 0]
-        own, size = cosines(rows, [0]), np.sqrt((rows**2).mean(axis=1))
-        assert_allclose(family.columns[:, :, k, : own.shape[2]], own, atol=1e-12)
-        assert_allclose(family.size[:, k, : own.shape[2]], size, rtol=1e-12)
-        assert not family.columns[:, :, k, own.shape[2] :].any()
-    # It is kept, unless another load changes it.
-    assert view.family(effects.Drift(0), view.motion(None), cosines) is family
-    theta = np.zeros(view.Z.shape[2])
-    one, other = view.motion(theta), view.motion(theta)
-    loaded = view.family(effects.LoadFriction(0), one, cosines)
-    assert view.family(effects.LoadFriction(0), one, cosines) is loaded
-    assert view.family(effects.LoadFriction(0), other, cosines) is not loaded
 
 
 # -- reduction

@@ -8,7 +8,6 @@ import shlex
 import signal
 import sys
 
-from sklearn_vbjfa import _lazily
 from sklearn_vbjfa._cli._run import (
     DOUBTFUL,
     EPILOG,
@@ -19,19 +18,6 @@ from sklearn_vbjfa._cli._run import (
     say,
     wrapped,
 )
-
-# What commands and tests need of the others; `main` and `program` are for users.
-_MODULES = {
-    "_close_loop": ("close", "left_out_lines", "report_doubts", "write_parameters"),
-    "_input": (
-        "check_folder",
-        "check_overwriting",
-        "default_folder",
-        "no_formula",
-        "sources",
-    ),
-}
-__getattr__, __dir__ = _lazily(__name__, _MODULES)
 
 # Longest message [characters].
 _LONGEST = 900
@@ -303,8 +289,8 @@ _COMMANDS = {
         "--effects --seed --quiet",
         "overrides": {
             "--urdf": {
-                "help": "description of the robot; with --report, by default that of "
-                "the report"
+                "help": "description of the robot, where no report has an identified "
+                "one"
             },
             "--out": {
                 "default": "motion.csv",

@@ -32,7 +32,7 @@ def run(arguments, folder):
     """Close the loop on a user's recording and write the files."""
     files, urdf = _input.sources(arguments.recording), _input.expanded(arguments.urdf)
     source, default = _input.named(files), _input.default_folder(files)
-    out = _input.free_folder(arguments, default, _FILES, (*files, urdf))
+    out = _input.free_folder(arguments, default, _FILES)
     ranges = _input.ranges_file(arguments)
     settings, library = _input.settings(arguments), _input.library(arguments.effects)
     loaded = _input.load(arguments, folder)

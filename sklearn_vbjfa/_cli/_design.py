@@ -13,8 +13,6 @@ from sklearn_vbjfa._core._progress import stage
 
 # Options that replace limits of the description.
 _LIMITS = ("velocity", "acceleration", "torque")
-# Descriptions whose joints lie farther apart [m, or cosines] are of different robots.
-_APART = 1e-4
 # What to give where the description lacks a limit.
 _ADVICE = {
     "position": "give its range in metres in the description",
@@ -226,7 +224,7 @@ def _identified(arguments, path, found, folder):
     from sklearn_vbjfa.design import KnownRobot
 
     _input.refuse_given(
-        arguments, ("base_orientation",), f"is that of {path}; leave it out"
+        arguments, ("urdf", "base_orientation"), f"is that of {path}; leave it out"
     )
     robot = load_identified(path)
     names, model = robot.joint_names_, robot.features_.nominal_
@@ -240,11 +238,7 @@ def _identified(arguments, path, found, folder):
     file = provenance.get("description") or str(path)
     description = folder / "described.urdf"
     description.write_text(robot.description_, encoding="utf-8")
-    if arguments.urdf is not None:
-        description = _input.expanded(arguments.urdf)
-        file = str(description)
-        model = _agreeing(description, model, path)
-    elif file != str(path) and Path(file).is_file():
+    if file != str(path) and Path(file).is_file():
         # Meshes lie beside the file itself.
         description = Path(file)
     gains = robot.gains_
@@ -266,38 +260,6 @@ def _without_torque_limits(model):
     model = model.copy()
     model.effortLimit = np.full(model.nv, np.inf)
     return model
-
-
-def _agreeing(urdf, model, path):
-    """Return the model of a description, refused if it is of another robot."""
-    from sklearn_vbjfa.model import joint_names, load_reduced, movable_joints
-
-    names = joint_names(model)
-    if not urdf.is_file():
-        raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    movable = movable_joints(urdf)
-    missing = [name for name in names if name not in movable]
-    if missing:
-        raise ValueError(
-            f"{urdf} has no joint {missing[0]}, which {path} was identified with; it "
-            f"has {', '.join(movable)}. Leave --urdf out, or give the description that "
-            "close-loop was run with."
-        )
-    described = load_reduced(urdf, names)
-    order = joint_names(described)
-    for j, name in enumerate(names, 1):
-        k = order.index(name) + 1
-        # What holds a joint may come from elsewhere where others are held.
-        ours, theirs = described.jointPlacements[k], model.jointPlacements[j]
-        apart = np.abs(ours.homogeneous - theirs.homogeneous).max()
-        turned = described.joints[k].shortname() != model.joints[j].shortname()
-        if turned or apart > _APART:
-            what = "its axis" if turned else f"its place, by {apart:.3g}"
-            raise ValueError(
-                f"{urdf} is not the robot of {path}: {name} differs in {what}. Leave "
-                "--urdf out, or give the description that close-loop was run with."
-            )
-    return described
 
 
 def _period(robot, found):

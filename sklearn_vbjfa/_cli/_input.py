@@ -16,14 +16,10 @@ import numpy as np
 from sklearn_vbjfa._cli import spelled
 from sklearn_vbjfa._cli._run import blaming
 
-# What the file of --ranges is called in messages.
-_RANGES = "ranges.json"
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 # Fewer consecutive samples show nothing.
 _MIN_SAMPLES = 64
-# What the files of a run take at most [bytes].
-_ROOM = 8 << 20
 # Warnings about channels that are left out of what was asked for.
 _LEFT_OUT = ("coarse_torque", "still_joint")
 
@@ -215,14 +211,23 @@ def library(text):
     return text if text == "all" else names("--effects", text, effects.available())
 
 
-def free_folder(arguments, default, names, inputs):
+def free_folder(arguments, default, names):
     """Return the folder for files, refused if it holds what is not to be lost."""
+    # names: what a run writes to it.
     out = expanded(arguments.out or default)
     check_folder(out)
-    if arguments.force:
+    if arguments.force or not out.is_dir():
         return out
-    check_overwriting(out, names, inputs)
-    there = [name for name in names if (out / name).exists()]
+    # Hidden files are those of folders and editors.
+    held = {path.name for path in out.iterdir() if not path.name.startswith(".")}
+    foreign, there = sorted(held.difference(names)), sorted(held.intersection(names))
+    if foreign:
+        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
+        raise Refused(
+            f"{out} holds {', '.join(foreign[:3])}{more}, which no run has written; "
+            "give a folder of its own, or --force to write beside what is there",
+            {"out": str(free(out / "report"))},
+        )
     if not there:
         return out
     other = free(out)
@@ -243,19 +248,16 @@ def ranges_file(arguments):
     """Return the path of --ranges, refused before the work begins; None for none."""
     if arguments.ranges is None:
         return None
-    out, wrong = expanded(arguments.ranges), ""
-    if out.is_dir():
-        wrong, out = (
-            f"{out} is a folder, where --ranges must name a file",
-            out / _RANGES,
+    out = expanded(arguments.ranges)
+    if out.is_dir() or (out.exists() and not arguments.force):
+        raise Refused(
+            f"{out} exists; give another --ranges", {"ranges": str(free(out))}
         )
-    elif not out.parent.is_dir():
-        wrong = f"{out.parent} is not a folder, where --ranges writes {out.name}"
-        out = Path(out.name)
-    elif out.exists() and not getattr(arguments, "force", False):
-        wrong = f"{out} exists; give another --ranges"
-    if wrong:
-        raise Refused(wrong, {"ranges": str(free(out))})
+    if not out.parent.is_dir():
+        raise Refused(
+            f"{out.parent} is not a folder, where --ranges writes {out.name}",
+            {"ranges": str(free(Path(out.name)))},
+        )
     _check_room(out.parent, "--ranges")
     return out
 
@@ -470,36 +472,6 @@ def no_formula(cell):
     return f"'{text}" if is_formula else text
 
 
-def check_overwriting(out, names, inputs):
-    """Refuse, before the work begins, to write over or among files of others."""
-    # names: what a run writes to the folder.
-    if not out.is_dir():
-        return
-    for name in names:
-        for given in inputs:
-            if (out / name).exists() and given.exists() and given.samefile(out / name):
-                raise Refused(
-                    f"{given} is read by this run, which would write over it; give "
-                    "another folder, or --force to lose it",
-                    {"out": str(_beside(out))},
-                )
-    # Hidden files are those of folders and editors.
-    held = {p.name for p in out.iterdir() if not p.name.startswith(".")}
-    foreign = sorted(held.difference(names))
-    if foreign:
-        more = f" and {len(foreign) - 3} more" if len(foreign) > 3 else ""
-        raise Refused(
-            f"{out} holds {', '.join(foreign[:3])}{more}, which no run has written; "
-            "give a folder of its own, or --force to write beside what is there",
-            {"out": str(_beside(out))},
-        )
-
-
-def _beside(out):
-    """Name a folder in it that does not exist, for a message."""
-    return free(out / "report")
-
-
 def free(wanted):
     """Return a path, with a number after its stem if there is something already."""
     # Of a folder a point in the name begins no ending.
@@ -527,16 +499,13 @@ def check_folder(out, needs="must name a folder", ending="-report"):
 
 def _check_room(folder, option="--out"):
     """Refuse, before the work begins, a folder that takes no files."""
-    # Rights, a read-only or special file system, a full disk, a quota: trying knows.
+    # Rights, a read-only or special file system: trying knows.
     try:
-        with tempfile.TemporaryFile(dir=folder) as file:
-            file.write(bytes(_ROOM))
+        with tempfile.TemporaryFile(dir=folder):
+            pass
     except OSError as error:
-        reason = error.strerror
-        if error.errno == errno.ENOENT:
-            reason = "it takes no files"
-        elif error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            reason += f", for the {_ROOM >> 20} MB that the files of a run may take"
+        none = error.errno == errno.ENOENT
+        reason = "it takes no files" if none else error.strerror
         raise ValueError(
             f"{folder} cannot be written to ({reason}); give another {option}."
         ) from error

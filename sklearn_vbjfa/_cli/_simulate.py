@@ -27,8 +27,6 @@ _OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
 _OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
 # What a robot is called whose bodies are those of the description.
 _DESCRIBED = "as described"
-# Most windows that failed and are named.
-_MOST_NAMED = 5
 _WIDTH = 80  # characters of a line
 
 
@@ -37,9 +35,7 @@ def run(arguments, folder):
     _check(arguments)
     files = _input.sources(arguments.recording or "demo")
     source, default = _input.named(files), _input.default_folder(files, "simulation")
-    given = filter(None, (arguments.urdf, arguments.model))
-    inputs = (*files, *map(_input.expanded, given))
-    out = _input.free_folder(arguments, default, (_TABLE,), inputs)
+    out = _input.free_folder(arguments, default, (_TABLE,))
     take = _identified if arguments.model is None else _saved
     task = take(arguments, source, folder)
     with blaming(source):
@@ -154,32 +150,13 @@ def _followed(task, times, seconds):
         _windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
         for *one, settings in cuts
     ]
-    one, left = one.robot_, ""
-    # Of several robots the first is the one to compare with; torques that have a unit
-    # of their own are not those of a description.
-    if len(task.robots) == 1 and one.gains_ is None:
+    left = ""
+    # Torques that have a unit of their own are not those of a description.
+    if len(task.robots) == 1 and one.robot_.gains_ is None:
         try:
-            described = [
-                follow_windows(
-                    one.described(),
-                    task.drive,
-                    *result,
-                    beside=next(iter(windows.values())),
-                    **settings,
-                )
-                for (*result, settings), windows in zip(cuts, found)
-            ]
-            failed = [x for result in described for x in result.failures]
-            left = failed[0].message if failed else ""
+            found = _with_described(one.robot_, task.drive, cuts, found)
         except ValueError as error:
-            left = str(error)
-        if left:
-            left = f"{_DESCRIBED}: left out. {left}"
-        else:
-            found = [
-                {_DESCRIBED: result, **windows}
-                for result, windows in zip(described, found)
-            ]
+            left = f"{_DESCRIBED}: left out. {error}"
     *whole, windows = found
     whole = tuple(
         {
@@ -189,6 +166,20 @@ def _followed(task, times, seconds):
         for each, rows in zip(whole, part.segments)
     )
     return {"windows": windows, "whole": whole, "left": left}
+
+
+def _with_described(robot, drive, cuts, found):
+    """Put the robot of the description first, in the same windows of each cut."""
+    from sklearn_vbjfa.robot import follow_windows
+
+    described, both = robot.described(), []
+    for (*part, settings), windows in zip(cuts, found):
+        beside = next(iter(windows.values()))
+        own = follow_windows(described, drive, *part, beside=beside, **settings)
+        if own.failures:
+            raise ValueError(own.failures[0].message)
+        both.append({_DESCRIBED: own, **windows})
+    return both
 
 
 def _saved(arguments, source, folder):
@@ -388,8 +379,7 @@ def errors_text(simulated, seconds):
     one = next(iter(windows.values()))
     whole = ~np.any([result.failed for result in windows.values()], axis=0)
     scale, units = one.scales
-    positions, velocities = {"": one.joint_names, "unit": units}, {}
-    velocities |= {"": one.joint_names, "unit": [f"{unit}/s" for unit in units]}
+    positions = {"": one.joint_names, "unit": units}
     for label, result in (windows | one.rivals).items():
         errors = result.errors[whole] * scale
         positions[label] = _over_windows(errors, _rms)
@@ -397,8 +387,6 @@ def errors_text(simulated, seconds):
             # Heads differ in blanks where two models are simulated.
             head = f"median{' ' * list(windows).index(label)}"
             positions[head] = _over_windows(errors, _median)
-        speeds = result.velocity_errors[whole] * scale
-        velocities[label] = _over_windows(speeds, _rms)
     which = "all" if whole.all() else f"{whole.sum()} of"
     lines = [
         str(simulated.recording),
@@ -408,9 +396,6 @@ def errors_text(simulated, seconds):
         _tabulated(positions),
         "",
         *_over_all(simulated),
-        "velocity error",
-        _tabulated(velocities),
-        "",
         *_said_windows(simulated, f"{which} {whole.size} windows"),
     ]
     if simulated.left:
@@ -423,9 +408,9 @@ def errors_text(simulated, seconds):
         who = f"{label}: " if len(windows) > 1 else ""
         lines += ["", *_verdict(who, result)]
         if result.failures:
-            lines.append(who + _failed(simulated, result))
+            lines += textwrap.wrap(who + _failed(simulated, result), _WIDTH)
         if result.run_away.any():
-            lines.append(who + _run_away(simulated, result))
+            lines += textwrap.wrap(who + _run_away(simulated, result), _WIDTH)
     return "\n".join(lines)
 
 
@@ -519,9 +504,12 @@ def _verdict(who, windows):
 
 
 def _failed(simulated, windows):
-    """Name windows that were not simulated to their end, and why."""
-    why = {one.window: one.message for one in windows.failures}
-    return _listed(simulated, windows, f"{_failed_count(windows)} failed:", why)
+    """Say how many windows were not simulated to their end, and why the first was."""
+    first = windows.failures[0]
+    return (
+        f"{_failed_count(windows)} failed (see {_TABLE}), the first at "
+        f"{_placed(simulated, windows, first.window)}: {first.message}"
+    )
 
 
 def _ended(windows):
@@ -543,20 +531,14 @@ def _away_count(windows):
 
 
 def _run_away(simulated, windows):
-    """Name windows in which joints ran away."""
-    than = " and ".join(windows.rivals)
-    head = f"{_away_count(windows)} joints ran away, farther off than {than} "
-    names, away = np.array(windows.joint_names), windows.run_away
-    found = {k: ", ".join(names[away[k]]) for k in np.flatnonzero(away.any(axis=1))}
-    return _listed(simulated, windows, f"{head}in any:", found)
-
-
-def _listed(simulated, windows, head, said):
-    """Name the first of some windows, number -> what is said of it; count the rest."""
-    first, rest = list(said.items())[:_MOST_NAMED], len(said) - _MOST_NAMED
-    lines = [f"- {_placed(simulated, windows, k)}: {text}" for k, text in first]
-    more = [f"- and {rest} more; see {_TABLE}"] if rest > 0 else []
-    return "\n".join([head, *lines, *more])
+    """Say in how many windows joints ran away, and which in the first of them."""
+    k = np.flatnonzero(windows.run_away.any(axis=1))[0]
+    joints = ", ".join(np.array(windows.joint_names)[windows.run_away[k]])
+    return (
+        f"{_away_count(windows)} joints ran away, farther off than "
+        f"{' and '.join(windows.rivals)} in any, first {joints} at "
+        f"{_placed(simulated, windows, k)}"
+    )
 
 
 def _placed(simulated, windows, k):

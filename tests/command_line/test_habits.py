@@ -1,4 +1,4 @@
-"""Command line: files of others stay, runs that are stopped end in one line."""
+"""Command line: what a refusal offers, and how a process ends."""
 
 import os
 import subprocess
@@ -37,29 +37,7 @@ def refused(monkeypatch, tmp_path):
     return let
 
 
-# -- what is overwritten ---------------------------------------------------------------
-
-
-@pytest.mark.parametrize("command", ["close-loop", "simulate"])
-def test_an_input_is_not_written_over(command, tmp_path, capsys):
-    out = tmp_path / "out"
-    out.mkdir()
-    table = out / {"close-loop": "parameters.csv"}.get(command, "simulation.csv")
-    table.write_text("t,q1,tau1\n")
-    # the same file by another path
-    other = tmp_path / "log.csv"
-    other.symlink_to(table)
-    robot = tmp_path / "arm.urdf"
-    robot.write_text("<robot/>")
-    argv = [command, str(other), "--urdf", str(robot), "--out", str(out)]
-    assert main(argv) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "log.csv is read by this run, which would write over it" in line
-    assert "--force" in line
-    assert main([*argv, "--force"]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert "write over" not in line
-    assert table.read_text() == "t,q1,tau1\n"
+# -- commands that would work ----------------------------------------------------------
 
 
 @pytest.mark.parametrize("given", [["--out", "log.csv"], ["--out=log.csv"]])
@@ -121,12 +99,6 @@ def test_a_full_disk(argv, stream, code, said):
     assert result.returncode == code
     assert said in (result.stderr or "")
     assert "Traceback" not in (result.stderr or "")
-
-
-# -- tables ----------------------------------------------------------------------------
-
-
-# -- texts -----------------------------------------------------------------------------
 
 
 # -- being stopped ---------------------------------------------------------------------

@@ -82,7 +82,7 @@ def run(capsys, *argv):
 
 def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
     path = write(PLAIN)
-    argv = ["close-loop", table, "--urdf", path, "--effects", "spring"]
+    argv = ["close-loop", table, "--urdf", path, "--effects", "none"]
     code, out, err = run(capsys, *argv)
     assert code == 0
     assert err == ""
@@ -120,7 +120,7 @@ def test_held_joints_of_mjcf(write, table, capsys):
     assert "loose (JointModelFreeFlyer" in err
     assert "--joints" in err
     joints = ["--joints", "shoulder,elbow"]
-    argv = ["close-loop", table, "--urdf", path, *joints, "--effects", "spring"]
+    argv = ["close-loop", table, "--urdf", path, *joints, "--effects", "none"]
     code, out, _ = run(capsys, *argv)
     assert code == 0
     assert "held at zero" not in out

@@ -1,6 +1,7 @@
 """Robots that are in no collection: chains with drawn bodies, written as URDF."""
 
 import numpy as np
+from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.design import best_drawn, pose
 
@@ -41,10 +42,16 @@ def chain(folder, kinds, *, seed=0, effort=40.0, velocity=2.0, reach=1.5, name="
     return path
 
 
+def posed(model, *, random_state=0, **kwargs):
+    """Return the task of a design."""
+    asked = {"duration": 4.0, "dt": 0.02, "limits": None, "effects": ()}
+    asked |= {"report": None, "start": None} | kwargs
+    rng = check_random_state(random_state)
+    return pose(model, rng=rng, **asked)
+
+
 def problem_of(model, **kwargs):
     """Return the problem of a design, and the best motion that it sets out from."""
-    asked = {"duration": 4.0, "dt": 0.02, "limits": None, "effects": ()}
-    asked |= {"report": None, "start": None, "random_state": 0} | kwargs
-    rng = np.random.RandomState(asked.pop("random_state"))
-    problem = pose(model, rng=rng, **asked).problem
+    rng = check_random_state(kwargs.pop("random_state", 0))
+    problem = posed(model, random_state=rng, **kwargs).problem
     return problem, best_drawn(problem, rng)[0]

@@ -13,7 +13,7 @@ from sklearn_vbjfa.design import (
     worth,
 )
 from sklearn_vbjfa.recording import find_repetition
-from tests.design._chains import chain, problem_of
+from tests.design._chains import chain, posed, problem_of
 
 pin = pytest.importorskip("pinocchio")
 
@@ -138,16 +138,12 @@ def test_it_is_worth_more_than_random_motions(path, motion):
     assert motion.condition_number < motion.start_condition_number
 
 
-@pytest.mark.parametrize(
-    "kinds", [("revolute",), ("prismatic",), ("continuous", "revolute")]
-)
-def test_small_robots(tmp_path, kinds):
-    path = chain(tmp_path, kinds, effort=80.0)
-    motion = design_motion(path, **SHORT)
+def test_a_joint_that_slides(tmp_path):
+    motion = design_motion(chain(tmp_path, ("prismatic",), effort=80.0), **SHORT)
     assert motion.within_limits
-    assert motion.q.shape == (150, len(kinds))
+    assert motion.q.shape == (150, 1)
     assert np.isfinite(motion.condition_number)
-    assert np.ptp(motion.q, axis=0).min() > 0.3
+    assert np.ptp(motion.q) > 0.3
 
 
 @pytest.mark.slow
@@ -161,12 +157,12 @@ def test_seven_joints_have_a_motion_to_set_out_from(tmp_path):
 
 
 def test_a_start_is_kept(tmp_path):
-    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0)
-    start = np.array([0.4, -0.7])
+    path = chain(tmp_path, ("continuous",), effort=60.0)
+    start = np.array([0.4])
     motion = design_motion(path, start=start, **SHORT)
     np.testing.assert_allclose(motion.q[0], start, atol=1e-9)
-    np.testing.assert_allclose(motion.states([3.0])[0, :2], start, atol=1e-9)
-    np.testing.assert_allclose(motion.states([0.0, 3.0])[:, 2:], 0.0, atol=1e-8)
+    np.testing.assert_allclose(motion.states([3.0])[0, :1], start, atol=1e-9)
+    np.testing.assert_allclose(motion.states([0.0, 3.0])[:, 1:], 0.0, atol=1e-8)
     assert motion.within_limits
     assert np.ptp(motion.q, axis=0).min() > 0.3
 
@@ -312,7 +308,7 @@ def value_of(problem, z):
 
 @pytest.mark.parametrize(
     ("reach", "velocity", "acceleration", "duration"),
-    [(0.3, 2.0, 20.0, 1.5), (0.3, 0.5, 2.0, 4.0), (1.5, 2.0, 20.0, 1.5)],
+    [(0.3, 0.5, 2.0, 4.0), (1.5, 2.0, 20.0, 1.5)],
 )
 def test_two_per_cent_are_left_to_all_limits(
     tmp_path, reach, velocity, acceleration, duration
@@ -405,11 +401,13 @@ def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
     for encoder, torque, close in ((3e-3, 0.01, 0.15), (0.0, 0.2, 1e-3)):
         q, tau = swung(path, encoder)
         robot = RobotIdentifier(path, dt=dt, torque_noise=torque).fit(q, tau)
-        motion = design_motion(robot, limits=limits_of(1), duration=3.0, dt=dt)
-        band = 3.0 * motion.curve.highest
+        task = posed(robot, limits=limits_of(1), duration=3.0, dt=dt)
+        highest = task.problem.curve.highest
+        band = 3.0 * highest
         accelerations = 2 * dt * encoder**2 * (2 * np.pi) ** 4 * band**5 / 5
         # What passed the band of that fit, in the band of the next.
-        read = robot.torque_noise_**2 * motion.band / robot.cutoff_
+        own = task.robot.band(highest, dt)
+        read = robot.torque_noise_**2 * own / robot.cutoff_
         expected = np.sqrt(read + inertia**2 * accelerations)
-        assert motion.noise == pytest.approx(expected, rel=close)
-        assert not 0.9 < motion.band / robot.cutoff_ < 1.1
+        assert task.noise == pytest.approx(expected, rel=close)
+        assert not 0.9 < own / robot.cutoff_ < 1.1

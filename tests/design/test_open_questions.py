@@ -10,7 +10,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import design_motion  # noqa: E402
 from sklearn_vbjfa.effects import Ripple, Spring  # noqa: E402
-from tests.design._chains import chain, problem_of  # noqa: E402
+from tests.design._chains import chain, posed  # noqa: E402
 
 DT, STIFFNESS = 0.01, 12.0
 
@@ -50,7 +50,8 @@ def moving_states():
     return states
 
 
-def asked_of(problem):
+def asked_of(task):
+    problem = task.problem
     effects = problem.model.effects[problem.model.n_own :]
     return {
         (one.effect.name, one.effect.joint): weight
@@ -63,7 +64,7 @@ def test_all_kinds_of_reports_ask_the_same(loop, tmp_path):
     data = loop.report_.to_dict()
     (tmp_path / "report.json").write_text(json.dumps(data), encoding="utf-8")
     kinds = (loop, loop.report_, data, tmp_path, str(tmp_path / "report.json"))
-    asked = [asked_of(problem_of(loop.identifier_, report=kind)[0]) for kind in kinds]
+    asked = [asked_of(posed(loop.identifier_, report=kind)) for kind in kinds]
     assert all(one == asked[0] for one in asked)
     # What was found is to be confirmed, and counts more than what nobody named.
     weights = [weight for weight in asked[0].values() if weight > 0]
@@ -74,14 +75,13 @@ def test_what_is_possible_is_asked_as_what_has_a_name(loop):
     data = loop.report_.to_dict()
     possible = {**data, "effects": [], "possible": data["effects"]}
     named, open_ = (
-        asked_of(problem_of(loop.identifier_, report=one)[0])
-        for one in (data, possible)
+        asked_of(posed(loop.identifier_, report=one)) for one in (data, possible)
     )
     assert open_["spring", 1] == named["spring", 1]
 
 
 def test_what_is_in_doubt_still_takes_its_torque(loop):
-    problem, _ = problem_of(loop.identifier_, report=loop)
+    problem = posed(loop.identifier_, report=loop).problem
     states = moving_states()
     found = problem.torques(problem.model(states))
     expected = loop.identifier_.predict(states)
@@ -89,7 +89,7 @@ def test_what_is_in_doubt_still_takes_its_torque(loop):
 
 
 def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
-    problem, _ = problem_of(loop.identifier_)
+    problem = posed(loop.identifier_).problem
     states = moving_states()
     expected = loop.identifier_.predict(states)
     found = problem.torques(problem.model(states))
@@ -99,7 +99,7 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
         path, dt=DT, torque_noise=np.array([0.1, 0.4]), friction=("viscous",)
     )
     loud.fit(*recording_of(path))
-    precision = problem_of(loud)[0].precision
+    precision = posed(loud).problem.precision
     assert precision[0] / precision[1] == pytest.approx(16.0, rel=0.2)
 
 
@@ -114,12 +114,9 @@ def recording_of(path):
 
 
 def test_effects_by_hand(path):
-    problem, _ = problem_of(path, effects=("spring", Ripple(joint=1)))
-    asked = set(asked_of(problem))
+    asked = set(asked_of(posed(path, effects=("spring", Ripple(joint=1)))))
     assert asked == {("spring", 0), ("spring", 1), ("ripple", 1)}
-    assert set(asked_of(problem_of(path, effects=Spring(joint=1))[0])) == {
-        ("spring", 1)
-    }
+    assert set(asked_of(posed(path, effects=Spring(joint=1)))) == {("spring", 1)}
 
 
 @pytest.mark.parametrize(
@@ -132,23 +129,23 @@ def test_effects_by_hand(path):
 )
 def test_effects_that_cannot_be_asked_for(path, effects, message):
     with pytest.raises(ValueError, match=message):
-        problem_of(path, effects=effects)
+        posed(path, effects=effects)
 
 
 def test_reports_that_are_none(path, tmp_path, loop):
     with pytest.raises(TypeError, match="got int"):
-        problem_of(path, report=5)
+        posed(path, report=5)
     with pytest.raises(FileNotFoundError, match="No report at"):
-        problem_of(path, report=tmp_path / "nowhere")
+        posed(path, report=tmp_path / "nowhere")
     (tmp_path / "report.json").write_text("{", encoding="utf-8")
     with pytest.raises(ValueError, match="not readable as JSON"):
-        problem_of(path, report=tmp_path)
+        posed(path, report=tmp_path)
     (tmp_path / "report.json").write_text("{}", encoding="utf-8")
     with pytest.raises(ValueError, match="not a report of close-loop"):
-        problem_of(path, report=tmp_path)
+        posed(path, report=tmp_path)
     other = chain(tmp_path, ("revolute",) * 2, name="other")
     with pytest.raises(ValueError, match="report is of joints chain_1, chain_2"):
-        problem_of(other, report=loop)
+        posed(other, report=loop)
 
 
 @pytest.mark.slow

@@ -11,7 +11,6 @@ _MODULES = {
         "is_urdf",
         "load_folded",
         "load_model",
-        "load_quietly",
         "load_reduced",
         "load_text",
         "movable_joints",
@@ -32,7 +31,7 @@ _MODULES = {
         "nominal_parameters",
         "solid_bodies",
     ),
-    "_urdf": ("check_possible", "write_identified", "write_urdf"),
+    "_urdf": ("check_possible", "write_urdf"),
 }
 __all__ = ["load_model"]
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

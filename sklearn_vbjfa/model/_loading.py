@@ -50,6 +50,9 @@ _PUBLIC_DESCRIPTIONS = {
     "tiago": ("tiago.urdf", "tiago_description"),
     "ur5": ("ur5_robot.urdf", "ur5_description"),
 }
+# Masses and levers of the double pendulum's links.
+_M1, _R1 = 0.5593806151425046, 0.3
+_M2, _R2 = 0.6043459469186889, 0.18377686083653508
 # How the one warning of what does not enter the model begins.
 _LEFT_OUT = "The robot description"
 
@@ -186,12 +189,6 @@ def load_text(text, path):
         return _folded(parse_text(text.encode(), path), Path(path)).model
 
 
-def load_quietly(path):
-    """Return the robot of a file, as `load_folded`, of which everything was said."""
-    with _silence():
-        return load_folded(path)
-
-
 @contextlib.contextmanager
 def _silence():
     """Say nothing of what of a description does not enter the model."""
@@ -281,18 +278,15 @@ def description_text(source, model):
     # now.
     if not isinstance(source, (str, os.PathLike)):
         return text_of_tree(model)
-    path = Path(source)
-    if is_urdf(path):
-        root = parse_description(path).getroot()
+    if is_urdf(source):
+        root = parse_description(Path(source)).getroot()
         ElementTree.indent(root)
         text = ElementTree.tostring(root, encoding="unicode")
-        now = load_text(text, path)
     else:
-        robot = load_quietly(path)
-        text, now = text_of_tree(robot.full, robot.links), robot.model
-    if not alike(now, model):
+        text = urdf_to_fill(source)
+    if not alike(load_text(text, source), model):
         raise ValueError(
-            f"The robot description {str(path)!r} is another one than when the robot "
+            f"The robot description {str(source)!r} is another one than when the robot "
             "was identified; put the old file back, or identify again."
         )
     return text
@@ -301,11 +295,11 @@ def description_text(source, model):
 def urdf_to_fill(source):
     """Return what the URDF of an identified robot is a copy of."""
     # The source itself; of MJCF the text of a URDF with the same joints.
-    if is_text(source) or not isinstance(source, (str, os.PathLike)):
+    is_path = isinstance(source, (str, os.PathLike)) and not is_text(source)
+    if not is_path or is_urdf(source):
         return source
-    if is_urdf(source):
-        return source
-    robot = load_quietly(source)
+    with _silence():
+        robot = load_folded(source)
     return text_of_tree(robot.full, robot.links)
 
 
@@ -333,15 +327,9 @@ def alike(one, other):
 
 def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin.Model":
     """Build the model of a recording; see `Recording.robot_model`."""
-    try:
-        import pinocchio as pin
-    except ImportError as error:
-        raise ImportError(
-            'robot_model needs Pinocchio: pip install "pin>=3"'
-        ) from error
-
-    if urdf is None and name in _BUILDERS:
-        model = _BUILDERS[name](pin)
+    import_pinocchio()
+    if urdf is None and name in _BUILT:
+        model = _built(name)
     else:
         model = load_reduced(urdf or _from_robot_descriptions(name), joint_names)
     names = list(model.names)[1:]
@@ -371,68 +359,35 @@ def _from_robot_descriptions(name: str) -> str:
     return importlib.import_module(f"robot_descriptions.{module}").URDF_PATH
 
 
-def _chain(pin, names, joints, placements, inertias) -> "pin.Model":
-    """Build a serial chain; placements are in the parent joint."""
-    model = pin.Model()
-    parent = 0
-    for name, joint, placement, inertia in zip(names, joints, placements, inertias):
-        parent = model.addJoint(parent, joint, placement, name)
+def _built(name: str) -> "pin.Model":
+    """Build a serial chain from the table of its links."""
+    import pinocchio as pin
+
+    model, parent = pin.Model(), 0
+    for joint, kind, below, mass, lever, moment in _BUILT[name]:
+        placement = pin.SE3(np.eye(3), np.array([0.0, 0.0, -below]))
+        kind = getattr(pin, f"JointModel{kind}")()
+        parent = model.addJoint(parent, kind, placement, joint)
+        centre = np.array([0.0, 0.0, -lever])
+        inertia = pin.Inertia(mass, centre, moment * np.eye(3))
         model.appendBodyToJoint(parent, inertia, pin.SE3.Identity())
-        model.addBodyFrame(f"{name}_link", parent, pin.SE3.Identity(), 0)
+        model.addBodyFrame(f"{joint}_link", parent, pin.SE3.Identity(), 0)
     return model
 
 
-def _point_mass(pin, mass, lever) -> "pin.Inertia":
-    """Mass [kg] hanging `lever` [m] below the joint."""
-    return _rod(pin, mass, lever, 0.0)
-
-
-def _rod(pin, mass, lever, inertia) -> "pin.Inertia":
-    """Link with centre of mass `lever` below and inertia about it [kg m^2]."""
-    return pin.Inertia(mass, np.array([0.0, 0.0, -lever]), inertia * np.eye(3))
-
-
-def _emps(pin) -> "pin.Model":
-    """Horizontal slide; the moving mass is the one published with the data."""
-    joints, placements = [pin.JointModelPX()], [pin.SE3.Identity()]
-    return _chain(pin, ["slide"], joints, placements, [_point_mass(pin, 95.1, 0.0)])
-
-
-def _tflex(pin) -> "pin.Model":
-    """Hinge about the vertical; the inertia of 1 is a placeholder."""
-    joints, placements = [pin.JointModelRZ()], [pin.SE3.Identity()]
-    return _chain(pin, ["hinge"], joints, placements, [_rod(pin, 1.0, 0.0, 1.0)])
-
-
-def _xl330(pin) -> "pin.Model":
-    """Load of 0.49 kg at 0.10 m on a horizontal axis, hanging at zero."""
-    joints, placements = [pin.JointModelRY()], [pin.SE3.Identity()]
-    return _chain(pin, ["servo"], joints, placements, [_point_mass(pin, 0.49, 0.1)])
-
-
-def _double_pendulum(pin) -> "pin.Model":
-    """Two links on parallel horizontal axes, hanging straight at zero."""
-    # Parameters of the file model_parameters_A.0_model_2.0.yml of the publishers;
-    # their inertias are about the joint.
-    links = [
-        # mass [kg], lever of the centre of mass [m], inertia about the joint
-        (0.5593806151425046, 0.3, 0.053470810264216295),
-        (0.6043459469186889, 0.18377686083653508, 0.02392374528789766),
-    ]
-    inertias = [_rod(pin, m, r, inertia - m * r**2) for m, r, inertia in links]
-    elbow = pin.SE3(np.eye(3), np.array([0.0, 0.0, -0.3]))
-    return _chain(
-        pin,
-        ["shoulder", "elbow"],
-        [pin.JointModelRX(), pin.JointModelRX()],
-        [pin.SE3.Identity(), elbow],
-        inertias,
-    )
-
-
-_BUILDERS = {
-    "bam_xl330": _xl330,
-    "dfki_double_pendulum": _double_pendulum,
-    "emps": _emps,
-    "tflex_1dof": _tflex,
+# Joint, its kind, how far it is below the last one [m], and its link: mass [kg], how
+# far its centre is below the joint [m], and moment of inertia about that [kg m^2].
+_BUILT = {
+    # A load on a horizontal axis.
+    "bam_xl330": [("servo", "RY", 0.0, 0.49, 0.1, 0.0)],
+    # The publishers' model_parameters_A.0_model_2.0.yml, whose inertias are about the
+    # joint.
+    "dfki_double_pendulum": [
+        ("shoulder", "RX", 0.0, _M1, _R1, 0.053470810264216295 - _M1 * _R1**2),
+        ("elbow", "RX", 0.3, _M2, _R2, 0.02392374528789766 - _M2 * _R2**2),
+    ],
+    # A horizontal slide; the moving mass is the one published with the data.
+    "emps": [("slide", "PX", 0.0, 95.1, 0.0, 0.0)],
+    # A hinge about the vertical; the moment is a placeholder.
+    "tflex_1dof": [("hinge", "RZ", 0.0, 1.0, 0.0, 1.0)],
 }

@@ -13,6 +13,7 @@ import numpy as np
 
 from sklearn_vbjfa.model._trees import (
     body_names,
+    check_kinds,
     describe,
     import_pinocchio,
     is_prismatic,
@@ -208,13 +209,7 @@ class _Tree:
         self._names = joint_names(model)
         self._slides = is_prismatic(model)
         self._shape = describe(model)
-        both = (self._shape.turns != 0) & (self._shape.slides != 0)
-        if both.any():
-            wrong = [name for name, helical in zip(self._names, both) if helical]
-            raise ValueError(
-                f"MJCF has no helical joint, which {', '.join(wrong)} would be: only "
-                "revolute and prismatic joints can be written."
-            )
+        check_kinds(model, self._shape)
         own = body_names(model)
         # Names of bodies must differ.
         self._body_names = [

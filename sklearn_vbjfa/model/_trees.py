@@ -168,6 +168,17 @@ def describe(model):
     return tree
 
 
+def check_kinds(model, tree):
+    """Refuse joints that no description can hold, which turn and slide at once."""
+    both = (tree.turns != 0) & (tree.slides != 0)
+    wrong = [name for name, helical in zip(joint_names(model), both) if helical]
+    if wrong:
+        raise ValueError(
+            f"URDF and MJCF have no helical joint, which {', '.join(wrong)} would be: "
+            "only revolute and prismatic joints can be written."
+        )
+
+
 def in_order(model, names):
     """Return a model with its joints in another order, parents before children."""
     # Readers of URDF put branches of a tree in an order of their own.
@@ -560,21 +571,16 @@ def fold(full, links):
         pin.buildReducedModel(one, locked, at_zero) for one in (empty, full)
     )
     model.name = still.name = full.name
-    steps = {}
-    data = full.createData()
+    steps, tree = {}, describe(full)
     for at, name in enumerate(names[1:], 1):
-        pin.forwardKinematics(full, data, np.zeros(full.nq), np.eye(full.nv)[at - 1])
-        motion = data.v[at]
-        slides = not motion.angular.any()
-        axis = motion.linear if slides else motion.angular
         link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))
         steps[at] = ChainLink(
             joint=left.index(link.leader),
             rate=link.multiplier,
             offset=link.offset,
-            slides=slides,
+            slides=not tree.turns[at - 1],
             placement=full.jointPlacements[at].copy(),
-            axis=axis / np.linalg.norm(axis),
+            axis=tree.axes[at - 1],
         )
     followers = []
     for name in names[1:]:

@@ -11,12 +11,12 @@ import xml.etree.ElementTree as ElementTree
 import numpy as np
 
 from sklearn_vbjfa.model._trees import (
-    ROUNDING,
     Closure,
     Description,
     Link,
     body_names,
     carriers_of,
+    check_kinds,
     check_number,
     describe,
     import_pinocchio,
@@ -301,24 +301,9 @@ def body_about_com(phi):
 
 
 def _set_inertial(link, phi):
-    mass, com, inertia = body_about_com(phi)
     for old in link.findall("inertial"):
         link.remove(old)
-    inertial = ElementTree.SubElement(link, "inertial")
-    origin = ElementTree.SubElement(inertial, "origin")
-    origin.set("xyz", numbers(com))
-    origin.set("rpy", "0 0 0")
-    ElementTree.SubElement(inertial, "mass").set("value", number(mass))
-    tensor = ElementTree.SubElement(inertial, "inertia")
-    for name, i, j in (
-        ("ixx", 0, 0),
-        ("ixy", 0, 1),
-        ("ixz", 0, 2),
-        ("iyy", 1, 1),
-        ("iyz", 1, 2),
-        ("izz", 2, 2),
-    ):
-        tensor.set(name, number(inertia[i, j]))
+    _add_inertial(link, *body_about_com(phi))
 
 
 def _turn_origin(joint, rotation):
@@ -347,6 +332,11 @@ def write_urdf(
     # which "viscous" and "coulomb" have a place in URDF; note: comment at the top;
     # turned: rotation matrices (3, 3) of joints' origins, in their own axes; followers:
     # bodies (10,) of joints that follow others, by name.
+    if not isinstance(source, (str, os.PathLike)):
+        raise ValueError(
+            "to_urdf needs the URDF that the robot came from: give its path as "
+            "`model` (a pinocchio.Model does not keep the links' shapes)."
+        )
     followers = {} if followers is None else followers
     if is_text(source):
         tree, like = ElementTree.ElementTree(ElementTree.fromstring(source)), None
@@ -410,27 +400,6 @@ def check_possible(model, min_eigenvalues, kind):
         )
 
 
-def write_identified(
-    source,
-    path,
-    model,
-    bodies,
-    friction,
-    min_eigenvalues,
-    note="",
-    turned=None,
-    followers=None,
-):
-    """Write a URDF as `write_urdf`, or say why there can be none of these bodies."""
-    if not isinstance(source, (str, os.PathLike)):
-        raise ValueError(
-            "to_urdf needs the URDF that the robot came from: give its path as "
-            "`model` (a pinocchio.Model does not keep the links' shapes)."
-        )
-    check_possible(model, min_eigenvalues, "a URDF")
-    write_urdf(source, path, model, bodies, friction, note, turned, followers)
-
-
 # -- robots without a file -------------------------------------------------------------
 
 
@@ -440,16 +409,18 @@ def text_of_tree(model, followers=None):
     # it.
     pin = import_pinocchio()
     tree = describe(model)
+    check_kinds(model, tree)
     data = model.createData()
     pin.forwardKinematics(model, data, np.zeros(model.nq))
     links = _link_names(model)
     root = ElementTree.Element("robot", name=model.name or "robot")
     ElementTree.SubElement(root, "link", name=links[0])
     for j, name in enumerate(joint_names(model)):
-        _check_kind(model, j, tree)
         slides = not tree.turns[j]
         link = ElementTree.SubElement(root, "link", name=links[j + 1])
-        _add_inertial(link, model.inertias[j + 1])
+        body = model.inertias[j + 1]
+        if body.mass > 0:
+            _add_inertial(link, body.mass, body.lever, body.inertia)
         low, high = model.lowerPositionLimit[j], model.upperPositionLimit[j]
         endless = not (low > -_UNLIMITED or high < _UNLIMITED)
         kind = "prismatic" if slides else "continuous" if endless else "revolute"
@@ -464,15 +435,11 @@ def text_of_tree(model, followers=None):
             limits = {"lower": low, "upper": high} | limits
         _add(joint, "limit", **limits)
         if followers and name in followers:
-            _add_mimic(joint, followers[name])
+            follows = followers[name]
+            mimic = {"multiplier": follows.multiplier, "offset": follows.offset}
+            _add(joint, "mimic", **mimic).set("joint", follows.leader)
     ElementTree.indent(root)
     return ElementTree.tostring(root, encoding="unicode")
-
-
-def _add_mimic(joint, link):
-    """Write that a joint follows another one."""
-    _add(joint, "mimic", multiplier=link.multiplier, offset=link.offset)
-    joint.find("mimic").set("joint", link.leader)
 
 
 def _link_names(model):
@@ -486,30 +453,12 @@ def _link_names(model):
     return (base, *bodies)
 
 
-def _check_kind(model, j, tree):
-    """Refuse a joint that is neither revolute, about its frame, nor prismatic."""
-    pin = import_pinocchio()
-    data, one = model.createData(), np.eye(model.nv)[j]
-    pin.forwardKinematics(model, data, np.zeros(model.nq), one)
-    motion = data.v[j + 1]
-    turns = tree.axes[j] if tree.turns[j] else np.zeros(3)
-    slides = np.zeros(3) if tree.turns[j] else tree.axes[j]
-    other = np.r_[motion.angular - turns, motion.linear - slides]
-    if np.abs(other).max() > ROUNDING:
-        raise ValueError(
-            f"Joint {model.names[j + 1]} ({model.joints[j + 1].shortname()}) is "
-            "neither revolute nor prismatic, and URDF has no name for it."
-        )
-
-
-def _add_inertial(link, inertia):
-    """Write the inertia of a body; nothing without mass."""
-    if not inertia.mass > 0:
-        return
+def _add_inertial(link, mass, com, inertia):
+    """Write the inertia of a body, about its centre of mass."""
     inertial = ElementTree.SubElement(link, "inertial")
-    _add(inertial, "origin", xyz=inertia.lever, rpy=np.zeros(3))
-    _add(inertial, "mass", value=inertia.mass)
-    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia.inertia
+    _add(inertial, "origin", xyz=com, rpy=np.zeros(3))
+    _add(inertial, "mass", value=mass)
+    (xx, xy, xz), (_, yy, yz), (_, _, zz) = inertia
     _add(inertial, "inertia", ixx=xx, ixy=xy, ixz=xz, iyy=yy, iyz=yz, izz=zz)
 
 
@@ -518,9 +467,11 @@ def _rpy(rotation):
     return import_pinocchio().rpy.matrixToRpy(rotation)
 
 
-def _add(parent, tag, **numbers):
+def _add(parent, tag, **attributes):
     """Add an element whose attributes are numbers, written so that they come back."""
     element = ElementTree.SubElement(parent, tag)
-    for name, values in numbers.items():
-        limited = np.clip(np.atleast_1d(values), -_UNLIMITED, _UNLIMITED)
-        element.set(name, " ".join(repr(float(x)) for x in limited))
+    for name, values in attributes.items():
+        element.set(
+            name, numbers(np.clip(np.atleast_1d(values), -_UNLIMITED, _UNLIMITED))
+        )
+    return element

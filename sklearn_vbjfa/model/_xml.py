@@ -5,11 +5,12 @@ A description is checked before a parser sees it, since these do not limit the d
 
 import os
 import shlex
-import uuid
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from xml.parsers import expat
 from xml.parsers.expat import ExpatError
+
+from sklearn_vbjfa._core._whole_files import write_whole
 
 # Robots of a hundred joints stay far below.
 _DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000
@@ -37,18 +38,10 @@ def write_tree(tree, target, like=None):
     """Write an indented XML tree to a file, or leave the file as it was."""
     # like: file whose permissions the new one gets; None leaves them to the system.
     ElementTree.indent(tree)
-    target = Path(target)
-    # Written beside the target and moved: an interrupted run leaves no half of a file.
-    temporary = target.with_name(f".{uuid.uuid4().hex}{target.suffix}")
-    try:
-        with temporary.open("xb") as file:
-            tree.write(file, encoding="utf-8", xml_declaration=True)
-        if like is not None:
-            os.chmod(temporary, Path(like).stat().st_mode & 0o666)
-        os.replace(temporary, target)
-    except BaseException:
-        temporary.unlink(missing_ok=True)
-        raise
+    text = ElementTree.tostring(tree.getroot(), encoding="unicode")
+    write_whole(target, f"<?xml version='1.0' encoding='utf-8'?>\n{text}")
+    if like is not None:
+        os.chmod(target, Path(like).stat().st_mode & 0o666)
 
 
 def parse_description(path):

@@ -8,7 +8,7 @@ from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model._corrected import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.model._urdf import check_possible, write_identified
+from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 
 
@@ -88,13 +88,13 @@ def to_urdf(
     account = _Account(robot, powers)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
     _left_of_urdf(account)
-    write_identified(
+    check_possible(robot.model, min_eigenvalues, "a URDF")
+    write_urdf(
         source,
         path,
         robot.model,
         np.hstack([robot.bodies, joints]),
         ("viscous", "coulomb"),
-        min_eigenvalues,
         _note(list(filter(None, notes)), account.left),
         turned_joints,
         follower_parameters(robot.effects, robot.coefficients),

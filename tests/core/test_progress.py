@@ -46,28 +46,12 @@ def test_bars_show_stages_counts_and_notes(terminal):
         assert text in shown
 
 
-def test_a_bar_counts_what_is_done(terminal):
-    with show_progress(), stage("states", 30, "rows") as step:
-        step(10)
-        say("now")
-    assert "states: 10 of 30 rows" in terminal.getvalue()
-
-
 def test_bars_end_with_an_error(terminal):
     with pytest.raises(RuntimeError), show_progress(), stage("states", 3):
         raise RuntimeError
     before = terminal.getvalue()
     run_stages(verbose=0)
     assert terminal.getvalue() == before
-
-
-def test_nested_runs_share_their_bars(terminal):
-    with show_progress():
-        with show_progress():
-            pass
-        with stage("states", 3):
-            pass
-    assert "states" in terminal.getvalue()
 
 
 @pytest.mark.parametrize("silent", ["piped", "disabled", "verbose=0", "no stderr"])

@@ -102,18 +102,6 @@ def test_acceleration_ends_where_the_plain_iteration_does(model):
 
 
 @pytest.mark.parametrize("solve", SOLVERS)
-@pytest.mark.parametrize("model", MODELS)
-def test_history_never_falls(model, solve):
-    moments, _, _ = make_standardised(2, 6, 60)
-    prior = _problems.make_prior(model, 60, 6)
-    state = _solver.start(moments, prior, np.full(6, 0.3))
-    solution = solve(moments, state, prior, max_iter=500, tol=1e-10)
-    assert solution.history.size > 10
-    assert np.diff(solution.history).min() >= -1e-12 * abs(solution.history[-1])
-    assert solution.history.size <= solution.n_iter <= 500
-
-
-@pytest.mark.parametrize("solve", SOLVERS)
 def test_stops_when_the_gain_per_sample_is_small(solve):
     moments, _, _ = make_standardised(3, 3)
     state = _solver.start(moments, Prior(), np.full(3, 0.3))

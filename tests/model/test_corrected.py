@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
 pin = pytest.importorskip("pinocchio")
 
@@ -46,33 +46,6 @@ def test_a_zero_is_what_the_encoder_reads_too_much(joint):
     read[0, :, joint] += 0.2
     assert_allclose(torques(found.model, read), torques(model, states), atol=1e-9)
     assert np.abs(torques(model, read) - torques(model, states)).max() > 1e-3
-
-
-def test_a_turned_axis_carries_along_what_it_carries():
-    model = robot(("RZ", "RY"))
-    w = np.array([0.1, -0.2, 0.0])
-    found = CorrectedModel(model)
-    found.turn(0, pin.exp3(w))
-    nominal, placement = model.jointPlacements[1], found.model.jointPlacements[1]
-    assert_allclose(placement.rotation, nominal.rotation @ pin.exp3(w), atol=1e-14)
-    assert_array_equal(placement.translation, nominal.translation)
-    # Written as a description would have it: the same joint by other rpy.
-    other = model.copy()
-    rpy = pin.rpy.matrixToRpy(placement.rotation)
-    other.jointPlacements[1] = pin.SE3(
-        pin.rpy.rpyToMatrix(rpy), nominal.translation.copy()
-    )
-    states = motion(2)
-    assert_allclose(torques(found.model, states), torques(other, states), atol=1e-10)
-
-
-def test_gravity_is_turned():
-    model = robot()
-    found = CorrectedModel(model)
-    turn = pin.rpy.rpyToMatrix(0.1, 0.2, 0.0)
-    found.tilt(turn)
-    assert_allclose(found.model.gravity.linear, turn @ model.gravity.linear)
-    assert_array_equal(found.nominal_gravity, model.gravity.linear)
 
 
 @pytest.mark.parametrize("joint", range(len(KINDS)))

@@ -27,11 +27,3 @@ def test_frames_and_screws_are_those_of_pinocchio(seed):
             )
         np.testing.assert_allclose(poses.linear[row], jacobian[:3].T, atol=1e-12)
         np.testing.assert_allclose(poses.angular[row], jacobian[3:].T, atol=1e-12)
-
-
-def test_carried_bodies_are_those_above_in_the_tree():
-    model, _ = random_tree(np.random.default_rng(3), 9)
-    carries = JointPoses(model).carries
-    for body in range(model.nv + 1):
-        expected = sorted(j - 1 for j in model.supports[body] if j > 0)
-        assert np.flatnonzero(carries[body]).tolist() == expected

@@ -5,7 +5,7 @@ import pinocchio as pin
 import pytest
 from scipy.special import ellipj, ellipk
 
-from sklearn_vbjfa.effects import Payload, RotorInertia, Spring
+from sklearn_vbjfa.effects import Spring
 from sklearn_vbjfa.simulation import simulate, with_bodies
 from tests.model._robots import random_body
 from tests.model._trees import random_placement
@@ -13,7 +13,6 @@ from tests.simulation._machines import (
     GRAVITY,
     machine,
     pendulum,
-    point,
     slider,
     wheel,
 )
@@ -160,39 +159,3 @@ def test_base_that_leans_turns_gravity():
         ).max(),
     )
     assert moved < 1e-9
-
-
-def test_rotor_inertia_slows_a_pendulum():
-    m, length, own, rotor = 1.5, 0.4, 0.02, 0.3
-    one = simulate(
-        pendulum(m, length, own, effects=[(RotorInertia(), [rotor])]),
-        nothing(101),
-        [0.9],
-    )
-    other = simulate(
-        pendulum(m, length, own, {"rotor_inertia": rotor}), nothing(101), [0.9]
-    )
-    same = simulate(pendulum(m, length, own + rotor), nothing(101), [0.9])
-    np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
-    np.testing.assert_allclose(one, same, rtol=0, atol=1e-10)
-
-
-@pytest.mark.parametrize("instant", [0.5, 0.512])
-def test_payload_that_appears_changes_the_acceleration_at_once(instant):
-    mass, added = 3.0, 1.5
-    model = pin.Model()
-    model.addJoint(0, pin.JointModelPX(), pin.SE3.Identity(), "rail")
-    effect = Payload(0, instant)
-    robot = machine(
-        model, [point(mass)], effects=[(effect, [added, 0, 0, 0, 0])], dt=0.01
-    )
-    t = 0.01 * np.arange(101)
-    states = simulate(robot, np.full((101, 1), 6.0), [0.0], None, t)
-    a1, a2 = 6 / mass, 6 / (mass + added)
-    late = np.maximum(t - instant, 0)
-    first = np.minimum(t, instant)
-    v = a1 * first + a2 * late
-    q = 0.5 * a1 * first**2 + a1 * instant * late + 0.5 * a2 * late**2
-    np.testing.assert_allclose(states[:, 0], q, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(states[:, 1], v, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(states[:, 2], np.where(t >= instant, a2, a1))

@@ -282,22 +282,3 @@ def test_beyond_its_end_a_spring_is_a_constant_force(twin, k, long, error):
     assert (later > 0).sum() > 1
     assert_allclose(found[:, 0], q, rtol=0, atol=error * q.max())
     assert_allclose(found[later > 0, 2], -k * end / mass, rtol=1e-12)
-
-
-def test_beyond_its_end_quadratic_friction_is_a_constant_force(twin):
-    mass, F2, fast, dt = 2.0, 3.0, 0.8, 0.01
-    fitted = fast / (1.2 + 1e-9)
-    assert widened(0.0, fitted, 2 * 0.1)[1] == pytest.approx(fast, rel=1e-15)
-    own = (range_of(ViscousQuadratic(), speed=(0.0, fitted)),)
-    used = [(ViscousQuadratic(), [F2])]
-    robot = slider(mass, effects=used, ranges=own, dt=dt)
-    t = dt * np.arange(200)
-    found = simulate(robot, np.zeros((200, 1)), [0.0], [-2.0])
-    reaches = (2.0 - fast) / (F2 * fast**2 / mass)
-    speed = np.where(
-        t < reaches,
-        2.0 - F2 * fast**2 / mass * t,
-        fast / (1 + F2 * fast / mass * np.maximum(t - reaches, 0.0)),
-    )
-    assert 50 < (t < reaches).sum() < 150
-    assert_allclose(found[:, 1], -speed, rtol=0, atol=1e-7)

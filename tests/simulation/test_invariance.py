@@ -19,7 +19,7 @@ from sklearn_vbjfa.effects import (
     ViscousQuadratic,
 )
 from sklearn_vbjfa.simulation import Integrator, _dynamics, simulate
-from tests.simulation._machines import Arm, machine, random_machine
+from tests.simulation._machines import Arm, machine
 
 FRICTION = {"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4], "offset": [0.1, 0.0]}
 EFFECTS = [
@@ -84,20 +84,6 @@ def test_scale_of_masses_and_torques(factor, twin):
     np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-8)
 
 
-BENT = Coupling, Backlash
-
-
-@pytest.mark.parametrize(
-    "effects", [[], [pair for pair in EFFECTS if not isinstance(pair[0], BENT)]]
-)
-def test_half_the_sample_period_with_torques_between(effects):
-    fine = 0.005 * np.arange(201)
-    tau = np.column_stack([np.interp(fine, T, own) for own in TAU.T])
-    one = simulate(Arm().robot(FRICTION, effects, dt=0.01), TAU, *START)
-    other = simulate(Arm().robot(FRICTION, effects, dt=0.005), tau, *START)
-    np.testing.assert_allclose(one[:, :4], other[::2, :4], rtol=0, atol=1e-4)
-
-
 def steps_per_row(robot, tau, q0, v0=None, rows=100):
     """Mean number of steps in a sample period."""
     dynamics = _dynamics.ForwardDynamics(robot)
@@ -119,18 +105,3 @@ def test_steps_stay_few_where_friction_is_steep():
     assert steps_per_row(light, [0.0, 0.0], [0.4, -0.6]) < 30
     dry = Arm().robot({"coulomb": [9.0, 9.0]})
     assert steps_per_row(dry, [0.0, 0.0], [0.4, -0.6]) == 1
-
-
-def test_random_robots_move_the_same_by_both_twins(monkeypatch):
-    pytest.importorskip("numba")
-    for n in (1, 3, 7):
-        rng = np.random.default_rng(n)
-        robot = random_machine(rng, n, {"viscous": 1.0, "coulomb": 2.0})
-        tau = 5 * rng.normal(size=(20, n))
-        q0, v0 = rng.normal(size=(2, n))
-        one = simulate(robot, tau, q0, v0)
-        with monkeypatch.context() as patched:
-            patched.setattr(_dynamics, "compiled", lambda: None)
-            other = simulate(robot, tau, q0, v0)
-        size = np.abs(one).max()
-        np.testing.assert_allclose(one, other, rtol=0, atol=1e-7 * size)

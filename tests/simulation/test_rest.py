@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa.effects import Coulomb, LoadFriction, Stribeck
+from sklearn_vbjfa.effects import Coulomb
 from sklearn_vbjfa.simulation import simulate, with_bodies
-from tests.simulation._machines import pendulum, random_machine, wheel
+from tests.simulation._machines import random_machine, wheel
 
 
 def all_solutions(M, push, Fc):
@@ -67,34 +67,6 @@ def test_joints_at_rest_never_tremble():
         for own, push in zip(v.T, tau.T):
             turns = (np.diff(np.sign(own[own != 0])) != 0).sum()
             assert turns <= 4 * (np.diff(np.sign(push)) != 0).sum() + 4
-
-
-def test_noise_of_the_torque_does_not_free_a_joint():
-    rng = np.random.default_rng(1)
-    robot = pendulum(friction={"coulomb": 4.0})
-    hold = 1.5 * 9.81 * 0.4 * np.sin(0.5)
-    tau = hold + rng.uniform(-3.9, 3.9, size=(300, 1))
-    states = simulate(robot, tau, [0.5])
-    assert (states == [0.5, 0.0, 0.0]).all()
-
-
-def test_static_friction_of_stribeck_holds():
-    effects = [(Stribeck(0, 0.1), [1.0])]
-    tau = np.full((50, 1), 2.9)
-    states = simulate(wheel(0.5, {"coulomb": 2.0}, effects), tau, [0.0])
-    assert (states[:, 1] == 0).all()
-    tau[:] = 3.1
-    states = simulate(wheel(0.5, {"coulomb": 2.0}, effects), tau, [0.0])
-    assert states[-1, 1] > 0.5
-
-
-def test_load_friction_holds_its_share_of_the_load():
-    """A joint whose friction exceeds its load stays whatever the angle."""
-    robot = pendulum(effects=[(LoadFriction(0), [1.05])])
-    states = simulate(robot, np.zeros((50, 1)), [1.0])
-    assert (states == [1.0, 0.0, 0.0]).all()
-    robot = pendulum(effects=[(LoadFriction(0), [0.95])])
-    assert simulate(robot, np.zeros((50, 1)), [1.0])[-1, 1] < 0
 
 
 @pytest.mark.parametrize("smoothing", [1e-2, 1e-4, 1e-6])

@@ -148,7 +148,7 @@ def movable_joints(path):
     path = Path(path)
     robot, _ = hold_base(_read(parse_description(path), path), None)
     folded = foldable(robot.carriers, robot.links, robot.called)
-    return tuple(name for name in robot.names if name not in folded)
+    return tuple(name for name in robot.in_file_order if name not in folded)
 
 
 def write_reduced(path, target, moving, base_orientation=None):
@@ -172,7 +172,7 @@ def write_reduced(path, target, moving, base_orientation=None):
             base = name, placed.rotation.T @ rotation_of(base_orientation)
         hold_in_urdf(tree, reduced.names, reduced.links, base)
         write_tree(tree, target)
-    return tuple(name for name in robot.names if name not in reduced.names)
+    return tuple(name for name in robot.in_file_order if name not in reduced.names)
 
 
 def is_urdf(source):

@@ -289,6 +289,7 @@ class Description:
 
     model: object
     called: str  # how messages call the robot
+    listed: tuple = ()  # names of the joints as listed, which may be any order
     links: dict = field(default_factory=dict)  # name -> `Link`
     closures: tuple = ()
     bodies: tuple = ()  # names of the joints of one body, for each that has several
@@ -299,6 +300,12 @@ class Description:
     def names(self):
         """Names of the joints, a tuple."""
         return joint_names(self.model)
+
+    @property
+    def in_file_order(self):
+        """Names of the joints in the order of the file, a tuple."""
+        # It may name what a joint carries before the joint.
+        return tuple(name for name in self.listed or self.names if name in self.names)
 
     @property
     def carriers(self):

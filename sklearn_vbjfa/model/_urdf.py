@@ -51,7 +51,13 @@ def read_urdf(tree, path):
     links = _followers(root, called)
     closures = _closures(root)
     model = _build(root, called)
-    return Description(model=model, called=called, links=links, closures=closures)
+    return Description(
+        model=model,
+        called=called,
+        listed=tuple(joint.get("name") for joint in _joints(root)),
+        links=links,
+        closures=closures,
+    )
 
 
 def _joints(root, *kinds):

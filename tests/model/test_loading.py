@@ -10,14 +10,17 @@ import pytest
 
 pin = pytest.importorskip("pinocchio")
 
-from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
+from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_model,
     load_reduced,
+    movable_joints,
     nominal_parameters,
     solid_bodies,
 )
+from sklearn_vbjfa.recording import read_recording  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 
 ONE_JOINT = """<robot name="bench">
@@ -198,3 +201,49 @@ def test_without_pinocchio_one_line_says_how_to_get_it():
         how = "conda install -c conda-forge pinocchio"
     message = f"Robot models need Pinocchio, which is not installed: {how}"
     assert done.stdout.splitlines() == [message, message]
+
+
+def branches(*joints, inertia=0.1):
+    """URDF of links of 1 kg; joints are (name, parent, child)."""
+    links = "".join(
+        f'<link name="{child}"><inertial><origin xyz="0 0 -0.2"/><mass value="1"/>'
+        f'<inertia ixx="{inertia}" iyy="{inertia}" izz="{inertia}" ixy="0" ixz="0" '
+        'iyz="0"/></inertial></link>'
+        for _, _, child in joints
+    )
+    listed = "".join(
+        f'<joint name="{name}" type="revolute"><parent link="{parent}"/>'
+        f'<child link="{child}"/><origin xyz="0.3 0 0"/><axis xyz="0 1 0"/>{LIMIT}'
+        '<dynamics damping="-1" friction="-0.39"/></joint>'
+        for name, parent, child in joints
+    )
+    return f'<robot name="r"><link name="base"/>{links}{listed}</robot>'
+
+
+def test_joints_are_in_the_order_of_the_file(write, tmp_path):
+    path = write(branches(("z", "base", "l3"), ("y", "l3", "l2"), ("a", "base", "l1")))
+    assert joint_names(load_model(path)) == movable_joints(path) == ("z", "y", "a")
+    # What carries a joint goes before it; columns by number are as the file lists them.
+    path = write(branches(("b", "l1", "l2"), ("a", "base", "l1")))
+    assert joint_names(load_model(path)) == ("a", "b")
+    assert movable_joints(path) == ("b", "a")
+    motion = np.random.default_rng(0).normal(size=(300, 5)).cumsum(axis=0)
+    log = tmp_path / "log.csv"
+    heads = "time,q1,q2,tau1,tau2"
+    motion[:, 0] = 0.01 * np.arange(300)
+    np.savetxt(log, motion, delimiter=",", header=heads, comments="", fmt="%.12g")
+    recording = read_recording(log, urdf=path)
+    own = recording.joint_names.index("b")
+    np.testing.assert_allclose(recording.q[:, own], motion[:, 1], atol=1e-9)
+
+
+def test_a_point_mass_keeps_its_mass(write):
+    with pytest.warns(UserWarning, match="it is taken as a ball"):
+        model = load_model(write(branches(("j", "base", "l"), inertia=0)))
+    mass, x, y, z = nominal_parameters(model)[0, :4]
+    np.testing.assert_allclose([mass, x, y, z], [1.0, 0.0, 0.0, -0.2])
+    recording = make_robot_recording(
+        model, duration=6.0, perturbation=0.0, random_state=0
+    )
+    robot = RobotIdentifier(model, dt=recording.dt).fit(recording.q, recording.tau)
+    assert robot.theta_[0] == pytest.approx(1.0, rel=0.1)

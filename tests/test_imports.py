@@ -119,7 +119,7 @@ APART = {
     "effects": {"_core"},
     "physical": {"_core", "effects"},
     "regression": {"_core"},
-    "model": {"physical"},
+    "model": {"_core", "physical"},
     "recording": {"_core", "model"},
     "simulation": {"_core", "effects", "physical", "model"},
     # Of inspection the name alone, beside read_recording: what is read is looked at.

@@ -264,13 +264,6 @@ def _documentation(name):
     )
 
 
-def _check_choice(name, value, choices):
-    """Reject an option that is none of the choices."""
-    if value not in choices:
-        expected = ", ".join(map(repr, choices))
-        raise ValueError(f"{name} must be one of {expected}; got {value!r}.")
-
-
 # -- the sets --------------------------------------------------------------------------
 
 
@@ -411,15 +404,13 @@ def _tflex_1dof(files):
 _XL330_FULL_SCALE = 885  # of the duty cycle in the register "present load"
 
 
-def _bam_xl330(files, include_free_swing=False):
+def _bam_xl330(files):
     logs = []
     for local in files.find().values():
         raw = json.loads(local.read_text("utf-8"))
         powered = np.array([one["torque_enable"] == 1 for one in raw["entries"]])
         name = f"kp{raw['kp']}_{raw['trajectory']}"
         logs.append(_xl330_log(name, raw, powered))
-        if include_free_swing and not powered.all():
-            logs.append(_xl330_log(f"{name}_free", raw, ~powered))
     return logs
 
 
@@ -449,41 +440,16 @@ def _xl330_log(name, raw, rows):
     )
 
 
-def _kuka_lbr_med7(files, which="fast"):
-    _check_choice("which", which, ("fast", "slow", "all"))
-    tables = {}
-    if which != "slow":
-        (local,) = files.find().values()
-        table = np.loadtxt(local, delimiter=",", skiprows=1)
-        tables["measurements"] = np.hsplit(table, 3)
-    if which != "fast":
-        name = "measurements_with_ext_tau_1"
-        tables[name] = _slow_lbr(files.folder / f"{name}.npz")
-    return [
-        Log(
-            name=name,
-            t=0.01 * np.arange(len(q)),
-            q=q,
-            tau=-tau,
-            signals={"tau_ext": -external},
-        )
-        for name, (q, tau, external) in tables.items()
-    ]
-
-
-def _slow_lbr(path):
-    """Return the arrays of the slow recording."""
-    if not path.is_file():
-        raise FileNotFoundError(
-            f"kuka_lbr_med7: the slow recording is no longer published; put it "
-            f"at {path}, or use which='fast'."
-        )
-    with np.load(path) as raw:
-        return [raw[key] for key in ("q", "tau", "tau_ext")]
+def _kuka_lbr_med7(files):
+    (local,) = files.find().values()
+    q, tau, external = np.hsplit(np.loadtxt(local, delimiter=",", skiprows=1), 3)
+    t, signals = 0.01 * np.arange(len(q)), {"tau_ext": -external}
+    return [Log(name="measurements", t=t, q=q, tau=-tau, signals=signals)]
 
 
 def _dfki_double_pendulum(files, which="short"):
-    _check_choice("which", which, ("short", "long"))
+    if which not in ("short", "long"):
+        raise ValueError(f"which must be one of 'short', 'long'; got {which!r}.")
     measured = which == "short"
     suffix, logs = "_meas" if measured else "", []
     for local in files.find(lambda x: ("trajectory_" in x) == measured).values():
@@ -516,13 +482,11 @@ _TIAGO_GAINS = (1.0, 0.136, 0.136, -0.087, -0.087, -0.0613, -0.0613, -0.0613)
 _TIAGO_ROWS = (921, 6790)
 
 
-def _tiago(files, rows="exciting"):
-    _check_choice("rows", rows, ("exciting", "all"))
+def _tiago(files):
     raw = {}
     for path, local in files.find().items():
         table = np.loadtxt(local, delimiter=",", skiprows=1)
-        if rows == "exciting":
-            table = table[_TIAGO_ROWS[0] : _TIAGO_ROWS[1] + 1]
+        table = table[_TIAGO_ROWS[0] : _TIAGO_ROWS[1] + 1]
         raw[Path(path).stem.removeprefix("tiago_")] = table[:, 1:]
         t = table[:, 0]  # the same in the three files
     return [

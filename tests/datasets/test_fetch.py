@@ -107,11 +107,11 @@ def test_values_are_those_of_an_independent_conversion(fetch, converted):
         np.testing.assert_array_equal(part.t, raw["t"])
         np.testing.assert_array_equal(part.q, raw["q_actual"])
         np.testing.assert_array_equal(part.signals["i_actual"], raw["i_actual"])
-    tiago = fetch("tiago", rows="all", resample=False)
+    tiago, rows = fetch("tiago", resample=False), slice(921, 6791)
     raw = converted("tiago", "tiago_dynamic")
     assert tuple(raw["joint_names"]) == tiago.joint_names
-    np.testing.assert_array_equal(tiago.q, raw["q"])
-    np.testing.assert_array_equal(tiago.signals["effort"], raw["effort"])
+    np.testing.assert_array_equal(tiago.q, raw["q"][rows])
+    np.testing.assert_array_equal(tiago.signals["effort"], raw["effort"][rows])
     servo = fetch("bam_xl330", resample=False)
     for name in servo.group_names:
         part, raw = servo.select(name), converted("bam_xl330", f"xl330_{name}")
@@ -189,18 +189,6 @@ def test_rigid_body_regression_explains_the_torque(
     assert (viscous[good] > 0).all(), viscous
 
 
-def test_xl330_free_swing_is_set_apart(fetch):
-    powered, every = fetch("bam_xl330"), fetch("bam_xl330", include_free_swing=True)
-    assert powered.signals["torque_enable"].all()
-    free = [name for name in every.group_names if name.endswith("_free")]
-    assert free == [f"kp{kp}_lift_and_drop_free" for kp in (100, 400, 800)]
-    swing = every.select(*free)
-    assert not swing.signals["torque_enable"].any()
-    assert not swing.tau.any()
-    rest = [name for name in every.group_names if name not in free]
-    assert tuple(rest) == powered.group_names
-
-
 def test_tx40_motor_and_joint_power_agree(fetch):
     tx40 = fetch("staubli_tx40")
     motor = np.sum(
@@ -240,19 +228,6 @@ def test_ur5_gains_scale_the_torque(fetch):
     np.testing.assert_allclose(ur5.tau, ur5.signals["i_actual"] * np.arange(1, 7))
     with pytest.raises(ValueError, match="gains must hold six finite numbers"):
         datasets.fetch_ur5(gains=[1, 2])
-
-
-@pytest.mark.parametrize(
-    ("dataset", "options"),
-    [
-        ("dfki_double_pendulum", {"which": "all"}),
-        ("kuka_lbr_med7", {"which": "medium"}),
-        ("tiago", {"rows": "upstream"}),
-    ],
-)
-def test_unknown_options_are_refused(dataset, options):
-    with pytest.raises(ValueError, match="must be one of"):
-        getattr(datasets, f"fetch_{dataset}")(**options)
 
 
 @pytest.mark.parametrize("dataset", sorted(SETS))
@@ -350,18 +325,6 @@ def test_default_home_is_that_of_scikit_learn(monkeypatch, tmp_path):
 
 
 # -- single sets -----------------------------------------------------------------------
-
-
-def test_slow_lbr_recording_is_not_downloaded(tmp_path):
-    with pytest.raises(FileNotFoundError, match="which='fast'"):
-        datasets.fetch_kuka_lbr_med7(data_home=tmp_path, which="slow")
-
-
-def test_lbr_recordings_can_be_joined(fetch, converted):
-    lbr = fetch("kuka_lbr_med7", which="all")
-    assert lbr.group_names == ("measurements", "measurements_with_ext_tau_1")
-    raw = converted("kuka_lbr_med7", "measurements_with_ext_tau_1")
-    np.testing.assert_array_equal(lbr.select(1).tau, -raw["tau"])
 
 
 def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):

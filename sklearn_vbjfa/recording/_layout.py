@@ -1,6 +1,7 @@
 """Which columns of a file are which channels, and in which units they are."""
 
 import re
+import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
@@ -428,6 +429,7 @@ def by_names(table: Table, joints=()) -> Layout:
             roles[name] = Role(column=name)
             continue
         bare, unit = name_and_unit(table, name)
+        bare, plain = _in_letters(bare), _in_letters(name)
         if bare.lower() in TIME_NAMES:
             times.append(Role(column=name, unit=unit))
             continue
@@ -438,13 +440,13 @@ def by_names(table: Table, joints=()) -> Layout:
         if unit and unit not in joints and _is_channel(bare, unit):
             roles.setdefault(bare, Role(column=name, unit=unit))
             continue
-        kind, stem, last = kind_of(name), name, ""
+        kind, stem, last = kind_of(plain), plain, ""
         if kind in _SPELLINGS:
-            stem, last = split_last_part(name, kind)
+            stem, last = split_last_part(plain, kind)
         if last and last not in joints and _is_channel(stem, last, joints):
             roles.setdefault(stem, Role(column=name, unit=last))
             continue
-        roles.setdefault(name, Role(column=name))
+        roles.setdefault(plain, Role(column=name))
     exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
     if exact:
         roles |= {x.column: x for x in times if x not in exact}
@@ -463,6 +465,11 @@ def _clocks_of_two(table):
         if name.lower().endswith(seconds)
         and (other := name[: -len(seconds)] + nanoseconds) in table.columns
     ]
+
+
+def _in_letters(name):
+    """Return a name with plain digits for subscripts, and tau for the Greek letter."""
+    return unicodedata.normalize("NFKC", name).replace("τ", "tau")
 
 
 def _is_channel(bare, unit, joints=None):

@@ -108,8 +108,8 @@ def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
 
 
 def expanded(path):
-    """Return a path in which ~ is the home folder."""
-    path = Path(path)
+    """Return a path in which ~ is the home folder; file:// may stand before it."""
+    path = Path(str(path).removeprefix("file://"))
     try:
         return path.expanduser()
     except RuntimeError:

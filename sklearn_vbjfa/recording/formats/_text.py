@@ -401,9 +401,14 @@ def _cells(lines, names, separator):
             elif not cell or _is_number(cell):
                 columns[k].append(float(cell or "nan"))
             else:
+                remedy = (
+                    "write numbers without separators of thousands"
+                    if _is_number(cell.replace(",", ""))
+                    else "correct or remove that line"
+                )
                 raise ValueError(
                     f"{lines.path}: {quoted(cell)} in {lines.where(-1)}, column "
-                    f"{quoted(names[k])} is not a number; correct or remove that line."
+                    f"{quoted(names[k])} is not a number; {remedy}."
                 )
     return {name: np.array(column) for name, column in zip(names, columns)}
 

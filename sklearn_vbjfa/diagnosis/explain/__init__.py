@@ -67,7 +67,6 @@ _MODULES = {
         "DiscoveredEffect",
         "Outcome",
         "Provenance",
-        "Trial",
         "make_outcome",
         "named_values",
     ),

@@ -52,11 +52,7 @@ class CommandsAlone:
 
 
 def commands_alone(models, stretches, recording):
-    """Simulate `Models` on held-out stretches; None without a drive of positions.
-
-    Returns `CommandsAlone`, and the `TimeLine` of the positions with the stretches one
-    after the other.
-    """
+    """Return `CommandsAlone` and the `TimeLine` of its positions; None without."""
     drive = models.declared.drive
     if drive is None or not drive.of_positions:
         return None, None

@@ -12,7 +12,6 @@ _MODULES = {
         "documentation_of",
         "explanation",
         "source_of",
-        "torque_figures",
     ),
     "_limits": ("contradiction", "delay_sentence", "gain_warnings"),
     "_pictures": (
@@ -30,7 +29,6 @@ _MODULES = {
         "page",
         "plain_text",
         "style",
-        "text_table",
     ),
     "_report": ("sections",),
     "_verdict": ("judge",),

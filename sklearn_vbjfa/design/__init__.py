@@ -11,23 +11,14 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.design._motion import DesignedMotion
 
 __all__ = ["DesignedMotion", "MotionLimits", "design_motion"]
-# The others are for the command line, and what tests hold against mathematics.
+# The others are what tests hold against mathematics.
 _MODULES = {
     "_design": ("best_drawn", "design_motion", "pose"),
-    "_limits": ("MotionLimits", "MotionRefused"),
+    "_limits": ("MotionLimits",),
     "_motion": ("DesignedMotion", "FourierCurve"),
-    "_collisions": ("Approach", "Clearance", "capsule_around", "segment_distances"),
-    "_criterion": (
-        "ExpectedInterval",
-        "Invisible",
-        "Parted",
-        "Questions",
-        "Visible",
-        "worth",
-    ),
+    "_collisions": ("Clearance", "capsule_around", "segment_distances"),
+    "_criterion": ("Questions", "worth"),
     "_known_robot": ("KnownRobot",),
-    "_open_questions": ("read_report",),
-    "_optimise": ("Lagrangian", "optimise", "shrunk"),
-    "_summary": ("effect_label", "summary"),
+    "_optimise": ("Lagrangian",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -142,6 +142,21 @@ def test_the_file_is_a_motion_within_its_limits(designed):
         assert np.abs(a).max() <= 0.98 * 20
 
 
+def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
+    told = " ".join(designed[1].split())
+    assert re.search(
+        r"exceed these torques - joint 1 \(shoulder\), from \d+ N m: Stribeck friction "
+        "or friction with the square of speed Not identifiable by any motion: .*"
+        r"shifted encoder zero \(joint 1 \(shoulder\)\) \(absorbed by .*\); turned "
+        r"joint axis \(joint 2 \(elbow\)\) \(only together with tilted base\)",
+        told,
+    )
+    # Shares of the acceleration that is allowed, with the margin of the design.
+    largest = np.abs(read(designed[0])["a_shoulder"]).max() / 20
+    share = float(re.search(r"joint 1 \(shoulder\) +\d+ % +\d+ % +(\d+) %", told)[1])
+    assert share == pytest.approx(100 * largest, abs=1.0)
+
+
 def test_the_same_again_gives_the_same(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()

@@ -24,6 +24,8 @@ RIVAL = 3.0
 INTERVAL = 1.645
 # Torques of all joints together are not this many times the described ones by chance.
 _SCALE = 2.5
+# Factors of single joints differ from this ratio on.
+_DIFFERENT = 4.0
 # A factor of gravity below this is none.
 _NO_WEIGHT = 0.3
 # A base is turned by more than this [rad], and pulls as gravity does to this factor.
@@ -75,7 +77,10 @@ def explained(model, names, signals, rivals=None):
     if not (robot.joints.size and robot.size and known):
         return [], model, signals
     now = robot.fit().evidence
-    made = [one(robot, now, names) for one in (_scaled, _weightless, _static, _turned)]
+    made = [
+        one(robot, now, names)
+        for one in (_scaled, _scaled_each, _weightless, _static, _turned)
+    ]
     found = [x for x in made if x is not None and x.log_odds > DECISIVE]
     if not found:
         return [], model, signals
@@ -199,6 +204,43 @@ def _scaled(robot, now, names):
         finding=ChannelFinding("torque_unit", _every(names), "doubt", message),
         log_odds=log_odds,
         signals=lambda signals: replace(signals, tau=signals.tau / factor),
+    )
+
+
+def _scaled_each(robot, now, names):
+    """Torques of which each joint has a factor of its own."""
+    nv, torque = robot.model.nv, robot.described @ robot.bodies
+    columns = np.zeros((*torque.shape, nv))
+    columns[:, np.arange(nv), np.arange(nv)] = torque
+    factors = np.ones(nv)
+    for _ in range(_PASSES):
+        tau = robot.signals.now / factors
+        fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
+        error = INTERVAL * np.sqrt(np.diag(fit.covariance))
+        # Of joints that the masses hardly load, nothing is said.
+        known = (fit.factors > 2 * error) & (error < 1.0)
+        factors = factors * np.where(known, fit.factors, 1.0)
+    if known.sum() < 2:
+        return None
+    factors = np.where(known, factors, np.exp(np.log(factors[known]).mean()))
+    if factors[known].max() < _DIFFERENT * factors[known].min():
+        return None
+    rows = np.array([r.size for r in robot.rows]) / robot.times
+    own = robot.joints
+    scaled = robot.fit(tau=robot.signals.now / factors)
+    log_odds = scaled.evidence - rows[own] @ np.log(factors[own]) - now + PRIOR
+    each = ", ".join(f"{names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known))
+    message = (
+        "The torques have different factors against what the described masses require "
+        f"({each}): motor currents, or shares of each joint's rated torque. Give the "
+        'factors to N m (--gain), or --gain unknown (Python: gains="unknown").'
+    )
+    return Hypothesis(
+        finding=ChannelFinding("torque_factors", _every(names), "doubt", message),
+        log_odds=log_odds,
+        signals=lambda signals: replace(
+            signals, tau=signals.tau / factors[None, :, None]
+        ),
     )
 
 

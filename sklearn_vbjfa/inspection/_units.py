@@ -31,7 +31,7 @@ from sklearn_vbjfa.robot._states import StateEstimator
 # Nominal inertias of one joint (without payload and rotor) are not wrong by more.
 _GEAR_FACTOR = 20.0
 # What is found of torques whose unit is not N m or N, or not known.
-OF_SIZE = ("torque_unit", "gear_factor")
+OF_SIZE = ("torque_unit", "torque_factors", "gear_factor")
 # A torque is noise if it is less than this share of the described one, and its relative
 # error above this.
 _SILENT, _UNRELATED = 0.1, 0.9

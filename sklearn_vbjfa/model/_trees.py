@@ -18,6 +18,8 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 # A body's smallest pseudo-inertia eigenvalue, in units of its own mass and length,
 # below which the body has next to no extension in some direction.
 _SOLID = 1e-6
+# No robot has joints farther apart [m].
+_LONGEST = 50.0
 # Radius of the ball that a mass without extension is, over the largest distance between
 # joints.
 _BALL = 0.1
@@ -249,6 +251,14 @@ def check_joints(loaded):
             "other joints. Split spherical joints into three revolute ones, and lock "
             "what does not move with pinocchio.buildReducedModel (command line: "
             "--joints)."
+        )
+    lengths = [np.linalg.norm(place.translation) for place in loaded.jointPlacements]
+    far = int(np.argmax(lengths))
+    if lengths[far] > _LONGEST:
+        raise ValueError(
+            f"Joint {loaded.names[far]} is {lengths[far]:.3g} m from the joint before "
+            "it: lengths of a description are in metres, and these look like "
+            "millimetres; divide them by 1000."
         )
     return loaded
 

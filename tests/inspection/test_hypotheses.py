@@ -143,3 +143,10 @@ def test_descriptions_that_are_off_by_half_raise_no_doubt(seed):
         recording.robot_model(), recording.q, recording.tau, recording.dt
     )
     assert found == ()
+
+
+def test_torques_as_shares_of_what_each_motor_has(log):
+    rated = np.array([200, 200, 120, 60, 40, 20.0])
+    kinds, found = grave(log, tau=100 * log[0].tau / rated)
+    assert kinds == ["torque_factors"]
+    assert "--gain unknown" in found[0].message

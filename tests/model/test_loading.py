@@ -247,3 +247,10 @@ def test_a_point_mass_keeps_its_mass(write):
     )
     robot = RobotIdentifier(model, dt=recording.dt).fit(recording.q, recording.tau)
     assert robot.theta_[0] == pytest.approx(1.0, rel=0.1)
+
+
+def test_lengths_in_millimetres_are_refused(write):
+    text = ONE_JOINT.format(kind="revolute", limit=LIMIT)
+    far = text.replace('xyz="0 0 1"', 'xyz="0 0 300"')
+    with pytest.raises(ValueError, match="millimetres"):
+        load_model(write(far))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.linalg import null_space
 
-from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa._core import write_whole
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)

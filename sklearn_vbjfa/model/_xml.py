@@ -10,7 +10,7 @@ from pathlib import Path
 from xml.parsers import expat
 from xml.parsers.expat import ExpatError
 
-from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa._core import write_whole
 
 # Robots of a hundred joints stay far below.
 _DEEPEST, _MOST_ELEMENTS, _MOST_ATTRIBUTES = 100, 200_000, 1000

@@ -7,8 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa._core import _lowpass, write_whole
 from sklearn_vbjfa.effects import (
     SPEED,
     CommandDelay,

@@ -9,8 +9,7 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp, softmax
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._groups import Groups
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
 from sklearn_vbjfa.effects import Follower, OfTime, declared_nonnegative
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED

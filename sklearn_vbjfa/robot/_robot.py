@@ -75,8 +75,7 @@ from sklearn_vbjfa.robot._spreads import (
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.robot._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.simulation._simulate import simulate
-from sklearn_vbjfa.simulation._stepper import Stepper, causal
-from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal
 
 # Periods of the cut-off at each end in which the smoother sees one side only, ...
 _EDGE_PERIODS = 1.0

@@ -5,7 +5,7 @@ from numbers import Real
 
 import numpy as np
 
-from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._gains import note_of_units
 from sklearn_vbjfa.robot._posterior import Posterior

@@ -13,7 +13,12 @@ from sklearn_vbjfa.simulation._simulate import (
     simulate,
     simulate_controlled,
 )
-from sklearn_vbjfa.simulation._stepper import Stepper, causal, why_left_out
-from sklearn_vbjfa.simulation._torque_model import Load, TorqueModel
+from sklearn_vbjfa.simulation._stepper import (
+    Load,
+    Stepper,
+    TorqueModel,
+    causal,
+    why_left_out,
+)
 
 __all__ = ["SimulationError"]

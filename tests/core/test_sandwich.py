@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa._core._linear_systems import block_variance
 
 NORMAL = 1.6449
 

@@ -14,7 +14,7 @@ from sklearn_vbjfa import (
     RobotIdentifier,
     load_identified,
 )
-from sklearn_vbjfa._core._whole_files import write_whole
+from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.effects import (
     BaseTilt,
     Counterbalance,

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import special, stats
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._sandwich import block_variance
+from sklearn_vbjfa._core._linear_systems import block_variance
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.robot._equations import held_columns, make_motion
 from sklearn_vbjfa.robot._joint_moments import BlockAssignment

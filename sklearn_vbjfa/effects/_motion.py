@@ -328,11 +328,11 @@ class EffectRange:
     # the speed in either direction; directions from -1, backward, to 1, forward.
     name: str
     joint: int
-    position: tuple
-    speed: tuple
-    load: tuple
-    direction: tuple = (-1.0, 1.0)
-    depends: tuple = ()
+    position: tuple[float, float]
+    speed: tuple[float, float]
+    load: tuple[float, float]
+    direction: tuple[float, float] = (-1.0, 1.0)
+    depends: tuple[str, ...] = ()
     curved: bool = False
 
     def ends(self, quantity):

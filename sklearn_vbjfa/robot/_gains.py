@@ -243,7 +243,7 @@ def gain_places(effects, n_rigid):
 class ChannelGains:
     """Gains of the torque channels of an identified robot."""
 
-    joint_names: tuple
+    joint_names: tuple[str, ...]
     # (nv,): what each channel reads over the torque: over that in units of the
     # reference channel, or over the torque itself [recorded unit / (N m or N)] where a
     # known mass says how much that is. 1 (relative) where the recording does not show
@@ -254,7 +254,7 @@ class ChannelGains:
     # (nv,): joint whose channel each is relative to: itself for a reference and for a
     # joint whose gain is not shown relative to any other
     reference: np.ndarray
-    common: object  # what fixes the common factor
+    common: "CommonGain"  # what fixes the common factor
     # (2, nv): ends of the 90 % intervals; nan where the gain is not shown
     intervals: np.ndarray = field(init=False)
 
@@ -381,7 +381,7 @@ class CommonGain:
     # fixes it. Parameters were divided by it
     factor: float | None = None
     std: float = float("nan")  # nan where nothing fixes it
-    masses: tuple = ()  # those that were given
+    masses: tuple[KnownMass, ...] = ()  # those that were given
     # probability of masses that disagree as much by chance; nan for a single one
     p_value: float = float("nan")
 

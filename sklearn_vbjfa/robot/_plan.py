@@ -2,18 +2,20 @@
 
 import itertools
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.effects import CommandDelay, Effect, Rest, resolve
+from sklearn_vbjfa.effects import CommandDelay, Effect, EffectRange, Rest, resolve
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._states import (
     RecordingStates,
     SplineStates,
+    StateEstimator,
     of_joints,
     smooth_segment,
 )
@@ -43,27 +45,32 @@ class Plan:
     """How a recording becomes equations."""
 
     dt: float | None  # [s]
-    state_estimator: object  # estimates states from positions; None if states are given
+    # estimates states from positions; None if states are given
+    state_estimator: StateEstimator | None
     cutoff: float  # of the low-pass of regressor and torques [Hz]
-    lowpass: _lowpass.Lowpass
     # (nv,): speeds at or below which equations are masked; none if negative
     standstill: np.ndarray
-    effects: tuple = ()  # effects that add columns to the regressor
+    effects: tuple[Effect, ...] = ()  # effects that add columns to the regressor
     # whether the regressor accepts a measured covariance of the input noise
     corrects_noise: bool = False
     # (nv,): period of a sine as fast as the motion [s], if nothing is filtered
     fastest_period: np.ndarray | None = None
     # first and last time of the rows [s], if effects need the clock
-    time: tuple | None = None
+    time: tuple[float, float] | None = None
     # whether effects that are in the model have the derivatives by their values for
     # columns; they have zeros otherwise, as the model holds the values
     tangents: bool = False
     # for each effect, what its motion is held within, None where nothing is held; empty
     # for a fit
-    ranges: tuple = ()
+    ranges: tuple[EffectRange | None, ...] = ()
     # (nv,): half of the jump that an acceleration makes when its joint turns round, see
     # `corners` [rad/s^2 or m/s^2]; None where it is not known
     corners: np.ndarray | None = None
+
+    @cached_property
+    def lowpass(self):
+        """Low-pass of regressor and torques."""
+        return _lowpass.design(self.dt or 1.0, self.cutoff)
 
     def clock(self, recording):
         """Return the time of each row [s]; stamped only if effects need it."""
@@ -122,12 +129,10 @@ def make_plan(settings, effects, lengths, estimator, facts):
     cutoff = resolve_cutoff(
         settings.cutoff, max(lengths), dt, estimator, settings.drive
     )
-    lowpass = _lowpass.design(dt or 1.0, cutoff)
     return Plan(
         dt=dt,
         state_estimator=estimator,
         cutoff=cutoff,
-        lowpass=lowpass,
         standstill=resolve_standstill(settings.standstill, facts.fast()),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),

@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import CommandDelay, OfTime
+from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
 from sklearn_vbjfa.effects._motion import Rest, outside, own_motions
 from sklearn_vbjfa.model._loading import (
     description_text,
@@ -67,6 +67,7 @@ from sklearn_vbjfa.robot._residuals import compare
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     ColumnMeanSquares,
+    Spread,
     TorqueSpread,
     beyond_text,
     effect_of_time,
@@ -366,12 +367,12 @@ class IdentifiedRobot(SimulatesTorques):
     load_parameters: np.ndarray | None = None
     # what each effect was fitted on: first friction by joint, then the effects, of
     # which those that are not `bounded` are held within theirs. Empty, or for all
-    effect_ranges_: tuple = ()
+    effect_ranges_: tuple[EffectRange, ...] = ()
     # lowest and highest value of each recorded signal in the fit
-    signal_ends: Mapping = field(default_factory=dict)
-    coefficient_covariances: tuple = ()  # how well each effect is known
+    signal_ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    coefficient_covariances: tuple[Spread, ...] = ()  # how well each effect is known
     # [Hz], of a smoother for positions where the fit was given states
-    state_cutoff: object = "auto"
+    state_cutoff: float | str | tuple[float | None, ...] | None = "auto"
     # how large columns of friction and effects were in the fit
     powers: ColumnMeanSquares | None = None
     # how far measured torques may be from predicted ones
@@ -381,7 +382,8 @@ class IdentifiedRobot(SimulatesTorques):
     theta_std_: np.ndarray | None = None  # (p,)
     theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
     identifiable_: np.ndarray | None = None  # (p,): determined individually
-    known_: tuple = ()  # what the recording says of each; see `known_parameters`
+    # what the recording says of each; see `known_parameters`
+    known_: tuple[str, ...] = ()
     # (nv,): torque residuals expected from noise alone, those of the torques' noise,
     # and what a fit left beside noise of positions [N m or N]
     noise_floor_: np.ndarray | None = None

@@ -21,7 +21,7 @@ _MARGIN = 0.1
 class Spread:
     """How well an effect's coefficients and shape are known."""
 
-    shape: tuple  # parameters that were tuned with the coefficients
+    shape: tuple[str, ...]  # parameters that were tuned with the coefficients
     covariance: np.ndarray  # (k + n_shape, k + n_shape): of coefficients and shape
 
     @classmethod
@@ -192,7 +192,7 @@ class ColumnMeanSquares:
     friction: np.ndarray  # (nv, n_friction): mean squares of the declared columns
     # (nv, k, k): products of each effect's columns in the equations of every joint; nan
     # where they are not known
-    effects: tuple = ()
+    effects: tuple[np.ndarray, ...] = ()
 
     @classmethod
     def of_moments(cls, moments, n_rigid, n_friction, effects, gains):

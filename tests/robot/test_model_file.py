@@ -221,10 +221,8 @@ def test_an_effect_of_ones_own(simulated, tmp_path):
 def test_the_guide_tells_of_all_keys(saved):
     guide = (Path(__file__).parents[2] / "docs" / "saved_model.rst").read_text()
     content = json.loads(saved.read_text())
-    found = [*content, *content["joints"][0], *content["parameters"][0]]
-    for key in found + list(content["fit"]):
-        if not key.endswith("unit"):
-            assert f"``{key}``" in guide, key
+    for key in [*content, *content["plan"]]:
+        assert f"``{key}``" in guide, key
 
 
 # -- bad input -------------------------------------------------------------------------
@@ -257,113 +255,89 @@ def delete(*keys):
     return change
 
 
+def nested(depth):
+    """Return lists within lists."""
+    value = 0.0
+    for _ in range(depth):
+        value = [value]
+    return value
+
+
+def effect(name="ripple", joint=0, **shape):
+    """Describe an effect as a file does."""
+    return [{"name": name, "of_library": True, "joint": joint, "shape": shape}]
+
+
 BAD = {
     "another format": (assign("format", value="x"), "'format'"),
     "no format": (delete("format"), "'format'"),
     "newer": (assign("version", value=3), "'version' is 3, and"),
     "version is not a number": (assign("version", value="1"), "'version' is"),
-    "no URDF": (delete("urdf"), "'urdf' is missing"),
-    "no parameter value": (
-        delete("parameters", 3, "value"),
-        r"'parameters\[3\]\.value' is missing",
-    ),
+    "no URDF": (delete("text"), "'text' is missing"),
+    "no parameters": (delete("theta_"), "'theta_' is missing"),
+    "null parameters": (assign("theta_", value=None), "'theta_' must hold a number"),
     "no number": (
-        assign("parameters", 3, "value", value="much"),
-        r"'parameters\[3\]\.value' must hold a number, not 'much'",
+        assign("theta_", 3, value="much"),
+        r"'theta_\[3\]' must hold a number, not 'much'",
     ),
     "true is not a number": (
-        assign("parameters", 3, "value", value=True),
-        r"'parameters\[3\]\.value' must hold a number, not True",
+        assign("theta_", 3, value=True),
+        r"'theta_\[3\]' must hold a number, not True",
     ),
     "too large": (
-        assign("parameters", 3, "value", value=10**400),
-        r"'parameters\[3\]\.value' holds a number that is too large",
+        assign("theta_", 3, value=10**400),
+        r"'theta_\[3\]' holds a number that is too large",
     ),
-    "nan": (
-        assign("parameters", 5, "value", value="nan"),
-        r"'parameters\[5\]\.value' must hold a finite number",
-    ),
+    "nan": (assign("theta_", 5, value="nan"), "'theta_' must hold finite numbers"),
     "another parameter": (
-        assign("parameters", 0, "name", value="joint_2:m"),
-        r"'parameters\[0\]\.name' is 'joint_2:m' where 'joint_1:m' is expected",
+        assign("parameters", 0, value="joint_2:m"),
+        "'parameters' must hold the names of the parameters",
     ),
-    "too few": (delete("parameters", -1), "'parameters' must hold 72 values"),
-    "too few ranges": (delete("ranges", -1), r"'ranges' must hold \d+ values, not"),
-    "no list": (assign("parameters", value=3), "'parameters' must hold a list"),
-    "no object": (assign("fit", value=[]), "'fit' must hold an object"),
-    "broken URDF": (assign("urdf", 0, value="<robot"), "'urdf' holds no such robot"),
-    "no robot": (assign("urdf", value=["<robot/>"]), "'urdf' holds no such robot"),
+    "too few": (delete("theta_", -1), r"'theta_' must hold .* shape \(72,\), not"),
+    "too few ranges": (
+        delete("effect_ranges_", -1),
+        r"'effect_ranges_' must hold \d+ values, not",
+    ),
+    "no list": (assign("known_", value=3), "'known_' must hold a list"),
+    "no object": (assign("plan", value=[]), "'plan' must hold an object"),
+    "too deep": (assign("theta_", value=nested(400)), "too deeply|rows of the same"),
+    "broken URDF": (assign("text", value="<robot"), "'text' holds no such robot"),
+    "no robot": (assign("text", value="<robot/>"), "'text' holds no such robot"),
     "another joint": (
-        assign("joints", 1, "name", value="elbow"),
-        "'urdf' holds no such robot: the joints joint_1, elbow",
+        assign("joints", 1, value="elbow"),
+        "'text' holds no such robot: the joints joint_1, elbow",
     ),
     "joint twice": (
-        assign("joints", 1, "name", value="joint_1"),
-        "'urdf' holds no such robot: the joints joint_1, joint_1",
-    ),
-    "another kind": (
-        assign("joints", 1, "kind", value="prismatic"),
-        r"'joints\[1\]\.kind' is not that of the description",
+        assign("joints", 1, value="joint_1"),
+        "'text' holds no such robot: the joints joint_1, joint_1",
     ),
     "unknown friction": (
         assign("friction", value=["sticky"]),
         "'friction' is of no use: .*sticky",
     ),
-    "gravity": (
-        assign("gravity", "linear", value=[0, 0]),
-        r"'gravity\.linear' must hold 3 values, not 2",
-    ),
-    "no time": (assign("fit", "dt", value=-1.0), r"'fit\.dt' must be greater"),
-    "no text": (assign("saved_with", value=None), "'saved_with' must hold a text"),
-    "known": (
-        assign("parameters", 0, "known", value="perhaps"),
-        r"'parameters\[0\]\.known' must be one of yes",
+    "gravity": (assign("gravity", value=[0, 0]), "'gravity' must hold numbers of"),
+    "no time": (assign("plan", "dt", value=-1.0), r"'plan\.dt' must be greater"),
+    "no cut-off": (assign("plan", "cutoff", value=0.0), r"'plan\.cutoff' is of no"),
+    "no text": (assign("package", value=None), "'package' must hold a text"),
+    "covariance": (
+        assign("prediction_covariance", "covariance", 2, value=[1.0]),
+        r"'prediction_covariance\.covariance' must hold rows of the same length",
     ),
     "effect": (
-        assign(
-            "effects",
-            value=[{"name": "ripples", "of_library": True, "joint": "joint_1"}],
-        ),
-        r"'effects\[0\]\.name' is 'ripples', which the library",
-    ),
-    "covariance": (
-        assign("torque_spread", "covariance", 2, value=[1.0]),
-        r"'torque_spread\.covariance\[2\]' must hold 3 values, not 1",
+        assign("plan", "effects", value=effect("ripples")),
+        r"'plan\.effects\[0\]\.name' is 'ripples', which the library",
     ),
     "shape": (
-        assign(
-            "effects",
-            value=[
-                {
-                    "name": "ripple",
-                    "of_library": True,
-                    "joint": "joint_1",
-                    "shape": {"periods": 3},
-                }
-            ],
-        ),
-        r"'effects\[0\]\.shape' does not suit 'ripple'",
+        assign("plan", "effects", value=effect(periods=3)),
+        r"'plan\.effects\[0\]\.shape' does not suit 'ripple'",
     ),
     "partner": (
-        assign(
-            "effects",
-            value=[
-                {
-                    "name": "coupling",
-                    "of_library": True,
-                    "joint": "joint_2",
-                    "shape": {"other": -2},
-                }
-            ],
-        ),
-        r"'effects\[0\]\.shape\.other' must be another joint",
+        assign("plan", "effects", value=effect("coupling", 1, other=-2)),
+        r"'plan\.effects\[0\]\.shape\.other' must be another joint",
     ),
     "joint of an effect": (
-        assign(
-            "effects",
-            value=[{"name": "ripple", "of_library": True, "joint": "elbow"}],
-        ),
-        r"'effects\[0\]\.joint' must be one of joint_1",
+        assign("plan", "effects", value=effect(joint=6)),
+        r"'plan\.effects\[0\]\.joint' must be one of the 6 joints",
     ),
 }
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
-from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import Motion, resolve
 from sklearn_vbjfa.robot import Plan, Spread, is_plain
 from tests.model._robots import random_body
@@ -84,7 +83,6 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         dt=DT,
         state_estimator=None,
         cutoff=float(rng.choice([20.0, np.inf])),
-        lowpass=_lowpass.design(DT, np.inf),
         standstill=rng.choice([-1.0, 0.0, 0.05, 0.2], size=nv),
         effects=effects,
         fastest_period=rng.uniform(0.5, 2.0, size=nv),

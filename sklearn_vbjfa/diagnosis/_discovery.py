@@ -38,10 +38,10 @@ from sklearn_vbjfa.recording import (
     take_rows,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._from_commands import unfollowed
 from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.robot._plan import check_effects
 from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.robot._windows import unfollowed
 
 # Channels with these faults are reported and not searched: the search would find the
 # fault.

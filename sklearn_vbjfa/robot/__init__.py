@@ -7,10 +7,10 @@ from sklearn_vbjfa import _lazily
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
     from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
+    from sklearn_vbjfa.robot._equations import TorqueResiduals
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-    from sklearn_vbjfa.robot._residuals import TorqueResiduals
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __all__ = [

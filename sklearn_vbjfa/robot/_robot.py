@@ -34,6 +34,7 @@ from sklearn_vbjfa.recording._recording import (
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     build_segments,
+    compare,
     equations,
     is_plain,
     joined,
@@ -44,7 +45,6 @@ from sklearn_vbjfa.robot._equations import (
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
-from sklearn_vbjfa.robot._from_commands import follow
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._posterior import (
@@ -53,17 +53,11 @@ from sklearn_vbjfa.robot._posterior import (
     check_number,
     seed_of,
 )
-from sklearn_vbjfa.robot._ranges import (
-    outside_text,
-    signals_outside_text,
-    warn_outside,
-)
 from sklearn_vbjfa.robot._recording_checks import (
     check_length,
     check_weight,
     check_widths,
 )
-from sklearn_vbjfa.robot._residuals import compare
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     ColumnMeanSquares,
@@ -72,9 +66,13 @@ from sklearn_vbjfa.robot._spreads import (
     beyond_text,
     effect_of_time,
     note_of_masses,
+    outside_text,
+    signals_outside_text,
+    warn_outside,
 )
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
 from sklearn_vbjfa.robot._torque_noise import noise_facts, rows_looked_at, seen
+from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal
 

@@ -12,7 +12,7 @@ from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # no
 from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.robot import PDDrive, _fit  # noqa: E402
-from sklearn_vbjfa.robot._corners import jump  # noqa: E402
+from sklearn_vbjfa.robot._fit import jump  # noqa: E402
 
 DT = 0.005
 KP, KD = 20.0, 1.0

@@ -23,9 +23,9 @@ from sklearn_vbjfa.robot._output_error import (
     Normal,
     Windows,
     deviations,
+    propagate,
     run_windows,
 )
-from sklearn_vbjfa.robot._sensitivities import propagate
 from sklearn_vbjfa.simulation import (
     simulate,
     simulate_controlled,

@@ -22,11 +22,10 @@ from sklearn_vbjfa.diagnosis.search._branches import root_joints
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.model._trees import body_names
+from sklearn_vbjfa.robot._equations import TorqueResiduals, torque_spread
 from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
-from sklearn_vbjfa.robot._from_commands import Follower
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._residuals import TorqueResiduals, torque_spread
-from sklearn_vbjfa.robot._windows import tell_once
+from sklearn_vbjfa.robot._windows import Follower, tell_once
 
 # At most so much of the held-out part is simulated [s]: the beginnings of its
 # stretches.

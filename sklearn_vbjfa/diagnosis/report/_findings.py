@@ -12,7 +12,7 @@ from sklearn_vbjfa.diagnosis.report._limits import (
 )
 from sklearn_vbjfa.diagnosis.report._render import Section, listed, table_of
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.robot._ranges import held_text
+from sklearn_vbjfa.robot._spreads import held_text
 
 # One of a SI unit in the unit that is read off an instrument.
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}

@@ -883,8 +883,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             torques are held beyond that margin, see Notes. The same warning
             tells of effects of time outside the time of the fit, by more than a tenth
             of its duration, what they add there and its standard deviation
-            (`effects_of_time`), and of recorded signals that leave their range in the
-            fit by more than a fifth of its width.
+            (`IdentifiedRobot.effects_of_time`), and of recorded signals that leave
+            their range in the fit by more than a fifth of its width.
 
         Notes
         -----
@@ -947,51 +947,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         if self.theta_ is not self._robot.theta_:
             return replace(self._robot, theta_=self.theta_)
         return self._robot
-
-    def effects_of_time(self, X, groups=None, t=None, signals=None):
-        """Return what effects of time add to a prediction, and how well it is known.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states, as for `predict`.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, as for `predict`.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them, as for
-            `fit`.
-
-        Returns
-        -------
-        tuple of EffectOfTime
-            One for each effect of time in `effects_` (a drift, a payload), with `name`,
-            `joint`, `torque` and its standard deviation `std`, (n_samples, nv) [N m or
-            N], and `beyond`, the time of each row after the fit [s]. The deviation
-            counts shape parameters (the time constant) as given, unless
-            `EffectDiscovery` tuned them.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import make_robot_recording
-        >>> from sklearn_vbjfa.effects import Drift
-        >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-        >>> drift = Drift(joint=0, of="offset", time_constant=10.0)
-        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=[drift])
-        >>> tau = recording.tau.copy()
-        >>> tau[:, 0] += 5.0 * np.exp(-recording.t / 10.0)
-        >>> robot = robot.fit(recording.q, tau)
-        >>> later = recording.t + 10.0
-        >>> (found,) = robot.effects_of_time(recording.q, t=later)
-        >>> float(found.beyond.max().round(6))
-        10.0
-        >>> bool((found.std[:, 0] > 0).all())
-        True
-        """
-        return self.robot_.effects_of_time(X, groups, t, signals)
 
     def residuals(
         self,

@@ -538,7 +538,48 @@ class IdentifiedRobot(SimulatesTorques):
         return torques, np.concatenate(spreads)
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
-        """Return what effects of time add; see `RobotIdentifier.effects_of_time`."""
+        """Return what effects of time add to a prediction, and how well it is known.
+
+        Parameters
+        ----------
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states, as for `predict`.
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s] on the clock of the fit, as for `predict`.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Columns recorded beside the motion, for effects that vary with them, as for
+            `fit`.
+
+        Returns
+        -------
+        tuple of EffectOfTime
+            One for each effect of time in `effects_` (a drift, a payload), with `name`,
+            `joint`, `torque` and its standard deviation `std`, (n_samples, nv) [N m or
+            N], and `beyond`, the time of each row after the fit [s]. The deviation
+            counts shape parameters (the time constant) as given, unless
+            `EffectDiscovery` tuned them.
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> from sklearn_vbjfa import RobotIdentifier
+        >>> from sklearn_vbjfa.datasets import make_robot_recording
+        >>> from sklearn_vbjfa.effects import Drift
+        >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
+        >>> drift = Drift(joint=0, of="offset", time_constant=10.0)
+        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=[drift])
+        >>> tau = recording.tau.copy()
+        >>> tau[:, 0] += 5.0 * np.exp(-recording.t / 10.0)
+        >>> robot = robot.fit(recording.q, tau)
+        >>> later = recording.t + 10.0
+        >>> (found,) = robot.robot_.effects_of_time(recording.q, t=later)
+        >>> float(found.beyond.max().round(6))
+        10.0
+        >>> bool((found.std[:, 0] > 0).all())
+        True
+        """
         X, signals = self.checked(X, signals)
         return self.of_time(self.prepare(X, groups, t, signals=signals))
 

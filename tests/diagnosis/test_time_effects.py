@@ -83,7 +83,7 @@ def test_what_is_left_is_by_the_delta_method(warming):
     t = drift.afterwards.seconds
     assert drift.afterwards.left["D"] == pytest.approx(d * np.exp(-t / constant))
     # As the prediction says at that time; its deviation is not of 90 %.
-    (found,) = warming.identifier_.effects_of_time(ONE.position)
+    (found,) = warming.identifier_.robot_.effects_of_time(ONE.position)
     fast = np.abs(ONE.v[-50:, 0]).argmax() - 50
     fading = np.exp((t - ONE.t[fast]) / constant)
     assert abs(found.torque[fast, 0]) == pytest.approx(
@@ -99,7 +99,9 @@ def test_the_motion_after_the_recording_is_predicted(warming):
         later = warming.predict(ONE.position, t=ONE.t + LENGTH)
     (message,) = {str(w.message) for w in caught}
     assert "joint_1: drift of the Coulomb friction with time predicted up to" in message
-    (found,) = warming.identifier_.effects_of_time(ONE.position, t=ONE.t + LENGTH)
+    (found,) = warming.identifier_.robot_.effects_of_time(
+        ONE.position, t=ONE.t + LENGTH
+    )
     truth = 2.0 * np.exp(-(ONE.t + LENGTH) / (0.5 * LENGTH))
     moves = np.abs(ONE.v[:, 0]) > 0.3
     missed = np.abs(found.torque[moves, 0]) - truth[moves]

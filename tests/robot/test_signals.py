@@ -79,7 +79,7 @@ def test_a_prediction_outside_the_fitted_signal_is_told_of(found):
             found.predict(X, signals={"temperature": np.full(300, degrees)})
 
 
-@pytest.mark.parametrize("call", ["predict", "residuals", "effects_of_time", "score"])
+@pytest.mark.parametrize("call", ["predict", "residuals", "score"])
 def test_one_error_names_the_missing_column(found, call):
     args = (ARM.q, TAU) if call in {"residuals", "score"} else (ARM.q,)
     with pytest.raises(ValueError, match="varies with the recorded signal 'temperatu"):

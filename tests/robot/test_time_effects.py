@@ -75,20 +75,20 @@ def test_before_the_fit_it_is_as_it_was_at_first(before):
 
 def test_share_and_time_of_an_effect_of_time():
     robot = fit("viscous")
-    (found,) = robot.effects_of_time(STATES, t=T + START + 12.0)
+    (found,) = robot.robot_.effects_of_time(STATES, t=T + START + 12.0)
     assert (found.name, found.joint) == ("drift", 1)
     assert_allclose(found.beyond, np.maximum(T + 12.0 - T[-1], 0.0), atol=1e-9)
     expected = np.zeros_like(TORQUE)
     expected[:, 1] = D * np.exp(-(T + START + 12.0) / CONSTANT) * V[:, 1]
     assert_allclose(found.torque, expected, atol=1e-6)
-    (early,) = robot.effects_of_time(STATES, t=T + START - 12.0)
+    (early,) = robot.robot_.effects_of_time(STATES, t=T + START - 12.0)
     assert_allclose(early.beyond, np.minimum(T - 12.0, 0.0), atol=1e-9)
-    (inside,) = robot.effects_of_time(STATES)
+    (inside,) = robot.robot_.effects_of_time(STATES)
     assert_array_equal(inside.beyond, 0 * T)
     assert (
         RobotIdentifier(MODEL, dt=DT, friction=("viscous",))
         .fit(Q, TORQUE)
-        .effects_of_time(Q)
+        .robot_.effects_of_time(Q)
         == ()
     )
 
@@ -96,7 +96,7 @@ def test_share_and_time_of_an_effect_of_time():
 def test_deviation_of_a_drift_is_that_of_its_coefficient():
     noisy = fit(regressor=None)
     later = T + START + 40.0
-    (found,) = noisy.effects_of_time(STATES, t=later)
+    (found,) = noisy.robot_.effects_of_time(STATES, t=later)
     expected = noisy.theta_std_[-1] * np.exp(-later / CONSTANT)
     assert (expected > 0).all()
     assert_allclose(found.std[:, 1], expected, rtol=1e-9)

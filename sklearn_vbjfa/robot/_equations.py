@@ -336,11 +336,13 @@ class RegressorRows:
     def predict(self, theta, n_jobs=1):
         """Torques (n, nv) predicted by parameters (p,), without their columns."""
         bodies, coefs = np.split(theta, [self.n_rigid])
-        known = self._features, self._rest, bodies.reshape(self.n_joints, -1)
+        bodies = bodies.reshape(self.n_joints, -1)
         torque = np.empty((self._states.shape[0], self.n_joints))
         begins = range(0, len(torque), _SPAN_ROWS)
         spans = [slice(one, min(one + _SPAN_ROWS, len(torque))) for one in begins]
-        tasks = ((*known, self._states[rows]) for rows in spans)
+        tasks = (
+            (self._features, self._rest, bodies, self._states[rows]) for rows in spans
+        )
         # A task of its own is not worth it for the few rows of a single query.
         alone = n_jobs == 1 or len(spans) < 2
         made = (_plain_torques(*task) for task in tasks)
@@ -437,18 +439,19 @@ def with_delayed_commands(recording, plan):
                     "fit (drive=PDDrive(...)), or predict torques without measured "
                     "ones."
                 )
-            known = recording.command, recording.segments, plan.clock(recording)
-            tau = recording.tau + effect.change(*known)
-            recording = replace(recording, tau=tau)
+            change = effect.change(
+                recording.command, recording.segments, plan.clock(recording)
+            )
+            recording = replace(recording, tau=recording.tau + change)
     return recording
 
 
 def delayed_command_torque(recording, effects):
     """Torques (n, nv) that follow from commands alone, as late as effects have them."""
-    command, known = recording.command, (recording.segments, recording.clock())
+    command, clock = recording.command, recording.clock()
     for effect in effects:
         if isinstance(effect, CommandDelay):
-            command = command + effect.change(command, *known)
+            command = command + effect.change(command, recording.segments, clock)
     return command
 
 

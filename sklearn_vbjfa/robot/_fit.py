@@ -169,15 +169,21 @@ class Fit:
             return robot.features_.torques(q, v, a, inertial)
 
         load = sum_ranges([one.loads(robot.plan.lowpass, torques) for one in self.made])
-        known = robot.features_.friction_, robot.effects_, self.found.moments.ranges
-        ranges = effect_ranges(*known, load)
+        ranges = effect_ranges(
+            robot.features_.friction_,
+            robot.effects_,
+            motion=self.found.moments.ranges,
+            load=load,
+        )
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
 
     def between(self):
         """Return how far values are off between recordings; None if it is not told."""
-        robot = self.robot
-        known = places_between(robot), robot.theta_
-        return BetweenRecordings.of_estimate(self.tangents or self.found, *known)
+        return BetweenRecordings.of_estimate(
+            self.tangents or self.found,
+            places=places_between(self.robot),
+            values=self.robot.theta_,
+        )
 
     def with_torque_noise(self, noise):
         """Return the fit with another torque noise (nv,), in the band of the fit."""
@@ -420,8 +426,13 @@ def _corrected(recipe, fit, source, relative):
             zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
         # Beside bodies that are held, a value of the geometry would stay where it is.
         bodies = None if _of_bodies(robot) else fit.found.bodies
-        known = robot.effects_, n_rigid, recipe.joint_weights, bodies
-        values = ModelValues.of(moments.zeroed(zeros), *known)
+        values = ModelValues.of(
+            moments.zeroed(zeros),
+            robot.effects_,
+            n_rigid=n_rigid,
+            joint_weights=recipe.joint_weights,
+            bodies=bodies,
+        )
         if values.stay() or (relative is not None and relative.vague(values).any()):
             break
         fit = recipe.of_source(_at(robot, values.corrected()), source)
@@ -436,8 +447,9 @@ def _common_gain(recipe, fit, relative, values):
     places = mass_places(
         recipe.masses, features.model_, effects, features.n_parameters_
     )
-    known = recipe.masses, places, fit.robot.theta_, values.estimate
-    common, covariance = common_gain(*known)
+    common, covariance = common_gain(
+        recipe.masses, places, theta=fit.robot.theta_, estimate=values.estimate
+    )
     if len(relative.references) != 1:
         # Gains of joints that share nothing have no common factor.
         return common.given_up(), None
@@ -695,8 +707,13 @@ def jump(dry, inertia, damping, stiffness, cutoff):
 
 def _of_effects(robot, source):
     """Torques (n, nv) of the effects of a fitted robot along its motion."""
-    known = source.recording, source.states.own, robot.plan, robot.features_
-    made = regressor_rows(*known, theta=robot.load_parameters)
+    made = regressor_rows(
+        source.recording,
+        source.states.own,
+        robot.plan,
+        robot.features_,
+        theta=robot.load_parameters,
+    )
     return np.concatenate([rows.effects(robot.theta_) for rows in made])
 
 

@@ -746,8 +746,16 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             told, signals = self.drive.taken(y, signals)
         used = signals_for(self.effects_, signals, beside, X.shape[0])
         weight = check_weight(sample_weight, y.shape)
-        known = groups, weight, t, used
-        recording = recording_of(self.joint_names_, self.dt, X, y, *known)
+        recording = recording_of(
+            self.joint_names_,
+            self.dt,
+            X,
+            y,
+            groups=groups,
+            weight=weight,
+            t=t,
+            signals=used,
+        )
         check_useful(signals, recording)
         if self.drive is None:
             return recording
@@ -993,12 +1001,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         their ranges as in `predict`. Where a joint is at rest (zero weight), dry
         friction has its mean, as there.
         """
-        known = groups, sample_weight, t, signals
         if self.drive is not None:
             check_is_fitted(self)
-            recording = self._take(X, y, *known)
+            recording = self._take(X, y, groups, sample_weight, t, signals)
             return self.robot_.residuals_of(recording, cutoff=cutoff)
-        return self.robot_.residuals(X, y, *known, cutoff=cutoff)
+        return self.robot_.residuals(
+            X, y, groups, sample_weight, t, signals, cutoff=cutoff
+        )
 
     def sample(self, n, random_state=None):
         r"""Draw robots that this one may be, as its next recording may show it.

@@ -57,8 +57,9 @@ class BetweenRecordings:
         stats, weight = found.moments, found.joint_weights
         if not stats.recordings or found.covariance is None:
             return None
-        known = weight, found.theta
-        keys, grams, scores = weighted_parts(stats, stats.recordings, *known)
+        keys, grams, scores = weighted_parts(
+            stats, stats.recordings, weight, found.theta
+        )
         power = grams[:, places, places]
         places = places[(power > 0).sum(axis=0) > 1]
         if not places.size:

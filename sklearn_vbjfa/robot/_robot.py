@@ -600,8 +600,9 @@ class IdentifiedRobot(SimulatesTorques):
         y = check_array(y, dtype=np.float64, ensure_2d=False).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
         clock = self.clock(t, X.shape[0])
-        known = groups, check_weight(sample_weight, y.shape), clock, signals
-        return self.residuals_of(self.recording(X, y, *known), cutoff=cutoff)
+        weight = check_weight(sample_weight, y.shape)
+        recording = self.recording(X, y, groups, weight, clock, signals)
+        return self.residuals_of(recording, cutoff=cutoff)
 
     def residuals_of(self, recording, *, cutoff="fit"):
         """Torque residuals on a `Recording`; see `RobotIdentifier.residuals`."""
@@ -970,9 +971,9 @@ class IdentifiedRobot(SimulatesTorques):
 
     def prepare_recording(self, recording):
         """Make the `Inputs` of a recording."""
-        known = recording.inputs, recording.groups
-        smoother = self.smoother(*known, in_band=True)
-        states, rest = self.smoothed(*known, smoother)
+        inputs, groups = recording.inputs, recording.groups
+        smoother = self.smoother(inputs, groups, in_band=True)
+        states, rest = self.smoothed(inputs, groups, smoother)
         recording = self._on_clock(recording)
         return Inputs(recording=recording, states=states, rest=rest, smoother=smoother)
 
@@ -989,8 +990,8 @@ class IdentifiedRobot(SimulatesTorques):
 
     def torques(self, asked, n_jobs=1):
         """Torques (n, nv) that are predicted for `Inputs`."""
-        known = self.theta_, n_jobs
-        return np.concatenate([one.predict(*known) for one in self._rows(asked)])
+        rows = self._rows(asked)
+        return np.concatenate([one.predict(self.theta_, n_jobs) for one in rows])
 
     def _rows(self, asked):
         """Return the `RegressorRows` of each segment of `Inputs`."""
@@ -1029,20 +1030,20 @@ class IdentifiedRobot(SimulatesTorques):
         """Share of each effect of time in `Inputs`, tuple of `EffectOfTime`."""
         if not any(isinstance(effect, OfTime) for effect in self.effects_):
             return ()
-        known = {"theta": self.load_parameters, "rest": asked.rest}
         motion = motion_of(
-            asked.recording, asked.states, self.prediction_plan, self.features_, **known
+            asked.recording,
+            asked.states,
+            self.prediction_plan,
+            self.features_,
+            theta=self.load_parameters,
+            rest=asked.rest,
         )
         motions = own_motions(self.effects_, self.held, motion)
-        known = (
-            self.effects_,
-            self.split(self.theta_),
-            self.coefficient_covariances,
-            motions,
-        )
+        spreads = self.coefficient_covariances
+        each = zip(self.effects_, self.split(self.theta_), spreads, motions)
         return tuple(
             effect_of_time(effect, coef, spread, own, self.plan.time)
-            for effect, coef, spread, own in zip(*known)
+            for effect, coef, spread, own in each
             if isinstance(effect, OfTime)
         )
 
@@ -1139,8 +1140,8 @@ class IdentifiedRobot(SimulatesTorques):
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)
             asked, y = asked.noiseless(self.plan), recording.tau[rows]
-            known = y - self.torques(asked, n_jobs), y, asked.states
-            found.append(noise_facts(*known, *band, n_jobs))
+            residual = y - self.torques(asked, n_jobs)
+            found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found
 
     def outside_of(self, recording):

@@ -1,6 +1,5 @@
 """Robots that are told positions: torques of the law, its delay, and bad input."""
 
-import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 
 import numpy as np
@@ -22,7 +21,6 @@ from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     PDDrive,
     RecordingStates,
-    follow_windows,
 )
 from sklearn_vbjfa.robot._equations import build_segments  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
@@ -434,14 +432,6 @@ def test_a_robot_follows_its_commands_as_it_did():
     assert np.abs(other - whole)[:, :3].max() > 10 * np.abs(left).max()
 
 
-@pytest.fixture(scope="module")
-def followed_arm():
-    """Return an arm that is told positions late, identified, and its windows."""
-    recording, drive = told(0.011, duration=6.0), PDDrive(KP, KD, period=1e-3)
-    robot = identify(recording, drive)
-    return robot, recording, follow_windows(robot, drive, recording, window=0.5)
-
-
 def test_what_follows_nothing_is_refused():
     recording = told()
     robot = RobotIdentifier(ARM, **EXACT, dt=DT)
@@ -493,8 +483,3 @@ def test_mujoco_follows_commands_as_the_package_does(tmp_path, limit):
         free = robot.follow(recording)[:, :3]
         away = np.sqrt(((free - own) ** 2).mean(axis=0))
         assert (away > 0.02 * own.std(axis=0)).any()
-
-
-def actuators(path):
-    """Return the actuators of a file."""
-    return ElementTree.parse(path).findall("actuator/general")

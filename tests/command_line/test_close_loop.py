@@ -457,16 +457,16 @@ def warm(urdf, tmp_path_factory):
     return path
 
 
-def closed(warm, urdf, out, *more, code=0):
+def closed(warm, urdf, out, *more):
     argv = ["close-loop", str(warm), "--urdf", str(urdf), "--out", str(out)]
     argv += ["--effects", "offset,signal,drift", *more]
-    assert main(argv) == code
+    assert main(argv) == 0
     return json.loads((out / "report.json").read_text(encoding="utf-8"))
 
 
 def test_columns_of_a_file_are_candidates(warm, urdf, tmp_path, capsys):
     # Some columns cannot be used.
-    report = closed(warm, urdf, tmp_path / "out", code=3)
+    report = closed(warm, urdf, tmp_path / "out")
     (effect,) = report["effects"]
     assert effect["name"] == "signal"
     factor = {"temperature": 1, "gain": 2}[effect["parameters"]["signal"]]

@@ -184,9 +184,7 @@ def test_signals_that_a_file_lacks_are_said(here, capsys):
         path.write_text("\n".join([f"{head},temperature", *rows]))
     line = refusal(capsys, "close-loop", *RUNS, "--signals", "temperature")
     assert "The column 'temperature' is missing in runs/c.csv" in line
-    code, _, err = run(capsys, "close-loop", *RUNS)
-    assert code == 3
-    assert "temperature" in err[-1]
+    assert run(capsys, "close-loop", *RUNS)[0] == 0
     report = json.loads(Path("runs-report/report.json").read_text("utf-8"))
     told = " ".join(one["message"] for one in report["channels"])
     assert "it is missing in runs/c.csv" in told

@@ -416,7 +416,7 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
 
 
 def test_a_robot_follows_its_commands_as_it_did():
-    recording = told(0.011)
+    recording = told(0.011, duration=6.0)
     # Torques are held for a period, which is a delay of half of it.
     robot = identify(recording, PDDrive(KP, KD, period=2.5e-4))
     whole = robot.follow(recording)

@@ -164,6 +164,7 @@ def test_the_scale_of_a_single_value_is_the_exact_one(seed):
     )
 
 
+@pytest.mark.slow
 def test_a_left_out_recording_is_in_its_ranges(urdf):
     """At 90 %, with a known scatter of armature, damping and friction."""
     done = [held(urdf, seed, 8, share_of(0.3)) for seed in range(150)]

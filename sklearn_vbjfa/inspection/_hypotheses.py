@@ -25,7 +25,7 @@ INTERVAL = 1.645
 # Torques of all joints together are not this many times the described ones by chance.
 _SCALE = 2.5
 # Factors of single joints differ from this ratio on.
-_DIFFERENT = 4.0
+_DIFFERENT = 2.5
 # A factor of gravity below this is none.
 _NO_WEIGHT = 0.3
 # A base is turned by more than this [rad], and pulls as gravity does to this factor.
@@ -223,7 +223,10 @@ def _scaled_each(robot, now, names):
     if known.sum() < 2:
         return None
     factors = np.where(known, factors, np.exp(np.log(factors[known]).mean()))
-    if factors[known].max() < _DIFFERENT * factors[known].min():
+    # Of many, a single one that is off is another finding.
+    ordered = np.sort(factors[known])
+    ordered = ordered[1:-1] if ordered.size > 3 else ordered
+    if ordered[-1] < _DIFFERENT * ordered[0]:
         return None
     rows = np.array([r.size for r in robot.rows]) / robot.times
     own = robot.joints

@@ -234,6 +234,7 @@ _WITH_URDF = ("close-loop", "inspect")
 _COMMANDS = {
     "close-loop": {
         "run": "_close_loop:run",
+        "aliases": ["identify"],
         "arguments": f"recording --urdf {_READ} --signals --out --force --ranges "
         f"{_IDENTIFIED} --effects --quiet",
         "overrides": {

@@ -220,6 +220,13 @@ def test_recordings(kind, command, here, capsys):
     assert re.search(message, shown), err
 
 
+def test_identify_is_another_name_of_the_loop(here, capsys):
+    source = write(columns())
+    argv = (source, "--urdf", "arm.urdf", "--effects", "none", "--out", "found")
+    assert run(capsys, "identify", *argv)[0] == 0
+    assert (here / "found" / "parameters.csv").exists()
+
+
 def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
     source = write(columns())
     argv = (source, "--urdf", "hand.urdf", "--joints", "shoulder,elbow")

@@ -268,7 +268,12 @@ def _weightless(robot, now, names):
     least = _NO_WEIGHT if shown else 0.1 * _NO_WEIGHT
     if abs(share) + error[1] / scale > least:
         return None
-    without = robot.fit(robot.pulled(0 * down), scale=scale).evidence
+    # Without any weight, or with that of the description taken off.
+    added = robot.signals.now + scale * weight
+    without = max(
+        robot.fit(robot.pulled(0 * down), scale=scale).evidence,
+        robot.fit(tau=added, scale=scale).evidence,
+    )
     log_odds = without - max(now, robot.fit(scale=scale).evidence) + PRIOR
     loaded, heavy = _loaded(robot, weight)
     # What balances a single joint is likelier a spring.

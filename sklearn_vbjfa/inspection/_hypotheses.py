@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from sklearn_vbjfa.inspection._likelihood import DescribedRobot
+from sklearn_vbjfa.inspection._likelihood import DescribedRobot, without_mass
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
@@ -73,8 +73,7 @@ def explained(model, names, signals, rivals=None):
     """Return findings about the whole log, and model and signals as they should be."""
     # rivals: yields signals in which something else is corrected.
     robot = DescribedRobot(model, signals)
-    known = robot.bodies.reshape(-1, 10)[:, 0].min() > 0
-    if not (robot.joints.size and robot.size and known):
+    if not (robot.joints.size and robot.size) or without_mass(model):
         return [], model, signals
     now = robot.fit().evidence
     made = [
@@ -95,7 +94,7 @@ def explained(model, names, signals, rivals=None):
 def log_odds_of(model, signals, other):
     """Log odds of one reading of the signals against another one, of any scale."""
     # None at all if it does not lower the squared errors by half.
-    if min(bodies.mass for bodies in list(model.inertias)[1:]) <= 0:
+    if without_mass(model):
         return 0.0
     right, now = DescribedRobot(model, signals), DescribedRobot(model, other)
     right.times = now.times = np.minimum(right.times, now.times)
@@ -132,31 +131,29 @@ def zeros(model, signals):
         return np.zeros(model.nv), 0.0
     place, robot = np.zeros(model.nv), DescribedRobot(model, signals)
     times, begun = robot.times, robot.fit()
-    best = begun.evidence
+    best = begun
     for j in [*free, *free]:
         for angle in _ANGLES:
             tried = place.copy()
             tried[j] += angle
-            evidence = (
-                DescribedRobot(model, signals.shifted(tried), times).fit().evidence
-            )
-            if evidence > best + RIVAL:
-                best, place = evidence, tried
+            other = DescribedRobot(model, signals.shifted(tried), times)
+            fit = other.fit()
+            if fit.evidence > best.evidence + RIVAL:
+                best, place, robot = fit, tried, other
     for _ in range(_PASSES):
-        robot = DescribedRobot(model, signals.shifted(place), times)
         step = robot.fit(columns=_slopes(robot, free), deviation=_STEP).factors
         tried = place.copy()
         tried[free] += step
-        evidence = DescribedRobot(model, signals.shifted(tried), times).fit().evidence
-        if evidence < best + 0.1:
+        other = DescribedRobot(model, signals.shifted(tried), times)
+        fit = other.fit()
+        if fit.evidence < best.evidence + 0.1:
             break
-        best, place = evidence, tried
-    noise = DescribedRobot(model, signals.shifted(place), times).fit().noise
-    if np.log(noise / begun.noise).mean() > -_CLEAR:
+        best, place, robot = fit, tried, other
+    if np.log(best.noise / begun.noise).mean() > -_CLEAR:
         return np.zeros(model.nv), 0.0
     turned = (place + np.pi) % (2 * np.pi) - np.pi
     return np.where(is_prismatic(model), 0.0, turned), float(
-        best - begun.evidence + PRIOR
+        best.evidence - begun.evidence + PRIOR
     )
 
 
@@ -249,9 +246,7 @@ def _scaled_each(robot, now, names):
 
 def _weightless(robot, now, names):
     """Torques without the weight of the links."""
-    down = robot.down * robot.size / 9.81
-    moving = robot.motion @ robot.bodies
-    weight = robot.pulled(down) @ robot.bodies - moving
+    down, moving, weight = robot.pull, robot.moving, robot.weight
     columns, share, scale = np.stack([moving, weight], axis=-1), 1.0, 1.0
     for _ in range(_PASSES):
         fit = robot.fit(
@@ -301,8 +296,7 @@ def _loaded(robot, weight):
 
 def _static(robot, now, names):
     """Torques that hold nothing but the weight of the links."""
-    moving = robot.motion @ robot.bodies
-    weight = robot.described @ robot.bodies - moving
+    moving, weight = robot.moving, robot.weight
     columns = np.stack([moving, weight], axis=-1)
     fit = robot.fit(mean=np.zeros_like(moving), columns=columns)
     error = INTERVAL * np.sqrt(np.diag(fit.covariance))
@@ -330,9 +324,8 @@ def _with_gravity(model, gravity):
 def _turned(robot, now, names):
     """Another orientation of the base than described."""
     columns = np.stack([one @ robot.bodies for one in robot.gravity], axis=-1)
-    moving = robot.motion @ robot.bodies
-    start = robot.down * robot.size / 9.81
-    pull = start
+    moving = robot.moving
+    pull = start = robot.pull
     for _ in range(_PASSES):
         fit = robot.fit(robot.pulled(pull), mean=moving, columns=columns)
         pull = fit.factors

@@ -75,9 +75,24 @@ class DescribedRobot:
         return self.motion + sum(part * one for part, one in parts)
 
     @property
+    def pull(self):
+        """Gravity of the description (3,), in units of g."""
+        return self.down * self.size / 9.81
+
+    @property
     def described(self):
         """Regressors (n, nv, 10 nv) with the gravity of the description."""
-        return self.pulled(self.down * self.size / 9.81)
+        return self.pulled(self.pull)
+
+    @property
+    def moving(self):
+        """Torques (n, nv) of the described bodies without gravity."""
+        return self.motion @ self.bodies
+
+    @property
+    def weight(self):
+        """Torques (n, nv) of the described bodies by gravity alone."""
+        return self.described @ self.bodies - self.moving
 
     def fit(
         self,
@@ -132,6 +147,11 @@ class DescribedRobot:
             gram[np.diag_indices_from(gram)] += 1e-6 * rows.size
             found[j] = correlation_time(y - X @ np.linalg.solve(gram, X.T @ y))
         return found
+
+
+def without_mass(model):
+    """Whether a body of a description has no mass, so that its torques say nothing."""
+    return min(one.mass for one in list(model.inertias)[1:]) <= 0
 
 
 def correlation_time(x):

@@ -12,6 +12,7 @@ from sklearn_vbjfa.inspection._hypotheses import (
     lowpass_gain,
     zeros,
 )
+from sklearn_vbjfa.inspection._likelihood import without_mass
 from sklearn_vbjfa.inspection._rivals import (
     NOMINAL_SHARE,
     SURE,
@@ -246,17 +247,12 @@ def _tiny(x):
 # -- torques ---------------------------------------------------------------------------
 
 
-def _without_mass(model):
-    """Whether a body of a description has no mass, so that its torques say nothing."""
-    return min(one.mass for one in model.inertias[1:]) <= 0
-
-
 def gear_factors(model, names, signals):
     """Find torques of single joints of another size than the model's."""
     # These are doubts and not errors: factors that differ between joints would be
     # compensated by spurious effects, but a description with invented inertias looks
     # the same.
-    if _without_mass(model):
+    if without_mass(model):
         return []
     equations, sizes = ChannelEquations(model, signals), {}
     for j in map(int, np.flatnonzero(signals.informative())):
@@ -278,7 +274,7 @@ def gear_factors(model, names, signals):
 
 def silent_torques(model, names, signals):
     """Find torques that do not follow a motion that should load them: noise."""
-    if _without_mass(model):
+    if without_mass(model):
         return []
     equations = ChannelEquations(model, signals)
     sizes = equations.sizes()
@@ -422,7 +418,7 @@ def sample_periods(model, names, dt, ratio, signals):
     unit = "m/s" if is_prismatic(model)[j] else "rad/s"
     crawls = ratio.max() * _TOO_FAST < _TOO_SLOW and dt >= _LONG_PERIOD
     found = None
-    if not _without_mass(model):
+    if not without_mass(model):
         found = _other_period(model, signals, ratio, dt)
     if found is None and crawls:
         found = _inertia_too_large(model, names, signals)
@@ -537,7 +533,7 @@ def moved_zeros(model, names, q, signals):
     """Find encoders that were set to zero where the robot stood when the log began."""
     # A log that begins at the zero of the description looks the same.
     begins = np.abs(q[0]) <= _AT_ZERO * np.ptp(q, axis=0)
-    if not begins.all() or _without_mass(model):
+    if not begins.all() or without_mass(model):
         return [], signals
     offset, log_odds = zeros(model, signals)
     moved = tuple(np.flatnonzero(np.abs(offset) > _MOVED).tolist())

@@ -1,9 +1,9 @@
-"""Make links absolute for the pages of PyPI, which have no files beside the README.
+"""Make the links of the README absolute, for PyPI.
 
 Run as ``.ci/release_links.py https://github.com/OWNER/NAME v0.2.0`` by Python in the
-checkout that is built: links of README.md lead to the files of that version, and
-pyproject.toml gets ``[project.urls]``. Neither is committed, as only whoever releases
-knows the address.
+checkout that is built: links to documentation lead to the published pages of that
+version, other links to its files, and pyproject.toml gets ``[project.urls]``. The
+results are not committed, because the address is known at the release only.
 """
 
 import re
@@ -15,7 +15,12 @@ def main():
     """Rewrite both files of the folder that it is run in."""
     address, version = sys.argv[1].rstrip("/"), sys.argv[2]
     readme, project = Path("README.md"), Path("pyproject.toml")
+    owner, name = address.split("/")[-2:]
+    pages = f"https://{owner}.github.io/{name}/{version}"
     text = readme.read_text(encoding="utf-8")
+    text = re.sub(
+        r"\]\(docs/([\w-]+)\.(?:rst|md|html)\)", rf"]({pages}/\g<1>.html)", text
+    )
     # Pictures are shown, files are opened as pages.
     for begin, kind in ((r"!\[[^]]*\]\(", "raw"), (r"(?<!!)\[[^]]*\]\(", "blob")):
         text = re.sub(
@@ -27,7 +32,7 @@ def main():
         raise SystemExit("pyproject.toml has [project.urls] already")
     urls = {
         "Source": address,
-        "Documentation": f"{address}/tree/{version}/docs",
+        "Documentation": pages,
         "Changelog": f"{address}/blob/{version}/CHANGELOG.md",
         "Issues": f"{address}/issues",
     }

@@ -26,14 +26,14 @@ extensions = [
     "sphinx.ext.extlinks",
     "sphinx.ext.mathjax",
     "numpydoc",
-    "recorded_directives",
+    "myst_parser",
     "sphinx_design",
     "sphinx_gallery.gen_gallery",
     "effect_pages",
     "llms",
 ]
 templates_path = ["_templates"]
-# tables/ holds pieces that other pages include.
+# tables/ holds data of the page evidence.md.
 exclude_patterns = ["_build", "tables", "Thumbs.db"]
 root_doc = "index"
 

@@ -80,10 +80,11 @@ def test_links_of_a_release_are_absolute(tmp_path):
     links = re.findall(r"\]\(([^)]+)\)", readme)
     assert all(link.startswith("https://") for link in links)
     assert f"{address}/raw/v0.2.0/docs/images/residual.png" in links
-    assert f"{address}/blob/v0.2.0/docs/evidence.rst" in links
+    assert "https://a.github.io/b/v0.2.0/evidence.html" in links
     assert "https://doi.org/10.1016/j.neunet.2010.08.011" in links
     project = tomllib.loads((tmp_path / "pyproject.toml").read_text("utf-8"))["project"]
     assert project["urls"]["Source"] == address
+    assert project["urls"]["Documentation"] == "https://a.github.io/b/v0.2.0"
     assert project["name"] == "sklearn-vbjfa"
 
 

@@ -60,11 +60,22 @@ def read(name, folder=TABLES):
     return (folder / f"{name}.rst").read_text(encoding="utf-8")
 
 
+def read_tables(name, folder=TABLES):
+    """Tables of a file of data, a tuple of RecordedTable."""
+    record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
+    return tuple(
+        RecordedTable(
+            headers=tuple(table["headers"]), rows=tuple(map(tuple, table["rows"]))
+        )
+        for table in record["tables"]
+    )
+
+
 def made(name, folder=TABLES):
-    """Return the commits that a table was made at, as a sentence."""
+    """Return the script and the commits that made a table, as a sentence."""
     record = json.loads((folder / f"{name}.json").read_text(encoding="utf-8"))
     note = f" ({record['note']})" if "note" in record else ""
-    return f"Made at {' and '.join(record['commits'])}{note}."
+    return f"Source: {record['script']} at {' and '.join(record['commits'])}{note}."
 
 
 def write(name, text, script, commits, folder=TABLES):
@@ -101,11 +112,3 @@ def tables_in(text):
 def _cells(line, starts):
     """Texts of a line of which each column begins at one of `starts`."""
     return tuple(line[a:b].strip() for a, b in zip(starts, [*starts[1:], None]))
-
-
-def paragraph_in(text, beginning):
-    """Return the one paragraph that begins so; ValueError if there is not one."""
-    found = [part for part in text.split("\n\n") if part.startswith(beginning)]
-    if len(found) != 1:
-        raise ValueError(f"{len(found)} paragraphs begin with {beginning!r}, not one")
-    return found[0].strip()

@@ -9,7 +9,7 @@ much that lowers the error on held-out data.
 
 To take seconds and not minutes, it looks only for a few effects that the publications
 of the sets make likely, in parts of the recordings or in means of neighbouring samples.
-``docs/benchmarks.rst`` has the whole library on ten sets.
+``docs/evidence.md`` has the whole library on ten sets.
 """
 
 # %%

@@ -203,7 +203,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     criterion : {"torque", "simulation"}, default="torque"
         ``"torque"``: least squares of the torques. ``"simulation"``: their result is
         refined by output error, until simulated positions are closest to the measured
-        ones; see Notes and ``docs/output_error.rst``.
+        ones; see Notes and ``docs/simulation.rst``.
     window : "auto" or float, default="auto"
         Length [s] of the windows that are simulated, each from its measured state.
         ``"auto"``: five times as long as friction takes to slow the slowest joint to
@@ -942,7 +942,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         1.645 of it if the other motion finds the model as wrong as that of the fit did:
         88 to 91 % on simulated arms with white and coloured noise of the torques.
         Where the model lacks something it is not so: on another motion of measured
-        robots 80 to 97 %, and 41 % for joint 5 of a TX40 (``docs/benchmarks.rst``).
+        robots 80 to 97 %, and 41 % for joint 5 of a TX40 (``docs/evidence.md``).
         Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
         friction at rest, and noise above the low-pass are not in it.
         """
@@ -1179,7 +1179,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ----------
         path : str or os.PathLike
             File to write, JSON with the robot description inside; see
-            ``docs/saved_model.rst``. References to meshes are kept as they are, the
+            ``docs/simulation.rst``. References to meshes are kept as they are, the
             meshes are not in it.
 
         Raises

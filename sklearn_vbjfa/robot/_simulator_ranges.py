@@ -177,7 +177,7 @@ class Ranges:
         Returns
         -------
         str
-            The text of a ``ranges.json``, see ``docs/domain_randomisation.rst``.
+            The text of a ``ranges.json``, see ``docs/simulation.rst``.
         """
         # What reads a robot imports it.
         from sklearn_vbjfa.robot._model_file import readable

@@ -219,7 +219,7 @@ def test_an_effect_of_ones_own(simulated, tmp_path):
 
 
 def test_the_guide_tells_of_all_keys(saved):
-    guide = (Path(__file__).parents[2] / "docs" / "saved_model.rst").read_text()
+    guide = (Path(__file__).parents[2] / "docs" / "simulation.rst").read_text()
     content = json.loads(saved.read_text())
     for key in [*content, *content["plan"]]:
         assert f"``{key}``" in guide, key

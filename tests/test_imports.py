@@ -12,7 +12,7 @@ PACKAGE = "sklearn_vbjfa"
 ROOT = Path(sklearn_vbjfa.__file__).parent
 MODULES = sorted(ROOT.rglob("*.py"))
 OPTIONAL = {"pinocchio", "matplotlib", "dask", "distributed"}
-OPTIONAL |= {"tqdm", "pyarrow", "rosbags", "python_calamine"}
+OPTIONAL |= {"tqdm", "pandas", "pyarrow", "rosbags", "python_calamine"}
 
 
 @functools.cache

@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 # Users get `Recording` and `read_recording` from `sklearn_vbjfa.datasets`; the rest is
 # for other rooms.
 _MODULES = {
-    "_channels": ("UNSIGNED",),
     "_columns": (
         "OfferedSignals",
         "check_given",
@@ -47,6 +46,7 @@ _MODULES = {
         "shuffled_rows",
         "two_values",
     ),
+    "_names": ("UNSIGNED",),
     "_presets": ("PRESETS",),
     "_reader": ("read_recording",),
     "_several": ("common_folder",),

@@ -1,144 +1,28 @@
-"""Which columns of a file are which channels, and in which units they are."""
+"""Which columns of a file are which channels: by their names, a mapping or a preset."""
 
 import re
 import unicodedata
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
-from sklearn_vbjfa.recording._table import Table, listed, quoted
+from sklearn_vbjfa.recording._table import Table, listed, pandas_of, quoted
+from sklearn_vbjfa.recording._units import (
+    EXPECTED,
+    KINDS,
+    MEASURED,
+    SHARE,
+    Unit,
+    split_last_part,
+    split_unit,
+    unit_of,
+)
 
-_DEGREE = np.pi / 180
-_TURN = 2 * np.pi
-
-
-@dataclass(frozen=True)
-class Unit:
-    """A unit: what it is a multiple of, and by which factor."""
-
-    base: str
-    factor: float
-
-
-def _table():
-    """Return units by their spelling, for each kind of channel."""
-    angle = {"rad": 1.0, "radian": 1.0, "radians": 1.0, "mrad": 1e-3}
-    angle |= {x: _DEGREE for x in ("deg", "degs", "degree", "degrees", "°")}
-    angle |= {x: _TURN for x in ("rev", "revs", "turn", "turns", "revolutions")}
-    length = {"m": 1.0, "metre": 1.0, "metres": 1.0, "meter": 1.0, "meters": 1.0}
-    length |= {"cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "μm": 1e-6}
-    seconds = {x: 1.0 for x in ("s", "sec", "secs", "second", "seconds")}
-    seconds |= {x: 1e-3 for x in ("ms", "msec", "millisecond", "milliseconds")}
-    seconds |= {x: 1e-6 for x in ("us", "µs", "μs", "usec", "microseconds")}
-    seconds |= {x: 1e-9 for x in ("ns", "nsec", "nanosecond", "nanoseconds")}
-    seconds |= {"min": 60.0, "minutes": 60.0}
-    torque = {f"{scale}Nm": factor for scale, factor in _SCALES.items()}
-    torque |= {"Ncm": 1e-2, "newtonmeter": 1.0, "newtonmetre": 1.0}
-    force = {f"{scale}N": factor for scale, factor in _SCALES.items()}
-    current = {"A": 1.0, "mA": 1e-3, "amp": 1.0, "amps": 1.0, "ampere": 1.0}
-    current |= {"Arms": 1.0, "amperes": 1.0}
-    volts = {"V": 1.0, "mV": 1e-3, "volt": 1.0, "volts": 1.0}
-    counts = {x: 1.0 for x in ("count", "counts")}
-    percent = {x: 1.0 for x in ("%", "percent")} | {x: 0.1 for x in ("‰", "permille")}
-    per = {"speed": ("/s", "/sec", "ps"), "rate": ("/s^2", "/s2", "/s²", "/s/s", "ps2")}
-    kinds = {
-        "q": {"rad": angle, "m": length},
-        "v": _derived(angle, length, per["speed"]),
-        "a": _derived(angle, length, per["rate"]),
-        "tau": {"N m": torque, "N": force, "A": current, "V": volts}
-        | {"count": counts, "%": percent},
-        "t": {"s": seconds},
-        "kp": {"N m/rad": {"Nm/rad": 1.0, "Nm/deg": 1 / _DEGREE}, "N/m": {"N/m": 1.0}},
-        "kd": {
-            "N m s/rad": {"Nms/rad": 1.0, "Nm/(rad/s)": 1.0, "Nms/deg": 1 / _DEGREE},
-            "N s/m": {"Ns/m": 1.0},
-        },
-    }
-    kinds["v"]["rad"] |= {"rpm": _TURN / 60, "1/min": _TURN / 60}
-    return {
-        kind: {
-            spelling: Unit(base, factor)
-            for base, spellings in bases.items()
-            for spelling, factor in spellings.items()
-        }
-        for kind, bases in kinds.items()
-    }
-
-
-_SCALES = {"": 1.0, "m": 1e-3, "k": 1e3}
-
-
-def _derived(angle, length, endings):
-    """Return units of the derivatives of positions, by their base."""
-    return {
-        base: {f"{unit}{end}": x for unit, x in units.items() for end in endings}
-        for base, units in (("rad", angle), ("m", length))
-    }
-
-
-# How shares of a motor's range are written.
-SHARE = ("%", "percent")
-_UNITS = _table()
-# What one may write for a time, where a unit is asked for, in seconds.
-TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_IN_BRACKETS = re.compile(r"(.*?)\s*(?:\[([^][]*)\]|\(([^()]*)\)|\s/\s*(\S+))")
-_LAST_PART = re.compile(r"(.*?)[_ .]([A-Za-z°µμ%][A-Za-z0-9^/²]*)")
-
-
-def unit_of(kind: str, text: str) -> Unit | None:
-    """Return the unit of a channel of a kind (q, v, a, tau, t), None if unknown."""
-    plain = re.sub(r"[\s*·.⋅]|(?<=N)-(?=m)", "", text.strip())
-    known = _UNITS[MEASURED.get(kind, kind)]
-    if plain in known:
-        return known[plain]
-    # Capitals matter for milli and mega, ampere and atto; words may have any.
-    if len(plain) > 2 and plain.lower() in known:
-        return known[plain.lower()]
-    return known["Nm"] if kind == "tau" and plain.lower() == "nm" else None
-
-
-def is_unit(text: str) -> bool:
-    """Whether a text is some unit, with or without brackets."""
-    text = text.strip().strip("[]()").strip()
-    return any(unit_of(kind, text) for kind in (*KINDS, "t")) or text in _OTHERS
-
-
-# Units of channels that are neither motion nor torque, for a row of units.
-_OTHERS = ("1", "-", "°C", "C", "K", "degC", "bar", "Pa", "kPa", "Hz", "kg", "W", "Ohm")
-
-
-def split_unit(name: str) -> tuple[str, str]:
-    """Return a name without the unit in brackets behind it, and that unit."""
-    match = _IN_BRACKETS.fullmatch(name)
-    if match is None:
-        return name, ""
-    unit = next(x for x in match.groups()[1:] if x is not None)
-    # Of q[1] and pos(elbow) these are the joints.
-    if not match[1] or unit.strip().isdecimal() or "{" in unit:
-        return name, ""
-    return match[1], unit.strip()
-
-
-def split_last_part(name: str, kind: str) -> tuple[str, str]:
-    """Return a name without a last part that is a unit of a kind, and that unit."""
-    match = _LAST_PART.fullmatch(name)
-    if match is None or unit_of(kind, match[2]) is None:
-        return name, ""
-    return match[1], match[2]
-
-
-# Positions beyond two turns are hardly those of a robot in radians.
-TURNS = 4 * np.pi
-
-
-# -- mappings --------------------------------------------------------------------------
-
-KINDS = ("q", "tau", "v", "a")
-# Channels of joints that a drive is told, and further names that logs have for them.
-# qd is in neither list: some mean a desired position, others a velocity.
-_TOLD = {
+# Commands of joints, and further names that logs have for them. qd is in neither list:
+# some mean a desired position, others a velocity.
+_COMMANDS = {
     "q_desired": ("q_des", "q_cmd", "q_command", "q_target", "q_goal", "q_ref")
     + ("qdes", "target_q", "q_setpoint", "desired_q")
     + tuple(
@@ -152,34 +36,21 @@ _TOLD = {
     "tau_ff": ("tau_feedforward", "torque_ff", "torque_feedforward"),
     "kp": ("p_gain",),
     "kd": ("d_gain",),
+    "supply": (),
 }
 # A motor's own estimate of its torque, where there is no other.
-ESTIMATES = ("tau_est", "tauest")
-# Names beside its own that a velocity has in logs of commands.
+ESTIMATES, _ESTIMATED = ("tau_est", "tauest"), "estimate"
+# Further names that a velocity has in logs of commands.
 _SPEEDS = ("dq", "qdot")
-# What a command has the unit of.
-MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
-_SPELLINGS = {kind: (kind, *others) for kind, others in _TOLD.items()}
-_SPELLINGS |= {kind: (kind,) for kind in KINDS}
 _KEY = re.compile(
-    rf"({'|'.join((*_TOLD, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
+    rf"({'|'.join((*_COMMANDS, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
 )
-# The longest first: q_desired is no q.
-_KIND_OF = {one: kind for kind, own in _SPELLINGS.items() for one in own}
-_KIND_OF |= {one: one for one in ("segment", "t")}
-_BEGIN = re.compile("|".join(sorted(_KIND_OF, key=len, reverse=True)), re.IGNORECASE)
 # Columns that can only be time, where none is called t.
 TIME_NAMES = (
-    "t",
-    "time",
-    "timestamp",
-    "time_stamp",
-    "timestamps",
-    "stamp",
-    "zeit",
-    "__time",
-    "ts",
-) + ("%time", "time_s", "seconds", "secs", "datetime", "zeitstempel", "elapsed")
+    ("t", "time", "timestamp", "time_stamp", "timestamps", "stamp", "__time", "ts")
+    + ("%time", "time_s", "seconds", "secs", "datetime", "elapsed")
+    + ("zeit", "zeitstempel")
+)
 # How the parts of a ROS stamp are called.
 _CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
@@ -187,7 +58,7 @@ _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
 
 @dataclass(frozen=True, kw_only=True)
 class Role:
-    """What a column of a file is."""
+    """A column of a channel."""
 
     column: str  # its name
     unit: str = ""  # empty if nothing tells
@@ -199,23 +70,168 @@ class Role:
         return (self.column, self.nanoseconds) if self.nanoseconds else (self.column,)
 
 
+@dataclass
+class Channel:
+    """The columns of one kind of channel, by joints and by numbers."""
+
+    by_joint: dict[str, list[Role]] = field(default_factory=dict)
+    by_number: dict[str, list[Role]] = field(default_factory=dict)
+
+    def add(self, key, role, *, is_number):
+        """Take a column."""
+        if is_number:
+            # int() would choke on thousands of digits.
+            self.by_number.setdefault(key.lstrip("0").rjust(1, "0"), []).append(role)
+        else:
+            self.by_joint.setdefault(key, []).append(role)
+
+    @property
+    def roles(self):
+        """All columns, list of `Role`."""
+        found = (*self.by_joint.values(), *self.by_number.values())
+        return [role for own in found for role in own]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Layout:
-    """What the columns of a file are."""
+    """The channels of a file and their columns."""
 
-    roles: dict  # columns by the names that this package would give them
+    channels: dict[str, Channel]  # by kind, such as q or q_desired
+    times: tuple[Role, ...] = ()  # the best first
+    segments: tuple[str, ...] = ()  # columns of labels
     # columns that are known not to be conditions of the robot
     beside: frozenset = frozenset()
-    times: tuple = ()  # the best first
     # names of the numbered joints, in the order of the numbers, if the file has any
-    joints: tuple = ()
-    what: str = ""  # log as which the file was recognised, or whose names were given
-    # whether what has a channel's name is one: a mapping or a preset says so
+    joints: tuple[str, ...] = ()
+    what: str = ""  # the kind of log that was recognised
+    # whether a mapping, a preset or the format says which columns are channels
     certain: bool = False
-    # what a user must know of positions that are not radians, and a mapping that
-    # says it
+    # what a user must know of positions that are not radians, and a mapping for it
     question: str = ""
     answer: str = ""
+
+    @property
+    def own_joints(self):
+        """Joints that the columns are called after, tuple of str."""
+        if not self.certain or "q" not in self.channels:
+            return ()
+        return tuple(self.channels["q"].by_joint)
+
+    def named(self):
+        """Return the layout with names, if the file has any, in place of numbers."""
+        if not self.joints:
+            return self
+        channels = {}
+        first = 0 if any("0" in x.by_number for x in self.channels.values()) else 1
+        for kind, own in self.channels.items():
+            channels[kind] = Channel(dict(own.by_joint))
+            for key, roles in own.by_number.items():
+                known = 0 <= int(key) - first < len(self.joints)
+                name = self.joints[int(key) - first] if known else key
+                for role in roles:
+                    channels[kind].add(name, role, is_number=not known)
+        return replace(self, channels=channels)
+
+
+# -- by names --------------------------------------------------------------------------
+
+
+def spellings(kind, drive):
+    """Return the names of a kind of channel; drive: what is recorded, None: torques."""
+    own = (kind, *_COMMANDS.get(kind, ()))
+    if drive is None:
+        return own
+    return own + {"v": _SPEEDS, "tau": drive.spelled}.get(kind, ())
+
+
+def name_and_unit(table: Table, column: str) -> tuple[str, str]:
+    """Return a column's name without the unit that stands with it, and that unit."""
+    bare, unit = split_unit(column)
+    return (bare, unit) if unit else (column, table.units.get(column, ""))
+
+
+def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
+    """Lay out columns by their own names, units in them removed."""
+    begins = [(one, kind) for kind in kinds for one in spellings(kind, drive)]
+    if drive is None:
+        begins += [(one, _ESTIMATED) for one in ESTIMATES]
+    # The longest first: q_desired is no q.
+    begins.sort(key=lambda x: -len(x[0]))
+    clocks = _clocks_of_two(table)
+    parts = {name for clock in clocks for name in clock.columns}
+    channels: dict[str, Channel] = {}
+    times, segments = [], []
+    for name in table.names:
+        if name in parts:
+            continue
+        bare, unit = (_in_letters(x) for x in name_and_unit(table, name))
+        stem, last = split_last_part(bare, "t")
+        if bare.lower() in TIME_NAMES:
+            times.append(Role(column=name, unit=unit))
+        elif last and not unit and stem.lower() in TIME_NAMES:
+            times.append(Role(column=name, unit=last))
+        elif bare.lower() == "segment":
+            segments.append(name)
+        else:
+            found = _channel(name, bare, unit, begins, joints)
+            if found is not None:
+                kind, key, is_number, unit = found
+                channel = channels.setdefault(kind, Channel())
+                channel.add(key, Role(column=name, unit=unit), is_number=is_number)
+    estimates = channels.pop(_ESTIMATED, None)
+    if estimates is not None and "tau" not in channels:
+        channels["tau"] = estimates
+    exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
+    if not times and len(clocks) == 1:
+        times = clocks
+    return Layout(
+        channels=channels, times=tuple(exact or times), segments=tuple(segments)
+    )
+
+
+def _channel(name, bare, unit, begins, joints):
+    """Return kind, joint or number, whether it is a number, and unit; None for none."""
+    for begin, kind in begins:
+        if not _in_letters(name).lower().startswith(begin):
+            continue
+        stem, last = (bare, unit) if unit else split_last_part(bare, _kind(kind))
+        # The whole name may end with a joint that is called like a unit.
+        for text, own in ((_in_letters(name), ""), (bare, unit), (stem, last)):
+            match = re.fullmatch(
+                rf"{begin}[_.\[(]?(.*?)[\])]?", text, re.IGNORECASE | re.DOTALL
+            )
+            key = match[1] if match else ""
+            if key and key in joints:
+                return kind, key, False, unit if text == bare else own
+            if key.isdecimal() and key.isascii():
+                return kind, key, True, own or unit
+            if text.lower() == begin and (not own or unit_of(_kind(kind), own)):
+                return kind, "1", True, own or unit
+    return None
+
+
+def _kind(kind):
+    """Return the kind of which a column has the unit."""
+    return "tau" if kind == _ESTIMATED else kind
+
+
+def _clocks_of_two(table):
+    """Return the clocks that have a column of seconds and one of nanoseconds."""
+    return [
+        Role(column=name, unit="s", nanoseconds=other)
+        for name in table.names
+        for seconds, nanoseconds in _CLOCK_PARTS
+        if name.lower().endswith(seconds)
+        and (other := name[: -len(seconds)] + nanoseconds) in table.frame
+    ]
+
+
+def _in_letters(name):
+    """Return a name with plain digits for subscripts, and tau for the Greek letter."""
+    return unicodedata.normalize("NFKC", name).replace("τ", "tau")
+
+
+# -- by a mapping ----------------------------------------------------------------------
 
 
 class MappingRefused(ValueError):
@@ -230,23 +246,22 @@ def parse_mapping(text) -> dict[str, str]:
     else:
         pairs = []
         for part in str(text).split(","):
-            key, equals, value = part.partition("=")
-            if not equals or not key.strip() or not value.strip():
+            key, equals, value = (x.strip() for x in part.partition("="))
+            if not equals or not key or not value:
                 raise ValueError(
                     f"columns has {part.strip()!r}; expected pairs CHANNEL=NAME with "
                     'commas between them, such as "q=position_{i},tau=effort_{i},'
                     't=time".'
                 )
-            pairs.append((key.strip(), value.strip()))
-    found = {}
+            pairs.append((key, value))
+    found: dict[str, str] = {}
     for key, value in pairs:
         if _KEY.fullmatch(key) is None:
             raise ValueError(
                 f"columns does not know the channel {key!r}; expected q, tau, v, a, t "
                 "or segment (or one joint's: q1, tau_elbow), with a drive also "
-                f"{', '.join(_TOLD)}, then = and a name in the "
-                "file, in which {i} stands for the joint's number and {joint} for its "
-                "name."
+                f"{', '.join(_COMMANDS)}, then = and a name in the file, in which "
+                "{i} stands for the joint's number and {joint} for its name."
             )
         if key in found:
             raise ValueError(
@@ -261,41 +276,38 @@ def parse_mapping(text) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Match:
-    """A column that fits a pattern: what stands for * and {i} or {joint}, its unit."""
+    """A column that fits a pattern: the texts for * and {i} or {joint}, its unit."""
 
     prefix: str
     key: str
     column: str
     unit: str
+    is_number: bool = True
 
 
-def name_and_unit(table: Table, column: str) -> tuple[str, str]:
-    """Return a column's name without the unit that stands with it, and that unit."""
-    bare, unit = split_unit(column)
-    return (bare, unit) if unit else (column, table.units.get(column, ""))
-
-
-def matches(pattern: str, table: Table) -> list[Match]:
+def matches(pattern: str, table: Table, kind="") -> list[Match]:
     """Return the columns that fit a pattern."""
-    # {i} is a number, {joint} and * are anything. A unit behind the name counts with it
-    # or without.
+    # {i} is a number, {joint} and * are anything. A unit at the end of the name counts
+    # with it or without, one before the number where a kind is given.
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _in_places(bare, unit, table)
+    if kind and not unit and bare.endswith("{i}"):
+        unit = split_last_part(bare.removesuffix("{i}").rstrip("_"), kind)[1]
     expression, without = _expression(pattern), _expression(bare)
     found = []
-    for name in table.columns:
-        match = expression.fullmatch(name)
+    for name in table.names:
         stripped, own = name_and_unit(table, name)
-        if match is None:
-            match = without.fullmatch(stripped)
+        match = expression.fullmatch(name) or without.fullmatch(stripped)
         if match is None or (own and unit and own != unit):
             continue
         groups = match.groupdict()
         key = groups.get("i", groups.get("joint", ""))
         if "i" in groups:
             key = key.lstrip("0").rjust(1, "0")
-        found.append(Match(groups.get("any", ""), key, name, own or unit))
+        is_number = "joint" not in groups
+        prefix = groups.get("any", "")
+        found.append(Match(prefix, key, name, own or unit, is_number))
     return found
 
 
@@ -306,7 +318,7 @@ def _in_places(places, unit, table):
         return []
     first, last = int(match[1]), int(match[2] or match[1])
     columns = [str(place) for place in range(first, last + 1)]
-    if not columns or not all(x in table.columns for x in columns):
+    if not columns or not all(x in table.frame for x in columns):
         return []
     if match[2] is None:
         return [Match("", "", columns[0], unit)]
@@ -328,283 +340,176 @@ def _expression(pattern):
     return re.compile(_EVERY.sub(stand_in, re.escape(pattern)))
 
 
-# -- layouts ---------------------------------------------------------------------------
-
-
-def by_mapping(table: Table, mapping: dict, joints=(), rest=None) -> Layout:
-    """Lay out the columns by a mapping, and the rest by their own names."""
-    # rest: layout of a known log, which says it better than the names
-    found = {key: matches(pattern, table) for key, pattern in mapping.items()}
+def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
+    """Lay out the columns by a mapping, and the other kinds as in another layout."""
+    kinds = {key: _KEY.fullmatch(key)[1] for key in mapping}
+    found = {
+        key: matches(pattern, table, kinds[key]) for key, pattern in mapping.items()
+    }
     missing = [mapping[key] for key, own in found.items() if not own]
     if missing:
         raise MappingRefused(
             f"has no column {', '.join(missing)}, which columns asks for; found "
-            f"{listed(table.columns)}"
+            f"{listed(table.names)}"
         )
-    taken = _claimed(mapping, found)
-    roles = {}
+    claimed = _claimed(mapping, found)
+    channels = {}
+    times, segments = plain.times, plain.segments
     for key, own in found.items():
-        for match in own:
-            role = _role(key, match.key)
-            if taken[match.column] != key:
-                continue
-            if role in roles:
+        own = [match for match in own if claimed[match.column] == key]
+        roles = [Role(column=match.column, unit=match.unit) for match in own]
+        if kinds[key] is None:
+            times = tuple(roles) if key.lower() == "t" else times
+            segments = (
+                tuple(x.column for x in roles) if key.lower() != "t" else segments
+            )
+            continue
+        channel = channels.setdefault(kinds[key].lower(), Channel())
+        suffix = key[len(kinds[key]) :].strip("_.[]()")
+        for match, role in zip(own, roles):
+            name = suffix or match.key or "1"
+            is_number = name.isdecimal() if suffix else match.is_number
+            known = channel.by_number if is_number else channel.by_joint
+            if name in known:
                 raise MappingRefused(
-                    f"columns {roles[role].column!r} and {match.column!r} both fit "
+                    f"columns {known[name][0].column!r} and {role.column!r} both fit "
                     f"{key}={mapping[key]}; say which one"
                 )
-            roles[role] = Role(column=match.column, unit=match.unit)
-    kinds = {kind_of(key) for key in mapping}
-    plain = rest or by_names(table, joints)
-    for role, own in plain.roles.items():
-        if own.column not in taken:
-            kept = role if kind_of(role) not in kinds else own.column
-            roles.setdefault(kept, own)
-    if table.nameless:
+            channel.add(name, role, is_number=is_number)
+    others = {} if table.nameless else plain.channels
+    for kind, other in others.items():
+        if kind not in channels and not any(x.column in claimed for x in other.roles):
+            channels[kind] = other
+    return replace(
+        plain,
+        channels=channels,
+        times=tuple(x for x in times if "t" in mapping or x.column not in claimed),
+        segments=segments,
         # What nobody has named is no signal.
-        rest = frozenset(table.columns) - set(taken)
-        roles = {name: own for name, own in roles.items() if own.column in taken}
-        told = tuple(roles.pop(name) for name in ("t", "T") if name in roles)
-        return Layout(roles=roles, times=told, beside=rest, certain=True)
-    times = tuple(x for x in plain.times if x.column not in taken)
-    if "t" in kinds:
-        # What else might be time is a column like others.
-        roles |= {x.column: x for x in times}
-        times = tuple(roles.pop(x) for x in ("t", "T") if x in roles and x in mapping)
-    if rest is not None:
-        return replace(rest, roles=roles, times=times)
-    return Layout(roles=roles, times=times, certain=True)
+        beside=frozenset(table.names if table.nameless else plain.beside),
+        certain=True,
+    )
 
 
 def _claimed(mapping, found):
     """Return the key of a mapping for each column that fits one."""
     # Of patterns that fit the same column, the one counts that spells out more of it.
     spelled = {key: len(_EVERY.sub("", re.escape(x))) for key, x in mapping.items()}
-    taken = {}
+    claimed: dict[str, str] = {}
     for key, own in found.items():
         for match in own:
-            other = taken.setdefault(match.column, key)
+            other = claimed.setdefault(match.column, key)
             if other != key and spelled[other] == spelled[key]:
                 raise MappingRefused(
                     f"columns names {match.column!r} twice, for {other} and {key}; "
                     "each column is one channel"
                 )
             if spelled[key] > spelled[other]:
-                taken[match.column] = key
-    return taken
+                claimed[match.column] = key
+    return claimed
 
 
-def _role(key, suffix):
-    """Name a channel of one joint as this package does."""
-    if not suffix:
-        return key
-    return f"{key}{suffix}" if suffix.isdecimal() else f"{key}_{suffix}"
+# -- by a preset -----------------------------------------------------------------------
 
 
-def spellings(kind, drive):
-    """Return the names of a kind of channel; drive: what is recorded, None: torques."""
-    own = _SPELLINGS.get(kind, (kind,))
-    if drive is None:
-        return own
-    return own + {"v": _SPEEDS, "tau": drive.spelled}.get(kind, ())
-
-
-def kind_of(role):
-    """Return the kind, such as q or q_desired, that a name begins with."""
-    return _KIND_OF[_begin(role)] if _begin(role) else ""
-
-
-def _begin(role):
-    match = _BEGIN.match(role)
-    return match[0].lower() if match else ""
-
-
-def by_names(table: Table, joints=()) -> Layout:
-    """Lay out columns by their own names, units in them taken off."""
-    roles, times = {}, []
-    clocks = _clocks_of_two(table)
-    parts = {name for clock in clocks for name in clock.columns}
-    for name in table.columns:
-        if name in parts:
-            roles[name] = Role(column=name)
-            continue
-        bare, unit = name_and_unit(table, name)
-        bare, plain = _in_letters(bare), _in_letters(name)
-        if bare.lower() in TIME_NAMES:
-            times.append(Role(column=name, unit=unit))
-            continue
-        stem, last = split_last_part(bare, "t")
-        if last and not unit and stem.lower() in TIME_NAMES:
-            times.append(Role(column=name, unit=last))
-            continue
-        if unit and unit not in joints and _is_channel(bare, unit):
-            roles.setdefault(bare, Role(column=name, unit=unit))
-            continue
-        kind, stem, last = kind_of(plain), plain, ""
-        if kind in _SPELLINGS:
-            stem, last = split_last_part(plain, kind)
-        if last and last not in joints and _is_channel(stem, last, joints):
-            roles.setdefault(stem, Role(column=name, unit=last))
-            continue
-        roles.setdefault(plain, Role(column=name))
-    exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
-    if exact:
-        roles |= {x.column: x for x in times if x not in exact}
-    if not times and len(clocks) == 1:
-        times = clocks
-        roles = {name: role for name, role in roles.items() if name not in parts}
-    return Layout(roles=roles, times=tuple(exact or times))
-
-
-def _clocks_of_two(table):
-    """Return the clocks that have a column of seconds and one of nanoseconds."""
-    return [
-        Role(column=name, unit="s", nanoseconds=other)
-        for name in table.columns
-        for seconds, nanoseconds in _CLOCK_PARTS
-        if name.lower().endswith(seconds)
-        and (other := name[: -len(seconds)] + nanoseconds) in table.columns
-    ]
-
-
-def _in_letters(name):
-    """Return a name with plain digits for subscripts, and tau for the Greek letter."""
-    return unicodedata.normalize("NFKC", name).replace("τ", "tau")
-
-
-def _is_channel(bare, unit, joints=None):
-    """Whether a name is that of a channel, so that a unit may follow it."""
-    # With `joints`, it must be followed by a number or one of them.
-    kind = kind_of(bare)
-    if kind not in _SPELLINGS:
-        return False
-    rest = bare[len(_begin(bare)) :]
-    if not rest:
-        return unit_of(kind, unit) is not None
-    suffix = rest.strip("_.[]()")
-    if suffix.isdecimal():
-        return True
-    return rest[0] in "_.[(" and (joints is None or suffix in joints)
-
-
-def by_preset(table: Table, name: str | None, joints=(), told=("tau",), chosen=False):
+def by_preset(table: Table, name: str | None, joints=(), kinds=("tau",), chosen=False):
     """Return the layouts of known logs that the columns fit, one for each preset."""
-    # `name` is a preset or None for any; `joints` are those of the robot, if it is
-    # known, and `chosen` if the user says that they are those of the columns, in order;
-    # `told` are the channels of torques or of a drive, the one that must be there
-    # first.
+    # name: a preset or None for any; joints: of the robot, if known, and `chosen` if
+    # the user says that they are those of the columns, in order; kinds: of torques or
+    # of a drive, the one that must be there first.
     found = {}
     for preset, logs in PRESETS.items():
         if name in (None, preset):
-            for log in logs:
-                layout = _fitted(table, log, joints, told, chosen)
-                if layout is not None:
-                    found[preset] = layout
-                    break
+            fitted = (_fitted(table, log, joints, kinds, chosen) for log in logs)
+            layout = next((x for x in fitted if x is not None), None)
+            if layout is not None:
+                found[preset] = layout
     return found
 
 
-def checked_preset(name):
-    """Return a preset as it is spelled here, None for None; refuse unknown ones."""
-    found = None if name is None else str(name).lower()
-    if found is not None and found not in PRESETS:
-        raise ValueError(
-            f"preset must be one of {', '.join(PRESETS)}; got {name!r}. For other "
-            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
-        )
-    return found
-
-
-def _fitted(table, log: KnownLog, joints, told, chosen):
+def _fitted(table, log: KnownLog, joints, kinds, chosen):
     """Lay out columns as in a known log; None if they are not those."""
     patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
-    channels = {
+    found = {
         kind: matches(patterns[kind], table)
-        for kind in ("q", "v", *told)
+        for kind in ("q", "v", *kinds)
         if patterns.get(kind)
     }
-    if told[0] not in channels:
+    if kinds[0] not in found:
         return None
-    if told[0] in log.commands:
-        channels = _beside_state(channels, log)
+    if kinds[0] in log.commands:
+        found = _with_prefix_of_state(found, log)
     if log.motors:
-        channels = _moving(table, channels, len(joints))
-    pairs = {
-        kind: {(x.prefix, x.key) for x in found} for kind, found in channels.items()
-    }
-    shared = pairs["q"] & pairs[told[0]]
+        found = _moving(table, found, len(joints))
+    pairs = {kind: {(x.prefix, x.key) for x in own} for kind, own in found.items()}
+    shared = pairs["q"] & pairs[kinds[0]]
     prefixes = {prefix for prefix, _ in shared}
     if len(prefixes) != 1:
         return None
     (prefix,) = prefixes
     if "{joint}" in log.q and joints and not any((prefix, x) in shared for x in joints):
         return None
-    roles = {}
-    for kind, found in channels.items():
-        for match in found:
-            needed = kind in ("q", told[0])
-            if match.prefix == prefix and (needed or pairs[kind] >= shared):
-                unit = match.unit or (log.motor_unit if kind == "tau" else "")
-                roles[_role(kind, match.key)] = Role(column=match.column, unit=unit)
     times = _times(table, log, prefix)
     if not times and not log.commands:
         return None
+    channels: dict[str, Channel] = {}
+    for kind, own in found.items():
+        if kind not in ("q", kinds[0]) and not pairs[kind] >= shared:
+            continue
+        for match in own:
+            if match.prefix == prefix:
+                unit = match.unit or (log.motor_unit if kind == "tau" else "")
+                role = Role(column=match.column, unit=unit)
+                channel = channels.setdefault(kind, Channel())
+                channel.add(match.key, role, is_number=match.is_number)
     beside = {
         name
-        for name in table.columns
+        for name in table.names
         if any(re.fullmatch(pattern, name) for pattern in log.beside)
     }
-    used = {role.column for role in roles.values()}
-    used |= {part for time in times for part in time.columns}
-    for name in table.columns:
-        if name not in beside and name not in used:
-            roles.setdefault(name, Role(column=name))
-    if log.segment in table.columns:
-        roles.pop(log.segment, None)
-        roles["segment"] = Role(column=log.segment)
     return Layout(
-        roles=roles,
-        beside=frozenset(beside - used - {log.segment}),
+        channels=channels,
         times=tuple(times),
+        segments=(log.segment,) if log.segment in table.frame else (),
+        beside=frozenset(beside),
         joints=_names_in(table, log) or (() if chosen else _motors(log, joints)),
         what=log.what,
         certain=True,
-        question=log.question if told[0] in log.commands else "",
+        question=log.question if kinds[0] in log.commands else "",
         answer=f"q={log.q} [{SHARE[0] if table.shares else 'deg'}]",
-    )
+    ).named()
 
 
-def _beside_state(channels, log):
-    """Give commands the prefix of the state that they stand beside."""
-    # Commands are a message of their own, of another name.
-    states = {match.prefix for match in channels["q"]}
+def _with_prefix_of_state(found, log):
+    """Give commands, a message of their own name, the prefix of the only state."""
+    states = {match.prefix for match in found["q"]}
     if len(states) != 1:
-        return channels
+        return found
     (prefix,) = states
-    found = {}
-    for kind, own in channels.items():
-        if kind in log.commands and len({match.prefix for match in own}) == 1:
-            own = [replace(match, prefix=prefix) for match in own]
-        found[kind] = own
-    return found
+    return {
+        kind: [replace(match, prefix=prefix) for match in own]
+        if kind in log.commands and len({match.prefix for match in own}) == 1
+        else own
+        for kind, own in found.items()
+    }
 
 
-def _moving(table, channels, count):
+def _moving(table, found, count):
     """Leave out numbered motors beyond those of the robot, which never move."""
     # A message has a place for more motors than most robots have.
-    numbers = sorted({int(x.key) for x in channels["q"] if x.key.isdecimal()})
-    still = {x.key for x in channels["q"] if not np.any(table.columns[x.column])}
+    numbers = sorted({int(x.key) for x in found["q"] if x.key.isdecimal()})
+    still = {x.key for x in found["q"] if not np.any(table.values(x.column))}
     while numbers and str(numbers[-1]) in still and len(numbers) > max(count, 1):
         numbers.pop()
     kept = {str(x) for x in numbers}
     return {
         kind: [x for x in own if x.key in kept or not x.key.isdecimal()]
-        for kind, own in channels.items()
+        for kind, own in found.items()
     }
 
 
 def _motors(log, joints):
-    """Return the robot's joints in the order of the motors of a log, if it says it."""
+    """Return the robot's joints in the order of the motors of a log, if known."""
     found = [[one for one in joints if part in one] for part in log.motors]
     known = len(found) == len(joints) and all(len(own) == 1 for own in found)
     return tuple(own[0] for own in found) if known else ()
@@ -616,7 +521,7 @@ def _times(table, log, prefix):
     for name in log.times:
         bare, own = split_unit(name)
         parts = [part.replace("*", prefix) for part in bare.split("+")]
-        if all(part in table.columns for part in parts):
+        if all(part in table.frame for part in parts):
             unit = "s" if len(parts) == 2 else own or log.time_unit
             found.append(
                 Role(column=parts[0], unit=unit, nanoseconds="".join(parts[1:]))
@@ -628,25 +533,20 @@ def _names_in(table, log):
     """Return the names of the joints that stand in the rows, in order."""
     if not log.joints:
         return ()
-    found = matches(log.joints, table)
     found = sorted((int(x.key or 0), x.column) for x in matches(log.joints, table))
-    cells = [table.columns[column] for _, column in found]
-    if not cells:
+    names = table.frame[[column for _, column in found]].astype(str)
+    if names.empty:
         return ()
-    first = [str(values[0]) for values in cells]
-    changing = any((values != values[0]).any() for values in cells)
-    if "{i}" in log.joints:
-        names = tuple(first)
-    else:
-        # A list in one cell, as Python writes it.
-        names = tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]))
-    if changing:
+    first = list(names.iloc[0])
+    if (names != first).any(axis=None):
         raise ValueError(
             f"{table.path}: the names of the joints change from row to row, so that a "
             "column is not one joint; read the bag itself, or write one column for "
             "each joint."
         )
-    return names
+    # A list in one cell is as Python writes it.
+    one = "{i}" not in log.joints
+    return tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]) if one else first)
 
 
 # -- units and times -------------------------------------------------------------------
@@ -656,71 +556,43 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
     """Return the unit of a channel, None if nothing tells; refuse one not known."""
     if not role.unit:
         return None
-    if MEASURED.get(kind, kind) == "q" and role.unit in SHARE:
-        return _share(table, role)
+    measured = MEASURED.get(kind, kind)
+    if measured == "q" and role.unit in SHARE:
+        if role.column not in table.shares:
+            raise ValueError(
+                f"{table.path}: column {role.column!r} is a share of a calibrated "
+                "range, which is not known: put the robot's calibration file "
+                "(range_min and range_max of each motor) into the data set as "
+                "meta/calibration.json, or turn the columns into radians."
+            )
+        return Unit("rad", table.shares[role.column])
     unit = unit_of(kind, role.unit)
     if unit is None:
-        expected = {
-            "q": "rad, deg, m or mm",
-            "v": "rad/s, deg/s, m/s or mm/s",
-            "a": "rad/s^2, deg/s^2 or m/s^2",
-            "tau": "Nm, N, A, V or %",
-            "t": "s, ms, us or ns",
-            "kp": "Nm/rad or N/m",
-            "kd": "Nms/rad or Ns/m",
-        }[MEASURED.get(kind, kind)]
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
-            f"known unit of {kind}; expected {expected}. Convert it, or correct the "
-            "name."
+            f"known unit of {kind}; expected {EXPECTED[measured]}. Convert it, or "
+            "correct the name."
         )
     return unit
 
 
-def _share(table: Table, role: Role) -> Unit:
-    """Return the unit of a position that is a share of a motor's calibrated range."""
-    if role.column not in table.shares:
-        raise ValueError(
-            f"{table.path}: column {role.column!r} is a share of a calibrated range, "
-            "which is not known: put the robot's calibration file (range_min and "
-            "range_max of each motor) into the data set as meta/calibration.json, or "
-            "turn the columns into radians."
-        )
-    return Unit("rad", table.shares[role.column])
-
-
-_STAMP = re.compile(
-    r"(\d{4}-\d\d-\d\d)[T ](\d\d:\d\d)(:\d\d)?([.,]\d+)?\s*(Z|[+-]\d\d:?\d\d)?"
-)
-
-
 def seconds_of_dates(table: Table, column: str):
     """Return dates with times of day as seconds from the first, None for others."""
-    values = table.columns[column]
-    if values.dtype.kind == "M" and not np.isnat(values).any():
-        return (values - values[0]) / np.timedelta64(1, "s")
-    if values.dtype.kind != "U" or not _STAMP.fullmatch(values[0]):
-        return None
-    stamps, zones = [], set()
-    for row, text in enumerate(values):
-        match = _STAMP.fullmatch(text)
-        if match is None:
+    pandas = pandas_of(table.path)
+    values = table.frame[column]
+    if values.dtype.kind != "M":
+        if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
+            return None
+        text = values.astype(str).str.replace(",", ".")
+        dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+        if pandas.isna(dates.iloc[0]):
+            return None
+        wrong = np.flatnonzero(dates.isna())
+        if wrong.size:
             raise ValueError(
-                f"{table.path}: {quoted(text)} in {table.where(row)}, column "
-                f"{column!r}, is not a date and time like the others; correct or "
-                "remove that row."
+                f"{table.path}: {quoted(values.iloc[wrong[0]])} in "
+                f"{table.where(wrong[0])}, column {column!r}, is not a date and time "
+                "like the others; correct or remove that row."
             )
-        day, minute, second, fraction, zone = match.groups()
-        zones.add(zone or "")
-        fraction = (fraction or "").replace(",", ".")
-        stamps.append(f"{day}T{minute}{second or ':00'}{fraction[:10]}")
-    if len(zones) > 1:
-        raise ValueError(
-            f"{table.path}: column {column!r} has times of several zones "
-            f"({', '.join(sorted(zones))}); write all in one."
-        )
-    try:
-        instants = np.array(stamps, dtype="datetime64[ns]")
-    except ValueError as error:
-        raise ValueError(f"{table.path}: column {column!r}: {error}.") from None
-    return (instants - instants[0]) / np.timedelta64(1, "s")
+        values = dates
+    return (values - values.iloc[0]).dt.total_seconds().to_numpy()

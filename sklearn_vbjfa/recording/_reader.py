@@ -1,7 +1,6 @@
 """A user's recording out of a file, with its time stamps checked."""
 
 import contextlib
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,31 +11,35 @@ import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import _layout, formats
-from sklearn_vbjfa.recording._channels import (
-    Asked,
+from sklearn_vbjfa.recording import formats
+from sklearn_vbjfa.recording._columns import as_numbers
+from sklearn_vbjfa.recording._drives import Drive, parse_drive
+from sklearn_vbjfa.recording._layout import (
+    ESTIMATES,
+    channel_unit,
+    name_and_unit,
+    parse_mapping,
+    seconds_of_dates,
+)
+from sklearn_vbjfa.recording._names import (
     Joints,
+    ReadOptions,
     channels_of,
     is_current,
     laid_out,
-    otherwise,
-    refuse_codes,
     refuse_two,
     unit_is_wrong,
     unit_of_steps,
     usual_step,
+)
+from sklearn_vbjfa.recording._presets import PRESETS, currents_as_efforts
+from sklearn_vbjfa.recording._recording import Recording, check_dt
+from sklearn_vbjfa.recording._rows import (
+    refuse_codes,
+    with_commands_held,
+    without_blank_rows,
     without_second_source,
 )
-from sklearn_vbjfa.recording._columns import as_numbers
-from sklearn_vbjfa.recording._drives import Drive, parse_drive
-from sklearn_vbjfa.recording._layout import (
-    TIME_UNITS,
-    kind_of,
-    split_unit,
-    unit_of,
-)
-from sklearn_vbjfa.recording._presets import currents_as_efforts
-from sklearn_vbjfa.recording._recording import Recording, check_dt
 from sklearn_vbjfa.recording._sampling import (
     SAME_DT,
     check_given,
@@ -52,6 +55,13 @@ from sklearn_vbjfa.recording._several import (
     notes_of,
 )
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed, quoted
+from sklearn_vbjfa.recording._units import (
+    MEASURED,
+    TIME_UNITS,
+    TURNS,
+    split_unit,
+    unit_of,
+)
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -204,14 +214,14 @@ def read_recording(
     """
     if dt is not None:
         check_dt(dt)
-    asked = Asked(
-        mapping={} if columns is None else _layout.parse_mapping(columns),
-        preset=_layout.checked_preset(preset),
+    options = ReadOptions(
+        mapping={} if columns is None else parse_mapping(columns),
+        preset=_checked_preset(preset),
         timed=dt is not None,
         gained=gains is not None,
         drive=parse_drive(drive) if isinstance(drive, str) else drive,
     )
-    if asked.drive is not None and gains is not None:
+    if options.drive is not None and gains is not None:
         raise RecordingRefused(
             "gains are factors of columns of torques, and a drive has its own: leave "
             "gains out (command line: --gain), or the drive.",
@@ -223,7 +233,7 @@ def read_recording(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
     given_paths = [path] if isinstance(path, (str, PathLike)) else map(Path, path)
-    given = dt, urdf, joint_names, asked, topic, gains, time_unit
+    given = dt, urdf, joint_names, options, topic, gains, time_unit
     paths, unfolded = _without_folders(dict.fromkeys(given_paths), join, given)
     if not paths:
         raise ValueError("path must name one file or more, got none.")
@@ -236,8 +246,8 @@ def read_recording(
             recording = replace(recording, name=name)
     else:
         recording, notes = concatenated(files, name)
-    if asked.drive is not None:
-        recording = _driven(recording, asked.drive, files)
+    if options.drive is not None:
+        recording = _driven(recording, options.drive, files)
     for note in notes:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
@@ -306,10 +316,10 @@ def _table_of(path, topic, joints, commanded=False):
     return joined(tables, joints(), shown)
 
 
-def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
+def _read_file(path, dt, urdf, joint_names, options, topic, gains, time_unit):
     """Read one file, by checked arguments of `read_recording`."""
     names = _strings(joint_names)
-    commanded = "q_desired" in asked.told
+    commanded = "q_desired" in options.told
     table = _table_of(path, topic, lambda: names or _movable(urdf), commanded)
     if joint_names is None and "joint_names" in table.scalars:
         names = _strings([str(x) for x in np.atleast_1d(table.scalars["joint_names"])])
@@ -320,69 +330,41 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
     robot = Joints(names=names or listed_first, chosen=bool(names))
     notes = list(table.notes)
     dt = _given_period(table, dt)
-    asked = replace(asked, timed=dt is not None)
-    layout = laid_out(table, asked, robot)
-    if asked.drive is not None:
-        table = _held(table, layout, asked, notes)
-    table = _without_blank_rows(table, layout, asked, notes)
-    if asked.drive is None:
-        table = without_second_source(table, layout, notes)
-    found, robot = channels_of(table, layout, asked, robot, notes)
-    names = robot.names
-    channels, units = {}, {}
-    for kind, columns_of in _in_one_unit(found, asked).items():
-        if kind == "supply" and len(columns_of) == 1:
-            # One for all joints.
-            columns_of = found[kind] = columns_of * len(found["q"])
-        if columns_of:
-            channels[kind], units[kind] = _values(table, kind, columns_of)
-    if asked.drive is not None:
-        _check_radians(table, layout, channels["q"], units["q"])
-        channels |= _told_once(table, asked, channels, notes)
-    names = _check_joints(table, found, asked, robot)
+    options = replace(options, timed=dt is not None)
+    layout = laid_out(table, options, robot)
+    table = _without_odd_rows(table, layout, options, notes)
+    found, robot = channels_of(table, layout, options, robot, notes)
+    names = _check_joints(table, found, robot)
+    channels, units = _in_units(table, layout, found, options, notes)
     slides = _check_units(table, found, units, names, model_names, prismatic)
     given = units.get("tau", [None] * len(names))
     recorded = _gained(table, channels, given, None, names, slides)
     torque_units = _gained(table, channels, given, gains, names, slides)
-    taken = {role.column for roles in found.values() for role in roles}
-    if "tau" not in channels:
-        # `_driven` has them when all files are read.
-        channels["tau"] = np.zeros(channels["q"].shape)
-        taken |= {x.column for k, x in layout.roles.items() if kind_of(k) == "tau"}
+    # Without torques `_driven` has them when all files are read.
+    channels.setdefault("tau", np.zeros(channels["q"].shape))
     if model_names:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
-        names = tuple(names[j] for j in order)
-        slides = [slides[j] for j in order]
-        torque_units = [torque_units[j] for j in order]
-        recorded = [recorded[j] for j in order]
+        names, slides, torque_units, recorded = (
+            [x[j] for j in order] for x in (names, slides, torque_units, recorded)
+        )
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = _time(table, layout, dt, time_unit)
     labels, segment = _segments(table, layout)
-    taken |= {segment, *(() if time is None else time.columns)}
-    signals, left_out = _signals(table, layout, taken, notes)
+    taken = {role.column for own in layout.channels.values() for role in own.roles}
+    taken |= {segment, *(() if time is None else time.columns), *layout.beside}
+    taken |= {x for role in layout.times if layout.what for x in role.columns}
+    signals, left_out = _signals(table, taken, notes)
     own = torque_units[0] if len(set(torque_units)) == 1 else ""
-    _say_what_was_taken(table, layout, asked, found, time, time_unit, own, notes)
-    maker = currents_as_efforts(names) if _is_effort(table, layout) else ""
-    if maker and gains is None and asked.drive is None:
-        notes.append(
-            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
-            "[A] under this name: if this one did, give gains (command line: --gain "
-            "unknown, or the factors)."
-        )
-    motor = [unit for unit in torque_units if unit not in _TORQUES]
-    if motor and gains is None and asked.drive is None:
-        notes.append(
-            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
-            "or identify them (gains='unknown'; command line: --gain unknown)."
-        )
+    _say_what_was_taken(table, layout, options, found, time, time_unit, own, notes)
+    notes += _unit_notes(table, layout, options, names, torque_units, gains)
     channels |= signals
     if t is not None and labels is None:
         t, channels, table = in_order(table, t, channels, notes)
     fields = on_grid(table, t, labels, dt, channels, notes)
     recording = Recording(
         name=_name_of(path, table),
-        joint_names=names,
+        joint_names=tuple(names),
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
         urdf=None if urdf is None else fspath(urdf),
@@ -397,6 +379,67 @@ def _read_file(path, dt, urdf, joint_names, asked, topic, gains, time_unit):
         stamped=t is not None,
         torque_units=tuple(recorded),
     )
+
+
+def _without_odd_rows(table, layout, options, notes):
+    """Hold commands, leave out blank rows and those of a second source."""
+    roles = {kind: own.roles for kind, own in layout.channels.items()}
+    q, tau = roles.get("q", []), roles.get("tau", [])
+    if options.drive is None:
+        table = without_blank_rows(table, [*q, *tau], notes)
+        return without_second_source(table, q, tau, notes)
+    told = [x for kind in options.told if kind != "tau" for x in roles.get(kind, [])]
+    table = with_commands_held(table, told, notes)
+    return without_blank_rows(table, q, notes)
+
+
+def _in_units(table, layout, found, options, notes):
+    """Return channels in the package's units, and the bases of the units they had."""
+    for kind, measured in MEASURED.items():
+        own, of = found.get(kind, []), found.get(measured, [])
+        if kind in options.told and len(own) == len(of):
+            # Commands without a unit have that of what they command.
+            found[kind] = [
+                role if role.unit else replace(role, unit=other.unit)
+                for role, other in zip(own, of)
+            ]
+    channels, units = {}, {}
+    for kind, roles in found.items():
+        if kind == "supply" and len(roles) == 1:
+            # One for all joints.
+            roles = found[kind] = roles * len(found["q"])
+        if roles:
+            channels[kind], units[kind] = _values(table, kind, roles)
+    if options.drive is not None:
+        most = float(np.abs(channels["q"]).max())
+        if layout.question and most > TURNS and not any(units["q"]):
+            raise RecordingRefused(
+                f"{table.path}: positions go up to {most:.4g}, which are not radians: "
+                f"{layout.question}",
+                {"columns": layout.answer},
+            )
+        channels |= _constant_channels(table, options, channels, notes)
+    return channels, units
+
+
+def _unit_notes(table, layout, options, names, torque_units, gains):
+    """Yield what a user should know of the unit of the torques."""
+    if gains is not None or options.drive is not None:
+        return
+    is_effort = bool(table.joints) or layout.what.startswith("/joint_states")
+    maker = currents_as_efforts(names) if is_effort else ""
+    if maker:
+        yield (
+            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
+            "[A] under this name: if this one did, give gains (command line: --gain "
+            "unknown, or the factors)."
+        )
+    motor = [unit for unit in torque_units if unit not in _TORQUES]
+    if motor:
+        yield (
+            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
+            "or identify them (gains='unknown'; command line: --gain unknown)."
+        )
 
 
 @contextlib.contextmanager
@@ -431,11 +474,6 @@ def _unfinished(path):
         f"{path} was written to while it was read; wait until the recording has ended, "
         "then read it again."
     )
-
-
-def _is_effort(table, layout):
-    """Whether torques are efforts of ROS, of whatever unit the driver publishes."""
-    return bool(table.joints) or layout.what.startswith("/joint_states")
 
 
 def _name_of(path, table):
@@ -496,7 +534,7 @@ def _values(table: Table, kind, roles):
     # The second is the base of the unit of each column, None where nothing tells.
     columns, bases = [], []
     for role in roles:
-        unit = _layout.channel_unit(table, kind, role)
+        unit = channel_unit(table, kind, role)
         if unit is None and kind == "tau" and is_current(role.column):
             unit = unit_of("tau", "A")
         values = _numbers(table, role.column)
@@ -517,7 +555,7 @@ def _values(table: Table, kind, roles):
 
 def _numbers(table: Table, column: str):
     """Return a column as finite floats, or say which cell is none."""
-    values = table.columns[column]
+    values = table.values(column)
     if values.dtype.kind not in "biuf":
         raise ValueError(
             f"{table.path}: column {column!r} holds {quoted(str(values[0]))} and not "
@@ -535,91 +573,10 @@ def _numbers(table: Table, column: str):
     return values
 
 
-def _without_blank_rows(table: Table, layout, asked, notes):
-    """Leave out rows in which no joint has a position or torque: of other topics."""
-    used = [
-        table.columns[role.column]
-        for name, role in layout.roles.items()
-        if re.fullmatch(r"(q|tau)([_.\[(]?\d.*|_.+)?", name, re.IGNORECASE)
-        and (asked.drive is None or kind_of(name) == "q")
-    ]
-    if not used or any(values.dtype.kind != "f" for values in used):
-        return table
-    blank = np.isnan(used[0])
-    for values in used[1:]:
-        if not blank.any():
-            return table
-        blank &= np.isnan(values)
-    if not blank.any() or blank.all():
-        return table
-    rows = np.flatnonzero(~blank)
-    notes.append(f"{blank.sum()} row(s) without any position or torque are left out.")
-    return replace(
-        table,
-        columns={name: values[rows] for name, values in table.columns.items()},
-        where=lambda row: table.where(rows[row]),
-    )
-
-
-def _held(table: Table, layout, asked, notes):
-    """Let commands that have rows of their own hold until the next one comes."""
-    told = {
-        role.column
-        for name, role in layout.roles.items()
-        if kind_of(name) in asked.told and kind_of(name) != "tau"
-    }
-    gaps = {
-        column: np.isnan(table.columns[column])
-        for column in told
-        if table.columns[column].dtype.kind == "f"
-    }
-    gaps = {column: nan for column, nan in gaps.items() if nan.any() and not nan.all()}
-    if not gaps:
-        return table
-    columns, begin = dict(table.columns), 0
-    for column, nan in gaps.items():
-        last = np.maximum.accumulate(np.where(nan, -1, np.arange(nan.size)))
-        begin = max(begin, int(np.argmax(last >= 0)))
-        columns[column] = columns[column][last]
-    rows = max(int((~nan).sum()) for nan in gaps.values())
-    notes.append(
-        f"commands stand in {rows} of {table.n_rows} rows: each holds until the next "
-        f"one comes{f'; {begin} row(s) before the first are left out' * (begin > 0)}."
-    )
-    return replace(
-        table,
-        columns={name: values[begin:] for name, values in columns.items()},
-        where=lambda row: table.where(begin + row),
-    )
-
-
-def _in_one_unit(found, asked):
-    """Give commands without a unit that of what they command."""
-    for kind, measured in _layout.MEASURED.items():
-        own, of = found.get(kind, []), found.get(measured, [])
-        if kind in asked.told and len(own) == len(of):
-            found[kind] = [
-                role if role.unit else replace(role, unit=other.unit)
-                for role, other in zip(own, of)
-            ]
-    return found
-
-
-def _check_radians(table: Table, layout, q, units):
-    """Ask for the unit of a log that has none, where it is not radians."""
-    most = float(np.abs(q).max())
-    if layout.question and most > _layout.TURNS and not any(units):
-        raise RecordingRefused(
-            f"{table.path}: positions go up to {most:.4g}, which are not radians: "
-            f"{layout.question}",
-            {"columns": layout.answer},
-        )
-
-
-def _told_once(table: Table, asked, channels, notes):
-    """Return gains that stand beside the columns, and say what a drive does without."""
+def _constant_channels(table: Table, options, channels, notes):
+    """Return gains that stand beside the columns, and note what a drive lacks."""
     found, shape = {}, channels["q"].shape
-    for kind in asked.told:
+    for kind in options.told:
         once = table.scalars.get(kind)
         if kind not in channels and once is not None and once.dtype.kind in "iuf":
             if once.shape not in {(), (1,), shape[1:]}:
@@ -628,8 +585,8 @@ def _told_once(table: Table, asked, channels, notes):
                     f"number for each of {shape[1]} joints, or one in every row."
                 )
             found[kind] = np.broadcast_to(once.astype(float), shape).copy()
-    rate = "v_desired" in asked.told and "v_desired" not in channels
-    if rate and not getattr(asked.drive, "feedforward", False):
+    rate = "v_desired" in options.told and "v_desired" not in channels
+    if rate and not getattr(options.drive, "feedforward", False):
         notes.append(
             "no desired velocities (v_desired): taken as zero, so that kd damps all "
             "motion."
@@ -653,17 +610,15 @@ def _driven(recording, drive, files):
         raise ValueError(f"{listed_paths([x.path for x in files])}: {error}") from error
 
 
-def _check_joints(table: Table, found, asked, robot):
+def _check_joints(table: Table, found, robot):
     """Check the number of joints by the columns of each kind, return their names."""
-    names = robot.names
-    used = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
-    nv = len(used["q"])
-    for kind, columns in used.items():
-        if len(columns) != nv:
+    names, nv = robot.names, len(found["q"])
+    for kind, roles in found.items():
+        if len(roles) not in (0, nv, nv if kind != "supply" else 1):
+            q, other = ([x.column for x in own] for own in (found["q"], roles))
             raise ValueError(
-                f"{table.path}: {nv} column(s) q ({listed(used['q'])}) and "
-                f"{len(columns)} column(s) {kind} ({listed(columns)}); every joint "
-                "needs one of each."
+                f"{table.path}: {nv} column(s) q ({listed(q)}) and {len(roles)} "
+                f"column(s) {kind} ({listed(other)}); every joint needs one of each."
             )
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
@@ -675,16 +630,11 @@ def _check_joints(table: Table, found, asked, robot):
             f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others are "
             "then held at zero"
         )
-        options = {}
-        if nv < len(names) and not robot.chosen:
-            options = {"joint_names": names[:nv]}
-        if nv == 1 and "q" in asked.mapping:
-            # A pattern without {i} is the name of a single column.
-            options = otherwise(table, asked, names) or options
+        fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
             f"({listed(names)}); {remedy}.",
-            options,
+            {"joint_names": names[:nv]} if fewer else {},
         )
     return names
 
@@ -699,18 +649,15 @@ def _check_units(table: Table, found, units, names, model_names, prismatic):
         elif units["q"][j] is None:
             slide = "tau" in units and units["tau"][j] == "N"
         slides.append(slide)
-        wrong = {"q": "rad", "v": "rad", "a": "rad", "tau": "N m"}
-        if not slide:
-            wrong = {"q": "m", "v": "m", "a": "m", "tau": "N"}
-        wrong |= {kind: wrong[of] for kind, of in _layout.MEASURED.items()}
-        for kind, base in wrong.items():
-            if found.get(kind) and units[kind][j] == base:
-                role = found[kind][j]
-                expected = _EXPECTED[_layout.MEASURED.get(kind, kind)][slide]
+        for kind, roles in found.items():
+            measured = MEASURED.get(kind, kind)
+            wrong = {"tau": ("N", "N m")}.get(measured, ("m", "rad"))[slide]
+            if roles and measured in _EXPECTED and units[kind][j] == wrong:
                 raise ValueError(
-                    f"{table.path}: column {role.column!r} is in {role.unit}, but "
-                    f"{joint} {'slides' if slide else 'turns'}; expected "
-                    f"{expected}. Correct the unit, or the order of the joints."
+                    f"{table.path}: column {roles[j].column!r} is in {roles[j].unit}, "
+                    f"but {joint} {'slides' if slide else 'turns'}; expected "
+                    f"{_EXPECTED[measured][slide]}. Correct the unit, or the order of "
+                    "the joints."
                 )
     return slides
 
@@ -756,37 +703,38 @@ def _checked_gains(gains):
     return found
 
 
+def _checked_preset(name):
+    """Return a preset as it is spelled here, None for None; refuse unknown ones."""
+    found = None if name is None else str(name).lower()
+    if found is not None and found not in PRESETS:
+        raise ValueError(
+            f"preset must be one of {', '.join(PRESETS)}; got {name!r}. For other "
+            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
+        )
+    return found
+
+
 def _segments(table: Table, layout):
     """Return segment labels or None, and the name of their column."""
-    columns = [
-        role.column for name, role in layout.roles.items() if name.lower() == "segment"
-    ]
-    if not columns:
+    if not layout.segments:
         return None, ""
-    for other in columns[1:]:
-        refuse_two(table, columns[0], other)
-    labels = table.columns[columns[0]]
-    if labels.dtype.kind == "f":
-        labels = _numbers(table, columns[0])
-    return labels, columns[0]
+    first, *others = layout.segments
+    for other in others:
+        refuse_two(table, first, other)
+    labels = table.values(first)
+    return _numbers(table, first) if labels.dtype.kind == "f" else labels, first
 
 
-def _signals(table: Table, layout, taken, notes):
+def _signals(table: Table, taken, notes):
     """Return the other columns, and what is wrong with those that are not numbers."""
     signals, left_out = {}, {}
-    known = {role.column: name for name, role in layout.roles.items()}
-    clocks = {x for role in layout.times if layout.what for x in role.columns}
-    for column, values in table.columns.items():
-        if column in taken or column in layout.beside or column in clocks:
-            continue
-        if layout.certain and re.fullmatch(r"(q|tau|v|a)_.+", known.get(column, "")):
-            # Of joints that the robot lacks.
-            continue
-        numbers, reason = as_numbers(values, table.n_rows)
-        if reason:
-            left_out[column] = reason
-        else:
-            signals[column] = numbers
+    for column in table.names:
+        if column not in taken:
+            numbers, reason = as_numbers(table.values(column), table.n_rows)
+            if reason:
+                left_out[column] = reason
+            else:
+                signals[column] = numbers
     if left_out:
         notes.append(
             f"column(s) {listed(left_out)} hold no finite numbers and are left out."
@@ -795,41 +743,43 @@ def _signals(table: Table, layout, taken, notes):
 
 
 def _say_what_was_taken(
-    table, layout, asked, found, time, time_unit, torque_unit, notes
+    table, layout, options, found, time, time_unit, torque_unit, notes
 ):
-    """Note, in one line, what was taken for what where the names do not say it."""
-    said = []
-    converted = {
-        role.unit
-        for kind, roles in found.items()
-        for role in roles
-        if role.unit and _layout.channel_unit(table, kind, role).factor != 1
-    }
+    """Note, in one line, which columns were taken where the names do not say it."""
     stamped = ""
     if time is not None:
         unit = time_unit or time.unit or "s"
         stamped = f"t = {_with_unit('+'.join(time.columns), unit)}"
     if layout.what:
-        for kind in [x for x in ("q", *asked.told) if found[x]]:
+        said = []
+        for kind in [x for x in ("q", *options.told) if found[x]]:
             unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
             said.append(f"{kind} = {_with_unit(_ends(found[kind]), unit)}")
-        said.append(stamped)
-        notes.insert(0, f"taken as {layout.what}: {', '.join(x for x in said if x)}.")
-    elif time is not None and not asked.mapping and time.column not in ("t", "T"):
-        said.append(stamped)
-    if asked.drive is not None and not layout.what and not asked.mapping:
+        said = ", ".join(x for x in (*said, stamped) if x)
+        notes.insert(0, f"taken as {layout.what}: {said}.")
+        return
+    said = []
+    if not options.mapping:
+        if time is not None and time.column not in ("t", "T"):
+            said.append(stamped)
+        kinds = () if options.drive is None else (*options.told, "v")
         said += [
             f"{kind} = {_ends(found[kind])}"
-            for kind in (*asked.told, "v")
+            for kind in kinds
             if found[kind] and not found[kind][0].column.lower().startswith(kind)
         ]
-    if asked.drive is None and not layout.what and not asked.mapping:
-        own = found["tau"]
-        if own and own[0].column.lower().startswith(_layout.ESTIMATES):
+        own = found["tau"] if options.drive is None else []
+        if own and own[0].column.lower().startswith(ESTIMATES):
             said.append(f"tau = {_ends(own)}, which the motors estimate")
-    if not layout.what and converted:
+    converted = {
+        role.unit
+        for kind, roles in found.items()
+        for role in roles
+        if role.unit and channel_unit(table, kind, role).factor != 1
+    }
+    if converted:
         said.append(f"converted from {', '.join(sorted(converted))}")
-    if said and not layout.what:
+    if said:
         notes.insert(0, f"{'; '.join(said)}.")
 
 
@@ -852,7 +802,7 @@ def _with_unit(columns, unit):
 def _time(table: Table, layout, dt, time_unit):
     """Return stamps [s] or None, and the role of their column."""
     times = layout.times
-    own = [x for x in times if _layout.name_and_unit(table, x.column)[0].lower() == "t"]
+    own = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
     if dt is not None and not (layout.certain or own):
         # What else is called time may be anything; the period is given.
         return None, None
@@ -867,12 +817,12 @@ def _time(table: Table, layout, dt, time_unit):
     for role in times:
         t = None
         if not role.nanoseconds:
-            t = _layout.seconds_of_dates(table, role.column)
+            t = seconds_of_dates(table, role.column)
         if t is not None:
             return t, replace(role, unit="s")
         values = [_numbers(table, part) for part in role.columns]
         t = values[0] - values[0][0]
-        unit = _layout.channel_unit(table, "t", role)
+        unit = channel_unit(table, "t", role)
         factor = 1.0 if unit is None else unit.factor
         if time_unit is not None and not role.nanoseconds:
             factor = TIME_UNITS[time_unit]

@@ -2,7 +2,7 @@
 
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -663,9 +663,8 @@ def in_order(table: Table, t, channels, notes):
         f"rows are not in the order of time (in {back} places of {n} it goes back): "
         "they were sorted by it."
     )
-    where = table.where
-    table = replace(table, where=lambda row: where(order[row]))
-    return t[order], {key: x[order] for key, x in channels.items()}, table
+    channels = {key: x[order] for key, x in channels.items()}
+    return t[order], channels, table.take(order)
 
 
 def on_grid(table: Table, t, labels, dt, channels, notes):

@@ -1,6 +1,5 @@
 """Several files: parts of one recording side by side, or recordings of one robot."""
 
-import functools
 from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,8 +7,8 @@ from statistics import median_low
 
 import numpy as np
 
-from sklearn_vbjfa.recording import _channels, _layout
-from sklearn_vbjfa.recording._channels import clock_of
+from sklearn_vbjfa.recording import _names
+from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit
 from sklearn_vbjfa.recording._recording import Recording
 from sklearn_vbjfa.recording._sampling import (
     GAP_PERIODS,
@@ -17,24 +16,25 @@ from sklearn_vbjfa.recording._sampling import (
     distinct,
     on_one_grid,
 )
-from sklearn_vbjfa.recording._table import Loss, Table, listed
+from sklearn_vbjfa.recording._table import Loss, Table, listed, pandas_of
 from sklearn_vbjfa.recording.formats import expanded
 
 # Words in the names of files, and what such a file holds.
 _WORDS = {
-    "t": {"t", "time", "times", "timestamp", "timestamps", "stamp", "stamps", "zeit"},
-    "q": {"q", "pos", "position", "positions", "angle", "angles", "theta", "winkel"},
+    "t": {"t", "time", "times", "timestamp", "timestamps", "stamp", "stamps"},
+    "q": {"q", "pos", "position", "positions", "angle", "angles", "theta"},
     "v": {"v", "dq", "qd", "qdot", "vel", "velocity", "velocities", "speed", "speeds"},
     "a": {"a", "ddq", "qdd", "qddot", "acc", "accel", "acceleration", "accelerations"},
     "tau": {"tau", "torque", "torques", "effort", "efforts", "trq", "moment", "moments"}
-    | {"m", "drehmoment", *_channels._CURRENT},
+    | {"current", "currents", "curr", "amp", "amps", "ampere", "amperes", "i"},
 }
+# What holds commands; of these only the ones of the motion are of use.
+_COMMANDS = {"q": "q_desired", "v": "v_desired"}
 # Relative difference between the periods of two files that is refused: accelerations
 # go with its square.
 _DT_TOLERANCE = 0.01
 # Files of which a note is told that are named; more are counted.
 _NAMED = 3
-_NAMES = "positions, velocities, torques, currents or time"
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,124 +42,150 @@ class _Part:
     """A file that is to stand beside others."""
 
     table: Table
-    time: object = None  # `Role` of its stamps
-    kind: str = ""  # what the name of the file says that it holds
-    flat: bool = False  # whether all joints are in one column, one after the other
+    time: Role | None = None  # of its stamps
+    kind: str = ""  # of its columns, by the name of the file
+
+    @property
+    def name(self):
+        """Name of the file."""
+        return self.table.path.name
+
+    @property
+    def kinds(self):
+        """Kinds of the channels in it, a set."""
+        return set(by_names(self.table).channels) | {self.kind} - {"", "t"}
 
 
 def joined(tables, joints, path) -> Table:
     """Put tables of one recording side by side."""
     # joints: names of the robot's, empty if unknown; path: as messages name the whole.
-    parts, left_out, told_of = [], [], {}
+    parts, left_out = _parts(tables, joints, path)
+    stamped = [x for x in parts if x.time is not None]
+    base = next((x for x in stamped if "q" in x.kinds), (stamped or parts)[0])
+    others = [x for x in parts if x is not base]
+    keep = np.arange(base.table.n_rows)
+    rows, notes = {}, []
+    for part in others:
+        rows[part.name], told = _rows(part, base)
+        notes += told
+        keep = keep[np.isfinite(rows[part.name][keep])]
+    if not keep.size:
+        raise ValueError(f"{path}: the files have no time in common.")
+    notes += _lost(keep, base)
+    frame = base.table.frame.iloc[keep]
+    columns, of = {x: frame[x] for x in frame}, dict.fromkeys(frame, base.name)
+    for part in others:
+        at = rows[part.name][keep]
+        for name in part.table.names:
+            if part.time is not None and name in part.time.columns:
+                continue
+            values = _at(part.table.values(name), at)
+            if name in columns and not np.array_equal(columns[name], values):
+                if part.kinds & set(by_names(_only(part.table, name), joints).channels):
+                    raise ValueError(
+                        f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
+                        "with other values; leave one of the files out, or rename the "
+                        "column."
+                    )
+                name = f"{part.table.path.stem}.{name}"
+            columns[name], of[name] = values, part.name
+    how = f"at the stamps of {base.name}" if notes else "row by row"
+    what = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
+    notes.insert(0, f"{len(parts)} files of one recording, {how}: {listed(what)}.")
+    if left_out:
+        notes.insert(1, f"{listed(left_out)}: not needed beside the others, left out.")
+    return Table(
+        path=path,
+        frame=pandas_of(path).DataFrame(columns, index=frame.index),
+        place=f"{base.table.place} of {base.name}",
+        scalars={
+            k: x for part in (base, *others) for k, x in part.table.scalars.items()
+        },
+        units={k: x for part in (base, *others) for k, x in part.table.units.items()},
+        joints=next((x.joints for x in tables if x.joints), ()),
+        notes=(*_notes_of_tables(tables), *notes),
+    )
+
+
+def _only(table, name):
+    return table.with_frame(table.frame[[name]])
+
+
+def _notes_of_tables(tables):
+    """Yield the notes of files with their names, equal ones once."""
+    names: dict[tuple, list] = {}
     for table in tables:
         for note in table.notes:
-            told_of.setdefault(note, []).append(table.path.name)
-    notes = [type(x)(f"{listed(names)}: {x}") for x, names in told_of.items()]
-    for table in tables:
-        part = _part(table, joints)
-        (left_out if part is None else parts).append(part or table.path.name)
-    kinds = {_layout.kind_of(x) for part in parts for x in part.table.columns}
+            names.setdefault((type(note), str(note)), []).append(table.path.name)
+    for (kind, note), of in names.items():
+        yield kind(f"{listed(of)}: {note}")
+
+
+# -- the content of a file -------------------------------------------------------------
+
+
+def _parts(tables, joints, path):
+    """Return the files that can stand side by side, and names of those left out."""
+    known = [(table, _kind_of_file(table)) for table in tables]
+    rows = {x.n_rows for x, _ in known if not (x.nameless and len(x.names) == 1)}
+    n_rows = rows.pop() if len(rows) == 1 else 0
+    parts, left_out = [], []
+    for table, kind in known:
+        if kind is None or (table.nameless and not kind):
+            left_out.append(table.path.name)
+        else:
+            parts.append(_part(table, kind, joints, n_rows))
+    kinds = {kind for part in parts for kind in part.kinds}
     if left_out and not {"q", "tau"} <= kinds:
         raise ValueError(
             f"{path}: the columns of {listed(left_out)} have no names, and the name(s) "
-            f"of the file(s) do not say what they hold; name them after that: {_NAMES}."
+            "of the file(s) do not say what they hold; name them after that: "
+            "positions, velocities, torques, currents or time."
         )
-    stamped = [x for x in parts if x.time is not None and x.kind != "t"]
-    for part in [x for x in parts if x.kind == "t" and stamped]:
+    if any(x.time is not None and x.kind != "t" for x in parts):
         # The others have stamps of their own.
-        parts.remove(part)
-        left_out.append(part.table.path.name)
+        left_out += [x.name for x in parts if x.kind == "t"]
+        parts = [x for x in parts if x.kind != "t"]
     if len(parts) < 2:
         raise ValueError(
             f"{path}: holds {listed([x.path.name for x in tables])}, of which less "
             "than two can stand side by side; expected files of one recording, such "
             "as positions.csv and torques.csv."
         )
-    parts = _upright(parts, len(joints))
-    base = next((x for x in stamped if _has_positions(x)), (stamped or [None])[0])
-    base = base or next((x for x in parts if x.time is not None), parts[0])
-    others = [x for x in parts if x is not base]
-    keep = np.arange(base.table.n_rows)
-    taken, told = {}, []
-    for part in others:
-        rows, said = _rows(part, base)
-        taken[part.table.path] = rows
-        keep = keep[np.isfinite(rows[keep])]
-        told += said
-    if not keep.size:
-        raise ValueError(f"{path}: the files have no time in common.")
-    told += _lost(keep, base)
-    columns, units, scalars = {}, dict(base.table.units), dict(base.table.scalars)
-    of = {}
-    for part in [base, *others]:
-        at = taken.get(part.table.path, keep)
-        at = at if part is base else at[keep]
-        for name, values in part.table.columns.items():
-            if part is not base and part.time and name in part.time.columns:
-                continue
-            values = _at(values, at)
-            if name in columns and not np.array_equal(columns[name], values):
-                if _layout.kind_of(name) in (*_layout.KINDS, "segment"):
-                    raise ValueError(
-                        f"{path}: column {name!r} is in {of[name].name} and in "
-                        f"{part.table.path.name}, with other values; leave one of the "
-                        "files out, or rename the column."
-                    )
-                name = f"{part.table.path.stem}.{name}"
-            columns[name], of[name] = values, part.table.path
-        units |= part.table.units
-        scalars |= part.table.scalars
-    what = [x.table.path.name + (f" ({x.kind})" if x.kind else "") for x in parts]
-    how = "row by row" if not told else f"at the stamps of {base.table.path.name}"
-    notes.append(f"{len(parts)} files of one recording, {how}: {listed(what)}.")
-    if left_out:
-        notes.append(f"{listed(left_out)}: not needed beside the others, left out.")
-    where = base.table.where
-    return Table(
-        path=path,
-        columns=columns,
-        scalars=scalars,
-        units=units,
-        where=lambda row: f"{where(keep[row])} of {base.table.path.name}",
-        joints=next((x.joints for x in tables if x.joints), ()),
-        notes=(*notes, *told),
-    )
+    return parts, left_out
 
 
-def _has_positions(part):
-    return any(_layout.kind_of(x) == "q" for x in part.table.columns)
-
-
-# -- what a file holds -----------------------------------------------------------------
-
-
-def _part(table: Table, joints):
-    """Name the columns of a file by its own name, where they need it; None: unused."""
-    words = set(_channels._words(table.path.stem))
+def _kind_of_file(table):
+    """Return the kind that a file is called after, "" for none; None: of no use."""
+    words = set(_names.words(table.path.stem))
     kinds = [kind for kind, known in _WORDS.items() if words & known]
     kind = kinds[0] if len(kinds) == 1 else ""
-    if kind and words & _channels._COMMAND:
-        # Of references only those of the motion are of use.
-        commanded = {"q": "q_desired", "v": "v_desired"}
-        if kind not in commanded:
-            return None
-        kind = commanded[kind]
+    if kind and words & {*_names.COMMAND_WORDS}:
+        return _COMMANDS.get(kind)
+    return kind
+
+
+def _part(table: Table, kind, joints, n_rows):
+    """Return a file with the channels that its columns are, by its own name."""
     if table.nameless:
-        return _by_file(table, kind, joints)
-    plain = _layout.by_names(table, joints)
+        table = _with_names(table, kind, joints, n_rows)
+        time = Role(column="t") if "t" in table.frame else None
+        return _Part(table=table, time=time, kind=kind)
+    plain = by_names(table, joints)
     time = plain.times[0] if plain.times else None
-    if any(_channels._matched(plain, x, joints) for x in _layout.KINDS) or not kind:
+    stamps = () if time is None else time.columns
+    own = [x for x in table.names if x not in stamps]
+    if plain.channels or not kind or kind == "t":
         return _Part(table=table, time=time)
-    own = [x for x in table.columns if time is None or x not in time.columns]
     held = {x: [one for one in joints if _holds(x, one, joints)] for x in own}
     found = [one for x in held.values() for one in x]
     if len(own) == len(found) == len({*found}) and all(held.values()):
         names = {x: f"{kind}_{joint}" for x, (joint,) in held.items()}
-    elif kind != "t" and len(own) in (len(joints) or len(own),):
+    elif len(own) == (len(joints) or len(own)):
         names = {x: f"{kind}{k}" for k, x in enumerate(own, start=1)}
     else:
         return _Part(table=table, time=time)
-    return _Part(table=_renamed(table, names, words), time=time, kind=kind)
+    return _Part(table=_renamed(table, names), time=time, kind=kind)
 
 
 def _holds(column, joint, joints):
@@ -169,77 +195,53 @@ def _holds(column, joint, joints):
     )
 
 
-def _by_file(table: Table, kind, joints):
+def _with_names(table: Table, kind, joints, n_rows):
     """Name the columns of a table without names by its file."""
-    count, n, path = len(table.columns), len(joints), table.path
-    words = set(_channels._words(path.stem))
+    count, n = len(table.names), len(joints)
     if kind == "t" and count == 1:
-        table = _renamed(table, {"1": "t"}, words)
-        return _Part(table=table, time=_layout.Role(column="t"), kind=kind)
-    if not kind or kind == "t":
-        return None
-    stamped = count > 1 and count != n and clock_of(table) == "1"
-    rest = count - stamped
-    if n > 1 and count == 1:
-        names, flat = {"1": kind}, True
-    elif n in (0, rest):
-        names, flat = (
-            {str(k + stamped): f"{kind}{k}" for k in range(1, rest + 1)},
-            False,
-        )
-    else:
+        return _renamed(table, {"1": "t"})
+    if count == 1 and n != 1:
+        # All joints in one column, one after the other.
+        table = _upright(table, n_rows, n)
+        count = len(table.names)
+        n = count
+    stamped = count > 1 and count != n and _names.is_clock(table.values("1"))
+    if n not in (0, count - stamped):
         raise ValueError(
-            f"{path}: has {count} columns without names; expected {n} of {kind}, one "
-            f"for each joint of the robot, or {n + 1} with time before them."
+            f"{table.path}: has {count} columns without names; expected {n} of {kind}, "
+            f"one for each joint of the robot, or {n + 1} with time before them."
         )
-    time = None
-    if stamped:
-        names, time = {"1": "t", **names}, _layout.Role(column="t")
-    return _Part(table=_renamed(table, names, words), time=time, kind=kind, flat=flat)
+    names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
+    return _renamed(table, {"1": "t"} | names if stamped else names)
 
 
-def _renamed(table, names, words):
+def _upright(table, n_rows, n):
+    """Return a table with a column for each joint, of one that has all in one."""
+    values = table.values("1")
+    # As many as there are for each row; whether the robot has so many joints is seen
+    # when they are laid out.
+    count = values.size // n_rows if n_rows else n
+    if not count or values.size % count or (n_rows and values.size % n_rows):
+        raise ValueError(
+            f"{table.path}: has {values.size} numbers, one a line, which is not a "
+            f"multiple of {n_rows or n}; expected one for each joint in each "
+            f"{'of as many rows' if n_rows else 'row'}."
+        )
+    frame = pandas_of(table.path).DataFrame(
+        values.reshape(-1, count),
+        index=table.frame.index[::count],
+        columns=[str(k + 1) for k in range(count)],
+    )
+    return table.with_frame(frame)
+
+
+def _renamed(table, names):
     """Return a table with other names of columns, and currents as such."""
-    columns = {names.get(key, key): x for key, x in table.columns.items()}
     units = {names.get(key, key): x for key, x in table.units.items()}
-    if words & _channels._CURRENT:
+    if _names.is_current(table.path.stem):
         units |= {x: "A" for x in names.values() if x not in units and x != "t"}
-    return replace(table, columns=columns, units=units, nameless=False)
-
-
-def _upright(parts, n):
-    """Give each joint its column, where a file has all of them in one."""
-    if not any(part.flat for part in parts):
-        return parts
-    known = {x.table.n_rows for x in parts if not x.flat}
-    n_rows = known.pop() if len(known) == 1 else 0
-    found = []
-    for part in parts:
-        if part.flat:
-            ((kind, values),) = part.table.columns.items()
-            # As many as there are for each row; whether the robot has so many joints
-            # is seen when they are laid out.
-            count = values.size // n_rows if n_rows else n
-            if not count or values.size % count or (n_rows and values.size % n_rows):
-                raise ValueError(
-                    f"{part.table.path}: has {values.size} numbers, one a line, which "
-                    f"is not a multiple of {n_rows or n}; expected one for each joint "
-                    f"in each {'of as many rows' if n_rows else 'row'}."
-                )
-            matrix = values.reshape(-1, count)
-            columns = {f"{kind}{k + 1}": x for k, x in enumerate(matrix.T)}
-            unit = part.table.units.get(kind)
-            units = dict.fromkeys(columns, unit) if unit else {}
-            own = part.table.where
-            where = functools.partial(_nth, own, count)
-            table = replace(part.table, columns=columns, units=units, where=where)
-            part = replace(part, table=table)
-        found.append(part)
-    return found
-
-
-def _nth(where, count, row):
-    return where(count * row)
+    frame = table.frame.rename(columns=names)
+    return replace(table, frame=frame, units=units, nameless=False)
 
 
 # -- which rows go together ------------------------------------------------------------
@@ -247,74 +249,66 @@ def _nth(where, count, row):
 
 def _rows(part, base):
     """Return where the rows of the base lie in a file, nan for nowhere; and notes."""
-    own, other = part.table.path.name, base.table.path.name
     n, n_base = part.table.n_rows, base.table.n_rows
     if part.time is None or base.time is None:
         if n != n_base:
             raise ValueError(
-                f"{part.table.path}: has {n} rows and {other} has {n_base}; files "
+                f"{part.table.path}: has {n} rows and {base.name} has {n_base}; files "
                 "without time stamps of their own stand side by side row by row: cut "
                 "both to the same rows, or give each a column t."
             )
         return np.arange(float(n)), []
     t, at = _seconds(part), _seconds(base)
     if t is None or at is None:
-        if np.array_equal(_stamps(part), _stamps(base)):
+        if np.array_equal(*(x.table.values(x.time.column) for x in (part, base))):
             return np.arange(float(n)), []
         raise ValueError(
-            f"{part.table.path}: has other dates than {other}; write the time of both "
-            "in seconds."
+            f"{part.table.path}: has other dates than {base.name}; write the time of "
+            "both in seconds."
         )
     if (np.diff(t) <= 0).any():
         raise ValueError(
             f"{part.table.path}: time does not rise in each row, so that its rows "
-            f"cannot be put beside those of {other}; sort it, and leave out what is "
-            "there twice."
+            f"cannot be put beside those of {base.name}; sort it, and leave out what "
+            "is there twice."
         )
-    if n == n_base and np.abs(t - at).max() <= STEADY * np.median(np.diff(t)):
-        return np.arange(float(n)), []
     period = np.median(np.diff(t))
+    if n == n_base and np.abs(t - at).max() <= STEADY * period:
+        return np.arange(float(n)), []
     rows = np.interp(at, t, np.arange(n), left=np.nan, right=np.nan)
-    near = np.abs(at[:, None] - t[[0, -1]]) <= STEADY * period
-    rows[near[:, 0]], rows[near[:, 1]] = 0, n - 1
+    # Stamps that differ by rounding are the same.
+    nearest = np.clip(np.searchsorted(t, at - period / 2), 0, n - 1)
+    same = np.abs(t[nearest] - at) <= STEADY * period
+    rows[same] = nearest[same]
     if np.isnan(rows).all():
         raise ValueError(
             f"{part.table.path}: its time goes from {t[0]:.9g} to {t[-1]:.9g} s and "
-            f"that of {other} from {at[0]:.9g} to {at[-1]:.9g} s, with nothing in "
+            f"that of {base.name} from {at[0]:.9g} to {at[-1]:.9g} s, with nothing in "
             "common; expected one clock in one unit."
         )
-    whole = np.round(rows)
-    same = np.isfinite(rows) & (
-        np.abs(t[np.nan_to_num(whole).astype(int)] - at) <= STEADY * period
-    )
-    rows[same] = whole[same]
     # Nothing is put between samples that are far from each other.
     inside = np.flatnonzero(~same & np.isfinite(rows))
     low = rows[inside].astype(int)
-    steps = t[np.minimum(low + 1, n - 1)] - t[low]
-    rows[inside[steps > GAP_PERIODS * period]] = np.nan
+    rows[inside[t[np.minimum(low + 1, n - 1)] - t[low] > GAP_PERIODS * period]] = np.nan
     between = int((np.isfinite(rows) & (rows % 1 != 0)).sum())
-    if not between:
-        return rows, [f"{own}: rows taken by their stamps."]
-    return rows, [
-        f"{own}: interpolated by straight lines at {between} of the {n_base} stamps of "
-        f"{other}."
-    ]
-
-
-def _stamps(part):
-    return part.table.columns[part.time.column]
+    how = "rows taken by their stamps."
+    if between:
+        how = (
+            f"interpolated by straight lines at {between} of the {n_base} stamps of "
+            f"{base.name}."
+        )
+    return rows, [f"{part.name}: {how}"]
 
 
 def _seconds(part):
     """Return the stamps of a file [s], None for dates."""
-    stamps = _stamps(part)
+    stamps = part.table.values(part.time.column)
     if stamps.dtype.kind not in "biuf":
         return None
-    unit = _layout.channel_unit(part.table, "t", part.time)
+    unit = channel_unit(part.table, "t", part.time)
     seconds = stamps.astype(float) * (1.0 if unit is None else unit.factor)
     if part.time.nanoseconds:
-        seconds += 1e-9 * part.table.columns[part.time.nanoseconds]
+        seconds += 1e-9 * part.table.values(part.time.nanoseconds)
     return seconds
 
 
@@ -323,21 +317,16 @@ def _lost(keep, base):
     lost = base.table.n_rows - keep.size
     if not lost:
         return []
+    text = f"{lost} row(s) of {base.name} are not in all files: left out."
     inside = keep[-1] - keep[0] + 1 - keep.size
-    text = f"{lost} row(s) of {base.table.path.name} are not in all files: left out."
     return [Loss(text) if inside else text]
 
 
 def _at(values, rows):
     """Return a column at rows, numbers on straight lines between them."""
-    whole = rows.astype(int)
-    if values.dtype.kind not in "iuf" or not (rows % 1).any():
-        return values[whole]
-    share = rows - whole
-    after = values[np.minimum(whole + 1, len(values) - 1)]
-    return np.where(
-        share > 0, (1 - share) * values[whole] + share * after, values[whole]
-    )
+    if values.dtype.kind in "iuf" and (rows % 1).any():
+        return np.interp(rows, np.arange(len(values)), values)
+    return values[rows.astype(int)]
 
 
 # -- several files of one robot --------------------------------------------------------

@@ -1,28 +1,30 @@
-"""What is in a file of whatever format: named columns, and how messages say so."""
+"""A file's content as a data frame with what is known of it, and refusals."""
 
 import contextlib
 import re
 from collections import Counter
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-# Bytes that a file may hold when unpacked: some hours of a robot at 1 kHz. What is read
-# is copied.
+if TYPE_CHECKING:
+    import pandas
+
+# Bytes that a file may hold when unpacked: some hours of a robot at 1 kHz.
 LARGEST = 1 << 30
-# Entries of a list, and characters of a name or cell, that are quoted at most: a file
-# may have thousands of columns and cells without an end.
+# Entries of a list, and characters of a name or cell, that messages quote at most.
 _ENTRIES, _CHARACTERS = 20, 60
-
-
+# Nested structures are followed to this depth.
+_DEEPEST = 8
 # Note of a file that ends within a line.
 CUT = "the last line is cut, as where a logger is stopped: it is left out."
 
 
 class Loss(str):
-    """A note on what of a recording, or of its robot, is left out."""
+    """A note on a part of a recording, or of its robot, that is left out."""
 
     __slots__ = ()
 
@@ -33,7 +35,7 @@ class RecordingRefused(ValueError):
     Attributes
     ----------
     reason : str
-        What is wrong, without the options.
+        Why the file is refused, without the options.
     options : dict of str to str, tuple or None
         The options, by the names of `read_recording`; None for one to leave out. Empty
         if none would do.
@@ -47,30 +49,62 @@ class RecordingRefused(ValueError):
         super().__init__(f"{self.reason}{offer}.")
 
 
+def pandas_of(path):
+    """Return the module pandas, or say how to install it."""
+    try:
+        import pandas
+    except ImportError as error:
+        raise ImportError(
+            f'{path}: reading files needs pandas: pip install "sklearn-vbjfa[robot]"'
+        ) from error
+    return pandas
+
+
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Named columns of equal length, numbers or text, out of a file."""
+    """Named columns of equal length, numbers or text, out of a file.
+
+    The index of the frame has the number by which messages call each row.
+    """
 
     path: Path  # as messages name it
-    columns: dict[str, np.ndarray]  # by name
-    # arrays of one entry, or of none per row, that stand beside the columns
-    scalars: dict[str, np.ndarray] = field(default_factory=dict)
-    # turns a row (from 0) into words: a line of the file where it has lines
-    where: Callable[[int], str] = lambda row: f"row {row + 1}"
-    # units of columns out of a row of their own
-    units: Mapping[str, str] = field(default_factory=dict)
+    frame: "pandas.DataFrame"
+    place: str = "row {}"  # a row in messages
+    # single values, and arrays of another length
+    scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)  # of a row of their own
     # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
-    # whether columns have no names and are called by their places, from "1" on
-    nameless: bool = False
-    notes: tuple[str, ...] = ()  # what a user should know of the file
+    nameless: bool = False  # columns are called by their places, from "1" on
+    notes: tuple[str, ...] = ()
     # [rad] of one per cent of a motor's calibrated range, by column
     shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_rows(self) -> int:
         """Number of rows."""
-        return len(next(iter(self.columns.values())))
+        return len(self.frame)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the columns."""
+        return list(self.frame)
+
+    def values(self, name) -> np.ndarray:
+        """Return a column: numbers, dates, or text as objects."""
+        return self.frame[name].to_numpy()
+
+    def where(self, row) -> str:
+        """Name a row in words."""
+        return self.place.format(self.frame.index[row])
+
+    def with_frame(self, frame) -> "Table":
+        """Return the table with other rows or columns."""
+        return replace(self, frame=frame)
+
+    def take(self, rows) -> "Table":
+        """Return the table of some rows."""
+        return replace(self, frame=self.frame.iloc[rows])
 
 
 @dataclass(frozen=True)
@@ -90,12 +124,12 @@ class Wanted:
 
     topic: str | None = None  # of a bag; None for the only one of joint states
     joints: Callable = lambda: ()  # returns the robot's, empty for all
-    commanded: bool = False  # whether positions that joints are told are needed
+    commanded: bool = False  # whether commanded positions are needed
 
 
 @dataclass(frozen=True, kw_only=True)
 class Format:
-    """A format of files: what it is called, how it is known and how it is read."""
+    """A format of files: its name, its endings and its reader."""
 
     name: str  # as lists of formats call it
     endings: tuple[str, ...]  # with points, in small letters
@@ -109,15 +143,14 @@ class Format:
     read_folder: Callable | None = None
     marks: tuple[str, ...] = ()  # patterns of files that only such a folder has
     has_topics: bool = False
-    # package that reads it, and what needs it
+    # package that reads it, what needs it, and the extra that installs it
     needs: tuple[str, ...] = ()
 
     def missing(self, path):
         """Return the error of a package that is not installed."""
-        package, what = self.needs
+        package, what, extra = self.needs
         return ImportError(
-            f"{path}: {what} need {package}, which is not installed: "
-            f"pip install {package}"
+            f'{path}: {what} need {package}: pip install "sklearn-vbjfa[{extra}]"'
         )
 
 
@@ -140,11 +173,12 @@ def reading_arrays(path, broken, errors, objects=lambda: ""):
     except MemoryError as error:
         raise ValueError(
             f"{path}: is too large to be read at once, or damaged ({error}); save a "
-            "shorter recording, or this one anew."
+            "shorter recording, or this one again."
         ) from error
     except errors as error:
-        said = objects() if "allow_pickle" in str(error) else ""
-        raise ValueError(said or broken) from error
+        raise ValueError(
+            ("allow_pickle" in str(error) and objects()) or broken
+        ) from error
 
 
 def check_memory(size):
@@ -164,32 +198,39 @@ def text_of(path: Source) -> str:
             "in UTF-8."
         ) from error
     if not text.strip():
-        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
+        raise no_rows(path)
     return text
 
 
+def no_rows(path):
+    """Return the refusal of a file without data."""
+    return ValueError(f"{path}: no rows of data; expected one row per sample.")
+
+
+# -- arrays and records as tables ------------------------------------------------------
+
+
 def flattened(values, keep=lambda value: True, depth=0):
-    """Return what nested structures hold, names with points."""
+    """Return the content of nested structures, names with points."""
     found = {}
     for name, value in values.items():
-        if isinstance(value, dict) and depth < 8:
-            inside = flattened(value, keep, depth + 1)
-            found |= {f"{name}.{key}": x for key, x in inside.items()}
-        elif _structures(value) and depth < 8:
-            numbered = {f"{name}[{k}]": one for k, one in enumerate(value)}
-            found |= flattened(numbered, keep, depth + 1)
+        # Messages have a list of structures, one for each motor.
+        listed_ones = isinstance(value, list) and value
+        if listed_ones and all(isinstance(x, dict) for x in value):
+            inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
+        elif isinstance(value, dict):
+            inside = {f"{name}.{key}": one for key, one in value.items()}
+        else:
+            inside = None
+        if inside is not None and depth < _DEEPEST:
+            found |= flattened(inside, keep, depth + 1)
         elif keep(value):
             found[name] = value
     return found
 
 
-def _structures(value):
-    """Whether a value is a list of structures, as messages have one for each motor."""
-    return isinstance(value, list) and value and all(isinstance(x, dict) for x in value)
-
-
 def without_common_part(found):
-    """Take the name of the only structure off the names of what is in it."""
+    """Remove the name of the only structure from the names inside it."""
     if len({name.rpartition(".")[0] for name in found}) == 1:
         return {name.rpartition(".")[2]: x for name, x in found.items()}
     return found
@@ -207,72 +248,61 @@ def table_of_arrays(path: Source, arrays) -> Table:
     """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
-    arrays = {name: values for name, values in arrays.items() if values.size}
+    arrays = {name: x for name, x in arrays.items() if x.size}
     arrays, notes = _with_names_beside(path, arrays)
-    lengths = {
-        name: len(values)
-        for name, values in arrays.items()
-        if values.ndim > 0 and _is_channel(name)
-    }
-    matrices = {
-        name: len(values)
-        for name, values in arrays.items()
-        if values.ndim == 2 and len(values) > 1
-    }
-    if not lengths and not matrices:
-        # Columns of other names, as many of the same length as there are.
-        several = Counter(len(x) for x in arrays.values() if x.ndim == 1 and len(x) > 1)
-        n_rows, count = max(several.items(), key=lambda x: x[1], default=(0, 0))
-        if count > 1:
-            matrices = {k: n_rows for k, x in arrays.items() if x.shape == (n_rows,)}
-    if not lengths and not matrices:
-        raise ValueError(
-            f"{path}: holds {', '.join(arrays) or 'nothing'}; expected arrays q and "
-            "tau of shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
-        )
-    if not any(name.lower().startswith(("q", "tau")) for name in lengths):
-        # Matrices of other names become columns, for a mapping to say what they are.
-        lengths = matrices or lengths
-    (usual, _), *_ = Counter(lengths.values()).most_common(1)
-    n_rows = lengths.get("q", usual)
-    if matrices and not any(_is_channel(x) for x in lengths):
-        others = [x for x in arrays if arrays[x].shape == (n_rows,)]
-        if len(lengths) == 1 and not others:
-            (name,) = lengths
-            return nameless(path, arrays.pop(name), arrays)
-    for name, length in lengths.items():
-        if length != n_rows and _is_channel(name, exactly=True):
-            raise ValueError(
-                f"{path}: array {name!r} has {length} rows, others have {n_rows}; all "
-                "channels need one row per sample."
-            )
-    others = [name for name, length in lengths.items() if length != n_rows]
-    if others:
-        notes = (
-            *notes,
-            f"array(s) {listed(others)} have not {n_rows} rows: left out.",
-        )
+    n_rows = _number_of_rows(path, arrays)
     columns, scalars = {}, {}
-    for name, values in arrays.items():
-        if values.ndim not in (1, 2) or len(values) != n_rows:
-            scalars[name] = values
+    for name, x in arrays.items():
+        if x.ndim not in (1, 2) or len(x) != n_rows:
+            if x.ndim in (1, 2) and _is_channel(name):
+                raise ValueError(
+                    f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; "
+                    "all channels need one row per sample."
+                )
+            scalars[name] = x
             continue
-        own = {name: values.reshape(n_rows)} if values.size == n_rows else {}
-        if not own:
-            own = {f"{name}{k + 1}": x for k, x in enumerate(values.T)}
+        own = {name: x.reshape(-1)}
+        if x.size != n_rows:
+            own = {f"{name}{k + 1}": column for k, column in enumerate(x.T)}
         twice = sorted(columns.keys() & own.keys())
         if twice:
             raise ValueError(
                 f"{path}: column {twice[0]!r} is there twice, on its own and in a "
                 "matrix; each needs its own name."
             )
-        columns.update(own)
-    return Table(path=path.shown, columns=columns, scalars=scalars, notes=notes)
+        columns |= own
+    left = [name for name, x in scalars.items() if x.ndim and len(x) > n_rows // 2]
+    if left:
+        notes += (f"array(s) {listed(left)} have not {n_rows} rows: left out.",)
+    matrices = [x for x in arrays.values() if x.ndim == 2 and len(x) == n_rows]
+    if len(columns) > 1 and len(matrices) == 1 and len(columns) == matrices[0].shape[1]:
+        if not any(_is_channel(name) for name in arrays):
+            return nameless(path, matrices[0], scalars=scalars)
+    frame = pandas_of(path).DataFrame(columns)
+    frame.index += 1
+    return Table(path=path.shown, frame=frame, scalars=scalars, notes=notes)
+
+
+def _number_of_rows(path, arrays):
+    """Return the length of the channels: of q, of channels, of matrices, of most."""
+    sized = {name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) > 1}
+    for chosen in (
+        [x for name, x in sized.items() if name.lower() == "q"],
+        [x for name, x in sized.items() if _is_channel(name)],
+        [x for x in sized.values() if x.ndim == 2],
+        [x for x in sized.values() if len(sized) > 1],
+    ):
+        if chosen:
+            return Counter(map(len, chosen)).most_common(1)[0][0]
+    raise ValueError(
+        f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
+        "shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
+    )
 
 
 def _with_names_beside(path, arrays):
     """Make columns of the only matrix if a list beside it has their names; notes."""
-    # As data frames are split, and as loggers write a matrix and what is in it.
+    # As data frames are split, and as loggers write a matrix and its names.
     matrices = [name for name, x in arrays.items() if x.ndim == 2 and len(x) > 1]
     if len(matrices) != 1 or _is_channel(matrices[0]):
         return arrays, ()
@@ -284,32 +314,33 @@ def _with_names_beside(path, arrays):
         texts = np.char.decode(x, "utf-8", "replace") if x.dtype.kind == "S" else x
         names = [str(text).strip() for text in texts]
         rest = {k: one for k, one in arrays.items() if k not in (key, name)}
-        ((first, count),) = Counter([*names, *rest]).most_common(1)
-        if count > 1:
-            raise ValueError(
-                f"{path}: column {first!r} is there twice, by the names in {key!r}; "
-                "each needs its own name."
-            )
+        check_names(path, [*names, *rest], f"the names in {key!r} have")
         note = f"the columns of {name!r} are called by the names in {key!r}."
         return {**rest, **dict(zip(names, arrays[name].T))}, (note,)
     return arrays, ()
 
 
-def nameless(path: Source, matrix, scalars=(), **known) -> Table:
+def check_names(path, names, what):
+    """Refuse a name that comes twice."""
+    ((first, count),) = Counter(names).most_common(1)
+    if count > 1:
+        raise ValueError(
+            f"{path}: {what} column {quoted(first)} twice; each column needs its own "
+            "name."
+        )
+
+
+def nameless(path: Source, matrix, **known) -> Table:
     """Make columns of a matrix (n_rows, n) without names, called by their places."""
-    return Table(
-        path=path.shown,
-        columns={str(k + 1): column for k, column in enumerate(matrix.T)},
-        scalars=dict(scalars),
-        nameless=True,
-        **known,
-    )
+    frame = pandas_of(path).DataFrame(matrix)
+    frame.columns, frame.index = [str(k + 1) for k in frame], frame.index + 1
+    return Table(path=path.shown, frame=frame, nameless=True, **known)
 
 
 def _array(path, name, values):
     """Make an array of a list; nothing is nan, and a column of text stays text."""
     if isinstance(values, np.ndarray):
-        return values
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
     first = values
     while isinstance(first, list) and first:
         # Messages name all joints in each.
@@ -324,22 +355,21 @@ def _array(path, name, values):
         ) from error
 
 
-def _is_channel(name: str, exactly: bool = False) -> bool:
+_CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
+
+
+def _is_channel(name: str) -> bool:
     """Whether a name is one of a channel, which has a value for every row."""
-    # What begins like one may be another thing: tau_limits.
-    name = name.lower()
-    own = re.fullmatch(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", name)
-    return own is not None or (not exactly and name.startswith(("q", "tau")))
+    return _CHANNEL.fullmatch(name) is not None
 
 
 # -- what a file holds, quoted ---------------------------------------------------------
 
 
 def quoted(value):
-    """Write a cell, a name or another value as Python does; of a long one the begin."""
+    """Write a value as Python does; of a long one the beginning."""
     if isinstance(value, str):
-        text = repr(value[:_CHARACTERS])
-        left = len(value) - _CHARACTERS
+        text, left = repr(value[:_CHARACTERS]), len(value) - _CHARACTERS
     else:
         text = repr(value)
         text, left = text[:_CHARACTERS], len(text) - _CHARACTERS
@@ -347,7 +377,7 @@ def quoted(value):
 
 
 def listed(names):
-    """Name columns, joints or topics one after another; of many the first."""
+    """List names with commas; of many the first."""
     names = [str(name) for name in names]
     names = [name if len(name) <= _CHARACTERS else quoted(name) for name in names]
     if len(names) > _ENTRIES:

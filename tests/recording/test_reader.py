@@ -135,7 +135,7 @@ def refused(path):
 
 
 WHOLE = {
-    ".npz": "is not a complete npz file; save it anew with numpy.savez",
+    ".npz": "is not a complete npz file; save it again with numpy.savez",
     ".parquet": "is not a complete parquet file of plain columns",
 }
 

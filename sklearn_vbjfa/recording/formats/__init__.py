@@ -13,8 +13,9 @@ from pathlib import Path
 
 from sklearn_vbjfa.recording import _table
 from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed
-from sklearn_vbjfa.recording.formats._arrays import JSON, MATLAB, NPY, NPZ
+from sklearn_vbjfa.recording.formats._arrays import MATLAB, NPY, NPZ
 from sklearn_vbjfa.recording.formats._bags import BAG
+from sklearn_vbjfa.recording.formats._json import JSON
 from sklearn_vbjfa.recording.formats._parquet import PARQUET
 from sklearn_vbjfa.recording.formats._sheets import SHEET
 from sklearn_vbjfa.recording.formats._text import TEXT
@@ -75,7 +76,7 @@ _ADVICE = {
         "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
     ),
     **dict.fromkeys(
-        (".h5", ".hdf5", ".feather", ".arrow", ".pkl", ".pickle"),
+        (".h5", ".hdf5", ".pkl", ".pickle"),
         "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
         "tau=tau)",
     ),
@@ -102,8 +103,8 @@ def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
     with contextlib.ExitStack() as stack:
         read = _read_folder if path.is_dir() else _read_file
         table = read(stack, path, wanted)
-    if not table.columns or table.n_rows == 0:
-        raise ValueError(f"{path}: no rows of data; expected one row per sample.")
+    if table.frame.empty:
+        raise _table.no_rows(path)
     return table
 
 
@@ -262,7 +263,7 @@ def _unpacked(stack, source, ending):
             _copy(stream, file, source.shown)
     except broken as error:
         raise ValueError(
-            f"{source}: is not a complete {ending[1:]} file ({error}); pack it anew."
+            f"{source}: is not a complete {ending[1:]} file ({error}); pack it again."
         ) from error
     if not file.suffix:
         with file.open("rb") as opened:

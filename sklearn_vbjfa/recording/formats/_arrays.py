@@ -1,6 +1,5 @@
-"""Arrays by their names out of npz, npy, MATLAB and JSON files."""
+"""Arrays by their names out of npz, npy and MATLAB files."""
 
-import json
 import struct
 import tokenize
 import zipfile
@@ -10,24 +9,19 @@ from dataclasses import replace
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
-    CUT,
     LARGEST,
     Format,
     Source,
     Table,
     check_memory,
-    check_size,
     flattened,
     nameless,
-    quoted,
     reading_arrays,
     table_of_arrays,
-    table_of_records,
-    text_of,
     without_common_part,
 )
 
-# What numpy raises on a file that is not a whole zip archive of arrays.
+# What NumPy raises on a file that is not a whole zip archive of arrays.
 _BROKEN = (
     EOFError,
     OSError,
@@ -43,7 +37,7 @@ _BROKEN = (
 
 def read_npz(path: Source, wanted) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
-    broken = f"{path}: is not a complete npz file; save it anew with numpy.savez."
+    broken = f"{path}: is not a complete npz file; save it again with numpy.savez."
     # numpy.load would read other formats under this name.
     if not zipfile.is_zipfile(path.file):
         raise ValueError(broken)
@@ -68,8 +62,8 @@ def read_npz(path: Source, wanted) -> Table:
 
 
 def read_npy(path: Source, wanted) -> Table:
-    """Read one array, which must have named fields."""
-    broken = f"{path}: is not a complete npy file; save it anew with numpy.save."
+    """Read one array: a matrix, or named fields."""
+    broken = f"{path}: is not a complete npy file; save it again with numpy.save."
     objects = (
         f"{path}: holds Python objects and not numbers, which are not loaded; save "
         "numeric arrays with numpy.savez(FILE, t=t, q=q, tau=tau)."
@@ -102,16 +96,14 @@ NPY = Format(
 
 # Type of a packed variable, as its tag has it, and the bytes that are unpacked at once.
 _PACKED, _CHUNK = 15, 1 << 20
+# What SciPy's parser raises on damage, besides errors of its own.
+_DAMAGED = (*_BROKEN, ArithmeticError, AttributeError, LookupError, TypeError)
 
 
 def read_mat(path: Source, wanted) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat, matlab
 
-    broken = (
-        f"{path}: is not a complete MATLAB file of version 5 to 7.2; write it anew "
-        "with save(FILE, 't', 'q', 'tau', '-v7')."
-    )
     with path.file.open("rb") as file:
         begin = file.read(128)
     if begin.startswith((b"MATLAB 7.3", b"\x89HDF")):
@@ -119,32 +111,19 @@ def read_mat(path: Source, wanted) -> Table:
             f"{path}: is a MATLAB file of version 7.3 (HDF5), expected version 5 to "
             "7.2; in MATLAB: save(FILE, 't', 'q', 'tau', '-v7')."
         )
-    # What the parser raises on damage.
-    errors = (
-        ArithmeticError,
-        AttributeError,
-        EOFError,
-        LookupError,
-        OSError,
-        RuntimeError,
-        TypeError,
-        UnboundLocalError,
-        ValueError,
-        matlab.MatReadError,
-        matlab.MatReadWarning,
-        struct.error,
-        zipfile.BadZipFile,
-        zlib.error,
+    broken = (
+        f"{path}: is not a complete MATLAB file of version 5 to 7.2; write it again "
+        "with save(FILE, 't', 'q', 'tau', '-v7')."
     )
+    errors = (*_DAMAGED, NameError, matlab.MatReadError, matlab.MatReadWarning)
     with reading_arrays(path, broken, errors):
-        # What is packed small must not fill the memory. Numbers may be stored as bytes,
-        # and become eight of them.
+        # Numbers may be stored as bytes, and become eight of them.
         check_memory(8 * _unpacked_size(path.file))
         found = loadmat(path.file, simplify_cells=True)
     # Objects of MATLAB's own classes (tables, time series) have no name here.
-    objects = [x for name, x in found.items() if _is_object(x)]
+    objects = [x for x in found.values() if _is_object(x)]
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    arrays = flattened(found, _is_numeric)
+    arrays = flattened(found, _is_usable)
     if objects and not arrays:
         raise ValueError(
             f"{path}: holds objects of MATLAB, such as a table or time series, and no "
@@ -163,9 +142,9 @@ def read_mat(path: Source, wanted) -> Table:
     return replace(table, notes=(*table.notes, note))
 
 
-def _is_numeric(value):
-    kind = np.asarray(value).dtype.kind
-    return (kind in "biufU" or _is_texts(value)) and not _is_object(value)
+def _is_usable(value):
+    usable = np.asarray(value).dtype.kind in "biufU" or _is_texts(value)
+    return usable and not _is_object(value)
 
 
 def _is_texts(value):
@@ -207,15 +186,11 @@ def _upright(arrays):
         for x in arrays.values()
         if x.ndim and x.size > 1 and x.dtype.kind != "U"
     ]
-    if not lengths:
-        return arrays
-    n_rows = max(set(lengths), key=lengths.count)
-    turned = {}
-    for name, x in arrays.items():
-        if x.ndim == 2 and x.shape[1] == n_rows != x.shape[0]:
-            x = x.T
-        turned[name] = x
-    return turned
+    n_rows = max(set(lengths), key=lengths.count, default=0)
+    return {
+        name: x.T if x.ndim == 2 and x.shape[1] == n_rows != x.shape[0] else x
+        for name, x in arrays.items()
+    }
 
 
 MATLAB = Format(
@@ -223,147 +198,4 @@ MATLAB = Format(
     endings=(".mat",),
     read=read_mat,
     begins=((b"MATLAB 5.0", ".mat"),),
-)
-
-
-# -- JSON ------------------------------------------------------------------------------
-
-# Lists and numbers of Python take so many times the bytes of their text.
-_SPREAD = 4
-
-
-def read_json(path: Source, wanted) -> Table:
-    """Read a list of records or rows, one a line or not, or arrays by their names."""
-    check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
-    found, notes = _parsed(path, text_of(path))
-    if isinstance(found, dict):
-        records = _records_in(found)
-        if not records:
-            trials = _trials_in(found)
-            arrays = without_common_part(flattened(found))
-            if trials:
-                arrays = _one_after_another(path, trials, found[trials])
-                notes = (
-                    *notes,
-                    f"the {len(found[trials])} entries of {trials!r} are one recording "
-                    "each.",
-                )
-            table = table_of_arrays(path, arrays)
-            return replace(table, notes=(*table.notes, *notes))
-        found = found[records]
-        notes = (*notes, f"the records are those of {records!r}.")
-    if isinstance(found, list) and found and all(map(_is_row, found)):
-        return _rows(path, found, notes)
-    for k, record in enumerate(found if isinstance(found, list) else [found]):
-        if not isinstance(record, dict) or not record:
-            raise ValueError(
-                f"{path}: holds {quoted(record)} as record {k + 1}; expected objects "
-                'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of '
-                "numbers, or arrays by their names."
-            )
-    return replace(table_of_records(path, found), notes=notes)
-
-
-def _lists_of_objects(found):
-    """Return the names of the lists of objects in an object."""
-    return [
-        name
-        for name, one in found.items()
-        if isinstance(one, list) and one and all(isinstance(x, dict) for x in one)
-    ]
-
-
-def _records_in(found):
-    """Return the name of the only list of records in an object, "" for none."""
-    lists = _lists_of_objects(found)
-    # A list of joints has arrays in it, not samples.
-    if len(lists) != 1 or any(
-        isinstance(x, list) and len(x) > len(found[lists[0]])
-        for x in found[lists[0]][0].values()
-    ):
-        return ""
-    return lists[0]
-
-
-def _trials_in(found):
-    """Return the name of a list of recordings: arrays that differ in length; or ""."""
-    for name in _lists_of_objects(found):
-        longest = [max(map(len, _lists(one)), default=0) for one in found[name]]
-        beside = max(map(len, _lists(found)))
-        if len(set(longest)) > 1 and beside < max(longest):
-            return name
-    return ""
-
-
-def _lists(record):
-    return [x for x in record.values() if isinstance(x, list)]
-
-
-def _one_after_another(path, name, records):
-    """Return the arrays of recordings end to end, with a column segment."""
-    counts = [{len(x) for x in _lists(record)} for record in records]
-    channels = {
-        tuple(k for k, x in record.items() if isinstance(x, list)) for record in records
-    }
-    if len(channels) > 1 or any(len(count) != 1 for count in counts):
-        raise ValueError(
-            f"{path}: the list {name!r} has {len(records)} records with arrays of "
-            "different lengths; write one file each, or rows with a column segment."
-        )
-    found = {k: [x for one in records for x in one[k]] for k in channels.pop()}
-    segment = np.repeat(np.arange(len(records)), [count.pop() for count in counts])
-    return {**found, "segment": segment}
-
-
-def _is_row(one):
-    return isinstance(one, list) and all(isinstance(x, (int, float)) for x in one)
-
-
-def _rows(path, found, notes):
-    """Make a table without names of rows of numbers, or refuse rows that differ."""
-    lengths = [len(row) for row in found]
-    usual = max(set(lengths), key=lengths.count)
-    if not usual or len(set(lengths)) > 1:
-        k = next((k for k, n in enumerate(lengths) if n != usual or not n), 0)
-        raise ValueError(
-            f"{path}: record {k + 1} has {lengths[k]} numbers, others have {usual}; "
-            "all need as many."
-        )
-    return nameless(path, np.array(found, dtype=float), notes=notes)
-
-
-def _parsed(path, text):
-    """Return what a text says, all of it or a list of its lines, and notes."""
-    try:
-        return json.loads(text), ()
-    except (ValueError, RecursionError) as error:
-        lines = text.strip().split("\n")
-        if getattr(error, "msg", "") != "Extra data" or len(lines) < 2:
-            raise _broken(path, error) from error
-    found = []
-    for k, line in enumerate(lines):
-        try:
-            found += [json.loads(line)] if line.strip() else []
-        except (ValueError, RecursionError) as error:
-            if k == len(lines) - 1 and not text.endswith("\n"):
-                return found, (CUT,)
-            raise _broken(path, error, k) from error
-    return found, ()
-
-
-def _broken(path, error, line=0):
-    """Return the refusal of what is not JSON, with the line from which on."""
-    where = f" in line {line + getattr(error, 'lineno', 1)}"
-    return ValueError(
-        f"{path}: is not a complete JSON file ({getattr(error, 'msg', error)}{where}); "
-        "write it anew."
-    )
-
-
-JSON = Format(
-    name="JSON",
-    endings=(".json", ".jsonl", ".ndjson"),
-    shown=(".json", ".jsonl"),
-    read=read_json,
-    begins=tuple((begin, ".json") for begin in (b"{", b"[{", b"[\n", b"[\r", b"[ ")),
 )

@@ -1,10 +1,9 @@
-"""Joint states out of bags of ROS 1 and ROS 2, and MCAP files, without ROS."""
+"""Joint states out of bags of ROS 1 and ROS 2, and MCAP files, by rosbags."""
 
 import difflib
 import re
 import shlex
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +16,7 @@ from sklearn_vbjfa.recording._table import (
     Source,
     Table,
     listed,
+    pandas_of,
 )
 
 _TYPE = "sensor_msgs/msg/JointState"
@@ -42,18 +42,6 @@ _BEGIN = {
     ".db3": b"SQLite format 3\0",
     ".mcap": b"\x89MCAP0\r\n",
 }
-
-
-@dataclass
-class _Kind:
-    """Messages that name the same joints: when they came, and what they hold."""
-
-    order: list = field(default_factory=list)
-    stamps: list = field(default_factory=list)
-    received: list = field(default_factory=list)
-    q: list = field(default_factory=list)
-    v: list = field(default_factory=list)
-    tau: list = field(default_factory=list)
 
 
 def read_bag(path: Source, wanted) -> Table:
@@ -148,25 +136,160 @@ def _broken(shown, paths, error):
     return ValueError(f"{shown}: is not a complete bag ({reason}); {remedy}")
 
 
-def _joint_states(bag, shown, topic, wanted):
-    connections = _connections(bag, shown, topic, wanted)
+# -- messages as rows ------------------------------------------------------------------
+
+
+def _messages(bag, shown, connections, parts):
+    """Return what messages say: a row each, columns (channel, joint), with its times.
+
+    parts : function of a connection and a message that returns its joints and arrays by
+    channel, none for a message without use. The index has the numbers of the messages.
+    """
+    pandas = pandas_of(shown)
+    unknown = {x.msgtype for x in connections} - set(bag.typestore.fielddefs)
+    if unknown:
+        raise _Refused(
+            f"{shown}: has messages of {listed(sorted(unknown))} and not their "
+            "definition: record with --storage mcap, or convert the bag to MCAP where "
+            "ROS knows it."
+        )
     count = sum(x.msgcount for x in connections)
     if 200 * count > LARGEST:
         raise _Refused(
             f"{shown}: has {count} messages, too many to be read at once; cut the bag "
             "into shorter ones."
         )
-    kinds, bare = _kinds(bag, connections)
-    name = connections[0].topic
-    if not kinds:
+    kinds: dict = {}
+    for number, (connection, received, raw) in enumerate(
+        bag.messages(connections=connections), start=1
+    ):
+        message = bag.deserialize(raw, connection.msgtype)
+        joints, channels = parts(connection, message)
+        if channels:
+            kind = kinds.setdefault((connection.topic, joints, tuple(channels)), [])
+            stamp = message.header.stamp
+            times = number, stamp.sec * 10**9 + stamp.nanosec, received
+            kind.append((times, np.concatenate(list(channels.values()))))
+    frames, clocks = [], []
+    for (topic, joints, channels), rows in kinds.items():
+        columns = pandas.MultiIndex.from_product([channels, joints])
+        times, values = zip(*rows)
+        clock = pandas.DataFrame(times, columns=["number", "stamp", "received"])
+        clocks.append(clock.assign(topic=topic).set_index("number"))
+        frames.append(pandas.DataFrame(values, clocks[-1].index, columns))
+    if not frames:
+        return pandas.DataFrame(), pandas.DataFrame(), number if count else 0
+    clock, frame = (pandas.concat(x).sort_index() for x in (clocks, frames))
+    return frame, clock, number
+
+
+def _with_times(clock, notes):
+    """Return the time of each message [ns]: of its header, unless these stand still."""
+    if (clock.groupby("topic").stamp.nunique() > 1).all():
+        return clock.stamp
+    notes.append(
+        "the stamps in the headers stand still; times are those of the recorder."
+    )
+    return clock.received
+
+
+def _table(shown, frame, times, joints, channels, notes):
+    """Return the table of some joints' channels, those without any number left out."""
+    columns = {"t": (times - times.iloc[0]) / 1e9}
+    numbered = all(name.isdecimal() for name in joints)
+    for channel in channels:
+        own = frame[channel] if channel in frame else frame[[]]
+        if set(joints) <= set(own) and own[joints].notna().any().all():
+            mark = "" if numbered else "_"
+            columns |= {f"{channel}{mark}{name}": own[name] for name in joints}
+    return Table(
+        path=shown,
+        frame=pandas_of(shown).DataFrame(columns),
+        place="message {}",
+        joints=() if numbered else tuple(joints),
+        notes=tuple(notes),
+    )
+
+
+# -- joint states ----------------------------------------------------------------------
+
+
+def _state(connection, message):
+    """Return the joints of a message and their channels, none without efforts."""
+    position, n = message.position, len(message.position)
+    # Without names the numbers of the joints must do.
+    names = tuple(message.name) or tuple(str(k + 1) for k in range(n))
+    # Drivers send nan for what they do not know, or not yet.
+    usable = n and len(names) == len(message.effort) == n
+    if not usable or not np.isfinite(position + message.effort).any():
+        return names, {}
+    channels = {"q": position, "tau": message.effort}
+    return names, channels | (
+        {"v": message.velocity} if len(message.velocity) == n else {}
+    )
+
+
+def _joint_states(bag, shown, topic, wanted):
+    """Make a table of the joints that give most samples."""
+    connections = _connections(bag, shown, topic, wanted)
+    topic = connections[0].topic
+    frame, clock, total = _messages(bag, shown, connections, _state)
+    known = np.isfinite(frame["q"]) & np.isfinite(frame["tau"]) if len(frame) else frame
+    known = known.loc[:, known.any()]
+    if known.empty:
         raise _Refused(
-            f"{shown}: none of the {bare} messages of {name} has positions and efforts "
-            "of its joints; record a topic whose effort is filled in."
+            f"{shown}: none of the {total} messages of {topic} has positions and "
+            "efforts of its joints; record a topic whose effort is filled in."
         )
-    return _table(kinds, bare, shown, name, wanted)
+    if known.columns.isin(wanted).any():
+        known = known.loc[:, known.columns.isin(wanted)]
+    # Joints that come together, the set of them that gives most samples.
+    sets = {tuple(known.columns[row]): None for row in np.unique(known, axis=0)}
+    joints = max(sets, key=lambda own: len(own) * known[[*own]].all(axis=1).sum())
+    joints = [x for x in frame["q"] if x in joints]
+    rows = known[joints].all(axis=1)
+    named = frame["q"][joints].notna().any(axis=1)
+    notes = [
+        f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
+        f"{', '.join(joints)}."
+    ]
+    notes += _left_out(frame["q"], topic, joints, wanted)
+    if total > rows.sum():
+        # Messages of other joints are no loss.
+        kind = Loss if named.sum() > rows.sum() else str
+        notes.append(
+            kind(
+                f"{total - rows.sum()} of {total} messages of {topic} lack some of the "
+                "joints taken, or numbers of theirs, and are left out."
+            )
+        )
+    frame, times = frame[rows], _with_times(clock[rows], notes)
+    channels = ["q", "tau"]
+    if "v" in frame and set(joints) <= set(frame["v"]):
+        channels += ["v"] * bool(np.isfinite(frame["v"][joints]).all(axis=None))
+    return _table(shown, frame, times, joints, channels, notes)
 
 
-# -- what joints were told -------------------------------------------------------------
+def _left_out(positions, topic, joints, wanted):
+    """Note the joints that are not taken, those of the robot as a loss."""
+    others = sorted(set(positions) - set(joints))
+    of_robot = [x for x in others if x in wanted]
+    strange = "the robot has none of that name"
+    if not wanted:
+        strange = "they come in other messages, or without numbers"
+    left = [x for x in others if x not in of_robot]
+    if left:
+        yield f"joint(s) {listed(left)} of {topic} left out: {strange}."
+    if of_robot:
+        moved = (positions[of_robot].max() - positions[of_robot].min()).max()
+        yield Loss(
+            f"joint(s) {listed(of_robot)} of {topic} left out: they come in other "
+            "messages, or without numbers, and move there by up to "
+            f"{np.nan_to_num(moved):.3g} rad or m."
+        )
+
+
+# -- commanded positions ---------------------------------------------------------------
 
 
 def _commanded(bag, shown, topic, wanted):
@@ -174,63 +297,37 @@ def _commanded(bag, shown, topic, wanted):
     known = [x for x in bag.connections if x.msgcount and x.msgtype == _CONTROLLER]
     asked = {topic, f"/{topic}"} if topic is not None else {x.topic for x in known}
     found = [x for x in known if x.topic in asked]
-    if len({x.topic for x in found}) > 1:
-        topics = sorted({x.topic for x in found})
+    topics = sorted({x.topic for x in found})
+    if len(topics) > 1:
         raise _Refused(
             f"{shown}: holds {len(topics)} topics of controllers: {listed(topics)}; "
             "give --topic with one of them (in Python: topic=...).",
             {"topic": topics[0]},
         )
-    if not found:
-        found = _states_and_commands(bag, shown, topic, wanted)
-    rows = [
-        (message.header.stamp, received, _told(connection, message))
-        for connection, received, message in _decoded(bag, shown, found)
-    ]
-    rows = [row for row in rows if row[2]]
-    told = {name for _, _, row in rows for key, name in row if key == "q_desired"}
-    read = {name for _, _, row in rows for key, name in row if key == "q"}
+    found = found or _states_and_commands(bag, shown, topic)
+    topics = sorted({x.topic for x in found})
+    frame, clock, _ = _messages(bag, shown, found, _command)
+    told, read = (
+        set(frame[x].dropna(axis=1, how="all")) if x in frame else set()
+        for x in ("q_desired", "q")
+    )
     joints = sorted(told & read & set(wanted) or told & read)
     if not joints:
         raise _Refused(
-            f"{shown}: no joint of {listed(sorted({x.topic for x in found}))} has both "
-            "a position and a commanded one; record both by the same names."
+            f"{shown}: no joint of {listed(topics)} has both a position and a "
+            "commanded one; record both by the same names."
         )
-    stamps = np.array([x.sec * 10**9 + x.nanosec for x, _, _ in rows])
     notes = [
-        "read from " + listed(sorted({x.topic for x in found})) + ": positions [rad or "
-        f"m] as q and commanded ones as q_desired of {', '.join(joints)}."
+        f"read from {listed(topics)}: positions [rad or m] as q and commanded ones as "
+        f"q_desired of {', '.join(joints)}."
     ]
-    still = [
-        topic
-        for topic in {x.topic for x in found}
-        if np.ptp(_of_topic(stamps, rows, topic)) == 0
-    ]
-    if still:
-        stamps = np.array([received for _, received, _ in rows])
-        notes.append(
-            f"stamps in the headers of {listed(sorted(still))} stand still; times are "
-            "those of the recorder."
-        )
-    order = np.argsort(stamps, kind="stable")
-    columns = {"t": (stamps[order] - stamps.min()) / 1e9}
-    for key in ("q", "v", "q_desired", "v_desired"):
-        values = np.array(
-            [[rows[k][2].get((key, name), np.nan) for name in joints] for k in order]
-        )
-        if np.isfinite(values).any(axis=0).all():
-            columns |= {f"{key}_{name}": x for name, x in zip(joints, values.T)}
-    return Table(
-        path=shown,
-        columns=columns,
-        where=lambda row: f"message {order[row] + 1}",
-        joints=tuple(joints),
-        notes=tuple(notes),
-    )
+    times = _with_times(clock, notes).sort_values(kind="stable")
+    channels = ["q", "v", "q_desired", "v_desired"]
+    return _table(shown, frame.loc[times.index], times, joints, channels, notes)
 
 
-def _states_and_commands(bag, shown, topic, wanted):
-    """Return connections of joint states and of what they were told."""
+def _states_and_commands(bag, shown, topic):
+    """Return connections of joint states and of their commands."""
     states = [x for x in bag.connections if x.msgcount and x.msgtype == _TYPE]
     telling = sorted({x.topic for x in states if _TELLING.search(x.topic)})
     others = sorted({x.topic for x in states} - set(telling))
@@ -246,52 +343,22 @@ def _states_and_commands(bag, shown, topic, wanted):
     )
 
 
-def _decoded(bag, shown, connections):
-    """Yield connection, time of receipt [ns] and message of each."""
-    unknown = {x.msgtype for x in connections} - set(bag.typestore.fielddefs)
-    if unknown:
-        raise _Refused(
-            f"{shown}: has messages of {listed(sorted(unknown))} and not their "
-            "definition: record with --storage mcap, or convert the bag to MCAP where "
-            "ROS knows it."
-        )
-    for connection, received, raw in bag.messages(connections=connections):
-        yield connection, received, bag.deserialize(raw, connection.msgtype)
-
-
-def _told(connection, message):
-    """Return what a message says, (channel, joint) -> number, and its topic."""
+def _command(connection, message):
+    """Return the joints of a message and its channels, commanded ones among them."""
     if connection.msgtype == _CONTROLLER:
         # ROS 2 has other names for them since 2023.
         told = getattr(message, "reference", None) or message.desired
         read = getattr(message, "feedback", None) or message.actual
-        parts = [
-            ("q_desired", message.joint_names, told.positions),
-            ("v_desired", message.joint_names, told.velocities),
-            ("q", message.joint_names, read.positions),
-            ("v", message.joint_names, read.velocities),
-        ]
+        names = tuple(message.joint_names)
+        channels = {"q_desired": told.positions, "v_desired": told.velocities}
+        channels |= {"q": read.positions, "v": read.velocities}
     else:
         after = "_desired" if _TELLING.search(connection.topic) else ""
-        parts = [
-            (f"q{after}", message.name, message.position),
-            (f"v{after}", message.name, message.velocity),
-        ]
-    found = {
-        (key, name): float(value)
-        for key, names, values in parts
-        if len(values) == len(names)
-        for name, value in zip(names, values)
-        if np.isfinite(value)
+        names = tuple(message.name)
+        channels = {f"q{after}": message.position, f"v{after}": message.velocity}
+    return names, {
+        key: x for key, x in channels.items() if names and len(x) == len(names)
     }
-    if found:
-        found["topic", ""] = connection.topic
-    return found
-
-
-def _of_topic(stamps, rows, topic):
-    """Return the stamps of a topic's messages."""
-    return stamps[[row["topic", ""] == topic for _, _, row in rows]]
 
 
 # -- which topic -----------------------------------------------------------------------
@@ -359,149 +426,6 @@ def _contents(bag):
     return f"it holds {listed(topics)}"
 
 
-def _kinds(bag, connections):
-    """Sort messages by the joints that they name; also count those without values."""
-    kinds, bare, order = {}, 0, 0
-    for connection, received, raw in bag.messages(connections=connections):
-        message = bag.deserialize(raw, connection.msgtype)
-        names = tuple(message.name)
-        n = len(message.position)
-        # Without names the numbers of the joints must do.
-        names = names or tuple(str(k + 1) for k in range(n))
-        order += 1
-        if not n or len(names) != n or len(message.effort) != n:
-            bare += 1
-            continue
-        # Drivers send nan for what they do not know, or not yet.
-        if not np.isfinite(np.add(message.position, message.effort)).any():
-            bare += 1
-            continue
-        kind = kinds.setdefault(names, _Kind())
-        stamp = message.header.stamp
-        kind.order.append(order)
-        kind.stamps.append(stamp.sec * 10**9 + stamp.nanosec)
-        kind.received.append(received)
-        kind.q.append(message.position)
-        kind.v.append(message.velocity if len(message.velocity) == n else None)
-        kind.tau.append(message.effort)
-    return kinds, bare
-
-
-def _table(kinds, bare, shown, topic, wanted):
-    """Make a table of the joints that give most samples."""
-    joints, own = _most(kinds, wanted)
-    rows = np.concatenate([kinds[names].order for names in own])
-    order = np.argsort(rows)
-    matrices = {
-        key: np.concatenate([_values(kinds[x], key, x, joints) for x in own])
-        for key in ("q", "tau")
-    }
-    known = np.isfinite(np.hstack(list(matrices.values()))).all(axis=1)
-    order = order[known[order]]
-    if all(x is not None for names in own for x in kinds[names].v):
-        v = np.concatenate([_values(kinds[x], "v", x, joints) for x in own])
-        if np.isfinite(v[order]).all():
-            matrices["v"] = v
-    matrices = {key: matrix[order] for key, matrix in matrices.items()}
-    stamps, notes = _stamps([kinds[x] for x in own], order)
-    columns = {"t": stamps}
-    numbered = all(name.isdecimal() for name in joints)
-    for key, matrix in matrices.items():
-        mark = "" if numbered else "_"
-        columns |= {f"{key}{mark}{name}": x for name, x in zip(joints, matrix.T)}
-    total = sum(len(kind.order) for kind in kinds.values()) + bare
-    others = sorted({name for names in kinds for name in names} - set(joints))
-    of_robot = [x for x in others if x in wanted]
-    strange = "the robot has none of that name"
-    if not wanted:
-        strange = "they come in other messages, or without numbers"
-    moved = max((_travel(kinds, x) for x in of_robot), default=0.0)
-    for kind, left, why in (
-        (str, [x for x in others if x not in of_robot], strange),
-        (
-            Loss,
-            of_robot,
-            "they come in other messages, or without numbers, and move there by up to "
-            f"{moved:.3g} rad or m",
-        ),
-    ):
-        if left:
-            notes.append(kind(f"joint(s) {listed(left)} of {topic} left out: {why}."))
-    if total > order.size:
-        # Messages of other joints are no loss.
-        kind = Loss if rows.size > order.size else str
-        notes.append(
-            kind(
-                f"{total - order.size} of {total} messages of {topic} lack some of the "
-                "joints taken, or numbers of theirs, and are left out."
-            )
-        )
-    notes.insert(
-        0,
-        f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
-        f"{', '.join(joints)}.",
-    )
-    sorted_rows = rows[order]
-    return Table(
-        path=shown,
-        columns=columns,
-        where=lambda row: f"message {sorted_rows[row]}",
-        joints=() if numbered else tuple(joints),
-        notes=tuple(notes),
-    )
-
-
-def _most(kinds, wanted):
-    """Return the joints that give most samples, and the kinds that have them all."""
-    numbers = {names: _with_numbers(kind, names) for names, kind in kinds.items()}
-    known = {
-        names: tuple(x for x in own if x in wanted) for names, own in numbers.items()
-    }
-    if not any(known.values()):
-        known = numbers
-
-    def samples(joints):
-        having = [x for x in kinds if set(joints) <= set(x)]
-        return len(joints) * sum(len(kinds[x].order) for x in having)
-
-    joints = max(known.values(), key=samples)
-    return joints, [x for x in kinds if set(joints) <= set(x)]
-
-
-def _with_numbers(kind, names):
-    """Return the joints that ever have a position and an effort in such messages."""
-    some = np.isfinite(np.array(kind.q)) & np.isfinite(np.array(kind.tau))
-    return tuple(name for name, known in zip(names, some.any(axis=0)) if known)
-
-
-def _travel(kinds, joint):
-    """Return how far a joint moves in the messages that have it [rad or m]."""
-    found = [
-        np.array(kind.q)[:, names.index(joint)]
-        for names, kind in kinds.items()
-        if joint in names
-    ]
-    values = np.concatenate(found)
-    values = values[np.isfinite(values)]
-    return float(np.ptp(values)) if values.size else 0.0
-
-
-def _values(kind, key, names, joints):
-    """Return values (n_messages, n_joints) in the order of `joints`."""
-    return np.array(getattr(kind, key))[:, [names.index(x) for x in joints]]
-
-
-def _stamps(kinds, order):
-    """Return times from the first [s]: of the headers, unless they stand still."""
-    stamps = np.concatenate([kind.stamps for kind in kinds])[order]
-    if np.ptp(stamps) > 0:
-        return (stamps - stamps[0]) / 1e9, []
-    received = np.concatenate([kind.received for kind in kinds])[order]
-    return (received - received[0]) / 1e9, [
-        "the stamps in the headers stand still; times are those of the recorder."
-    ]
-
-
 BAG = Format(
     name="bag of ROS 1 or 2, MCAP",
     endings=(".bag", ".db3", ".mcap"),
@@ -511,5 +435,5 @@ BAG = Format(
     read_folder=read_bag_folder,
     marks=("metadata.yaml", "*.db3*", "*.mcap*", "*.bag*"),
     has_topics=True,
-    needs=("rosbags", "bags"),
+    needs=("rosbags", "bags", "bags"),
 )

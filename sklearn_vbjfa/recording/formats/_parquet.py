@@ -1,16 +1,22 @@
-"""Parquet files, and LeRobot data sets, which are parquet files with a folder meta."""
+"""Parquet and feather files, and LeRobot data sets: parquet with a folder meta."""
 
 import json
-from collections import Counter
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.recording._table import Format, Source, Table, check_size
+from sklearn_vbjfa.recording._table import (
+    Format,
+    Source,
+    Table,
+    check_names,
+    check_size,
+    pandas_of,
+)
 
 # Columns of several numbers per row, as LeRobot calls those of a robot's state.
 _INFO = Path("meta") / "info.json"
-# What the robot's calibration is called where it was put beside it.
+# The robot's calibration, where a user has put it into the data set.
 _CALIBRATION = Path("meta") / "calibration.json"
 # Positions of a motor, and counts of its encoder in a turn: motors of LeRobot's arms
 # have 12 bits.
@@ -22,13 +28,9 @@ _ENDS = ("range_min", "range_max")
 
 
 def read_parquet(path: Source, wanted) -> Table:
-    """Read a parquet file with pyarrow; lists become columns with numbers."""
-    columns, shares = _columns(path), {}
-    info = _lerobot_info(path.file)
-    if info is not None:
-        columns = _with_names(columns, info)
-        shares = _shares(path.file, columns)
-    return Table(path=path.shown, columns=_flat(columns), shares=shares)
+    """Read a parquet or feather file; lists become columns with numbers."""
+    info = _lerobot_info(path.file) or {}
+    return _table(path, path.file, _columns(path, info))
 
 
 def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
@@ -44,36 +46,65 @@ def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
     size = sum(file.stat().st_size for file in files)
     check_size(path, size, f"give one of them, such as {files[0]}", "of parquet files")
     info = _lerobot_info(files[0]) or {}
-    parts = [_flat(_with_names(_columns(Source(x, x)), info)) for x in files]
+    parts = [_columns(Source(x, x), info) for x in files]
     shared = [x for x in parts[0] if all(x in part for part in parts)]
     columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return Table(path=path, columns=columns, shares=_shares(files[0], columns))
+    return _table(Source(path, path), files[0], columns)
 
 
-def _columns(path):
-    """Return the columns of a parquet file."""
+def _table(path, file, columns):
+    frame = pandas_of(path).DataFrame(columns)
+    frame.index += 1
+    return Table(path=path.shown, frame=frame, shares=_shares(file, columns))
+
+
+def _columns(path, info):
+    """Return the columns of a file as arrays, lists of numbers as columns each."""
     try:
-        from pyarrow import ArrowException, parquet
+        from pyarrow import ArrowException, feather, parquet
     except ImportError as error:
         raise PARQUET.missing(path) from error
     try:
-        with parquet.ParquetFile(path.file) as file:
-            groups = (file.metadata.row_group(k) for k in range(file.num_row_groups))
-            check_size(path, sum(group.total_byte_size for group in groups))
-            read = file.read()
+        if path.file.suffix.lower() in PARQUET.endings[:2]:
+            with parquet.ParquetFile(path.file) as file:
+                groups = map(file.metadata.row_group, range(file.num_row_groups))
+                check_size(path, sum(group.total_byte_size for group in groups))
+                read = file.read()
+        else:
+            read = feather.read_table(path.file)
         arrays = [column.to_numpy() for column in read.columns]
     except (ArrowException, OSError, UnicodeDecodeError) as error:
         reason = str(error).splitlines()[0].rstrip(".")
         raise ValueError(
             f"{path}: is not a complete parquet file of plain columns ({reason}); "
-            "write it anew."
+            "write it again."
         ) from error
-    twice = [name for name, count in Counter(read.column_names).items() if count > 1]
-    if twice:
-        raise ValueError(
-            f"{path}: has column {twice[0]!r} twice; each column needs its own name."
-        )
-    return dict(zip(read.column_names, arrays))
+    check_names(path, read.column_names or [""], "has")
+    found = {}
+    for name, values in zip(read.column_names, arrays):
+        matrix = _matrix(values)
+        if matrix is None:
+            found[name] = values
+            continue
+        motors = _motors(info, name)
+        if len(motors) != matrix.shape[1]:
+            motors = range(matrix.shape[1])
+        found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
+    return found
+
+
+def _matrix(values):
+    """Return a column of equally long lists of numbers as a matrix, else None."""
+    if values.dtype.kind != "O" or not values.size:
+        return None
+    if not all(isinstance(x, np.ndarray) and x.ndim == 1 for x in values):
+        return None
+    if len({x.size for x in values}) > 1 or values[0].dtype.kind not in "biuf":
+        return None
+    return np.stack(list(values)) if values[0].size else None
+
+
+# -- LeRobot ---------------------------------------------------------------------------
 
 
 def _lerobot_info(file, name=_INFO):
@@ -85,10 +116,22 @@ def _lerobot_info(file, name=_INFO):
             except (ValueError, OSError, RecursionError) as error:
                 raise ValueError(
                     f"{folder / name}: is not a complete JSON file ({error}); "
-                    "download the data set anew."
+                    "download the data set again."
                 ) from error
             return info if isinstance(info, dict) else {}
     return None
+
+
+def _motors(info, name):
+    """Return the names of the motors in a column of lists, [] if unknown."""
+    features = info.get("features")
+    feature = features.get(name) if isinstance(features, dict) else None
+    names = feature.get("names") if isinstance(feature, dict) else None
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if not isinstance(names, list):
+        return []
+    return [str(motor).removesuffix(".pos") for motor in names]
 
 
 def _shares(file, columns):
@@ -110,58 +153,12 @@ def _shares(file, columns):
     return found
 
 
-def _with_names(columns, info):
-    """Spread lists of one number per motor over columns with the motors' names."""
-    features = info.get("features")
-    features = features if isinstance(features, dict) else {}
-    spread = {}
-    for name, values in columns.items():
-        feature = features.get(name)
-        names = feature.get("names") if isinstance(feature, dict) else None
-        if isinstance(names, dict):
-            names = next(iter(names.values()), None)
-        matrix = _matrix(values)
-        if (
-            matrix is None
-            or not isinstance(names, list)
-            or len(names) != matrix.shape[1]
-        ):
-            spread[name] = values
-            continue
-        for motor, column in zip(names, matrix.T):
-            spread[f"{name}.{str(motor).removesuffix('.pos')}"] = column
-    return spread
-
-
-def _flat(columns):
-    """Spread what is left of lists over columns with numbers from 0."""
-    spread = {}
-    for name, values in columns.items():
-        matrix = _matrix(values)
-        if matrix is None:
-            spread[name] = values
-        else:
-            spread |= {f"{name}.{k}": x for k, x in enumerate(matrix.T)}
-    return spread
-
-
-def _matrix(values):
-    """Return a column of equally long lists of numbers as a matrix, else None."""
-    if values.dtype.kind != "O" or not values.size:
-        return None
-    if not all(isinstance(x, np.ndarray) and x.ndim == 1 for x in values):
-        return None
-    if len({x.size for x in values}) > 1 or values[0].dtype.kind not in "biuf":
-        return None
-    return np.stack(list(values)) if values[0].size else None
-
-
 PARQUET = Format(
     name="parquet",
-    endings=(".parquet", ".pq"),
+    endings=(".parquet", ".pq", ".feather", ".arrow"),
     read=read_parquet,
-    begins=((b"PAR1", ".parquet"),),
+    begins=((b"PAR1", ".parquet"), (b"ARROW1", ".feather")),
     read_folder=read_lerobot,
     marks=(_INFO.as_posix(),),
-    needs=("pyarrow", "parquet files"),
+    needs=("pyarrow", "parquet files", "parquet"),
 )

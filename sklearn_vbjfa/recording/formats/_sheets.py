@@ -1,132 +1,81 @@
-"""Tables out of spreadsheets: Excel and OpenDocument, read by calamine."""
+"""Tables out of spreadsheets: Excel and OpenDocument, by pandas and calamine."""
 
-import datetime
+import contextlib
 import zipfile
+from importlib.util import find_spec
 
-import numpy as np
-
-from sklearn_vbjfa.recording._table import Format, Source, Table, check_size, quoted
-from sklearn_vbjfa.recording.formats._text import row_of_units, spread_lists
+from sklearn_vbjfa.recording._table import (
+    Format,
+    Source,
+    Table,
+    check_size,
+    no_rows,
+    pandas_of,
+)
+from sklearn_vbjfa.recording.formats._cells import (
+    check_header,
+    names_and_start,
+    table_of_cells,
+)
 
 
 def read_sheet(path: Source, wanted) -> Table:
-    """Read the first sheet that is not empty; its first row has the names."""
+    """Read the first sheet that is not empty, below the names of its columns."""
+    pandas = pandas_of(path)
+    if find_spec("python_calamine") is None:
+        raise SHEET.missing(path)
+    from python_calamine import CalamineError
+
+    check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
     try:
-        from python_calamine import CalamineError, CalamineWorkbook
-    except ImportError as error:
-        raise SHEET.missing(path) from error
-    broken = f"{path}: is not a complete spreadsheet"
-    try:
-        check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
-        with CalamineWorkbook.from_path(path.file) as book:
-            names = book.sheet_names
-            rows, used = [], ""
-            for used in names:
-                rows = book.get_sheet_by_name(used).to_python(skip_empty_area=False)
-                if rows:
+        options = {"header": None, "keep_default_na": False, "na_values": []}
+        with pandas.ExcelFile(path.file, engine="calamine") as book:
+            sheets = book.sheet_names
+            frame = pandas.DataFrame()
+            for sheet in sheets:
+                frame = pandas.read_excel(book, sheet, dtype=object, **options)
+                if len(frame):
                     break
-    except (CalamineError, OSError, zipfile.BadZipFile) as error:
-        raise ValueError(f"{broken} ({error}); save it anew, or as CSV.") from error
-    filled = [k for k, row in enumerate(rows) if any(x != "" for x in row)]
-    if len(filled) < 2:
+    except (CalamineError, OSError, ValueError) as error:
         raise ValueError(
-            f"{path}: no rows of data; expected one row per sample below the names of "
-            "the columns."
-        )
-    filled = filled[_titles(rows, filled) :]
-    first = [x for x in rows[filled[0]] if x != ""]
-    nameless = all(isinstance(x, (int, float)) for x in first)
-    if nameless:
-        header, lines = [str(k + 1) for k in range(len(first))], filled
+            f"{path}: is not a complete spreadsheet ({error}); save it as CSV."
+        ) from error
+    frame.index += 1
+    frame = frame[(frame != "").any(axis=1)]
+    if len(frame) < 2:
+        raise no_rows(path)
+    rows = ([str(x).strip() for x in row] for row in frame.itertuples(index=False))
+    at, start, units = names_and_start(rows)
+    if at is None:
+        names = [str(k + 1) for k in range(frame.shape[1])]
     else:
-        header, lines = _header(path, rows[filled[0]], filled[0]), filled[1:]
-    keep = [k for k, name in enumerate(header) if name]
-    header = [header[k] for k in keep]
-    cells = [[rows[k][j] if j < len(rows[k]) else "" for j in keep] for k in lines]
-    units = row_of_units([str(x) for x in cells[0]], header)
-    if units:
-        cells, lines = cells[1:], lines[1:]
-        if not cells:
-            raise ValueError(f"{path}: only a header and no rows of data.")
-
-    def where(row):
-        return f"line {lines[row] + 1} of sheet {used!r}"
-
-    columns = {
-        name: _column(path, name, [row[k] for row in cells], where)
-        for k, name in enumerate(header)
-    }
-    notes: tuple[str, ...] = ()
-    if len(names) > 1:
-        notes = (f"sheet {used!r} of {len(names)} was read.",)
-    return Table(
-        path=path.shown,
-        columns=spread_lists(path, columns),
-        where=where,
-        units=units,
-        nameless=nameless,
-        notes=notes,
+        names = [str(x).strip() for x in frame.iloc[at]]
+        check_header(path, [x for x in names if x], frame.index[at])
+    used = [k for k, name in enumerate(names) if name]
+    known = dict(units)
+    frame = frame.iloc[start:, used]
+    frame.columns = [names[k] for k in used]
+    if not len(frame):
+        raise ValueError(f"{path}: only a header and no rows of data.")
+    return table_of_cells(
+        path,
+        frame,
+        place="line {} of sheet " + repr(sheet).replace("{", "{{").replace("}", "}}"),
+        notes=(f"sheet {sheet!r} of {len(sheets)} was read.",) * (len(sheets) > 1),
+        units=known,
+        nameless=at is None,
     )
 
 
 def _unpacked_size(path):
     """Return the bytes of a file, or of what is packed in it."""
     size = path.file.stat().st_size
-    if zipfile.is_zipfile(path.file):
-        with zipfile.ZipFile(path.file) as archive:
-            size = max(size, sum(x.file_size for x in archive.infolist()))
+    with (
+        contextlib.suppress(zipfile.BadZipFile, OSError),
+        zipfile.ZipFile(path.file) as archive,
+    ):
+        size = max(size, sum(x.file_size for x in archive.infolist()))
     return size
-
-
-def _titles(rows, filled):
-    """Count the rows above the names: the names fill the cells that numbers do."""
-    # The first row of numbers tells which; a row of units may stand between.
-    cells = {k: [j for j, x in enumerate(rows[k]) if x != ""] for k in filled}
-    count = next((n for n, k in enumerate(filled) if _is_data(rows[k])), 0)
-    k = filled[count]
-    if not count or cells[filled[0]] == cells[k]:
-        return 0
-    names = [n for n in range(count) if cells[filled[n]] == cells[k]]
-    texts = {n: [str(rows[filled[n]][j]) for j in cells[k]] for n in names}
-    names = [n for n in names if not row_of_units(texts[n], texts[n])]
-    return names[-1] if names else 0
-
-
-def _is_data(row):
-    """Whether most cells of a row that are filled are numbers."""
-    cells = [x for x in row if x != ""]
-    return 2 * sum(isinstance(x, (int, float)) for x in cells) > len(cells)
-
-
-def _header(path, row, line):
-    names = [str(x).strip() for x in row]
-    for name in names:
-        if name and names.count(name) > 1:
-            raise ValueError(
-                f"{path}: line {line + 1} names column {name!r} twice; each column "
-                "needs its own name."
-            )
-    return names
-
-
-def _column(path, name, cells, where):
-    """Return cells as numbers, dates or text; a column is what its first cell is."""
-    first = next((x for x in cells if x != ""), "")
-    if isinstance(first, (datetime.datetime, datetime.date)):
-        stamps = [str(x).replace(" ", "T") for x in cells]
-        try:
-            return np.array(stamps, dtype="datetime64[ns]")
-        except ValueError:
-            return np.array([str(x) for x in cells])
-    if isinstance(first, (bool, int, float)):
-        for row, x in enumerate(cells):
-            if x != "" and not isinstance(x, (bool, int, float)):
-                raise ValueError(
-                    f"{path}: {quoted(str(x))} in {where(row)}, column {name!r} is not "
-                    "a number; correct or remove that line."
-                )
-        return np.array([np.nan if x == "" else float(x) for x in cells])
-    return np.array([str(x) for x in cells])
 
 
 SHEET = Format(
@@ -134,5 +83,5 @@ SHEET = Format(
     endings=(".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"),
     read=read_sheet,
     begins=((b"\xd0\xcf\x11\xe0", ".xls"),),
-    needs=("python-calamine", "spreadsheets"),
+    needs=("python-calamine", "spreadsheets", "excel"),
 )

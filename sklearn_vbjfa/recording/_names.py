@@ -1,0 +1,480 @@
+"""The columns of a file as channels of the robot's joints, in their order."""
+
+import difflib
+import itertools
+import re
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from sklearn_vbjfa.recording import _layout
+from sklearn_vbjfa.recording._drives import COMMANDS
+from sklearn_vbjfa.recording._layout import Layout, by_mapping, by_names, by_preset
+from sklearn_vbjfa.recording._presets import PRESETS
+from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
+from sklearn_vbjfa.recording._units import KINDS, TIME_UNITS, split_unit, unit_of
+
+# A clock steps by this many seconds.
+_FASTEST, _SLOWEST = 2e-5, 1.0
+# A clock is this near to a straight line, as a share of what it rises.
+_STRAIGHT = 0.02
+# Words in names that are not recognised, for the offer of a refusal alone.
+_CURRENT = ("current", "curr", "amp", "ampere", "i")
+COMMAND_WORDS = (
+    "target",
+    "cmd",
+    "command",
+    "desired",
+    "des",
+    "ref",
+    "reference",
+    "goal",
+)
+COMMAND_WORDS += ("setpoint", "sp", "action")
+_WORDS = {
+    "q": ("q", "pos", "position", "angle", "theta", "encoder"),
+    "tau": ("tau", "torque", "trq", "effort", "moment", "force", "load", *_CURRENT),
+    "command": COMMAND_WORDS,
+    "other": ("velocity", "vel", "speed", "qd", "dq", "acceleration", "acc", "error")
+    + ("temperature", "temp", "voltage", "external", "ext", "limit", "cartesian", "tcp")
+    + ("enable", "mode", "window"),
+}
+_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+# The least similarity of a word to one of these, and the shortest word that has any.
+_SIMILAR, _LONG = 0.85, 4
+# What to give where currents have no signs, as `parse_drive` reads it.
+UNSIGNED = "current signed=no"
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """What the user says of the columns, and whether of the period and the gains."""
+
+    mapping: dict
+    preset: str | None
+    timed: bool
+    gained: bool
+    drive: object = None  # `Drive` whose channels stand in place of torques
+
+    @property
+    def told(self):
+        """Channels of torques or of the drive, the one that must be there first."""
+        drive = self.drive
+        if drive is None:
+            return ("tau",)
+        return ("tau" if drive.spelled else drive.told, *drive.beside)
+
+    @property
+    def needed(self):
+        """Kinds without which there is no recording."""
+        return "q", self.told[0]
+
+    @property
+    def kinds(self):
+        """All kinds of channels, in order."""
+        return "q", *self.told, "v", "a"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Joints:
+    """The joints that columns are looked for of, and whether the user chose them."""
+
+    names: tuple[str, ...] = ()
+    chosen: bool = False
+
+
+def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
+    """Say which columns are which channels; refuse what does not fit."""
+    preset, names = options.preset, (*robot.names, *table.joints)
+    kinds = (*options.kinds, *(x for x in KINDS if x not in options.kinds))
+    if preset is not None and options.mapping:
+        raise RecordingRefused(
+            "give columns or a preset, not both: a preset is a mapping.",
+            {"preset": None},
+        )
+    plain = by_names(table, names, kinds, options.drive)
+    known = robot.names, options.told, robot.chosen
+    if options.mapping:
+        if options.drive is not None:
+            rest = list(by_preset(table, None, *known).values())
+            plain = rest[0] if len(rest) == 1 else plain
+        try:
+            return by_mapping(table, options.mapping, plain)
+        except _layout.MappingRefused as error:
+            raise RecordingRefused(
+                f"{table.path}: {error}.", _otherwise(table, options, robot)
+            ) from None
+    if table.nameless:
+        raise _without_names(table, robot.names)
+    if table.joints:
+        return replace(plain, certain=True)
+    if preset is None and any(kind in plain.channels for kind in options.needed):
+        return plain
+    fitted = by_preset(table, preset, *known)
+    if len(fitted) > 1:
+        raise RecordingRefused(
+            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
+            f"give preset={' or '.join(repr(x) for x in fitted)}.",
+            {"preset": next(iter(fitted))},
+        )
+    if fitted:
+        return next(iter(fitted.values()))
+    if preset is None:
+        return plain
+    told = options.told[0]
+    expected = [f"{x.q} and {x.commands.get(told, x.tau)}" for x in PRESETS[preset]]
+    raise RecordingRefused(
+        f"{table.path}: does not fit the preset {preset!r}, which expects columns "
+        f"{' or '.join(expected)}; found {listed(table.names)}.",
+        _otherwise(table, options, robot),
+    )
+
+
+def _without_names(table, names):
+    """Return the refusal of a table without names of columns."""
+    n = len(names) or 6
+    ends = [f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n)]
+    return RecordingRefused(
+        f"{table.path}: has no names of columns; give the places of its "
+        f"{len(table.names)} columns (command line: --columns), such as "
+        f'columns="t=1,q={ends[0]},tau={ends[1]}".'
+    )
+
+
+def channels_of(table: Table, layout, options, robot, notes):
+    """Return the roles of each kind, listed in the order of the joints, and those."""
+    # Refuses, all at once, what is missing.
+    robot = replace(robot, names=robot.names or layout.own_joints)
+    missing = [kind for kind in options.needed if kind not in layout.channels]
+    no_time = not (options.timed or layout.times)
+    channels = {x: layout.channels[x] for x in options.kinds if x in layout.channels}
+    for kind, own in channels.items():
+        # Certain names of joints that the robot lacks are no channels of it.
+        known = {x: y for x, y in own.by_joint.items() if x in robot.names}
+        channels[kind] = replace(own, by_joint=known)
+        if kind in options.needed and not (known or own.by_number):
+            missing.append(kind)
+    if missing or no_time:
+        raise _all_missing(table, layout, options, robot, missing, no_time)
+    for own in channels.values():
+        _refuse_both(table, own, robot.names)
+    if any(own.by_joint for own in channels.values()):
+        robot = _held(layout, robot, channels, notes)
+    found = {kind: [] for kind in options.kinds}
+    for kind, own in channels.items():
+        if own.roles:
+            found[kind] = _in_order(table, kind, own, robot.names)
+    return found, robot
+
+
+def _held(layout, robot, channels, notes):
+    """Leave out the robot's joints without any column, unless the user chose them."""
+    others = [x for x in layout.own_joints if x not in robot.names]
+    if others:
+        notes.append(
+            f"joint(s) {listed(others)} are not joints of the robot and are left out."
+        )
+    having = {x for own in channels.values() for x in own.by_joint}
+    held = [x for x in robot.names if x not in having]
+    if robot.chosen or not held:
+        return robot
+    notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+    return replace(robot, names=tuple(x for x in robot.names if x in having))
+
+
+def _refuse_both(table, channel, names):
+    """Refuse several columns for one joint, and numbers beside names."""
+    for roles in (*channel.by_joint.values(), *channel.by_number.values()):
+        for other in roles[1:]:
+            refuse_two(table, roles[0].column, other.column)
+    if channel.by_joint and channel.by_number:
+        name, (named, *_) = next(iter(channel.by_joint.items()))
+        number = str(names.index(name) + 1)
+        first = next(iter(channel.by_number.values()))
+        numbered = channel.by_number.get(number, first)[0]
+        refuse_two(table, named.column, numbered.column)
+
+
+def _in_order(table: Table, kind, channel, names):
+    """Return the roles of one kind in the order of the joints."""
+    found = channel.by_joint or channel.by_number
+    first = 0 if channel.by_joint or "0" in found else 1
+    roles = []
+    for k in range(len(names if channel.by_joint else found)):
+        key = names[k] if channel.by_joint else str(first + k)
+        if key not in found:
+            missing = f"{kind}_{names[k]}" if channel.by_joint else f"{kind}{key}"
+            beside = listed([role.column for (role, *_) in found.values()])
+            raise ValueError(
+                f"{table.path}: column {missing!r} is missing beside {beside}; every "
+                "joint needs one, in order."
+            )
+        roles.append(found[key][0])
+    return roles
+
+
+def refuse_two(table, one, other):
+    """Refuse two columns that could both be meant."""
+    if one != other:
+        raise ValueError(
+            f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
+            "or remove the one that is not."
+        )
+
+
+# -- what is missing, and options that were tried --------------------------------------
+
+# What is missing, by the kinds that may be needed.
+_WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
+
+
+def _all_missing(table, layout, options, robot, missing, no_time):
+    """Return the refusal that lists everything that is missing."""
+    needed = [*missing, *["t"] * no_time]
+    near = {kind: _nearest(table, kind, robot.names) for kind in needed}
+    if missing == ["tau"] and options.drive is None and not near["tau"]:
+        _refuse_commands(table, layout, options, robot)
+    parts = []
+    if missing and layout.own_joints and layout.own_joints != robot.names:
+        parts.append(
+            f"its joints {listed(layout.own_joints)} are not those of the robot, "
+            f"{listed(robot.names)}"
+        )
+    nearest = {kind: f" (nearest: {x[0]})" if x else "" for kind, x in near.items()}
+    for kind in missing:
+        what = _WHAT.get(kind, kind)
+        parts.append(
+            f"no {what}: expected columns {kind}1, {kind}2, ...{nearest[kind]}"
+        )
+    if no_time and missing:
+        parts.append(f"no time: expected a column t, or dt{nearest['t']}")
+    elif no_time:
+        parts.append(
+            f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
+            "give the sample period dt in seconds (command line: --dt 0.002)"
+        )
+    offered = _offered(table, options, robot, near)
+    found = f"; found {listed(table.names)}" if missing else ""
+    if missing and not offered:
+        second = options.needed[1]
+        found += (
+            "; rename them in the header, or give "
+            f'columns="q=NAME{{i}},{second}=NAME{{i}},t=NAME"'
+        )
+    return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}.", offered)
+
+
+def _offered(table, options, robot, near):
+    """Return options that read the file, tried, by the nearest columns; or {}."""
+    # near: patterns by kind, the nearest first.
+    for patterns in itertools.islice(itertools.product(*near.values()), 20):
+        mapping = options.mapping | dict(zip(near, patterns))
+        if any("," in x or "=" in x for x in mapping.values()):
+            continue
+        more = {}
+        if "t" in near and not split_unit(mapping["t"])[1]:
+            unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
+            more = {} if unit in ("", "s") else {"time_unit": unit}
+        if "tau" in near and not options.gained:
+            more |= _of_currents(table, mapping["tau"], robot)
+        tried = replace(options, mapping=mapping, preset=None)
+        if _works(table, tried, robot):
+            columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
+            return {"columns": columns, **more}
+    return {}
+
+
+def _works(table, options, robot):
+    """Whether columns are found for all that is needed, with some options."""
+    try:
+        layout = laid_out(table, options, robot)
+        found, own = channels_of(table, layout, options, robot, [])
+    except ValueError:
+        return False
+    counts = {len(found[kind]) for kind in options.needed}
+    return len(counts) == 1 and counts <= {len(own.names) or max(counts)}
+
+
+def _otherwise(table, options, robot):
+    """Return options that read a file of which the user says something else, or {}."""
+    said = {"columns": options.mapping, "preset": options.preset}
+    nothing = {key: None for key, value in said.items() if value}
+    free = replace(options, mapping={}, preset=None)
+    if table.nameless:
+        return {}
+    try:
+        channels_of(table, laid_out(table, free, robot), free, robot, [])
+    except RecordingRefused as error:
+        return nothing | error.options if error.options else {}
+    except ValueError:
+        return {}
+    return nothing
+
+
+def _of_currents(table, pattern, robot):
+    """Return the options that currents need: gains, or a drive without their signs."""
+    found = _layout.matches(pattern, table, "tau")
+    bases = {unit.base for x in found if (unit := unit_of("tau", x.unit))}
+    if not bases and is_current(pattern):
+        bases = {"A"}
+        if not any((table.values(x.column) < 0).any() for x in found):
+            # A drive has gains of its own.
+            return {"drive": UNSIGNED}
+    motor = bases - {"N m", "N"} and len(found) > 1
+    return {"gains": "unknown"} if motor else {}
+
+
+def _refuse_commands(table, layout, options, robot):
+    """Refuse a file that has commands in place of torques: a drive is missing."""
+    own = by_names(table, robot.names, (*KINDS, *COMMANDS))
+    known = by_preset(table, None, robot.names, COMMANDS)
+    found = {}
+    for one in (own, *known.values()):
+        if "q_desired" in one.channels and not found:
+            for kind in COMMANDS:
+                roles = one.channels[kind].roles if kind in one.channels else []
+                if roles:
+                    more = f" ... {roles[-1].column}" if len(roles) > 1 else ""
+                    found[kind] = f"{roles[0].column}{more}"
+    offered = {}
+    if not found:
+        near = {"q_desired": _nearest(table, "q_desired", robot.names)}
+        if not near["q_desired"]:
+            return
+        found = {"q_desired": near["q_desired"][0]}
+        offered = {"columns": f"q_desired={found['q_desired']}"}
+    gains = [x for x in ("kp", "kd") if x not in found and x not in table.scalars]
+    drive = " ".join(["pd", *(f"{kind}=..." for kind in gains)])
+    more = "".join(f", {key}={value!r}" for key, value in offered.items())
+    needs = f" with {' and '.join(gains)}, a number for each joint" if gains else ""
+    raise RecordingRefused(
+        f"{table.path}: no torques, but commands: "
+        f"{', '.join(f'{kind} ({columns})' for kind, columns in found.items())}; give "
+        f'the drive that follows them{needs}: drive="{drive}"{more} (command line: '
+        f'--drive "{drive}")',
+        {} if gains or offered else {"drive": "pd"},
+    )
+
+
+# -- the nearest names -----------------------------------------------------------------
+
+
+def words(pattern):
+    """Return the words in a pattern, in small letters."""
+    text = re.sub(r"\{\w+\}", " ", split_unit(pattern)[0])
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def _kinds_of_words(pattern):
+    """Return the kinds that the words of a pattern are nearest to, a set."""
+    found = set()
+    for word in words(pattern):
+        near = [word] if word in _KIND_OF else []
+        if not near and len(word) >= _LONG:
+            near = difflib.get_close_matches(word, _KIND_OF, 1, _SIMILAR)
+        found |= {_KIND_OF[x] for x in near}
+    return found
+
+
+def is_current(name):
+    """Whether a column's name says that it is a motor's current, and no torque."""
+    found = {word.rstrip("s") for word in words(name)}
+    torques = set(_WORDS["tau"]) - {"load", *_CURRENT}
+    return bool({*_CURRENT} & found) and not torques & found
+
+
+def _nearest(table, kind, joints):
+    """Return patterns of columns nearest to a kind, the nearest first."""
+    if kind == "t":
+        return _clocks(table)
+    wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
+    found = []
+    for pattern, columns in _families(table, joints).items():
+        if _kinds_of_words(pattern) == wanted:
+            others = len(columns) != (len(joints) or len(columns))
+            found.append((others, len(words(pattern)), pattern))
+    return [pattern for *_, pattern in sorted(found, key=lambda x: x[:2])]
+
+
+def _families(table, joints):
+    """Return columns of numbers by their names without a number or a joint."""
+    groups: dict[str, dict] = {}
+    for column in table.names:
+        if table.frame[column].dtype.kind not in "iuf":
+            continue
+        name = split_unit(column)[0]
+        joint = max((x for x in joints if x in name), key=len, default=None)
+        if joint is not None:
+            groups.setdefault(name.replace(joint, "{joint}", 1), {})[joint] = column
+        # Any of its numbers may be the joint's.
+        for match in re.finditer(r"\d+", name):
+            pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
+            groups.setdefault(pattern, {})[int(match[0])] = column
+        if len(joints) == 1:
+            # Of one joint nothing needs a number.
+            groups.setdefault(name, {})[joints[0]] = column
+    return {
+        pattern: found
+        for pattern, found in groups.items()
+        if "{i}" not in pattern or _counts(found, joints)
+    }
+
+
+def _counts(numbers, joints):
+    """Whether numbers count from 0 or 1 without a hole."""
+    alone = len(numbers) > 1 or len(joints) == 1
+    return alone and min(numbers) in (0, 1) and np.ptp([*numbers]) == len(numbers) - 1
+
+
+# -- clocks ----------------------------------------------------------------------------
+
+
+def _clocks(table):
+    """Return the column whose name has to do with time and that rises like a clock."""
+    # What goes up by one counts rows.
+    found = [
+        name
+        for name in table.names
+        if {"time", "stamp", "timestamp", "clock", "t"} & set(words(name))
+        and is_clock(table.values(name))
+        and usual_step(table.values(name)) != 1
+    ]
+    first = next((table.values(x) for x in found), None)
+    same = all(np.allclose(table.values(x), first, rtol=0, atol=1e-6) for x in found)
+    return found[:1] if same else []
+
+
+def is_clock(values):
+    """Whether a column rises steadily, at steps that are those of a robot."""
+    if values.dtype.kind not in "iuf" or values.size < 3:
+        return False
+    values = values.astype(float)
+    step = np.diff(values)
+    if not ((step >= 0).all() and step.sum() > 0) or not unit_of_steps(
+        usual_step(values)
+    ):
+        return False
+    line = np.linspace(values[0], values[-1], values.size)
+    return bool(np.abs(values - line).max() <= _STRAIGHT * (values[-1] - values[0]))
+
+
+def usual_step(t):
+    """Return the middle one of the steps by which a clock rises, 0 without any."""
+    # Of rows that are out of order as if they were sorted.
+    step = np.diff(np.sort(t))
+    step = step[step > 0]
+    return float(np.median(step)) if step.size else 0.0
+
+
+def unit_of_steps(step):
+    """Return the unit of time in which steps are those of a robot, "" for none."""
+    return next(
+        (unit for unit, size in TIME_UNITS.items() if not unit_is_wrong(step * size)),
+        "",
+    )
+
+
+def unit_is_wrong(period):
+    """Whether a period [s] is none of a robot that moves."""
+    return not _FASTEST < period < _SLOWEST

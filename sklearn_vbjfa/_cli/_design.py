@@ -1,13 +1,13 @@
 """The command ``design``: the motion to record next."""
 
-import math
 import shlex
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import DURATION, PERIOD, _input
+from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._parser import PERIOD, Refused, number, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
 
@@ -27,77 +27,79 @@ class _Robot:
 
     known: object
     model: object  # its description, joints in its own order
-    file: str  # description that was given, or that a report tells
+    file: str  # description that was given, or that a report names
     is_reduced: bool = False  # whether further joints are held
     dt: float | None = None  # sample period of its recordings so far [s]
     # whether its torques are in units of a channel, not in N m or N
     is_relative: bool = False
 
 
-def run(arguments, folder):
-    """Design a motion, tell what it decides and write the files."""
-    from sklearn_vbjfa import effects
+def design(arguments, folder):
+    """Design a motion, print what it decides, and write it."""
     from sklearn_vbjfa.design import _summary
     from sklearn_vbjfa.design._open_questions import read_report
 
-    _check(arguments)
-    out = _input.expanded(arguments.out)
-    _check_out(out, arguments.force)
-    seed, asked = _input.seed(arguments.seed), ()
-    if arguments.effects is not None:
-        asked = _input.names("--effects", arguments.effects, effects.available())
-    report = None if arguments.report is None else _input.expanded(arguments.report)
-    found = None if report is None else read_report(report)
+    if arguments.urdf is None and arguments.report is None:
+        raise ValueError(
+            "give --urdf FILE, the description of the robot, or --report FOLDER, what "
+            "identify wrote of it."
+        )
+    out = _input.expanded(arguments.out or "motion.csv")
+    _input.check_file(out, "--out", arguments.force)
+    report = arguments.report and _input.expanded(arguments.report)
+    found = read_report(report) if report else None
     robot = _robot(arguments, report, found, folder)
-    motion = _motion(arguments, robot, _limits(arguments, robot), asked, found, seed)
+    motion = _motion(arguments, robot, found)
     noise = np.array(robot.known.torque_noise)
     measured = np.isfinite(noise) & (noise > 0)
-    name = Path(robot.file).name
-    steps = [*_summary.before(motion), _step(arguments, found)]
-    first = 2 - len(steps)
+    steps = [*_summary.before(motion), _step(out, found)]
 
-    def write(folder, warned):
+    def write(folder, notes):
         motion.to_csv(folder / out.name)
+        # The first step is 0 where something is to be done before the robot moves.
         lines = [
             line
-            for number, step in enumerate(steps, first)
-            for line in _summary.wrapped(f"{number}. {step}", "   ")
+            for count, step in enumerate(steps, 2 - len(steps))
+            for line in _summary.wrapped(f"{count}. {step}", "   ")
         ]
-        command = _next_command(arguments, robot, found)
-        return ["", "Next:", *(f"  {line}" for line in (*lines, command))]
+        lines.append(_next_command(arguments, robot, found))
+        return ["", "Next:", *(f"  {line}" for line in lines)]
 
     return Done(
-        text="\n".join(_summary.summary(motion, name, measured, found)),
-        doubts=(
+        text="\n".join(
+            _summary.summary(motion, Path(robot.file).name, measured, found)
+        ),
+        doubts=[
             *_summary.unchecked(motion),
             *_summary.undecided(motion),
-            *_summary.unseen(motion, asked),
-        ),
+            *_summary.unseen(motion, arguments.effects or ()),
+        ],
         folder=out.parent,
         files=(out.name,),
         write=write,
     )
 
 
-def _motion(arguments, robot, limits, asked, found, seed):
+def _motion(arguments, robot, found):
     """Design the motion, refused if it goes beyond the limits."""
     from sklearn_vbjfa.design import _summary, design_motion
 
     names = robot.known.joint_names
+    limits = _limits(arguments, robot)
     start = _numbers("--start", arguments.start, names, positive=False)
     task = f"designing {arguments.duration:g} s for {len(names)} joints"
-    # Told before the minutes that it takes.
-    free = "" if _has_shapes(robot) else ", SELF-COLLISION IS NOT CHECKED"
-    with stage(task + free):
+    if not _has_shapes(robot):
+        task += ", SELF-COLLISION IS NOT CHECKED"
+    with stage(task):
         motion = design_motion(
             robot.known,
             duration=arguments.duration,
             dt=arguments.dt or _period(robot, found),
             limits=limits,
-            effects=asked,
+            effects=arguments.effects or (),
             report=found,
             start=start,
-            random_state=seed,
+            random_state=arguments.seed,
         )
     if not motion.within_limits:
         raise ValueError(
@@ -118,50 +120,11 @@ def _has_shapes(robot):
     return True
 
 
-# -- what is given ---------------------------------------------------------------------
-
-
-def _check(arguments):
-    """Refuse numbers that are none, and a run without a robot."""
-    if arguments.urdf is None and arguments.report is None:
-        raise ValueError(
-            "give --urdf FILE, the description of the robot, or --report FOLDER, what "
-            "close-loop wrote of it."
-        )
-    for name, usual in (("duration", DURATION), ("dt", PERIOD)):
-        value = getattr(arguments, name)
-        if value is not None and not 0 < value < math.inf:
-            raise _input.Refused(
-                f"--{name} must be a positive number of seconds; got {value:g}",
-                {name: f"{usual:g}"},
-            )
-    if not 0 < arguments.scale <= 1:
-        raise _input.Refused(
-            "--scale must be a share of the limits, above 0 and at most 1; got "
-            f"{arguments.scale:g}",
-            {"scale": "0.5"},
-        )
-
-
-def _check_out(out, force):
-    """Refuse, before the work begins, a file that cannot be or that there is."""
-    if out.is_dir():
-        wrong = f"{out} is a folder, where --out must name a file"
-        other = _input.free(out / "motion.csv")
-    else:
-        _input.check_folder(out.parent, "needs a folder", f"-motion{out.suffix}")
-        if force or not out.exists():
-            return
-        wrong = f"{out} exists; give another --out, or --force to replace it"
-        other = _input.free(out)
-    raise _input.Refused(wrong, {"out": str(other)})
-
-
 def _numbers(option, text, names, *, positive=True):
     """Return a number for each joint (nv,), None for None; one stands for all."""
     if text is None:
         return None
-    found, n = np.array(_input.numbers(text)), len(names)
+    found, n = np.array(list(map(number, text.split(",")))), len(names)
     if positive and found.size == 1:
         found = np.full(n, found[0])
     kind = "positive numbers" if positive else "positions"
@@ -201,14 +164,11 @@ def _described(arguments, found, folder):
     """Take a robot of which only the description is known."""
     from sklearn_vbjfa.design import KnownRobot
 
-    given, joints = (
-        _input.expanded(arguments.urdf),
-        _input.joint_names(arguments.joints),
-    )
+    given, joints = _input.expanded(arguments.urdf), arguments.joints
     if not joints and found is not None:
-        # Those that close-loop held have no place in its report.
+        # Those that identify held have no place in its report.
         joints = tuple(found["joint_names"])
-    urdf, held = _input.robot(given, joints, folder, arguments.base_orientation)
+    urdf, held = _input.robot(arguments, given, joints, folder)
     known = replace(KnownRobot.of(str(urdf)), description=str(given))
     return _Robot(
         known=known,
@@ -219,20 +179,19 @@ def _described(arguments, found, folder):
 
 
 def _identified(arguments, path, found, folder):
-    """Take a robot from the file that close-loop wrote."""
+    """Take a robot from the file that identify wrote."""
     from sklearn_vbjfa import load_identified
     from sklearn_vbjfa.design import KnownRobot
 
-    _input.refuse_given(
-        arguments, ("urdf", "base_orientation"), f"is that of {path}; leave it out"
-    )
+    for name in {"urdf", "base_orientation"} & set(arguments.typed):
+        raise ValueError(f"{spelled(name)} is that of {path}; leave it out.")
     robot = load_identified(path)
     names, model = robot.joint_names_, robot.features_.nominal_
-    joints = _input.joint_names(arguments.joints)
+    joints = arguments.joints
     if joints and set(joints) != set(names):
         raise ValueError(
             f"--joints must name the joints of {path} ({', '.join(names)}); got "
-            f"{', '.join(joints)}. Leave it out, or run close-loop with these joints."
+            f"{', '.join(joints)}. Leave it out, or run identify with these joints."
         )
     provenance = (found.get("provenance") or {}) if found else {}
     file = provenance.get("description") or str(path)
@@ -286,11 +245,11 @@ def _limits(arguments, robot):
         values = _numbers(f"--{name}", getattr(arguments, name), names)
         typed[name] = None if values is None else values[order]
     if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
-        raise _input.Refused(
+        raise Refused(
             "the gains of the torque channels are relative, so that the description's "
             "limits of torque in N m or N do not hold; give --acceleration, or "
             "--torque in the units of the channels",
-            {"acceleration": tuple(2 * np.array(robot.model.velocityLimit)[back])},
+            acceleration=tuple(2 * np.array(robot.model.velocityLimit)[back]),
         )
     try:
         found = MotionLimits.of(robot.model, **typed)
@@ -299,7 +258,7 @@ def _limits(arguments, robot):
             name: tuple(np.array(values)[back].tolist())
             for name, values in error.options.items()
         }
-        raise _input.Refused(f"{error.wrong} {_ADVICE[error.lacks]}", options) from None
+        raise Refused(f"{error.wrong} {_ADVICE[error.lacks]}", **options) from None
     return MotionLimits(
         found.position[back],
         arguments.scale * found.velocity[back],
@@ -319,22 +278,21 @@ def _files(found):
     return ["before.csv" if file == "-" else file for file in files]
 
 
-def _step(arguments, found):
-    """Say what to do with the motion."""
+def _step(out, found):
+    """Return what to do with the motion."""
     like = ""
     if found is not None:
-        like = f", with the columns of {_files(found)[0]}, and give both to close-loop"
-    return f"Run {arguments.out} and record q and tau while it runs{like}."
+        like = f", with the columns of {_files(found)[0]}, and give both to identify"
+    return f"Run {out} and record q and tau while it runs{like}."
 
 
 def _next_command(arguments, robot, found):
     """Return the command to type once the motion was recorded."""
     before = [] if found is None else _files(found)
     urdf = "ROBOT.urdf" if robot.file.endswith(".json") else robot.file
-    options = ["--urdf", urdf]
+    words = ["identify", *before, "recording.csv", "--urdf", urdf]
     if robot.is_reduced:
-        options += ["--joints", ",".join(robot.known.joint_names)]
+        words += ["--joints", ",".join(robot.known.joint_names)]
     if arguments.base_orientation is not None:
-        options += ["--base-orientation", arguments.base_orientation]
-    words = ["python", "-m", "sklearn_vbjfa", "close-loop", *before, "recording.csv"]
-    return shlex.join([*words, *options])
+        words += ["--base-orientation", arguments.typed["base_orientation"]]
+    return shlex.join(["python", "-m", "sklearn_vbjfa", *words])

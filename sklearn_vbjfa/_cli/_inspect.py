@@ -7,7 +7,7 @@ import numpy as np
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._run import Done, wrapped
 
-_TOO_SHORT = "too short for a look at the motion"
+_TOO_SHORT = "too short to examine the motion"
 
 
 def list_effects(arguments, folder):
@@ -24,9 +24,6 @@ def list_effects(arguments, folder):
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
 
 
-# -- a recording described -------------------------------------------------------------
-
-
 def inspect(arguments, folder):
     """Read a recording and describe it."""
     from sklearn_vbjfa.inspection import motion_of
@@ -36,47 +33,65 @@ def inspect(arguments, folder):
     loaded.signals(arguments.signals)
     recording, findings = loaded.recording, loaded.findings()
     motions = motion_of(recording, str(loaded.urdf))
+    faults = _faults(recording, findings, arguments.drive)
     text = [
-        *_what(recording, loaded.other_joints()),
+        *_properties(recording, loaded.other_joints()),
         "",
-        *_table(recording, motions),
+        *(_table(recording, motions) if motions else [_TOO_SHORT]),
         "",
-        *_wrong(recording, findings, arguments.drive),
+        "Faults",
+        *(faults or ["- none that the robot description shows"]),
         "",
-        *_shown(motions),
+        "Identifiable from this motion",
+        *_by_joint(motions, "shows"),
+        "Not identifiable from this motion, or poorly",
+        *_by_joint(motions, "hides"),
     ]
-    doubts = [*([] if motions else [_TOO_SHORT]), *_input.channel_doubts(findings)]
-    return Done(text="\n".join(text), doubts=doubts)
+    doubts = [] if motions else [_TOO_SHORT]
+    data = {
+        "samples": recording.n_samples,
+        "dt": recording.dt,
+        "joint_names": list(recording.joint_names),
+        "recordings": list(map(str, recording.group_names)),
+        "held": list(loaded.held),
+        "faults": faults,
+        "findings": [
+            {"kind": one.kind, "severity": one.severity, "message": one.message}
+            | {"joints": [int(j) for j in one.joints]}
+            for one in findings
+        ],
+        "identifiable": {one.name: list(one.shows) for one in motions},
+        "not_identifiable": {one.name: list(one.hides) for one in motions},
+    }
+    return Done(
+        text="\n".join(text),
+        data=data,
+        doubts=[*doubts, *_input.channel_doubts(findings)],
+    )
 
 
-def _what(recording, others):
-    """Say what the data are; others : lines on joints without columns."""
+def _properties(recording, others):
+    """Return lines on the recording; others: lines on joints without columns."""
     lengths = np.bincount(recording.groups) * recording.dt
-    listed = [
-        f"{name} {length:.4g} s" for name, length in zip(recording.group_names, lengths)
-    ]
+    parts = [f"{x} {n:.4g} s" for x, n in zip(recording.group_names, lengths)]
+    duration = f"{recording.n_samples * recording.dt:.4g} s"
+    rate = f"{1 / recording.dt:.6g} Hz"
     lines = [
         str(recording),
-        wrapped(
-            f"{recording.n_samples * recording.dt:.4g} s at {1 / recording.dt:.6g} Hz: "
-            f"{', '.join(listed)}",
-            sys.stdout,
-        ),
+        wrapped(f"{duration} at {rate}: {', '.join(parts)}", sys.stdout),
     ]
     if recording.signals:
         names = [name for name in recording.signals if name != "a"]
-        lines.append(f"signals beside the motion: {', '.join(names) or 'none'}")
+        lines.append(f"other columns: {', '.join(names) or 'none'}")
     if recording.torque_noise is not None:
         lines.append("rows were interpolated on a uniform grid")
     return [*lines, *others]
 
 
 def _table(recording, motions):
-    """Tabulate what each joint does."""
+    """Return the lines of a table with the motion of each joint."""
     from tabulate import tabulate
 
-    if not motions:
-        return [_TOO_SHORT]
     rows = []
     for motion, unit in zip(motions, recording.torque_units):
         scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")
@@ -92,44 +107,33 @@ def _table(recording, motions):
                 f"{'N' if motion.slides else 'N m'}",
             ]
         )
-    heads = ["joint", "position", "speed", "reversals", "at rest", "torque"]
-    table = tabulate(
-        rows,
-        headers=[*heads, "of it gravity"],
-        disable_numparse=True,
-        colalign=("left", *6 * ["right"]),
-    )
+    heads = ["joint", "position", "speed", "reversals", "at rest", "torque", "gravity"]
+    align = ("left", *["right"] * (len(heads) - 1))
+    table = tabulate(rows, headers=heads, disable_numparse=True, colalign=align)
     return table.splitlines()
 
 
-def _wrong(recording, findings, drive):
-    """Say what is wrong with the channels."""
-    odd = [unit for unit in recording.torque_units if unit not in ("N m", "N")]
-    lines = ["What is wrong with it"]
-    lines += [f"- {x.severity}: {x.message}" for x in findings]
-    if odd and drive is None:
+def _faults(recording, findings, drive):
+    """Return a line for each fault of the channels."""
+    lines = [f"- {x.severity}: {x.message}" for x in findings]
+    units = _input.motor_units(recording)
+    if units and drive is None:
+        unknown = ", or --gain unknown" if recording.nv > 1 else ""
         lines.append(
-            f"- torques are recorded in {odd[0]}: close-loop needs the factors to N m "
-            f"(--gain){', or --gain unknown' if recording.nv > 1 else ''}"
+            f"- torques are recorded in {units[0]}: identify needs the factors to N m "
+            f"(--gain){unknown}"
         )
-    return lines if len(lines) > 1 else [*lines, "- nothing that the robot would show"]
-
-
-def _shown(motions):
-    """Say what the motion can show and what it cannot, joints with the same in one."""
-    lines = []
-    for head, of in (
-        ("What it can show", lambda motion: motion.shows),
-        ("What it can hardly show, or not at all", lambda motion: motion.hides),
-    ):
-        joints = {}
-        for motion in motions:
-            for what in of(motion):
-                joints.setdefault(what, []).append(motion.name)
-        lines.append(head)
-        for what, names in joints.items():
-            every = len(names) == len(motions) > 1
-            lines.append(f"- {'all joints' if every else ', '.join(names)}: {what}")
-        if not joints:
-            lines.append("- nothing")
     return lines
+
+
+def _by_joint(motions, attribute):
+    """Return a line for each effect of an attribute, with its joints."""
+    joints = {}
+    for motion in motions:
+        for effect in getattr(motion, attribute):
+            joints.setdefault(effect, []).append(motion.name)
+    lines = []
+    for effect, names in joints.items():
+        every = len(names) == len(motions) > 1
+        lines.append(f"- {'all joints' if every else ', '.join(names)}: {effect}")
+    return lines or ["- nothing"]

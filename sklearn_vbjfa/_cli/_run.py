@@ -2,40 +2,53 @@
 
 import contextlib
 import importlib
-import os
+import json
 import re
 import shutil
 import sys
 import tempfile
 import textwrap
+import time
 import warnings
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-# -- the skeleton of every command -----------------------------------------------------
+from sklearn_vbjfa._cli._parser import Refused
+
+# The result can be used; nothing was done; finished with a warning that forbids a use.
+USABLE, REFUSED, DOUBTFUL = 0, 2, 3
+
+# Longest message [characters].
+_LONGEST = 900
+# Warnings that the last line names, and characters for each if a page has them whole.
+_NAMED, _BRIEF = 3, 60
+# Age at which unfinished files are those of a killed run [s].
+_ABANDONED = 3600.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Done:
-    """What a command has found."""
+    """Result of a command."""
 
     text: str  # printed
-    doubts: tuple = ()  # what stands against using it
-    folder: Path | None = None  # where its files go
-    # whether the folder had none of them: those that are there now are another run's
-    fresh: bool = False
+    doubts: tuple | list = ()  # warnings that forbid a use
+    data: dict | str | None = None  # printed by --json: a report, or a file's name
+    folder: Path | None = None  # of the files
     files: tuple = ()  # their names
-    # writes them to a folder, given the warnings; returns lines to print behind `text`
-    write: object = None
-    page: bool = False  # whether the first of them tells all that a terminal leaves out
+    # Writes them to a folder, given the notes; returns further lines to print.
+    write: Callable | None = None
+    page: bool = False  # whether the first file has everything that is not printed
 
 
 def run(arguments):
-    """Run the command that arguments name."""
+    """Run a command; return the exit code."""
     from sklearn_vbjfa._core._progress import show_progress
+    from sklearn_vbjfa.model import DoubtWarning
 
     module, _, name = arguments.run.partition(":")
     command = getattr(importlib.import_module(f"sklearn_vbjfa._cli.{module}"), name)
+    as_json = getattr(arguments, "json", False)
     with (
         tempfile.TemporaryDirectory() as folder,
         warnings.catch_warnings(record=True) as caught,
@@ -43,74 +56,33 @@ def run(arguments):
     ):
         warnings.simplefilter("always")
         done = command(arguments, Path(folder))
-        # Before anything is printed: the reader of the output may leave.
-        arguments.doubts = [*done.doubts, *_doubts_of(caught)]
-        arguments.page = done.page
-        lines = [] if done.write is None else _write(arguments, done, caught)
-    print("\n".join([done.text, *(wrapped(line, sys.stdout) for line in lines)]))
-    for text in () if done.page else _told(caught):
+        if not as_json:
+            print(done.text)
+        folder, lines = done.folder, []
+        if done.write is not None:
+            folder, lines = _write(done, arguments, _notes(caught))
+    if as_json and isinstance(done.data, str):
+        print((folder / done.data).read_text(encoding="utf-8"))
+    elif as_json:
+        print(json.dumps(done.data, indent=1))
+    for line in () if as_json else lines:
+        print(wrapped(line, sys.stdout))
+    sys.stdout.flush()
+    for text in () if done.page else _notes(caught):
         say(wrapped(f"note: {text}", sys.stderr))
+    doubts = [str(x.message) for x in caught if issubclass(x.category, DoubtWarning)]
+    doubts = list(dict.fromkeys([*done.doubts, *doubts]))
+    if not doubts:
+        return USABLE
+    say(wrapped(one_line(f"note: {_exit_line(doubts, done.page)}"), sys.stderr))
+    return DOUBTFUL
 
 
-def _write(arguments, done, caught):
-    """Write all files or none, each complete; return what is to be said of them."""
-    from sklearn_vbjfa._cli._input import free
-    from sklearn_vbjfa._core._progress import stage
-
-    if done.fresh and any((done.folder / name).exists() for name in done.files):
-        done = replace(done, folder=free(done.folder))
-    try:
-        with stage("writing"):
-            done.folder.mkdir(parents=True, exist_ok=True)
-            with tempfile.TemporaryDirectory(
-                dir=done.folder, prefix=".writing-"
-            ) as folder:
-                lines = done.write(Path(folder), _told(caught))
-                for name in done.files:
-                    os.replace(Path(folder, name), done.folder / name)
-            arguments.written = True
-    except OSError as error:
-        print(done.text)
-        if error.filename is None and error.errno is not None:
-            # A full disk does not say which.
-            raise OSError(error.errno, error.strerror, str(done.folder)) from error
-        raise
-    moved = filter(None, [getattr(arguments, "moved", "")])
-    names = _named_files(done, len(_told(caught)))
-    return [*lines, *moved, f"written: {names}"]
-
-
-def _named_files(done, n_notes):
-    """Name the files that are written; beside a page only how many they are."""
-    paths = [str(done.folder / name) for name in done.files]
-    if not done.page:
-        return ", ".join(paths)
-    notes = f"; notes: {n_notes}" if n_notes else ""
-    return f"{paths[0]} (more{notes}), {len(paths) - 1} files"
-
-
-@contextlib.contextmanager
-def blaming(source, gains=None):
-    """Name what was read in a refusal: the options are valid, so it is at fault."""
-    # gains: factors that its torques have already, which signs are multiplied with.
-    from sklearn_vbjfa.physical import ProjectionError
-
-    try:
-        yield
-    except (ValueError, ProjectionError) as error:
-        refused = ValueError(f"{source}: {getattr(error, 'reason', error)}")
-        refused.options = dict(getattr(error, "options", {}))
-        signs = refused.options.get("gains")
-        if isinstance(signs, tuple) and gains is not None:
-            refused.options["gains"] = tuple(a * b for a, b in zip(signs, gains))
-        raise refused from error
-
-
-def _told(caught):
-    """Texts of the warnings that concern a user, each once, a tuple of str."""
+def _notes(caught):
+    """Return the texts of the warnings that concern a user, each once."""
     from sklearn.exceptions import ConvergenceWarning
 
-    # Convergence of the rivals does not concern the user; the data do.
+    # Convergence concerns rivals of the model that is reported.
     return tuple(
         dict.fromkeys(
             " ".join(str(warning.message).split())
@@ -121,60 +93,71 @@ def _told(caught):
     )
 
 
-# -- exit codes and the doubts that decide between them --------------------------------
-
-# Nothing stands against using the result; nothing was done; done with a stated doubt.
-USABLE, REFUSED, DOUBTFUL = 0, 2, 3
-
-# What is shown below the help of every command.
-EPILOG = (
-    "exit code: 0 without warnings; 2 if nothing was done, with the reason in one line "
-    "on stderr; 3 with warnings: something was left out, failed, could not be judged, "
-    "or cannot be trusted; 130 for an interrupt"
-)
-
-# Doubts that the last line names; all of them are in what was printed before, or on
-# the page.
-_NAMED = 3
-# Characters that the last line has for each if a page has them whole.
-_BRIEF = 60
+# -- files -----------------------------------------------------------------------------
 
 
-def exit_line(doubts, page=False):
-    """Say in a line why the exit code is what it is; in brief if a page says it."""
+def _write(done, arguments, notes):
+    """Write all files or none, each complete; return their folder and lines."""
+    from sklearn_vbjfa._cli._input import free
+    from sklearn_vbjfa._core._progress import stage
+
+    folder, lines = done.folder, []
+    if not arguments.force and any((folder / name).exists() for name in done.files):
+        folder = free(folder)
+        lines = [f"{done.folder} has files of another run (--force replaces them)"]
+    with stage("writing"), _reserved(folder) as part:
+        lines += done.write(part, notes)
+        for name in done.files:
+            (part / name).replace(folder / name)
+    paths = [str(folder / name) for name in done.files]
+    if done.page:
+        count = f"; notes: {len(notes)}" if notes else ""
+        paths = [f"{paths[0]} (more{count})", f"{len(paths) - 1} files"]
+    return folder, [*lines, f"written: {', '.join(paths)}"]
+
+
+@contextlib.contextmanager
+def _reserved(folder):
+    """Reserve a folder for one run; gives a folder in it for incomplete files."""
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / ".writing"
+    if part.is_dir() and time.time() - part.stat().st_mtime > _ABANDONED:
+        shutil.rmtree(part)
+    try:
+        part.mkdir()
+    except FileExistsError:
+        raise Refused(
+            f"another run writes to {folder} (or was killed: delete {part})"
+        ) from None
+    try:
+        yield part
+    finally:
+        shutil.rmtree(part)
+        if not any(folder.iterdir()):
+            folder.rmdir()
+
+
+# -- text ------------------------------------------------------------------------------
+
+
+def _exit_line(doubts, page):
+    """Return a line with the first warnings; in brief if a page has them whole."""
     named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]
     if page:
         named = [brief(one, _BRIEF) for one in named]
-    more = len(doubts) - len(named)
-    return f"exit code {DOUBTFUL}: {'; '.join(named)}" + (
-        f"; and {more} more" if more else ""
-    )
-
-
-def _doubts_of(caught):
-    """Texts of the warnings that state a doubt, each once, a list of str."""
-    from sklearn_vbjfa.model import DoubtWarning
-
-    texts = [
-        str(one.message) for one in caught if issubclass(one.category, DoubtWarning)
-    ]
-    return list(dict.fromkeys(texts))
-
-
-# -- terminals -------------------------------------------------------------------------
+    if len(doubts) > len(named):
+        named.append(f"and {len(doubts) - len(named)} more")
+    return f"exit code {DOUBTFUL}: {'; '.join(named)}"
 
 
 def say(text):
-    """Print to stderr; what nobody can read is no error of its own."""
-    if sys.stderr is not None:
-        with contextlib.suppress(OSError):
-            print(text, file=sys.stderr, flush=True)
+    """Print to stderr."""
+    print(text, file=sys.stderr, flush=True)
 
 
 def brief(text, width):
     """Return the first clauses of a message, as many as a width [characters] takes."""
-    text = " ".join(text.split())
-    # A first word with a colon is the name of a file, which says nothing alone.
+    # A first word with a colon is the name of a file.
     ends = [end.start() for end in re.finditer(r"[;:.](?= )", text)]
     ends = [end for end in ends if " " in text[:end]]
     if len(text) <= width or not ends:
@@ -182,9 +165,18 @@ def brief(text, width):
     return text[: max([end for end in ends if end <= width], default=ends[0])]
 
 
+def one_line(message):
+    """Return a message as one line, without the middle of a huge one."""
+    text = " ".join(str(message).split())
+    if len(text) <= _LONGEST:
+        return text
+    left = len(text) - _LONGEST
+    return f"{text[: _LONGEST - 300]} (and {left} characters more) {text[-300:]}"
+
+
 def wrapped(text, stream):
     """Return a text wrapped to the width of a terminal; as it is for other streams."""
-    if stream is None or not stream.isatty():
+    if not stream.isatty():
         return text
     width = shutil.get_terminal_size().columns
     return textwrap.fill(text, max(width, 40), break_on_hyphens=False)

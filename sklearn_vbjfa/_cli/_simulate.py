@@ -1,70 +1,83 @@
-"""The command ``simulate``: the identified robot in motion, beside the measured one."""
+"""The command ``simulate``: the identified robot in motion, and the measured motion."""
 
 import csv
 import io
 import textwrap
-from dataclasses import dataclass, replace
+import warnings
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sklearn_vbjfa._cli import READING, _close_loop, _input
-from sklearn_vbjfa._cli._run import Done, blaming
+from sklearn_vbjfa._cli import _identify, _input
+from sklearn_vbjfa._cli._parser import Refused, spelled
+from sklearn_vbjfa._cli._run import Done
 
-# What a run writes.
 _TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION: tuple[str, ...] = (
-    "urdf",
-    "base_orientation",
-    "friction",
-    "bodies",
-    "effects",
-)
-_OF_IDENTIFICATION += ("cutoff", "known_mass", "alike")
-_OF_RECORDING = (*READING, "urdf", "base_orientation", "model", "signals")
-# What a robot is called whose bodies are those of the description.
+_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "effects")
+_OF_IDENTIFICATION += ("cutoff", "known_mass", "shared_drives")
+_OF_LOG = ("join", "joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
+_OF_LOG += ("drive", "signals", "urdf", "base_orientation", "model")
+# Label of the robot whose bodies are those of the description.
 _DESCRIBED = "as described"
 _WIDTH = 80  # characters of a line
 
 
-def run(arguments, folder):
-    """Simulate windows of a recording, tell their errors and write the files."""
-    _check(arguments)
-    files = _input.sources(arguments.recording or "demo")
-    source, default = _input.named(files), _input.default_folder(files, "simulation")
-    out = _input.free_folder(arguments, default, (_TABLE,))
-    take = _identified if arguments.model is None else _saved
-    task = take(arguments, source, folder)
-    with blaming(source):
-        found = _simulated(task, arguments.window, timed=arguments.model is None)
-    text = errors_text(found, arguments.window)
+@dataclass(kw_only=True, eq=False)
+class _Simulation:
+    """Windows of a recording, simulated by one or several robots."""
 
-    def write(folder, warned):
-        table = errors_table(found)
-        folder.joinpath(_TABLE).write_text(table, encoding="utf-8", newline="")
+    recording: object
+    rows: np.ndarray  # of the recording, that the windows are cut from
+    robots: dict  # by their labels
+    signals: object  # of these rows
+    summary: str
+    drive: object = None  # that the robots follow commands by; None for torques
+    windows: dict = field(default_factory=dict)  # simulated windows, by label
+    whole: list = field(default_factory=list)  # the same of each whole recording
+    note: str = ""  # why the described robot is not simulated
+
+
+def simulate(arguments, folder):
+    """Simulate windows of a recording, print their errors and write them."""
+    _check(arguments)
+    out = _input.output_folder(arguments, "simulation")
+    source = _input.named(arguments) if arguments.recording else "demo"
+    prepare = _identified if arguments.model is None else _saved
+    task = prepare(arguments, source, folder)
+    with _input.blaming(source):
+        # Saved models count time from their own fit.
+        _run(task, arguments.window, timed=arguments.model is None)
+
+    def write(folder, notes):
+        path = folder / _TABLE
+        path.write_text(errors_table(task), encoding="utf-8", newline="")
         return [""]
 
     return Done(
-        text=text,
-        doubts=doubts_of(found),
+        text=_text(task, arguments.window),
+        doubts=_doubts(task),
         folder=out,
-        fresh=not arguments.force,
         files=(_TABLE,),
         write=write,
     )
 
 
 def _check(arguments):
-    """Refuse options that do not go together."""
+    """Refuse options that exclude one another."""
+
+    def refuse(names, reason):
+        for name in names:
+            if name in arguments.typed:
+                raise ValueError(f"{spelled(name)} {reason}.")
+
     if not arguments.recording:
-        _input.refuse_given(
-            arguments,
-            _OF_RECORDING,
-            "needs a RECORDING; without one, the recording that comes with the package "
-            "is simulated",
+        refuse(
+            _OF_LOG,
+            "needs a LOG; without one, the recording of the package is simulated",
         )
     elif arguments.model is None and arguments.urdf is None:
         raise ValueError(
@@ -72,123 +85,28 @@ def _check(arguments):
             "identified robot."
         )
     if len(arguments.recording) > 1 and not arguments.join:
-        raise _input.Refused(
+        raise Refused(
             f"simulate takes one recording, got {len(arguments.recording)} files; "
             "--join if they are one",
-            {"join": True},
+            join=True,
         )
     if arguments.model is not None:
-        _input.refuse_given(
-            arguments,
+        refuse(
             _OF_IDENTIFICATION,
             "belongs to an identification, and the robot of --model is identified; "
             "give one of the two",
-        )
-    if not 0 < arguments.window < np.inf:
-        raise ValueError(
-            f"--window must be a positive number of seconds; got {arguments.window:g}."
         )
 
 
 # -- robots ----------------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Task:
-    """What is simulated."""
-
-    recording: object
-    rows: np.ndarray  # of the recording
-    robots: dict  # by their labels
-    signals: object  # what was recorded beside these rows
-    summary: str  # what was identified, a line
-    drive: object = None  # that the robots are told positions by; None for torques
-
-
-def _windows_of(robots, *recording, by=None, **settings):
-    """Simulate the same windows by several robots, of each label its windows."""
-    from sklearn_vbjfa._core._progress import counted
-    from sklearn_vbjfa.diagnosis import simulate_windows
-
-    found, by = {}, by or simulate_windows
-    for label in counted(robots, "simulating", "robots"):
-        first = next(iter(found.values()), None)
-        found[label] = by(robots[label], *recording, beside=first, **settings)
-    return found
-
-
-def _simulated(task, seconds, *, timed):
-    """Simulate the same windows of the rows by each robot, as `Simulated`."""
-    recording, rows = task.recording, task.rows
-    # Saved models have a clock of their own.
-    times = recording.clock()[rows] if timed else None
-    known = {"recording": recording, "rows": rows, "summary": task.summary}
-    if task.drive is not None:
-        return Simulated(**known, **_followed(task, times, seconds))
-    part = recording.q[rows], recording.tau[rows], recording.groups[rows], times
-    windows = _windows_of(task.robots, *part, window=seconds, signals=task.signals)
-    return Simulated(**known, windows=windows)
-
-
-def _followed(task, times, seconds):
-    """Simulate windows, and all rows, from commands alone; fields of `Simulated`."""
-    from sklearn_vbjfa.robot import follow_windows
-
-    part, one = _rows_of(task.recording, task.rows), next(iter(task.robots.values()))
-    if times is None:
-        times = one.robot_.clock(None, part.n_samples)
-    cuts = [
-        (
-            _rows_of(part, np.arange(rows.start, rows.stop)),
-            times[rows],
-            {"window": None, "signals": _at(task.signals, rows)},
-        )
-        for rows in part.segments
-    ]
-    cuts.append((part, times, {"window": seconds, "signals": task.signals}))
-    found = [
-        _windows_of(task.robots, task.drive, *one, by=follow_windows, **settings)
-        for *one, settings in cuts
-    ]
-    left = ""
-    # Torques that have a unit of their own are not those of a description.
-    if len(task.robots) == 1 and one.robot_.gains_ is None:
-        try:
-            found = _with_described(one.robot_, task.drive, cuts, found)
-        except ValueError as error:
-            left = f"{_DESCRIBED}: left out. {error}"
-    *whole, windows = found
-    whole = tuple(
-        {
-            label: replace(result, starts=result.starts + rows.start)
-            for label, result in each.items()
-        }
-        for each, rows in zip(whole, part.segments)
-    )
-    return {"windows": windows, "whole": whole, "left": left}
-
-
-def _with_described(robot, drive, cuts, found):
-    """Put the robot of the description first, in the same windows of each cut."""
-    from sklearn_vbjfa.robot import follow_windows
-
-    described, both = robot.described(), []
-    for (*part, settings), windows in zip(cuts, found):
-        beside = next(iter(windows.values()))
-        own = follow_windows(described, drive, *part, beside=beside, **settings)
-        if own.failures:
-            raise ValueError(own.failures[0].message)
-        both.append({_DESCRIBED: own, **windows})
-    return both
-
-
 def _saved(arguments, source, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
-    robot = load_identified(_input.expanded(arguments.model))
+    robot, joints = load_identified(_input.expanded(arguments.model)), arguments.joints
     names = robot.joint_names_
-    joints = _input.joint_names(arguments.joints)
     if joints and set(joints) != set(names):
         raise ValueError(
             f"--joints must name the joints of {arguments.model} ({', '.join(names)}) "
@@ -204,26 +122,25 @@ def _saved(arguments, source, folder):
             f"was identified at {robot.dt:.6g} s; resample the recording to that "
             "period, or identify from this one."
         )
-    drive = _input.drive(arguments.drive)
     loaded = _input.LoadedRecording(
-        recording=recording, urdf=urdf, source=source, gains=gains, drive=drive
+        recording=recording,
+        urdf=urdf,
+        source=source,
+        gains=gains,
+        drive=arguments.drive,
     )
-    loaded.check_channels()
-    effects = ", ".join(
-        f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_
-    )
-    summary = f"model: {arguments.model}, effects: {effects or 'none'}"
+    _check_channels(loaded)
+    effects = [f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_]
+    summary = f"model: {arguments.model}, effects: {', '.join(effects) or 'none'}"
+    drive = arguments.drive
     if drive is not None:
         recording, drive = _commanded(drive, robot, recording)
     if drive is not None:
-        late = _input.command_delay(robot)
-        late = (
-            f"{1e3 * late:.3g} ms" if late is not None else "a time that is not known"
-        )
-        if drive.waits is not None:
-            late = f"{1e3 * drive.waits:.3g} ms, as given,"
-        summary += f"\ncommands act {late} after they are logged"
-    return _Task(
+        late = _command_delay(robot) if drive.waits is None else drive.waits
+        late = "an unknown time" if late is None else f"{1e3 * late:.3g} ms"
+        given = "" if drive.waits is None else ", as given,"
+        summary += f"\ncommands act {late}{given} after they are logged"
+    return _Simulation(
         recording=recording,
         rows=np.arange(recording.n_samples),
         robots={"simulated": robot},
@@ -233,29 +150,16 @@ def _saved(arguments, source, folder):
     )
 
 
-def _commanded(drive, robot, recording):
-    """Return a recording for a simulation, and the drive that is told its commands."""
-    # The drive is None where the recording's torques take its place.
-    if not drive.of_positions:
-        return _input.followed(drive, robot, recording), None
-    if _input.command_delay(robot) is not None:
-        # The delay is that of the fit.
-        drive = _input.replaced(drive, delay="auto")
-    # Of all rows: parts of it have commands from before they begin.
-    return drive.driven(replace(recording, command=None)), drive
-
-
 def _saved_gains(arguments, robot):
     """Return the gains of a recording for a saved robot, "unknown" for its own."""
-    gains = _input.gains(arguments.gain)
     if robot.gains_ is None:
-        if gains == "unknown":
+        if arguments.gain == "unknown":
             raise ValueError(
                 f"--gain unknown belongs to an identification, and {arguments.model} "
                 "was identified from torques in N m or N; give the factors to them."
             )
-        return gains
-    if gains not in (None, "unknown"):
+        return arguments.gain
+    if arguments.gain not in (None, "unknown"):
         raise ValueError(
             f"{arguments.model} was identified with unknown gains, so that its torques "
             "are what the channels read; leave --gain out."
@@ -263,73 +167,90 @@ def _saved_gains(arguments, robot):
     return "unknown"
 
 
+def _check_channels(loaded):
+    """Refuse channels that are not what they are called; warn of doubtful ones."""
+    from sklearn_vbjfa.inspection import refusal
+    from sklearn_vbjfa.model import DoubtWarning
+
+    findings = loaded.findings()
+    measured = loaded.drive is None and loaded.gains != "unknown"
+    wrong = refusal(findings, loaded.recording.torque_units if measured else ())
+    if wrong is not None:
+        with _input.blaming(loaded.source, loaded.gains):
+            raise wrong
+    for message in _input.channel_doubts(findings):
+        warnings.warn(f"{loaded.source}: {message}", DoubtWarning, stacklevel=2)
+
+
 def _identified(arguments, source, folder):
     """Identify the first part of every recording, for the rest."""
     from sklearn_vbjfa.datasets import load_demo_recording
 
-    settings, library = _input.settings(arguments), _input.library(arguments.effects)
-    signals = None
-    if not arguments.recording:
+    settings, signals = _input.settings(arguments), None
+    if arguments.recording:
+        loaded = _input.load(arguments, folder)
+        _check_channels(loaded)
+        signals = loaded.signals(arguments.signals)
+    else:
         demo = load_demo_recording()
         loaded = _input.LoadedRecording(recording=demo, urdf=demo.urdf, source=source)
-    else:
-        loaded = _input.load(arguments, folder)
-        loaded.check_channels()
-        signals = loaded.signals(arguments.signals)
-    loaded.check(settings)
     recording = loaded.recording
     first, rest = _parts(recording)
-    part = _rows_of(recording, first)
-    known = {"t": recording.clock()[first], "signals": _at(signals, first)}
-    settings["torque_noise"] = recording.torque_noise
-    with blaming(source, loaded.gains):
-        robots = _robots(part, str(loaded.urdf), library, known, settings)
-    late, drive = "", settings.get("drive")
+    with _input.blaming(source, loaded.gains):
+        robots = _robots(
+            _rows_of(recording, first),
+            str(loaded.urdf),
+            arguments.effects,
+            t=recording.clock()[first],
+            signals=_at(signals, first),
+            settings=settings,
+        )
+    friction = ", ".join(settings["friction"]) or "none"
+    lines = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
+    drive = arguments.drive
     if drive is not None:
         last = list(robots.values())[-1]
         recording, drive = _commanded(drive, last, recording)
-        said = _input.said_delay(last)
-        late = f"no torque was measured: {said}\n" if said else ""
-    summary = late + (
-        f"first {100 * _SHARE:g} % of every recording identified, the rest simulated\n"
-        f"friction: {', '.join(settings['friction']) or 'none'}"
+        said = _said_delay(last)
+        lines += [f"no torque was measured: {said}"] if said else []
+    lines.append(
+        f"first {100 * _SHARE:g} % of every recording identified, the rest simulated"
     )
-    if loaded.held:
-        summary = f"held at zero: {', '.join(loaded.held)}\n{summary}"
+    lines.append(f"friction: {friction}")
     if "completed" in robots:
-        found = robots["completed"].effects_
         names = recording.joint_names
-        listed = ", ".join(f"{one.name} on {names[one.joint]}" for one in found)
-        summary += f"; completed by: {listed or 'nothing'}"
-    return _Task(
+        found = [f"{x.name} on {names[x.joint]}" for x in robots["completed"].effects_]
+        lines[-1] += f"; completed by: {', '.join(found) or 'nothing'}"
+    return _Simulation(
         recording=recording,
         rows=rest,
         robots=robots,
         signals=_at(signals, rest),
-        summary=summary,
+        summary="\n".join(lines),
         drive=drive,
     )
 
 
-def _robots(recording, urdf, library, known, settings):
-    """Identify the declared robot, and complete it if effects are to be looked for."""
-    # known: dict of the times and signals of the rows.
+def _robots(recording, urdf, library, *, t, signals, settings):
+    """Identify the declared robot, and complete it if effects are to be searched."""
     from sklearn_vbjfa import RobotIdentifier
 
     if not library:
-        robot = RobotIdentifier(urdf, dt=recording.dt, **settings)
+        robot = RobotIdentifier(
+            urdf, dt=recording.dt, torque_noise=recording.torque_noise, **settings
+        )
         if robot.drive is None:
-            recording = replace(recording, t=known["t"])
+            recording = replace(recording, t=t)
         return {"simulated": robot.fit_inspected(recording)}
-    loop = _close_loop.close(recording, urdf, effects=library, **known, **settings)
-    robots = {"declared": loop.declared_}
-    if loop.added_:
-        robots["four plain terms"] = loop.baseline_
-    return {**robots, "completed": loop.identifier_}
+    loop = _identify.search(
+        recording, urdf, effects=library, t=t, signals=signals, **settings
+    )
+    baseline = {"four plain terms": loop.baseline_} if loop.added_ else {}
+    return {"declared": loop.declared_, **baseline, "completed": loop.identifier_}
 
 
 def _parts(recording):
-    """Rows that are identified and rows that are simulated."""
+    """Return the rows that are identified and those that are simulated."""
     first, rest = [], []
     for part in recording.segments:
         border = part.start + round(_SHARE * (part.stop - part.start))
@@ -339,14 +260,14 @@ def _parts(recording):
 
 
 def _rows_of(recording, rows):
-    """Make a recording of some rows of another."""
+    """Return a recording of some rows of another."""
     from sklearn_vbjfa.recording import take_rows
 
     return take_rows(recording, rows, recording.groups[rows])
 
 
 def _at(signals, rows):
-    """Signals at some rows."""
+    """Return signals at some rows."""
     from sklearn_vbjfa.recording import OfferedSignals
 
     if signals is None:
@@ -357,95 +278,179 @@ def _at(signals, rows):
     return {name: x[rows] for name, x in signals.items()}
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Simulated:
-    """Windows of a recording, simulated."""
-
-    recording: object
-    rows: np.ndarray  # of the recording that the windows are cut from
-    windows: dict  # the same windows of each robot, by its label
-    summary: str  # what was identified, some lines
-    # the same of each recording as a whole, where commands alone drove the robots
-    whole: tuple = ()
-    left: str = ""  # what is not simulated, and why; empty for nothing
+# -- drives ----------------------------------------------------------------------------
 
 
-# -- what is said ----------------------------------------------------------------------
+def _commanded(drive, robot, recording):
+    """Return a recording for a simulation, and the drive that follows its commands."""
+    # The drive is None where the torques of the recording take its place.
+    from sklearn.base import clone
+
+    from sklearn_vbjfa.robot import signed
+
+    late = _command_delay(robot)
+    if drive.of_positions:
+        # The delay is that of the fit.
+        drive = drive if late is None else clone(drive).set_params(delay="auto")
+        # Of all rows: parts of it have commands from before they begin.
+        return drive.driven(replace(recording, command=None)), drive
+    drive = drive if late is None else clone(drive).set_params(delay=late)
+    driven = drive.driven(replace(recording, command=None))
+    if drive.unsigned:
+        driven = signed(getattr(robot, "robot_", robot), driven)
+    return driven, None
 
 
-def errors_text(simulated, seconds):
-    """Errors joint by joint, and what became of the windows."""
-    windows = simulated.windows
-    one = next(iter(windows.values()))
-    whole = ~np.any([result.failed for result in windows.values()], axis=0)
-    scale, units = one.scales
-    positions = {"": one.joint_names, "unit": units}
-    for label, result in (windows | one.rivals).items():
-        errors = result.errors[whole] * scale
-        positions[label] = _over_windows(errors, _rms)
+def _command_delay(robot):
+    """Return the delay of the commands of a fitted robot [s], None if not found."""
+    from sklearn_vbjfa.effects import CommandDelay
+
+    late = [x.delay for x in robot.effects_ if isinstance(x, CommandDelay)]
+    return late[0] if late else None
+
+
+def _said_delay(robot):
+    """Return a sentence on the delay of the commands, "" for nothing found."""
+    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+    from sklearn_vbjfa.diagnosis.report import delay_sentence
+
+    rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
+    return " ".join(delay_sentence(one.value, one.interval) for one in rows)
+
+
+# -- simulation ------------------------------------------------------------------------
+
+
+def _run(task, seconds, *, timed):
+    """Simulate the same windows of the rows with each robot."""
+    from sklearn_vbjfa.diagnosis import simulate_windows
+
+    part = _rows_of(task.recording, task.rows)
+    times = task.recording.clock()[task.rows] if timed else None
+    if task.drive is not None:
+        _follow(task, part, times, seconds)
+        return
+    motion = part.q, part.tau, part.groups, times
+    options = {"window": seconds, "signals": task.signals}
+    task.windows = _by_all(task.robots, simulate_windows, *motion, **options)
+
+
+def _by_all(robots, simulate, *arguments, beside=None, **options):
+    """Simulate the same windows with several robots; return them by label."""
+    from sklearn_vbjfa._core._progress import counted
+
+    found = {}
+    for label in counted(robots, "simulating", "robots"):
+        found[label] = simulate(robots[label], *arguments, beside=beside, **options)
+        beside = beside or found[label]
+    return found
+
+
+def _follow(task, part, times, seconds):
+    """Simulate whole recordings and windows from commands alone."""
+    from sklearn_vbjfa.robot import follow_windows
+
+    robot = next(iter(task.robots.values())).robot_
+    if times is None:
+        times = robot.clock(None, part.n_samples)
+
+    def run(robots, rows, window, beside=None):
+        cut = task.drive, _rows_of(part, rows), times[rows]
+        options = {"window": window, "signals": _at(task.signals, rows)}
+        return _by_all(robots, follow_windows, *cut, beside=beside, **options)
+
+    cuts = [(np.arange(rows.start, rows.stop), None) for rows in part.segments]
+    cuts.append((np.arange(part.n_samples), seconds))
+    found = [run(task.robots, *cut) for cut in cuts]
+    # Torques in units of their channel are not those of a description.
+    if len(task.robots) == 1 and robot.gains_ is None:
+        try:
+            described = {_DESCRIBED: robot.described()}
+            both = [
+                run(described, *cut, next(iter(one.values()))) | one
+                for cut, one in zip(cuts, found)
+            ]
+            failed = [one[_DESCRIBED].failures for one in both]
+            if any(failed):
+                raise ValueError(next(filter(None, failed))[0].message)
+            found = both
+        except ValueError as error:
+            task.note = f"{_DESCRIBED}: left out. {error}"
+    *task.whole, task.windows = found
+    for one, rows in zip(task.whole, part.segments):
+        for label, result in one.items():
+            one[label] = replace(result, starts=result.starts + rows.start)
+
+
+# -- text ------------------------------------------------------------------------------
+
+
+def _text(task, seconds):
+    """Return the errors of each joint, and what became of the windows."""
+    windows = task.windows
+    first = next(iter(windows.values()))
+    complete = ~np.any([result.failed for result in windows.values()], axis=0)
+    scale, units = first.scales
+    columns = {"": first.joint_names, "unit": units}
+    for label, result in (windows | first.rivals).items():
+        errors = result.errors[complete] * scale
+        columns[label] = _cells(np.sqrt(_mean(errors**2)))
         if label in windows:
             # Heads differ in blanks where two models are simulated.
-            head = f"median{' ' * list(windows).index(label)}"
-            positions[head] = _over_windows(errors, _median)
-    which = "all" if whole.all() else f"{whole.sum()} of"
+            columns[f"median{' ' * len(columns)}"] = _cells(_mean(errors, np.median))
+    count = "all" if complete.all() else f"{complete.sum()} of"
     lines = [
-        str(simulated.recording),
-        simulated.summary,
+        str(task.recording),
+        task.summary,
         "",
         f"position error over windows of {seconds:g} s, root mean square",
-        _tabulated(positions),
+        _tabulated(columns),
         "",
-        *_over_all(simulated),
-        *_said_windows(simulated, f"{which} {whole.size} windows"),
+        *(_whole_recordings(task) if task.whole else []),
+        *_wrapped(
+            f"{count} {complete.size} windows, each from the measured state at its "
+            f"start and {_explanation(task)}"
+        ),
+        *_wrapped(task.note),
     ]
-    if simulated.left:
-        lines += textwrap.wrap(simulated.left, _WIDTH)
-    for text in [text for one in simulated.whole for text in _ended(one)]:
-        lines += textwrap.wrap(f"whole recordings: {text}", _WIDTH)
+    for text in _failed_recordings(task):
+        lines += _wrapped(f"whole recordings: {text}")
     for label, result in windows.items():
-        if label == _DESCRIBED:
-            continue
-        who = f"{label}: " if len(windows) > 1 else ""
-        lines += ["", *_verdict(who, result)]
-        if result.failures:
-            lines += textwrap.wrap(who + _failed(simulated, result), _WIDTH)
-        if result.run_away.any():
-            lines += textwrap.wrap(who + _run_away(simulated, result), _WIDTH)
+        if label != _DESCRIBED:
+            who = f"{label}: " if len(windows) > 1 else ""
+            lines += ["", *_verdict(task, who, result)]
     return "\n".join(lines)
 
 
-def _said_windows(simulated, count):
-    """Say what windows are, and the columns of the table, lines of a terminal."""
-    summary = f"{count}, each from the measured state at its start and "
-    if simulated.whole:
-        summary += (
-            "told the recorded commands alone. median: of the windows' position "
+def _wrapped(text):
+    return textwrap.wrap(text, _WIDTH)
+
+
+def _explanation(task):
+    """Return what drives the robots, and the columns of the table."""
+    if task.whole:
+        return (
+            "driven by the recorded commands alone. median: of the windows' position "
             "errors; as told: a robot that is where it is told to be."
         )
-    else:
-        summary += (
-            "driven by the measured torques. median: of the windows' position errors; "
-            "stays, goes on: a robot that stays where it was, and one that keeps its "
-            "velocity."
-        )
-    return textwrap.wrap(summary, _WIDTH)
+    return (
+        "driven by the measured torques. median: of the windows' position errors; "
+        "stays, goes on: a robot that stays where it was, and one that keeps its "
+        "velocity."
+    )
 
 
-def _over_all(simulated):
-    """Tabulate errors over whole recordings, where these are simulated; lines."""
-    if not simulated.whole:
-        return []
-    found = [
-        {**result, **next(iter(result.values())).rivals} for result in simulated.whole
-    ]
-    counts = [next(iter(result.values())).t.size for result in simulated.whole]
-    scale, units = next(iter(simulated.windows.values())).scales
-    columns = {"": next(iter(found[0].values())).joint_names, "unit": units}
+def _whole_recordings(task):
+    """Return the lines of a table with the errors over whole recordings."""
+    first = next(iter(task.windows.values()))
+    scale, units = first.scales
+    columns = {"": first.joint_names, "unit": units}
+    found = [one | next(iter(one.values())).rivals for one in task.whole]
+    sizes = [next(iter(one.values())).t.size for one in task.whole]
     for label in found[0]:
         # One that failed has no error, and neither have all together.
-        squares = [result[label].errors[0] ** 2 for result in found]
-        errors = scale * np.sqrt(np.average(squares, axis=0, weights=counts))
-        columns[label] = _over_windows(errors[None], _rms)
+        squares = [one[label].errors[0] ** 2 for one in found]
+        columns[label] = _cells(scale * np.sqrt(np.average(squares, 0, weights=sizes)))
     return [
         "over whole recordings, from their first states on",
         _tabulated(columns),
@@ -453,22 +458,8 @@ def _over_all(simulated):
     ]
 
 
-def doubts_of(simulated):
-    """Say what stands against the simulation, a list of str."""
-    # Of two models it is the last one that is handed on; a window that fails is left
-    # out of the errors of both.
-    windows = simulated.windows
-    last = list(windows.values())[-1]
-    failed = [result for result in windows.values() if result.failures]
-    doubts = [f"{_failed_count(result)} failed" for result in failed]
-    doubts += [text for one in simulated.whole for text in _ended(one)]
-    if last.run_away.any():
-        doubts.append(f"{_away_count(last)} joints ran away")
-    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
-
-
 def _tabulated(columns):
-    """Write columns of text, the first two of them words, as a table."""
+    """Return a table of text, in which the first two columns are words."""
     from tabulate import tabulate
 
     return tabulate(
@@ -479,46 +470,61 @@ def _tabulated(columns):
     )
 
 
-def _over_windows(errors, mean):
-    """Write a mean of errors (n_windows, nv) for each joint, "none" without any."""
-    found = mean(errors) if len(errors) else np.full(errors.shape[1], np.nan)
-    # none is negative
-    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in found]
+def _mean(errors, mean=np.mean):
+    """Return a mean over windows, nan without any."""
+    return mean(errors, axis=0) if len(errors) else np.full(errors.shape[1], np.nan)
 
 
-def _rms(errors):
-    return np.sqrt(np.mean(errors**2, axis=0))
+def _cells(numbers):
+    return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in numbers]
 
 
-def _median(errors):
-    return np.median(errors, axis=0)
-
-
-def _verdict(who, windows):
-    """Say whether a model was needed for its errors, lines of a terminal."""
-    summary = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
-    summary += "errors, Student's t at 5 %"
+def _verdict(task, who, windows):
+    """Return lines on whether a model was needed, and on windows that went wrong."""
+    text = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
+    text += "errors, Student's t at 5 %"
     if windows.failed.any():
-        summary += "; a window that failed counts as the worst error of these"
-    return textwrap.wrap(f"{summary})", _WIDTH)
+        text += "; a window that failed counts as the worst error of these"
+    lines = _wrapped(f"{text})")
+    if windows.failures:
+        first = windows.failures[0]
+        lines += _wrapped(
+            f"{who}{_failed_count(windows)} failed (see {_TABLE}), the first at "
+            f"{_placed(task, windows, first.window)}: {first.message}"
+        )
+    away = windows.run_away
+    if away.any():
+        k = np.flatnonzero(away.any(axis=1))[0]
+        joints = ", ".join(np.array(windows.joint_names)[away[k]])
+        lines += _wrapped(
+            f"{who}{_away_count(windows)} joints ran away, farther off than "
+            f"{' and '.join(windows.rivals)} in any, first {joints} at "
+            f"{_placed(task, windows, k)}"
+        )
+    return lines
 
 
-def _failed(simulated, windows):
-    """Say how many windows were not simulated to their end, and why the first was."""
-    first = windows.failures[0]
-    return (
-        f"{_failed_count(windows)} failed (see {_TABLE}), the first at "
-        f"{_placed(simulated, windows, first.window)}: {first.message}"
-    )
+def _doubts(task):
+    """Return the warnings that forbid a use."""
+    # Of two models the last one is handed on; a window that fails is left out of the
+    # errors of both.
+    last = list(task.windows.values())[-1]
+    doubts = [
+        f"{_failed_count(one)} failed" for one in task.windows.values() if one.failures
+    ]
+    doubts += _failed_recordings(task)
+    if last.run_away.any():
+        doubts.append(f"{_away_count(last)} joints ran away")
+    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
 
 
-def _ended(windows):
-    """Say which whole recordings were not simulated to their end, a list of str."""
-    # windows: of one recording as a whole, by label.
+def _failed_recordings(task):
+    """Return which whole recordings were not simulated to their end, and why."""
     return [
-        f"{label}: {one.message}"
-        for label, result in windows.items()
-        for one in result.failures
+        f"{label}: {failure.message}"
+        for one in task.whole
+        for label, result in one.items()
+        for failure in result.failures
     ]
 
 
@@ -530,67 +536,46 @@ def _away_count(windows):
     return f"in {windows.run_away.any(axis=1).sum()} of {windows.n_windows} windows"
 
 
-def _run_away(simulated, windows):
-    """Say in how many windows joints ran away, and which in the first of them."""
-    k = np.flatnonzero(windows.run_away.any(axis=1))[0]
-    joints = ", ".join(np.array(windows.joint_names)[windows.run_away[k]])
-    return (
-        f"{_away_count(windows)} joints ran away, farther off than "
-        f"{' and '.join(windows.rivals)} in any, first {joints} at "
-        f"{_placed(simulated, windows, k)}"
-    )
-
-
-def _placed(simulated, windows, k):
-    """Say where a window is."""
-    name, begin, end = _place(simulated, windows, k)
+def _placed(task, windows, k):
+    """Return where a window is."""
+    name, begin, end = _place(task, windows, k)
     return f"{name}, {begin:.3f} to {end:.3f} s"
 
 
-def _place(simulated, windows, k):
+def _place(task, windows, k):
     """Return the recording of a window, and its times since the start of that [s]."""
-    recording = simulated.recording
-    row = simulated.rows[windows.starts[k]]
+    recording = task.recording
+    row = task.rows[windows.starts[k]]
     label = recording.groups[row]
     begin = (row - recording.segments[label].start) * recording.dt
-    length = windows.t[k, -1] - windows.t[k, 0]
-    return _name(recording, label), begin, begin + length
-
-
-def _name(recording, label):
-    """Name of one of the recordings; that of the file if it holds a single one."""
     names = recording.group_names
-    return recording.name if len(names) == 1 else names[label]
+    # A single one is called after its file.
+    name = recording.name if len(names) == 1 else names[label]
+    return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
-# -- files -----------------------------------------------------------------------------
-
-
-def errors_table(simulated):
+def errors_table(task):
     """Return a table with one row per window and joint, as CSV."""
-    one = next(iter(simulated.windows.values()))
-    scale, units = one.scales
-    rivals = list(one.rivals)
+    first = next(iter(task.windows.values()))
+    scale, units = first.scales
     file = io.StringIO(newline="")
     table = csv.writer(file, lineterminator="\n")
     heads = ["model", "recording", "from_s", "to_s", "joint", "unit"]
     heads += ["position_error", "velocity_error_per_s"]
-    table.writerow([*heads, *(name.replace(" ", "_") for name in rivals), "failed"])
-    # Whole recordings come behind their windows.
-    rows = [
-        (label, one)
-        for each in (simulated.windows, *simulated.whole)
-        for label, one in each.items()
-    ]
-    for label, result in rows:
-        numbers = [result.errors, result.velocity_errors]
-        numbers += [rival.errors for rival in result.rivals.values()]
-        numbers = scale * np.array(numbers)
-        why = {one.window: one.message for one in result.failures}
+    heads += [name.replace(" ", "_") for name in first.rivals]
+    table.writerow([*heads, "failed"])
+    # Whole recordings follow their windows.
+    pairs = [pair for each in (task.windows, *task.whole) for pair in each.items()]
+    for label, result in pairs:
+        errors = [result.errors, result.velocity_errors]
+        errors += [rival.errors for rival in result.rivals.values()]
+        errors = scale * np.array(errors)
+        messages = {one.window: one.message for one in result.failures}
         for k in range(result.n_windows):
-            name, begin, end = _place(simulated, result, k)
+            name, begin, end = _place(task, result, k)
             for j, joint in enumerate(result.joint_names):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
-                row += ["" if np.isnan(x) else f"{x:.6g}" for x in numbers[:, k, j]]
-                table.writerow(map(_input.no_formula, [*row, why.get(k, "")]))
+                row += ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
+                row.append(messages.get(k, ""))
+                table.writerow(map(_input.no_formula, row))
     return file.getvalue()

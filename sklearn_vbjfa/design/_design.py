@@ -92,7 +92,7 @@ def design_motion(
         on every joint.
     report : EffectDiscovery, Report, str or os.PathLike, default=None
         What a search in the recordings so far left open: a fitted search, its report,
-        or the folder that the command ``close-loop`` wrote.
+        or the folder that the command ``identify`` wrote.
     start : array-like of shape (nv,), default=None
         Positions at which the motion starts and ends [rad or m]; None chooses them.
     random_state : int, RandomState instance or None, default=None

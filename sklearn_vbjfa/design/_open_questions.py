@@ -64,7 +64,7 @@ def read_report(report):
         return report
     raise TypeError(
         "report must be a fitted EffectDiscovery, its report_, or the folder that "
-        f"close-loop wrote; got {type(report).__name__}."
+        f"identify wrote; got {type(report).__name__}."
     )
 
 
@@ -73,7 +73,7 @@ def _read_folder(path):
     file = path / "report.json" if path.is_dir() else path
     if not file.is_file():
         raise FileNotFoundError(
-            f"No report at {str(file)!r}; expected the folder that close-loop wrote, "
+            f"No report at {str(file)!r}; expected the folder that identify wrote, "
             "with report.json in it."
         )
     try:
@@ -82,7 +82,7 @@ def _read_folder(path):
         raise ValueError(f"{str(file)!r} is not readable as JSON: {error}.") from error
     if not isinstance(found, dict) or not {"effects", "joint_names"} <= set(found):
         raise ValueError(
-            f"{str(file)!r} is not a report of close-loop: it lacks 'effects' or "
+            f"{str(file)!r} is not a report of identify: it lacks 'effects' or "
             "'joint_names'."
         )
     return found

@@ -1,4 +1,4 @@
-"""The command close-loop: files from a recording, one line for what is wrong."""
+"""The command identify: files from a recording, one line for what is wrong."""
 
 import csv
 import json
@@ -79,7 +79,7 @@ def good(tmp_path, recording, monkeypatch):
 
 def refusal(capsys, *argv):
     """Return the one line on stderr."""
-    assert main(["close-loop", *map(str, argv)]) == 2
+    assert main(["identify", *map(str, argv)]) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
     (line,) = captured.err.splitlines()
@@ -97,7 +97,7 @@ def identified(path, nv=2):
 def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     source = write_csv(tmp_path / "swing.csv", recording)
-    argv = ["close-loop", str(source), "--urdf", str(urdf)]
+    argv = ["identify", str(source), "--urdf", str(urdf)]
     argv += ["--effects", "spring,load_friction,offset", "--ranges", "ranges.json"]
     assert main(argv) == 0
     captured = capsys.readouterr()
@@ -164,7 +164,7 @@ OWN = ("viscous", "coulomb", "offset", "rotor_inertia")
 
 def test_parameters_are_a_table(good, urdf, capsys):
     options = ["--effects", "none", "--friction", "none", "--out", "here/there"]
-    assert main(["close-loop", "arm.csv", "--urdf", str(urdf), *options]) == 0
+    assert main(["identify", "arm.csv", "--urdf", str(urdf), *options]) == 0
     assert "written: here/there/report.html" in capsys.readouterr().out
     with open("here/there/parameters.csv", newline="", encoding="utf-8") as file:
         rows = list(csv.DictReader(file))
@@ -198,8 +198,8 @@ def test_parameters_are_a_table(good, urdf, capsys):
 
 def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
     options = ["--effects", "none", "--out", "shared"]
-    command = ["close-loop", "arm.csv", "--urdf", str(urdf), *options]
-    assert main([*command, "--alike", "shoulder,elbow"]) == 0
+    command = ["identify", "arm.csv", "--urdf", str(urdf), *options]
+    assert main([*command, "--shared-drives", "shoulder,elbow"]) == 0
     page = Path("shared/report.html").read_text(encoding="utf-8")
     assert "the shoulder/elbow joints" in page
     with open("shared/parameters.csv", newline="", encoding="utf-8") as file:
@@ -210,7 +210,7 @@ def test_alike_joints_are_rows_of_the_parameters(good, urdf, capsys):
         term = row["parameter"].partition(":")[2]
         own = [float(rows[f"{j}:{term}"]["value"]) for j in ("shoulder", "elbow")]
         assert float(row["value"]) == pytest.approx(np.mean(own))
-    assert main([*command, "--alike", "wrist", "--force"]) == 2
+    assert main([*command, "--shared-drives", "wrist", "--force"]) == 2
     assert "'wrist', which matches 0 joint(s)" in capsys.readouterr().err
 
 
@@ -223,11 +223,11 @@ def test_options_reach_the_estimators(good, urdf, monkeypatch):
 
     monkeypatch.setattr(EffectDiscovery, "fit", fit)
     options = "--friction viscous --effects coulomb,spring --cutoff none"
-    main(["close-loop", str(good), "--urdf", str(urdf), *options.split()])
+    main(["identify", str(good), "--urdf", str(urdf), *options.split()])
     assert seen["identifier__friction"] == ("viscous",)
     assert seen["effects"] == ("coulomb", "spring")
     assert seen["identifier__cutoff"] is None
-    main(["close-loop", str(good), "--urdf", str(urdf), "--cutoff", "8"])
+    main(["identify", str(good), "--urdf", str(urdf), "--cutoff", "8"])
     assert seen["identifier__cutoff"] == 8.0
     assert seen["effects"] == "all"
 
@@ -245,7 +245,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         # The mass does not help.
-        assert main(["close-loop", str(source), "--urdf", str(path), *options]) == 3
+        assert main(["identify", str(source), "--urdf", str(path), *options]) == 3
     text = " ".join(capsys.readouterr().out.split())
     assert "Gains are relative to joint" in text
     assert "The mass of lower (2 kg) cannot fix the common gain" in text
@@ -270,7 +270,7 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
     ("options", "message"),
     [
         (["--gain", "8,unknown"], "--gain must be a factor to N m or N for each joint"),
-        (["--gain", "8,0"], "such as 8,8,5, or unknown, for all channels together"),
+        (["--gain", "8,0"], "such as 8,8,5, or unknown for all channels together"),
         (
             ["--gain", "8,8,5"],
             "3 gain(s) for 2 joint(s) (shoulder, elbow); expected one",
@@ -278,13 +278,13 @@ def test_unknown_gains_of_a_robot_without_masses(tmp_path, recording, urdf, caps
         (["--known-mass", "lower=2"], "give --gain unknown as well"),
         (
             ["--gain", "unknown", "--known-mass", "hand=2"],
-            "does not know 'hand'; expected one of upper, lower, payload.",
+            "known_masses names 'hand'; expected one of upper, lower, payload.",
         ),
         (["--gain", "unknown", "--known-mass", "lower=-2"], "got 'lower=-2'"),
         (["--gain", "unknown", "--known-mass", "lower"], "LINK=KG or payload=KG"),
         (
             ["--gain", "unknown", "--known-mass=lower=1", "--known-mass=lower=2"],
-            "--known-mass has lower twice",
+            "--known-mass names a link twice",
         ),
     ],
 )
@@ -351,10 +351,10 @@ def test_a_wrong_sign_offers_the_gains_that_turn_it(
     monkeypatch.chdir(tmp_path)
     source = write_csv("arm.csv", recording, tau=recording.tau * [0.5, -0.5])
     line = refusal(capsys, source, "--urdf", urdf)
-    assert line.endswith(" --gain=1,-1")
+    assert line.endswith(" --gain 1,-1")
     # Factors that were given stay, and those of unknown gains have no sign.
     line = refusal(capsys, source, "--urdf", urdf, "--gain", "2,2")
-    assert line.endswith(" --gain=2,-2")
+    assert line.endswith(" --gain 2,-2")
     line = refusal(capsys, source, "--urdf", urdf, "--gain", "unknown")
     assert line.endswith("multiply it by -1")
     # What is offered works, and so do factors of which the first is negative.
@@ -402,18 +402,18 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
             "--effects spring,rust",
             "--effects does not know 'rust'; expected.*ripple",
         ),
-        ("--effects ,", "--effects does not know ','"),
+        ("--effects ,", "--effects has an empty name in ','"),
         ("--effects spring,spring", "--effects has spring twice; name it once"),
         ("--friction sticky", "--friction does not know 'sticky'; expected.*viscous"),
-        ("--dt -0.005", "positive and finite; got -0.005"),
-        ("--dt nan", "positive and finite; got nan"),
+        ("--dt -0.005", "--dt must be a positive number of seconds; got -0.005"),
+        ("--dt nan", "--dt must be a positive number of seconds; got nan"),
         ("--dt 0.01", "time steps by 0.005 s but dt = 0.01 s; correct one of them"),
-        ("--cutoff 150", "--cutoff must be below 100 Hz, half the sample rate of"),
-        ("--cutoff 0", "--cutoff must be a positive frequency in Hz, auto or none"),
-        ("--cutoff inf", "--cutoff must be a positive frequency in Hz, auto or none"),
-        ("--cutoff low", "--cutoff must be a positive frequency in Hz, auto or none"),
-        ("--out arm.csv", "arm.csv is a file, where --out must name a folder"),
-        ("--out arm.csv/below", "arm.csv is a file, where --out must name a folder"),
+        ("--cutoff 150", "cutoff must lie below the Nyquist frequency 100 Hz"),
+        ("--cutoff 0", "--cutoff must be a positive number of Hz or auto or none"),
+        ("--cutoff inf", "--cutoff must be a positive number of Hz or auto or none"),
+        ("--cutoff low", "--cutoff must be a positive number of Hz or auto or none"),
+        ("--out arm.csv", "arm.csv is not a folder"),
+        ("--out arm.csv/below", "arm.csv is not a folder"),
     ],
 )
 def test_options_that_cannot_be(options, message, good, urdf, capsys):
@@ -458,7 +458,7 @@ def warm(urdf, tmp_path_factory):
 
 
 def closed(warm, urdf, out, *more):
-    argv = ["close-loop", str(warm), "--urdf", str(urdf), "--out", str(out)]
+    argv = ["identify", str(warm), "--urdf", str(urdf), "--out", str(out)]
     argv += ["--effects", "offset,signal,drift", *more]
     assert main(argv) == 0
     return json.loads((out / "report.json").read_text(encoding="utf-8"))
@@ -500,8 +500,8 @@ def test_signals_are_chosen_by_name(warm, urdf, tmp_path, capsys):
 @pytest.mark.parametrize(
     ("names", "message"),
     [
-        ("temprature", "--signals does not know 'temprature'; expected names with"),
-        ("", "--signals does not know ''"),
+        ("temprature", "--signals does not know 'temprature'"),
+        ("", "--signals has an empty name"),
         ("gain,gain", "--signals has gain twice"),
         ("temperature,fixed", "'fixed' is constant (24 in all rows)"),
         ("current", "'current' is the torque of"),
@@ -520,4 +520,4 @@ def test_signals_that_cannot_be_are_refused_in_one_line(
 
 def test_a_file_without_other_columns_has_no_signals(good, urdf, capsys):
     line = refusal(capsys, good, "--urdf", urdf, "--signals", "temperature")
-    assert "holds no columns beside time" in line
+    assert "does not know 'temperature'" in line

@@ -30,7 +30,7 @@ JOINTS = ["shoulder", "elbow"]
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory):
-    """Folder with a robot, and what close-loop leaves of it in ``report``."""
+    """Folder with a robot, and what identify leaves of it in ``report``."""
     folder = tmp_path_factory.mktemp("robot")
     urdf = folder / "arm.urdf"
     urdf.write_text(URDF)
@@ -165,8 +165,8 @@ def test_the_same_again_gives_the_same(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
     line = refusal(capsys, *argv)
-    assert "--force to replace it" in line
-    assert offered(line)[-1] == f"--out={out.with_name('motion-2.csv')}"
+    assert "--force to replace one" in line
+    assert offered(line)[-1] == str(out.with_name("motion-2.csv"))
     out.write_text("mine")
     assert "exist" in refusal(capsys, *argv)
     assert out.read_text() == "mine"
@@ -291,7 +291,7 @@ def test_what_a_robot_lacks_is_a_number_that_works(
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2], "--start", "0,0")
     assert said in line
     argv = offered(line)
-    assert any(word.startswith(f"{option}=") for word in argv)
+    assert option in argv
     assert "limits=" not in line
     assert main([*argv, "--acceleration", "3"]) == UNCHECKED
 
@@ -310,7 +310,7 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
     (folder / "report.json").write_text((home / "report/report.json").read_text())
     line = refusal(capsys, "--report", folder, "--duration", "4")
     assert "gains of the torque channels are relative" in line
-    assert offered(line)[-1] == "--acceleration=20,20"
+    assert offered(line)[-1] == "20,20"
     assert main(["design", "--report", str(folder), *FAST]) == UNCHECKED
     assert re.search(r"joint 1 \(shoulder\) .* -$", capsys.readouterr().out, re.M)
 
@@ -337,7 +337,7 @@ def test_durations_and_starts_that_would_do(here, capsys):
     line = refusal(capsys, *short)
     assert "too short for shoulder" in line
     argv = offered(line)
-    (wanted,) = [float(x.split("=")[1]) for x in argv if x.startswith("--duration")]
+    wanted = float(argv[argv.index("--duration") + 1])
     # (1 - cos) / 2 through a quarter of the range of 6 rad
     assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
     assert main(argv) == UNCHECKED
@@ -365,7 +365,6 @@ def test_durations_and_starts_that_would_do(here, capsys):
 def test_numbers_that_are_none(option, value, here, capsys):
     line = refusal(capsys, "--urdf", "arm.urdf", f"{option}={value}")
     assert f"{option} must be" in line
-    assert any(word.startswith(f"{option}=") for word in offered(line))
 
 
 @pytest.mark.parametrize("text", ["1,2,3", "1,-2", "a,b", "inf,1", ""])
@@ -380,10 +379,10 @@ def test_places_where_nothing_can_be_written(here, capsys):
     urdf = ("--urdf", "arm.urdf")
     Path("folder").mkdir()
     line = refusal(capsys, *urdf, "--out", "folder")
-    assert offered(line)[-1] == "--out=folder/motion.csv"
+    assert offered(line)[-1] == "folder/motion.csv"
     line = refusal(capsys, *urdf, "--out", "arm.urdf/motion.csv")
-    assert "arm.urdf is a file" in line
-    assert offered(line)[-1] == "--out=arm-motion.csv"
+    assert "arm.urdf is not a folder" in line
+    assert offered(line)[-1] == "arm-report"
     assert "arm.urdf exists" in refusal(capsys, *urdf, "--out", "arm.urdf")
 
 

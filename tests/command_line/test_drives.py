@@ -80,7 +80,7 @@ def delay_in(text):
 
 
 def test_the_loop_is_closed_on_commands(run, tmp_path):
-    code, out, err = run("close-loop", *FEW)
+    code, out, err = run("identify", *FEW)
     assert code == 0, err
     late, half = delay_in(out)
     assert abs(late - 1e3 * DELAY) < max(2 * half, 0.2)
@@ -109,7 +109,7 @@ def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     """Gains of the log; without dry friction, the declared model is farther off."""
     gains = {f"k{x}_{j}": np.full(len(told["t"]), one) for x, j, one in GAINS}
     options = ("--friction", "viscous", *FEW)
-    code, out, err = run("close-loop", *options, drive="pd", **gains)
+    code, out, err = run("identify", *options, drive="pd", **gains)
     assert code in (0, 3), err
     report = json.loads((tmp_path / "arm-report/report.json").read_text())
     found = report["commands_alone"]
@@ -148,7 +148,7 @@ def test_positions_are_simulated_from_commands_alone(run, told):
     code, out, err = run("simulate", "--out", "first", "--quiet")
     assert code == 0, err
     assert delay_in(out)[0] == pytest.approx(1e3 * DELAY, abs=0.5)
-    assert "told the recorded commands alone" in out
+    assert "driven by the recorded commands alone" in out
     for joint in ("shoulder", "elbow"):
         described, identified, aim = errors_in(out, joint)
         assert identified < 3.0
@@ -164,7 +164,7 @@ def test_positions_are_simulated_from_commands_alone(run, told):
 
 @pytest.mark.slow
 def test_a_saved_robot_of_commands_is_simulated(run, urdf):
-    run("close-loop", *FEW)
+    run("identify", *FEW)
     model = ("--model", "arm-report/identified.json")
     code, out, err = run("simulate", "--out", "second", "--quiet", robot=model)
     assert code == 0, err
@@ -207,7 +207,7 @@ def test_a_known_delay_is_said_and_saturated_samples_are_counted(run, told):
     aim = np.interp(t - DELAY, t, told["q_desired_shoulder"])
     size = np.abs(KP[0] * (aim - q) - KD[0] * np.gradient(q, t))
     limit = f"saturation=shoulder:{np.quantile(size, 0.9):.6g},elbow:1000"
-    code, out, err = run("close-loop", *FEW, drive=f"{LAW} delay=0.008 {limit}")
+    code, out, err = run("identify", *FEW, drive=f"{LAW} delay=0.008 {limit}")
     assert code in (0, 3), err
     assert "Commands act 8 ms after they are logged, as given." in out
     found = re.search(
@@ -233,17 +233,17 @@ def currents(urdf):
 
 
 @pytest.mark.parametrize(
-    ("command", "signed"), [("close-loop", "false"), ("inspect", "true")]
+    ("command", "signed"), [("identify", "false"), ("inspect", "true")]
 )
 def test_currents_are_a_drive(command, signed, run, told, currents):
     only = {name: None for name in told} | currents
     if signed == "false":
         only |= {x: np.abs(only[x]) for x in only if x.startswith("current")}
     law = f"current torque_constant=shoulder:4,elbow:2.5 signed={signed}"
-    options = {"close-loop": FEW, "inspect": ()}[command]
+    options = {"identify": FEW, "inspect": ()}[command]
     code, _, err = run(command, *options, drive=law, **only)
     assert code in (0, 3), err
-    if command == "close-loop":
+    if command == "identify":
         page = Path("arm-report/report.html").read_text(encoding="utf-8")
         assert "torques are computed from what the motor was given" in page
         with open("arm-report/report.json") as file:
@@ -285,17 +285,17 @@ REFUSED = {
 @pytest.mark.parametrize("case", REFUSED)
 def test_bad_commands_are_refused_in_one_line(case, run):
     given, message = REFUSED[case]
-    code, out, err = run("close-loop", *FEW, **given)
+    code, out, err = run("identify", *FEW, **given)
     assert (code, out) == (2, "")
     assert message in err
 
 
 def test_the_refusal_names_the_command_to_type(run):
-    _, _, err = run("close-loop", drive=None)
+    _, _, err = run("identify", drive=None)
     assert '--drive "pd kp=... kd=..."' in err
     gains = {f"k{x}_{j}": np.ones(2996) for x in "pd" for j in ("shoulder", "elbow")}
-    _, _, err = run("close-loop", drive=None, **gains)
-    assert err.endswith("--drive=pd")
+    _, _, err = run("identify", drive=None, **gains)
+    assert err.endswith("--drive pd")
 
 
 def test_constant_commands_are_refused(run, told):
@@ -316,6 +316,6 @@ def test_gains_of_another_order_are_doubted(factor, run):
 
 
 def test_gains_of_channels_do_not_go_with_a_drive(run):
-    code, _, err = run("close-loop", "--gain", "1,1")
+    code, _, err = run("identify", "--gain", "1,1")
     assert code == 2
     assert "leave gains out (command line: --gain), or the drive" in err

@@ -1,10 +1,6 @@
 """Exit codes: 0 can be used, 2 nothing done, 3 done with a doubt that is stated."""
 
-import errno
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -13,16 +9,17 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
-from sklearn_vbjfa._cli import EPILOG, main
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa._cli._parser import EXIT_CODES
 from tests.command_line.test_close_loop import LINK
 from tests.hostile._case import DT, URDF, N, cells, columns
 
-COMMANDS = ("close-loop", "inspect", "simulate")
+COMMANDS = ("identify", "inspect", "simulate")
 WRIST = {"name": "tip", "joint": "wrist", "parent": "lower", "origin": 0.3}
 HAND = URDF.replace("</robot>", LINK.format(**WRIST, centre=0.1, mass=1) + "</robot>")
 # Options that keep the runs short.
 SHORT = {
-    "close-loop": ("--effects", "none", "--out", "out"),
+    "identify": ("--effects", "none", "--out", "out"),
     "simulate": ("--window", "0.3", "--out", "out"),
 }
 
@@ -116,7 +113,7 @@ RECORDINGS = {
         lambda x: x | {"q2": np.full(N, 0.3)},
         {
             "": (3, "elbow never moves"),
-            "close-loop": (
+            "identify": (
                 3,
                 r"no samples that count \(joint 2 \(elbow\)\); elbow never",
             ),
@@ -146,7 +143,7 @@ RECORDINGS = {
         lambda x: x | {"segment": 1 * half(x), "tau1": x["tau1"] + 12 * half(x)},
         {
             "": (0, ""),
-            "close-loop": (3, "Recordings 1 and 2 contradict each other on joint 1"),
+            "identify": (3, "Recordings 1 and 2 contradict each other on joint 1"),
             "simulate": (3, "not clearly better than a robot that stays"),
         },
     ),
@@ -154,7 +151,7 @@ RECORDINGS = {
         lambda x: {name: column[:100] for name, column in x.items()},
         {
             "": (0, ""),
-            "close-loop": (3, r"noise unknown \(joint 1 \(shoulder\)\)"),
+            "identify": (3, r"noise unknown \(joint 1 \(shoulder\)\)"),
             "simulate": (2, "No recording is as long as a window of 0.3 s"),
         },
     ),
@@ -214,16 +211,16 @@ def test_recordings(kind, command, here, capsys):
     told = [x for x in err if x.startswith("note: exit code 3: ")]
     assert told == err[-1:] * (code == 3)
     shown = "".join(err[-1:])
-    if command == "close-loop" and code == 3:
+    if command == "identify" and code == 3:
         # The last line has the first clauses of what the page has whole.
         shown += Path("out/report.json").read_text(encoding="utf-8")
     assert re.search(message, shown), err
 
 
-def test_identify_is_another_name_of_the_loop(here, capsys):
+def test_close_loop_is_another_name_of_identify(here, capsys):
     source = write(columns())
-    argv = (source, "--urdf", "arm.urdf", "--effects", "none", "--out", "found")
-    assert run(capsys, "identify", *argv)[0] == 0
+    argv = ("close-loop", source, "--urdf", "arm.urdf", "--no-search", "-o", "found")
+    assert main(argv) == 0
     assert (here / "found" / "parameters.csv").exists()
 
 
@@ -236,20 +233,20 @@ def test_joints_that_are_held_by_choice_are_no_doubt(here, capsys):
 def test_signals_that_nobody_asks_for_are_no_doubt(here, capsys):
     source = write(columns() | {"state": ["run", "stop"] * (N // 2)})
     argv = (source, "--urdf", "arm.urdf", "--signals", "none")
-    assert run(capsys, "close-loop", *argv)[0] == 0
+    assert run(capsys, "identify", *argv)[0] == 0
 
 
 def test_the_motion_under_another_name_is_no_doubt(here, capsys):
     speeds = {f"arm_{j}.vel": np.gradient(columns()[f"q{j}"], DT) for j in (1, 2)}
     source = write(columns() | speeds)
-    code, out, err = run(capsys, "close-loop", source, "--urdf", "arm.urdf")
+    code, out, err = run(capsys, "identify", source, "--urdf", "arm.urdf")
     assert (code, err) == (0, [])
     assert "Channel: The column 'arm_1.vel' is not used as a signal." in out
 
 
 def test_a_low_pass_longer_than_the_recording_is_refused(here, capsys):
     source = write(columns())
-    for command in ("close-loop", "simulate"):
+    for command in ("identify", "simulate"):
         argv = (source, "--urdf", "arm.urdf", "--cutoff", "0.05")
         code, out, (line,) = run(capsys, command, *argv)
         assert (code, out) == (2, "")
@@ -278,47 +275,9 @@ def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
     )
 
 
-@pytest.mark.skipif(os.name == "nt", reason="descriptors of POSIX")
-def test_a_doubt_outlives_a_reader_that_leaves(here):
-    source = write(columns() | {"q2": np.full(N, 0.3)})
-    read, output = os.pipe()
-    os.close(read)
-    argv = ["inspect", source, "--urdf", "arm.urdf"]
-    with os.fdopen(output, "w") as gone:
-        done = subprocess.run(
-            [sys.executable, "-m", "sklearn_vbjfa", *argv],
-            stdout=gone,
-            stderr=subprocess.PIPE,
-            text=True,
-            check=False,
-        )
-    assert done.returncode == 3
-    assert "note: exit code 3: elbow never moves" in done.stderr
-
-
-def test_what_was_written_but_not_said_is_a_doubt(here, capsys, monkeypatch):
-    class Full:
-        def write(self, text):
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
-
-        def flush(self):
-            pass
-
-        def isatty(self):
-            return False
-
-    argv = [write(columns()), "--urdf", "arm.urdf", *SHORT["close-loop"]]
-    with monkeypatch.context() as patched:
-        patched.setattr(sys, "stdout", Full())
-        assert main(["close-loop", *argv]) == 3
-    (line,) = capsys.readouterr().err.splitlines()
-    assert line.endswith("No space left on device; all files were written")
-    assert Path("out", "report.html").is_file()
-
-
 @pytest.mark.parametrize("command", ["", *COMMANDS, "design", "effects"])
 def test_help_tells_them(command, capsys):
     with pytest.raises(SystemExit) as stop:
         main([*filter(None, [command]), "--help"])
     assert stop.value.code == 0
-    assert EPILOG in " ".join(capsys.readouterr().out.split())
+    assert EXIT_CODES in " ".join(capsys.readouterr().out.split())

@@ -33,7 +33,7 @@ def test_a_sound_recording(made, tmp_path, capsys):
     assert len(rows) == 6
     span = np.rad2deg([made.q[:, 0].min(), made.q[:, 0].max()])
     assert f"{span[0]:.4g} to {span[1]:.4g} deg" in rows[0]
-    assert "- nothing that the robot would show" in out
+    assert "- none that the robot description shows" in out
     assert "friction that varies with the load: gravity does not load it" in out
     assert set(tmp_path.iterdir()) == before | {path}
 
@@ -42,7 +42,7 @@ def test_what_is_wrong_is_said(made, tmp_path, capsys):
     path = plain(made, tmp_path)
     path.write_text(path.read_text().replace("tau1,tau2", "tau2,tau1", 1))
     out, _ = inspect(capsys, path, "--urdf", made.urdf, code=3)
-    wrong = out.partition("What is wrong with it\n")[2]
+    wrong = out.partition("Faults\n")[2]
     assert wrong.startswith("- error: ")
     assert "joint_1" in wrong.splitlines()[0]
 
@@ -51,7 +51,7 @@ def test_currents_are_no_fault(made, tmp_path, capsys):
     path = KINDS["UR RTDE record"](made, tmp_path)
     out, err = inspect(capsys, path, "--urdf", made.urdf)
     line = " ".join(out.split())
-    assert "- torques are recorded in A: close-loop needs the factors to N m" in line
+    assert "- torques are recorded in A: identify needs the factors to N m" in line
     assert "or --gain unknown" in line
     assert "gear" not in out
     assert "taken as RTDE of a Universal Robots controller" in err
@@ -75,7 +75,7 @@ def test_a_refusal_names_the_command(made, tmp_path, capsys):
     (line,) = capsys.readouterr().err.splitlines()
     command = line.partition("this would work: python -m sklearn_vbjfa ")[2]
     assert command.startswith("inspect ")
-    assert command.endswith("'--columns=q=angle{i},tau=torque{i}'")
+    assert command.endswith("--columns 'q=angle{i},tau=torque{i}'")
 
 
 def test_a_refused_option_is_replaced_not_added(made, tmp_path, capsys):

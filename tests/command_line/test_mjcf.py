@@ -82,7 +82,7 @@ def run(capsys, *argv):
 
 def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
     path = write(PLAIN)
-    argv = ["close-loop", table, "--urdf", path, "--effects", "none"]
+    argv = ["identify", table, "--urdf", path, "--effects", "none"]
     code, out, err = run(capsys, *argv)
     assert code == 0
     assert err == ""
@@ -110,7 +110,7 @@ def test_a_run_from_mjcf_writes_every_file(write, table, recording, capsys):
     written = "swing-report/identified.xml"
     code, out, _ = run(capsys, "inspect", table, "--urdf", written)
     assert code == 0
-    assert "nothing that the robot would show" in out
+    assert "none that the robot description shows" in out
 
 
 def test_held_joints_of_mjcf(write, table, capsys):
@@ -120,7 +120,7 @@ def test_held_joints_of_mjcf(write, table, capsys):
     assert "loose (JointModelFreeFlyer" in err
     assert "--joints" in err
     joints = ["--joints", "shoulder,elbow"]
-    argv = ["close-loop", table, "--urdf", path, *joints, "--effects", "none"]
+    argv = ["identify", table, "--urdf", path, *joints, "--effects", "none"]
     code, out, _ = run(capsys, *argv)
     assert code == 0
     assert "held at zero" not in out

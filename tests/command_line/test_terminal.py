@@ -43,7 +43,7 @@ def log(arm, tmp_path, monkeypatch):
 
 
 def close_loop(capsys, *more):
-    argv = ["close-loop", "log.csv", "--urdf", "arm.urdf", *more]
+    argv = ["identify", "log.csv", "--urdf", "arm.urdf", *more]
     code = main(argv)
     report = json.loads(Path("log-report/report.json").read_text(encoding="utf-8"))
     return code, lines_on_a_terminal(capsys.readouterr()), report

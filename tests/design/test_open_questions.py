@@ -141,7 +141,7 @@ def test_reports_that_are_none(path, tmp_path, loop):
     with pytest.raises(ValueError, match="not readable as JSON"):
         posed(path, report=tmp_path)
     (tmp_path / "report.json").write_text("{}", encoding="utf-8")
-    with pytest.raises(ValueError, match="not a report of close-loop"):
+    with pytest.raises(ValueError, match="not a report of identify"):
         posed(path, report=tmp_path)
     other = chain(tmp_path, ("revolute",) * 2, name="other")
     with pytest.raises(ValueError, match="report is of joints chain_1, chain_2"):

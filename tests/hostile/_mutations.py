@@ -378,7 +378,13 @@ STAMPS += (_other_unit, _coarse)
 
 OPTIONS = ("--dt", "--columns", "--preset", "--topic", "--time-unit", "--gain")
 OPTIONS += ("--drive", "--signals", "--friction", "--known-mass", "--bodies")
-OPTIONS += ("--alike", "--cutoff", "--effects", "--joints", "--base-orientation")
+OPTIONS += (
+    "--shared-drives",
+    "--cutoff",
+    "--effects",
+    "--joints",
+    "--base-orientation",
+)
 OPTIONS += ("--out", "--ranges", "--join", "--unknown")
 VALUES = (*WORDS, "auto", "none", "unknown", "1,1", "q=q{i},tau=q{i}", "pd kp=1 kd=1")
 

@@ -1,0 +1,214 @@
+"""The command ``identify``: the robot, effects missing from its model, the files."""
+
+import csv
+import json
+import shlex
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._parser import FRICTION, Refused
+from sklearn_vbjfa._cli._run import Done
+
+# The report as a page and as data, the parameters, and the robot: as a description, for
+# MuJoCo, and with everything that was identified.
+_FILES = ("report.html", "report.json", "parameters.csv")
+_FILES += ("identified.urdf", "identified.xml", "identified.json")
+_COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
+_COLUMNS += ("description", "description_std", "learned", "scatter")
+# Verdicts on a joint that forbid a use.
+_NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
+
+
+def identify(arguments, folder):
+    """Identify a robot from a recording, search for effects, and write the files."""
+    library = "all" if arguments.effects is None else arguments.effects
+    if arguments.no_search and arguments.effects:
+        raise Refused(
+            "--no-search leaves out --effects; give one of them", effects=None
+        )
+    out = _input.output_folder(arguments, "report")
+    ranges = arguments.ranges and _input.expanded(arguments.ranges)
+    if ranges:
+        _input.check_file(ranges, "--ranges", arguments.force)
+    settings = _input.settings(arguments)
+    loaded = _input.load(arguments, folder)
+    signals = loaded.signals(arguments.signals)
+    files = tuple(dict.fromkeys(map(str, _input.paths(arguments))))
+    with _input.blaming(loaded.source, loaded.gains):
+        loop = search(
+            loaded.recording,
+            str(loaded.urdf),
+            effects=() if arguments.no_search else library,
+            signals=signals,
+            several=_input.is_several(arguments),
+            **settings,
+        )
+
+    def write(folder, notes):
+        left_out = _left_out(_write_robot(loop.identifier_, folder))
+        provenance = {
+            "file": files[0] if len(files) == 1 else files,
+            "description": str(_input.expanded(arguments.urdf)),
+            "held": loaded.held,
+            "warnings": (*notes, *left_out),
+            "files": _FILES[1:],
+        }
+        report = _with_provenance(loop.report_, provenance)
+        text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
+        folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
+        folder.joinpath("report.json").write_text(text, encoding="utf-8")
+        lines = _next_motion(report.outcome, out)
+        if left_out:
+            lines.append("only identified.json has every effect (page)")
+        if ranges:
+            loop.identifier_.ranges().save(ranges)
+            lines.append(f"ranges for domain randomisation: {ranges}")
+        return lines
+
+    # Joints that are named by the user leave the others out on purpose.
+    others = [] if arguments.joints else loaded.other_joints()
+    return Done(
+        text="\n".join([str(loaded.recording), *others, str(loop.report_)]),
+        doubts=_doubts(loop.report_),
+        data="report.json",
+        folder=out,
+        files=_FILES,
+        write=write,
+        page=True,
+    )
+
+
+def identify_demo(arguments, folder):
+    """Identify the robot of the recording that comes with the package."""
+    from sklearn_vbjfa.datasets import load_demo_recording
+
+    recording = load_demo_recording()
+    loop = search(recording, recording.urdf, friction=FRICTION)
+    return Done(text=f"{recording}\n{loop.report_}", doubts=_doubts(loop.report_))
+
+
+def search(
+    recording, urdf, *, effects="all", signals=None, t=None, several=False, **settings
+):
+    """Return the `EffectDiscovery` of a recording, fitted."""
+    # several: whether recordings have names, which the report uses.
+    from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+
+    identifier = RobotIdentifier(
+        urdf,
+        dt=recording.dt,
+        torque_noise=recording.torque_noise,
+        n_jobs=-1,
+        **settings,
+    )
+    loop = EffectDiscovery(identifier, effects=effects)
+    if several or identifier.drive is not None:
+        return loop.fit_recording(recording, signals)
+    return loop.fit(recording.q, recording.tau, recording.groups, t=t, signals=signals)
+
+
+def _doubts(report):
+    """Return the warnings of a report that forbid a use."""
+    from sklearn_vbjfa.diagnosis.report import contradiction, gain_warnings, words
+
+    outcome, joints = report.outcome, {}
+    for one in report.joints:
+        if one.status in _NO_ANSWER:
+            joints.setdefault(one.text, []).append(one.joint)
+    # Faults of the recording come first, what is left out last.
+    faults = [one for one in outcome.channels if one.severity != "warning"]
+    others = [one for one in outcome.channels if one.severity == "warning"]
+    return [
+        *filter(None, [contradiction(outcome)]),
+        *_input.channel_doubts(faults),
+        *(
+            f"{text} ({words.joint_list(outcome.joint_names, labels, 0)})"
+            for text, labels in joints.items()
+        ),
+        *gain_warnings(outcome),
+        *_input.channel_doubts(others),
+    ]
+
+
+# -- files -----------------------------------------------------------------------------
+
+
+def _with_provenance(report, provenance):
+    """Return a report with what was read and what is written."""
+    from sklearn_vbjfa.diagnosis import Report
+    from sklearn_vbjfa.diagnosis.explain._outcome import Provenance
+
+    return Report(replace(report.outcome, provenance=Provenance(**provenance)))
+
+
+def _write_robot(robot, folder):
+    """Write the robot; return the effects that its descriptions lack, by file."""
+    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+
+    _write_parameters(robot, parameter_values(robot), folder / "parameters.csv")
+    robot.save(folder / "identified.json")
+    return {
+        "identified.urdf": robot.to_urdf(folder / "identified.urdf"),
+        "identified.xml": robot.to_mjcf(folder / "identified.xml"),
+    }
+
+
+def _next_motion(outcome, out):
+    """Return a line with the command that designs the motion for open questions."""
+    is_open = (
+        outcome.unexplained
+        or any(effect.rivals for effect in outcome.effects)
+        or any(one.reason == "excitation" for one in outcome.hidden)
+    )
+    command = f"python -m sklearn_vbjfa design --report {shlex.quote(str(out))}"
+    return [f"The motion for it: {command}"] if is_open else []
+
+
+def _left_out(files):
+    """Return a line for each file with the effects that it lacks."""
+    # files: dict of str to tuple of LeftOut, by the names of the files.
+    lines = []
+    for name, left in files.items():
+        if not left:
+            continue
+        largest = max(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
+        size = "" if np.isnan(largest.size) else f" ({largest.size:.2g} {largest.unit})"
+        count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
+        lines.append(
+            f"{name} has no place for {count}: {largest.name} on "
+            f"{largest.joint_name}{size}; its first lines list them, and "
+            "identified.json has all."
+        )
+    return lines
+
+
+def _write_parameters(robot, values, path):
+    """Write one row per parameter; cells without a finite number are empty."""
+    # values: of `parameter_values`. Those that alike joints share come last.
+    from sklearn_vbjfa.diagnosis.explain._identified import alike_values
+
+    relative = ""
+    if robot.gains_ is not None and not robot.gains_.absolute:
+        names = [robot.joint_names_[j] for j in robot.gains_.references]
+        relative = " or ".join(names) or "each channel"
+
+    def cells(one, std, identifiable, scatter=np.nan):
+        unit = one.unit
+        if relative and unit.startswith(("N", "kg")):
+            unit = f"{unit}, times the gain of {relative}"
+        numbers = (one.value, std, one.nominal, one.before, one.learned, scatter)
+        value, std, *rest = (repr(float(x)) if np.isfinite(x) else "" for x in numbers)
+        alone = "yes" if identifiable else "no"
+        return map(
+            _input.no_formula, [one.name, value, unit, std, alone, one.known, *rest]
+        )
+
+    with path.open("w", newline="", encoding="utf-8") as file:
+        table = csv.writer(file)
+        table.writerow(_COLUMNS)
+        for row in zip(values, robot.theta_std_, robot.identifiable_):
+            table.writerow(cells(*row))
+        for one, std, scatter in alike_values(robot.alike_):
+            table.writerow(cells(one, std, True, scatter))

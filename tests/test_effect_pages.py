@@ -114,7 +114,7 @@ def test_rivals_are_shares_of_least_squares():
     """One candidate, by a plain regression on everything at once."""
     use = USES["stribeck"]
     at = simulated_effects.scene()
-    base = simulated_effects._declared_beside("")
+    base = simulated_effects._base_columns("")
     sizes = at.motion.torque.std(axis=0)
     step = simulated_effects.EVERY
     torque = (simulated_effects.torque_of(use, at.motion) / sizes)[::step].ravel()

@@ -1,4 +1,4 @@
-"""What the pages of the effects say: read off the classes, in words and in LaTeX."""
+"""Facts of the effect pages, read from the classes: text and LaTeX."""
 
 import re
 
@@ -8,7 +8,7 @@ from sklearn_vbjfa.diagnosis.report import added_torque
 from sklearn_vbjfa.diagnosis.report import style as sheet_of_reports
 from sklearn_vbjfa.effects import Shaped, Stateful
 
-# Attributes of a written file that come with others and say nothing by themselves.
+# Attributes of a written file that only accompany others.
 _WITH_OTHERS = {
     "biastype",
     "coef",
@@ -20,7 +20,7 @@ _WITH_OTHERS = {
 }
 # Characters of LaTeX that fit in a line of a page.
 _LINE = 95
-# The report follows the system; the guide has a switch of its own.
+# The report follows the system; the documentation has a theme switch.
 _THEME = """
 .vbjfa{background:none;padding:0}
 .effect-cards{display:grid;gap:12px;
@@ -35,7 +35,7 @@ padding:8px 10px;font-size:.9em}
 
 
 def symbols(formula):
-    r"""Names of what stands in a formula, as the code has them, a set of str.
+    r"""Return the names in a formula as in the code, a set of str.
 
     ``F_{vm}`` is Fvm, ``\Delta F_c`` is dFc, ``\mathrm{time\_constant}`` is
     time_constant.
@@ -51,10 +51,7 @@ def symbols(formula):
 
 
 def parameters_of(use):
-    """Return what an effect's parameters are, name -> (units, how found).
-
-    Of all its forms: those that are plain come first.
-    """
+    """Return the parameters of an effect, name -> (units, how found)."""
     kinds = {}
     for effect in (type(use.effect)(joint=use.effect.joint), use.effect):
         fitted = effect.parameters([1.0] * len(effect.coefficients))
@@ -62,19 +59,19 @@ def parameters_of(use):
         for name in dict.fromkeys((*fitted, *effect.shape())):
             units = [unit[name] for unit in (turning, sliding) if name in unit]
             units = " or ".join(dict.fromkeys(units)).replace("^2", "²")
-            how = "fitted" if name in fitted else "tried"
+            how = "fitted" if name in fitted else "tried on a grid"
             if name in fitted and name not in symbols(effect.formula):
-                how = "follows from the others"
+                how = "derived from the others"
             if isinstance(effect, Shaped) and name in effect.continuous:
                 how = "searched" if name not in fitted else "fitted and searched"
             if effect.in_model and name in effect.model_parameters:
-                how = "corrected step by step"
+                how = "fitted iteratively"
             kinds.setdefault(name, (units.replace("^3", "³"), how))
     return kinds
 
 
 def typeset(formula):
-    """Return a directive that shows what an effect adds, with a long one in lines."""
+    """Return a directive with the torque of an effect, broken into lines."""
     whole = added_torque(formula)
     lines, first = [], ""
     for part in re.split(r"\s*\\q?quad\s*", whole):
@@ -89,8 +86,8 @@ def typeset(formula):
     return [".. math::", "", rf"    \begin{{gathered}} {together} \end{{gathered}}"]
 
 
-def told_of_file(destination):
-    """Say what a file has of an effect."""
+def file_sentence(destination):
+    """Return what a file holds of an effect."""
     places = [one.split(": ") for one in destination.places]
     places = [
         f"``{name}`` of ``{tag}``" for tag, name in places if name not in _WITH_OTHERS
@@ -99,21 +96,21 @@ def told_of_file(destination):
     if not destination.lacks:
         return where
     lacks = destination.lacks.replace("; ", ";\n    ")
-    return f"in part ({where}): {lacks}" if where else f"no place: {lacks}"
+    return f"partly ({where}): {lacks}" if where else f"not available: {lacks}"
 
 
-def told_of_step(use):
-    """Say whether torques state by state have an effect."""
+def step_sentence(use):
+    """Return whether torques of single states include an effect."""
     reasons = step_reasons(use)
     refused = {reason for _, reason in reasons if reason}
     if not refused:
         stateful = isinstance(use.effect, Stateful) and use.effect.memory == "past"
-        memory = " with a memory" if stateful else ""
+        memory = ", with memory" if stateful else ""
         return f"yes{memory}"
     (why,) = refused
     if all(reason for _, reason in reasons):
         return f"no: {why}"
-    return f"yes; not with {_what_parts(reasons)}: {why}"
+    return f"yes, except with {_what_parts(reasons)}: {why}"
 
 
 def _what_parts(reasons):
@@ -135,7 +132,7 @@ def _sort(value):
 
 
 def style():
-    """Return the report's style sheet, with the guide's own switch for dark pages."""
+    """Return the style sheet of reports with the theme switch of the documentation."""
     sheet = sheet_of_reports()
     colours = re.findall(r"\.vbjfa\{(--ink:[^}]*?--untouched:[^;}]*)", sheet)
     light, dark = colours[:2]

@@ -1,8 +1,7 @@
-"""Directives for the pages of the effects; facts come from the classes themselves.
+"""Directives for the pages of the effects.
 
-A page holds a formula in words, where an effect is met and what it is confused with.
-Its torque, parameters, picture, rivals and destinations are made when the guide is
-built, by the package's own code.
+A page states where an effect occurs and what it resembles. Torque, parameters, picture,
+rivals and export are computed by the package when the documentation is built.
 """
 
 import inspect
@@ -15,10 +14,10 @@ from pathlib import Path
 from docutils import nodes
 from docutils.statemachine import StringList
 from effect_facts import (
+    file_sentence,
     parameters_of,
+    step_sentence,
     style,
-    told_of_file,
-    told_of_step,
     typeset,
 )
 from numpydoc.docscrape import ClassDoc
@@ -45,7 +44,7 @@ from sklearn_vbjfa.diagnosis.report import (
 _SHEET = "effects.css"
 
 
-# -- what the classes say ----------------------------------------------------------
+# -- facts of the classes ----------------------------------------------------------
 
 
 @cache
@@ -56,13 +55,13 @@ def all_uses():
 
 @cache
 def drawn(name):
-    """Picture of an effect, a `Figure`: with it nothing but noise would be left."""
+    """Return the picture of an effect, a `Figure`."""
     figure = figure_of(all_uses()[name])
     return replace(figure, charts=figure.charts[:1])
 
 
 def described(kind):
-    """Return what a class says of its parameters, name -> text."""
+    """Return the parameters in the docstring of a class, name -> text."""
     return {
         name: _plain(" ".join(lines))
         for entry in ClassDoc(kind)["Parameters"]
@@ -111,7 +110,7 @@ class _OfEffect(SphinxDirective):
 
 
 class Law(_OfEffect):
-    """What an effect is, its formula and its parameters."""
+    """Description of an effect, its formula and its parameters."""
 
     def run(self):
         """Make the nodes."""
@@ -119,7 +118,7 @@ class Law(_OfEffect):
         first, *more = map(_plain, explanation(kind))
         lines = [first, "", *typeset(kind.formula), ""]
         lines += [f"{one}\n" for one in more]
-        told, now = described(kind), use.values
+        texts, now = described(kind), use.values
         lines += [
             ".. list-table::",
             "    :header-rows: 1",
@@ -128,10 +127,10 @@ class Law(_OfEffect):
             "    * - parameter",
             "      - unit",
             "      - in the picture",
-            "      - what it is, how it is found",
+            "      - meaning, estimation",
         ]
         for name, (units, how) in parameters_of(use).items():
-            what = f"{told[name].rstrip('.')}; {how}" if name in told else how
+            what = f"{texts[name].rstrip('.')}; {how}" if name in texts else how
             value = _shown(now[name]) if name in now else "–"
             lines += [
                 f"    * - ``{name}``",
@@ -139,7 +138,7 @@ class Law(_OfEffect):
                 f"      - {value}",
                 f"      - {what}",
             ]
-        lines += ["", "Units are those of a revolute or a prismatic joint."]
+        lines += ["", "Units are those of a revolute and of a prismatic joint."]
         return self.parsed(lines)
 
 
@@ -150,16 +149,12 @@ class Picture(_OfEffect):
         """Make the nodes."""
         use = self.use
         html = f'<div class="vbjfa">{figure(drawn(use.effect.name))}</div>'
-        own = use.effect.seen_over or "own torque"
-        seen = (
-            ""
-            if use.signal is None
-            else f" Reports draw it over its {own}, as they do for any robot."
-        )
+        axis = use.effect.seen_over or "torque"
+        seen = "" if use.signal is None else f" Reports show it over its {axis}."
         caption = (
-            "Simulated: a made-up six-axis arm that is known exactly, noise of "
-            f"{100 * NOISE:g} % of the effect's root mean square, and the values of "
-            f"the table, chosen to be seen.{seen}"
+            "Simulation of a six-axis arm with known parameters, with noise of "
+            f"{100 * NOISE:g} % of the RMS of the effect and the values of the "
+            f"table.{seen}"
         )
         return [
             nodes.raw("", html, format="html"),
@@ -168,55 +163,55 @@ class Picture(_OfEffect):
 
 
 class RivalsTable(_OfEffect):
-    """What explains the torque of an effect as well, computed."""
+    """Effects that explain the same torque, computed."""
 
     def run(self):
         """Make the nodes."""
         use, found = self.use, rivals_of(self.use)
         name = use.effect.name
         taken = 100 * (1 - found.kept)
-        beside = "bodies, viscous and Coulomb friction, offset and rotor inertia"
+        base = "rigid bodies, viscous and Coulomb friction, offset and rotor inertia"
         if name in ("viscous", "coulomb", "offset", "rotor_inertia"):
-            beside += ", but for this one,"
+            base += ", without this term,"
         lines = [
-            f"In the motion of the picture, {beside} take over {taken:.0f} % of the "
-            "mean square of its torque.",
+            f"In the motion of the picture, {base} explain {taken:.0f} % of the mean "
+            "square of its torque.",
         ]
         if found.others:
-            told = ", ".join(
+            shares = ", ".join(
                 f"{_link(other)} {100 * share:.0f} %" for other, share in found.others
             )
-            lines.append(f"Of the rest, others explain with their best shape: {told}.")
+            lines.append(f"Of the remainder, the following effects explain: {shares}.")
         else:
-            lines.append("Of the rest, no other effect explains a third.")
+            lines.append("No other effect explains a third of the remainder.")
         inside = ", ".join(map(_link, use.effect.contains))
         outside = ", ".join(map(_link, containing(name)))
         if inside:
-            lines.append(f"It is judged beside what it contains: {inside}.")
+            lines.append(f"Simpler effects that it contains: {inside}.")
         if outside:
-            lines.append(f"Those that contain it are judged beside it: {outside}.")
+            lines.append(f"Effects that contain it: {outside}.")
         return self.parsed([" ".join(lines)])
 
 
 def _link(name):
-    """Link to the page of an effect, under what it is called in a sentence."""
+    """Return a link to the page of an effect."""
     (effect,) = effects.resolve(name)
     return f":doc:`{effect.label} <{name}>`"
 
 
 class Facts(_OfEffect):
-    """What shows an effect, and where it goes."""
+    """Identifiability of an effect and its export."""
 
     def run(self):
         """Make the nodes."""
         use, kind = self.use, type(self.use.effect)
         urdf, mjcf = destinations(use)
         lines = [
-            f":shows if the recording has: {kind.visible}",
-            f":to tell it from rivals, record: {kind.record}",
-            f":in a control loop, ``step``: {told_of_step(use)}",
-            f":in URDF: {told_of_file(urdf)}",
-            f":in MJCF: {told_of_file(mjcf)}",
+            f":identifiable with: {kind.visible}",
+            f":distinguished from its rivals by: {kind.record}",
+            f":in a control loop (``step``): {step_sentence(use)}",
+            f":in URDF: {file_sentence(urdf)}",
+            f":in MJCF: {file_sentence(mjcf)}",
             f":class: `~sklearn_vbjfa.effects.{kind.__name__}`",
         ]
         lines.append(f":source: {source_of(kind)}")
@@ -234,18 +229,18 @@ class Index(_OfEffect):
         out, modules = [], {}
         for effect in effects.resolve("all"):
             modules.setdefault(type(effect).__module__, []).append(effect)
-        for module, own in modules.items():
+        for module, members in modules.items():
             heading = sys.modules[module].__doc__.split("\n")[0].rstrip(".")
             out.append(nodes.rubric("", re.split(": ", heading)[0]))
             cards = nodes.container(classes=["effect-cards"])
-            for effect in own:
+            for effect in members:
                 card = nodes.container(classes=["effect-card"])
                 card += nodes.raw("", thumbnail(drawn(effect.name)), format="html")
                 card += self.parsed(
                     [
                         f":doc:`effects/{effect.name}`",
                         "",
-                        f"``{effect.name}``; to see it: {effect.visible}",
+                        f"``{effect.name}``; identifiable with: {effect.visible}",
                     ]
                 )
                 cards += card

@@ -1,23 +1,19 @@
 """Order of the examples on the page that lists them."""
 
 FIRST = (
-    "plot_what_is_missing.py",
     "plot_identify_demo.py",
-    "plot_measured_robots.py",
     "plot_not_level.py",
     "plot_mujoco.py",
-    "plot_pipeline.py",
+    "plot_gridsearch_regressors.py",
+    "plot_commands_alone.py",
+    "plot_design_motion.py",
     "plot_known_noise.py",
-    "plot_noisy_sensors.py",
-    "plot_replicates.py",
     "plot_ting2011_synthetic.py",
-    "plot_ting2011_head.py",
-    "plot_ting2011_arm.py",
 )
 
 
 class MostWantedFirst:
-    """Key of sorting: the examples named above in their order, then all others.
+    """Sorting key: the examples named above in their order, then all others.
 
     Parameters
     ----------
@@ -34,5 +30,5 @@ class MostWantedFirst:
         return place, filename
 
     def __repr__(self):
-        # Sphinx-Gallery builds anew when this changes.
+        # Sphinx-Gallery rebuilds if this changes.
         return f"<{type(self).__name__}: {', '.join(FIRST)}>"

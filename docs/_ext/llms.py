@@ -1,4 +1,4 @@
-"""``llms.txt`` in the root of the pages: what each page says, for language models.
+"""``llms.txt`` in the root of the pages: a list of pages for language models.
 
 The form is that of https://llmstxt.org: a title, what the package is, and links with
 the first sentence of each page.
@@ -18,13 +18,13 @@ _SECTIONS = (
     ("Examples", "auto_examples/"),
     ("API", "generated/"),
 )
-_LONGEST = 200  # characters of what is said of a page
+_LONGEST = 200  # characters of a sentence
 
 
 def first_sentence(doctree):
     """Return the first sentence of a page; empty for a page without a paragraph."""
     for paragraph in doctree.findall(nodes.paragraph):
-        # Not what stands in tables, notes and buttons.
+        # Not in tables, notes and buttons.
         if isinstance(paragraph.parent, (nodes.section, nodes.document)):
             text = " ".join(paragraph.astext().split())
             sentence = re.split(r"(?<=[a-z0-9)][.:]) (?=[A-Z`])", text)[0]
@@ -60,7 +60,7 @@ def listing(env, address):
 
 
 def _write(app, error):
-    """Write the file beside pages that were built."""
+    """Write the file to the built pages."""
     if error is None and app.builder.name == "html":
         text = listing(app.env, app.builder.get_target_uri)
         (Path(app.outdir) / "llms.txt").write_text(text, encoding="utf-8")

@@ -1,7 +1,7 @@
-"""One simulated joint for each effect: its picture, its rivals, where it goes.
+"""Simulation of one joint for each effect: picture, rivals, export.
 
-A made-up six-axis arm moves for 40 s. Each effect of the library adds its torque to one
-joint of it, with values that were chosen to be seen and are no measurement.
+A six-axis arm moves for 40 s. Each effect of the library adds its torque to one joint,
+with values chosen for the picture.
 """
 
 import functools
@@ -31,7 +31,7 @@ NOISE = 0.12
 FEWEST = 8000
 # Length of a picture over time in which every sample counts [s].
 WINDOW = 4.0
-# Friction, offsets and rotors that are declared beside an effect.
+# Declared friction, offset and rotor inertia.
 DECLARED = ("viscous", "coulomb", "offset", "rotor_inertia")
 FRICTION = {"viscous": 8.0, "coulomb": 6.0}
 # Rows that are compared: every so many.
@@ -323,7 +323,7 @@ class Rivals:
 def rivals_of(use):
     """Compare an effect with all others in the motion of the scene, `Rivals`."""
     name, at = use.effect.name, scene()
-    base = _declared_beside(name if name in DECLARED else "")
+    base = _base_columns(name if name in DECLARED else "")
     torque = (torque_of(use, at.motion) / _sizes()[None])[::EVERY].ravel()
     rest = torque - base @ (base.T @ torque)
     whole, kept = torque @ torque, rest @ rest
@@ -345,7 +345,7 @@ def containing(name):
 
 
 def _share(columns, base, rest):
-    """Share of the squares of a rest (m,) that columns (m, k) explain beside a base."""
+    """Return the share of a remainder (m,) that columns (m, k) explain with a base."""
     inside = base.T @ columns
     gram = columns.T @ columns - inside.T @ inside
     size = np.sqrt(np.maximum(np.diag(columns.T @ columns), np.finfo(float).tiny))
@@ -364,7 +364,7 @@ def _sizes():
 
 
 @functools.cache
-def _declared_beside(name):
+def _base_columns(name):
     """Orthonormal columns (n nv, p) of bodies and declared terms, but for one."""
     at = scene()
     states = np.hstack([at.motion.q, at.motion.v, at.motion.a])

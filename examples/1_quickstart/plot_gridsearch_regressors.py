@@ -1,17 +1,17 @@
 """
 ======================================
-Choose the regressor by blocks of time
+Select a regressor by cross-validation
 ======================================
 
 `RigidBodyFeatures` and `JointTorqueRegressor` are steps of a scikit-learn pipeline, so
-`GridSearchCV` can swap the regressor. Folds are blocks of time: consecutive samples are
-alike, and shuffled folds would let a model see its own test data.
+`GridSearchCV` can select the regressor. The folds are blocks of time, because
+consecutive samples are correlated.
 """
 
 # %%
 # States
 # ------
-# They are estimated once, before the pipeline.
+# The states are estimated once, before the pipeline.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -37,9 +37,10 @@ states = StateEstimator(dt=recording.dt).fit_transform(
 fitted, tested = recording.groups == 0, recording.groups == 1
 
 # %%
-# Search
-# ------
-# LASSO chooses its own penalty, also on blocks of time. PLS has its own grid.
+# Grid search
+# -----------
+# LASSO selects its penalty by cross-validation over blocks of time; PLS has a grid of
+# components.
 
 pipeline = Pipeline(
     [
@@ -64,9 +65,8 @@ search.fit(states[fitted], recording.tau[fitted])
 # %%
 # Result
 # ------
-# Most of the error is noise of the torque sensors, which no model predicts. The
-# recording is simulated, so its mean square is known and can be subtracted. What is
-# left, as a root mean square over the joints [N m], tells the models apart.
+# Most of the error is noise of the torque sensors. The recording is simulated, so the
+# mean square of this noise is known and can be subtracted.
 
 noise = np.mean((recording.tau - recording.tau_clean)[fitted] ** 2)
 labels = []
@@ -81,14 +81,14 @@ for label, error in zip(labels, validated):
 print(f"chosen: {labels[search.best_index_]}; torque noise {np.sqrt(noise):.3f} N m")
 
 # %%
-# The second motion, which the search has not seen, compared with the noiseless torque.
+# The selected model is tested on the second motion, against the noise-free torque.
 
 difference = search.predict(states[tested]) - recording.tau_clean[tested]
 print(f"second motion: {np.sqrt(np.mean(difference**2)):.3f} N m")
 
 # %%
-# The same in a figure
-# --------------------
+# Comparison
+# ----------
 
 figure, axes = plt.subplots(layout="constrained")
 axes.barh(labels, validated)

@@ -1,18 +1,18 @@
 """
-===================================
+==================================
 Identify an arm from one recording
-===================================
+==================================
 
-Joint positions and torques in, a physically consistent rigid-body model out. The
-recording is simulated, so that the truth is known: an invented six-axis arm, 200 Hz,
-encoder noise of 1e-4 rad, torque noise of 5 %.
+A rigid-body model is identified from joint positions and torques. The recording is
+simulated, so that the true parameters are known: a six-axis arm at 200 Hz with encoder
+noise of 1e-4 rad and torque noise of 5 %.
 """
 
 # %%
-# The recording
-# -------------
-# Two motions of 20 s each. The first is fitted, the second kept for testing. The
-# inertias of the robot description are wrong by some 30 %.
+# Recording
+# ---------
+# Two motions of 20 s each. The model is fitted to the first and tested on the second.
+# The inertias of the description are wrong by about 30 %.
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -26,9 +26,9 @@ fitted, tested = recording.groups == 0, recording.groups == 1
 print(recording)
 
 # %%
-# The fit
-# -------
-# States, filter, standstill mask, joint weights and projection are chosen from the
+# Fit
+# ---
+# Smoothing, low-pass filter, standstill mask and joint weights are chosen from the
 # data.
 
 robot = RobotIdentifier(
@@ -42,18 +42,18 @@ noise = robot.state_estimator_.noise_variance_**0.5
 print(f"encoder noise found [rad]: {noise.round(6)}")
 
 # %%
-# Held-out error
-# --------------
-# Root mean square of the residual over the standard deviation of the torque, both after
-# the same low-pass.
+# Error on the second motion
+# --------------------------
+# The error is the RMS of the residual divided by the standard deviation of the torque,
+# after the same low-pass filter.
 
 residuals = robot.residuals(recording.q[tested], recording.tau[tested])
 for name, error in zip(robot.joint_names_, residuals.normalised_error()):
     print(f"{name}: {100 * error:.2f} %")
 
 # %%
-# Since the truth is known, the prediction can be compared with the noiseless torque at
-# the true states, which count as noiseless queries.
+# The recording is simulated, so the prediction at the true states can also be compared
+# with the noise-free torque.
 
 clean = recording.tau_clean[tested]
 predicted = robot.predict(recording.states[tested])
@@ -63,11 +63,10 @@ print(f"against the clean torque [%]: {(100 * truth_error).round(2)}")
 # %%
 # Noise
 # -----
-# The fit measures the noise of the encoders, its effect on the torques through the
-# regressors (input noise), and the noise of the torque sensors. On joint 2 more remains
-# (output noise) than the sensors explain (noise floor): its friction depends on the
-# load, which the model does not contain.
-# :ref:`sphx_glr_auto_examples_1_quickstart_plot_what_is_missing.py` finds that out.
+# The fit estimates the encoder noise, its effect on the torques, and the noise of the
+# torque sensors. On joint 2 the residual (output noise) exceeds the noise floor: its
+# friction depends on the load, which the model does not contain. `EffectDiscovery`
+# finds such effects.
 
 for name, floor, output in zip(
     robot.joint_names_, robot.noise_floor_, robot.output_noise_
@@ -77,10 +76,9 @@ for name, floor, output in zip(
 # %%
 # Parameters
 # ----------
-# Inertial parameters act on the torques in combinations; those that the data do not
-# determine on their own are completed from the robot description, scaled to the data.
-# What the data determine can be compared with the truth (the intervals of joint 2 do
-# not allow for what the model lacks).
+# The torques determine some parameters individually (``identifiable_``); the others are
+# completed from the description. The identifiable ones are compared with the truth. The
+# intervals of joint 2 do not cover the missing effect.
 
 truth = recording.theta(robot.friction)
 half = 1.645 * robot.theta_std_
@@ -90,13 +88,14 @@ for i in np.flatnonzero(robot.identifiable_):
     print(f"{name:20s} {value:8.4f} +- {half[i]:.4f} {unit}, true {truth[i]:.4f}")
 
 # %%
-# Every body exists: its smallest pseudo-inertia eigenvalue is positive.
+# All bodies are physically consistent: the smallest eigenvalues of their pseudo-inertia
+# matrices are positive.
 
 print(robot.min_eigenvalues_)
 
 # %%
-# Torques of the second joint
-# ---------------------------
+# Measured and predicted torque of joint 2
+# ----------------------------------------
 
 display = TorqueDisplay.from_estimator(
     robot, recording.q[tested], recording.tau[tested], joints=[1]

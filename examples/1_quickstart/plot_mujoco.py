@@ -3,18 +3,16 @@
 From a log to a MuJoCo model
 ============================
 
-A recording goes in, a file for a simulator comes out: an arm is identified, the loop
-finds what its model lacks, and the result is written for MuJoCo. Both simulators, the
-package's own and MuJoCo, are then driven by measured torques and compared with the
-measured motion.
+An arm is identified, the missing effect is found, and the result is written for MuJoCo.
+The simulators of the package and of MuJoCo are then compared with the measured motion.
 """
 
 # %%
-# The robot
-# ---------
-# The recording that comes with the package: two motions of a simulated six-axis arm.
-# The first one is identified, the second kept. The friction of the second joint depends
-# on its load, which the declared model does not know.
+# Identification
+# --------------
+# The demonstration recording has two motions of a simulated six-axis arm. The model is
+# fitted to the first. The friction of the second joint depends on its load, which the
+# declared model does not contain.
 
 import importlib.util
 import tempfile
@@ -32,18 +30,18 @@ fitted, kept = recording.groups == 0, recording.groups == 1
 declared = RobotIdentifier(
     recording.urdf, dt=recording.dt, friction=("viscous", "coulomb")
 )
-loop = EffectDiscovery(declared, random_state=0)
-loop.fit(recording.q[fitted], recording.tau[fitted])
-models = {"declared": loop.declared_, "completed": loop.identifier_}
-for effect in loop.effects_:
+search = EffectDiscovery(declared, random_state=0)
+search.fit(recording.q[fitted], recording.tau[fitted])
+models = {"declared": search.declared_, "completed": search.identifier_}
+for effect in search.effects_:
     print(f"{effect.joint_name}: {effect.name} {effect.parameters}")
 
 # %%
-# The files
-# ---------
-# Bodies, damping, dry friction and rotor inertias have a place in MuJoCo. Friction in
-# proportion to the load has none: it is left out, and ``to_mjcf`` says so, in the file
-# and by what it returns, with the root mean square of its torque in the recording.
+# Export
+# ------
+# MuJoCo has bodies, damping, dry friction and rotor inertia. Load-dependent friction
+# has no counterpart; ``to_mjcf`` returns it with the RMS of its torque and lists it in
+# the file.
 
 folder = Path(tempfile.mkdtemp())
 files = {}
@@ -55,18 +53,16 @@ for name, robot in models.items():
         print(f"  {one.joint_name} {one.name}: {one.size:.3g} {one.unit}, {one.reason}")
 
 # %%
-# Beside the torques of the second joint this is no trifle. The declared model has
-# nothing that is left out: its Coulomb friction stands in for the mean of the missing
-# one.
+# Compared with the torque of the joint, this effect is not negligible. The declared
+# model exports completely: its Coulomb friction approximates the missing effect.
 
 print(f"spread of the torque: {recording.tau[fitted, 1].std():.3g} N m")
 
 # %%
-# The package's simulation
-# ------------------------
-# Windows of half a second of the second motion, each from the measured state at its
-# start. Beside them two robots without any model: one that stays where it was, and one
-# that keeps its velocity.
+# Simulation by the package
+# -------------------------
+# Windows of half a second of the second motion start at measured states. Two baselines
+# have no model: one stays at its position, the other keeps its velocity.
 
 WINDOW = 0.5
 q, tau = recording.q[kept][:1700], recording.tau[kept][:1700]
@@ -87,12 +83,12 @@ table({f"{name}, package": own.errors for name, own in windows.items()})
 table({"stays": one.staying().errors, "goes on": one.going_on().errors})
 
 # %%
-# MuJoCo
-# ------
-# The same windows, driven by the same torques. A motor of the file takes what the
-# torque channel reads; joints are found by name. The time step divides the sample
-# period. Without MuJoCo (``pip install mujoco``) its curves are
-# missing here.
+# Simulation by MuJoCo
+# --------------------
+# The same windows are simulated by MuJoCo with the same torques. The control of a motor
+# is the reading of the torque channel, joints are addressed by name, and the time step
+# divides the sample period. Without MuJoCo (``pip install mujoco``) its curves are
+# missing.
 
 
 def by_mujoco(path, found):
@@ -133,20 +129,19 @@ else:
     print("MuJoCo is not installed: its curves are missing.")
 
 # %%
-# How far the simulators get from each other, at most, tells what a file lacks: nothing
-# that matters for the declared model, the friction over the load for the completed one.
+# The largest difference between the simulators shows the effect of what the file cannot
+# hold: none for the declared model, the load-dependent friction for the completed one.
 
 for name, positions in other.items():
     apart = np.abs(positions - windows[name].simulated[..., :6]).max(axis=(0, 1))
     print(f"{name:10s}", " ".join(f"{x:7.2f}" for x in np.rad2deg(apart)), "degrees")
 
 # %%
-# Measured and simulated
-# ----------------------
-# The second joint and the one after it, which feels what the second does. Left, the
-# declared model: both simulators agree, and both are wrong. Right, the completed one:
-# the package follows the measured motion, and MuJoCo, without the friction over the
-# load, does not.
+# Measured and simulated motion
+# -----------------------------
+# The second joint and its neighbour. Left, the declared model: both simulators agree,
+# and both are wrong. Right, the completed model: the package follows the measured
+# motion; MuJoCo, without load-dependent friction, does not.
 
 shown = slice(2, 6)
 figure, axes = plt.subplots(
@@ -196,13 +191,11 @@ axes[0, 0].legend()
 plt.show()
 
 # %%
-# What to take from it
-# --------------------
-# - What a file lacks is listed with its size. Compare the size with the torques, and
-#   with the residual: if it is small, the completed model is the better file.
-# - If it is large, as here, a simulator without the effect is better served by a model
-#   that was identified without it: the terms that the simulator has then take over as
-#   much as they can.
-# - Where nothing is left out, both simulators move alike: MuJoCo's soft friction and
-#   fixed time step make no difference that could be seen here.
-# - MuJoCo stops joints at their limits, the package does not: it warns.
+# Conclusions
+# -----------
+# - The list of effects that are left out has their sizes. If they are small compared
+#   with the residual, export the completed model.
+# - If they are large, as here, export a model that was identified without them, because
+#   its other terms compensate for them in part.
+# - If nothing is left out, both simulators agree.
+# - MuJoCo enforces joint limits; the package warns.

@@ -1,18 +1,17 @@
 """
-==========================
-The arm that was not level
-==========================
+==========================================
+Find a tilted base and a wrong torque gain
+==========================================
 
-An arm is recorded on a table that leans by a few degrees, and the torque sensor of its
-second joint reads 15 % too much. No joint has a fault of its own, and yet all torques
-are wrong. The loop is run with and without the effects that are part of the robot's
-model.
+An arm is recorded on a table that is tilted by a few degrees, and the torque sensor of
+its second joint reads 15 % too much. Both faults change the torques of several joints.
+The search is run with and without the effects of the geometry and the sensors.
 """
 
 # %%
-# The recording
-# -------------
-# Two motions of 20 s. The robot description knows a level base and true torques.
+# Recording
+# ---------
+# Two motions of 20 s. The description has a level base and correct torques.
 
 import tempfile
 from pathlib import Path
@@ -42,30 +41,30 @@ data = recording.q, recording.tau
 groups = recording.groups
 
 # %%
-# What the loop says
-# ------------------
-# A base that is not level belongs to no joint. The axis of the first joint, turned,
-# would have the same torques: it is named as a rival. Values and intervals are in
-# radians here, the report has them in degrees and says what to do.
+# Search
+# ------
+# The tilt belongs to the whole robot. A rotated axis of the first joint would have the
+# same torques and is listed as a rival. Values and intervals are in SI units here; the
+# report has degrees and the remedy.
 
-loop = EffectDiscovery(declared, random_state=0)
-loop.fit(*data, groups=groups)
+search = EffectDiscovery(declared, random_state=0)
+search.fit(*data, groups=groups)
 
 truth = {"roll": roll, "pitch": pitch, "gain": gain}
-for effect in loop.effects_:
+for effect in search.effects_:
     where = "robot" if effect.scope == "robot" else effect.joint_name
     print(f"{where}: {effect.name}, rivals {effect.rivals or 'none'}")
     for symbol, (low, high) in effect.intervals.items():
         value, true = effect.parameters[symbol], truth[symbol]
         print(f"  {symbol} = {value:.4f} ({low:.4f} to {high:.4f}), true {true:.4f}")
 
-print(loop.report_)
+print(search.report_)
 
 # %%
-# The same without these effects
-# ------------------------------
-# Every joint is then on its own. What is found takes the place of the tilt as well as
-# it can: effects that this arm does not have, and not enough of them.
+# Search without effects of the geometry
+# --------------------------------------
+# Without these effects the search explains the torques joint by joint, by effects that
+# the arm does not have, and the error remains above the noise floor.
 
 plain = [effect.name for effect in resolve() if not effect.in_model]
 print(f"left out: {sorted(set(available()) - set(plain))}")
@@ -75,21 +74,21 @@ for effect in misled.effects_:
     print(f"{effect.joint_name}: {effect.name} {effect.rivals or ''}")
 
 # %%
-# Before and after
-# ----------------
-# Errors on the held-out part, over the spread of the torque, and the noise floor.
+# Errors
+# ------
+# Errors on the held-out data and the noise floor.
 
 names = recording.joint_names
 errors = {
-    "declared model": (loop.error_before_, "0.6"),
+    "declared model": (search.error_before_, "0.6"),
     "completed without them": (misled.error_after_, "tab:orange"),
-    "completed": (loop.error_after_, "tab:blue"),
+    "completed": (search.error_after_, "tab:blue"),
 }
 figure, axis = plt.subplots(layout="constrained", figsize=(7.5, 3.5))
 place = np.arange(len(names))
 for label, (error, colour) in errors.items():
     axis.plot(place, 100 * error, "o", color=colour, label=label)
-floor = 100 * loop.report_.outcome.floor
+floor = 100 * search.report_.outcome.floor
 axis.plot(place, floor, "k_", ms=24, label="noise floor")
 axis.set_yscale("log")
 axis.set_yticks([0.3, 1, 3, 10, 30], ["0.3", "1", "3", "10", "30"])
@@ -101,16 +100,15 @@ axis.legend(ncols=2, fontsize="small")
 axis.set_ylim(top=100)
 
 # %%
-# The residual of the first joint, whose axis is vertical and carries no weight as long
-# as the base is level: on the tilted one it turns with the position of the joint and
-# with how far the arm reaches out.
+# The axis of the first joint is vertical. If the base is level, it carries no weight;
+# on the tilted base its torque varies with its position and with the reach of the arm.
 
 shown = np.flatnonzero(groups == 1)
 rows = recording.q[shown], recording.tau[shown], groups[shown]
 figure, axes = plt.subplots(
     1, 3, sharex=True, sharey=True, layout="constrained", figsize=(9, 3.2)
 )
-models = (loop.declared_, misled.identifier_, loop.identifier_)
+models = (search.declared_, misled.identifier_, search.identifier_)
 for axis, (label, (_, colour)), model in zip(axes, errors.items(), models):
     found = model.residuals(*rows)
     used = found.weight[:, 0] > 0
@@ -123,19 +121,19 @@ axes[0].set_ylabel("residual of joint_1 [N m]")
 plt.show()
 
 # %%
-# The corrected description
-# -------------------------
-# Inertias and friction are those of the true torques. A robot description cannot hold
-# the lean of a base or the gain of a torque sensor: a comment says what to change on
-# the robot, and ``report.json`` has it for programs.
+# Corrected description
+# ---------------------
+# The exported inertias and friction are those of the true torques. A URDF cannot hold
+# the tilt of the base or the gain of a torque sensor; a comment describes the remedy,
+# and ``report.json`` has it for programs.
 
 with tempfile.TemporaryDirectory() as folder:
     path = Path(folder) / "identified.urdf"
-    loop.identifier_.to_urdf(path)
+    search.identifier_.to_urdf(path)
     text = path.read_text(encoding="utf-8")
 for line in text[text.index("<!--") + 4 : text.index("-->")].strip().splitlines():
     print(line.strip())
 
-corrections = loop.report_.to_dict()["corrections"]
+corrections = search.report_.to_dict()["corrections"]
 print({name: corrections["tilt"][name] for name in ("gravity", "lean_rpy_degrees")})
 print(corrections["gains"])

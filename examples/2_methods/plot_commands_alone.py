@@ -1,20 +1,19 @@
 """
-==========================================
-A quadruped's motors from commands alone
-==========================================
+======================================
+Identify motors from position commands
+======================================
 
-A robot with twelve motors and no torque sensor, held in the air. Its log has what the
-joints were told and where they were, 200 times a second. What are armature, damping and
-friction of the motors, how late do commands act, and how sure is all that?
+A quadruped with twelve motors has no torque sensors. The log has commanded and measured
+positions at 200 Hz. Armature, damping and friction of the motors and the delay of the
+commands are identified, with ranges.
 """
 
 # %%
-# A robot and its log
-# -------------------
-# A made-up quadruped, so that the truth is known. The description has its bodies, which
-# are off by some 10 %, one shank by 40 %, and nothing of its motors. The true robot is
-# simulated here with a PD loop at 1 kHz, which reads encoders with noise and gets its
-# commands 8 ms late.
+# Robot and log
+# -------------
+# The quadruped is simulated, so that the true values are known. The description has
+# bodies that are wrong by about 10 %, one shank by 40 %, and no motor parameters. The
+# true robot has a PD loop at 1 kHz with encoder noise and a command delay of 8 ms.
 
 import importlib.util
 import tempfile
@@ -146,11 +145,11 @@ def recorded(states, commands):
 
 
 # %%
-# Identify it
-# -----------
-# The drive says what the log has in place of torques: the law, its gains by parts of
-# the joints' names, and the period of its loop. The delay is found with everything
-# else. Two motions are fitted, a third one is kept.
+# Identification
+# --------------
+# The drive describes the law of the loop: gains by parts of the joint names, and its
+# period. The delay is estimated with all other parameters. Two motions are fitted; the
+# third is held out.
 
 drive = PDDrive(kp=KP, kd=KD, period=1e-3)
 robot = RobotIdentifier(described, dt=DT, drive=drive)
@@ -164,11 +163,11 @@ print(
 )
 
 # %%
-# Values with ranges
-# ------------------
-# Ranges say where a value is in the robot's next recording, with 90 %. Values of alike
-# motors, those of the four hips, thighs and calves, are near each other unless the log
-# says otherwise.
+# Ranges
+# ------
+# A 90 % range contains the value in the robot's next recording with a probability of 90
+# %. The four hips, thighs and calves each have the same motor, so their values share a
+# mean.
 
 ranges = robot.ranges(level=0.9)
 titles = {
@@ -196,11 +195,10 @@ inside = [
 print(f"{np.sum(inside)} of {len(inside)} true values are in their ranges")
 
 # %%
-# Commands in, positions out
-# --------------------------
-# What a simulator is for: the third motion from its commands alone, under the same
-# drive. Before, there is the description without motors; after, the identified robot,
-# which `follow` simulates.
+# Simulation from commands
+# ------------------------
+# The third motion is simulated from its commands alone, by the robot as described
+# without motors and by the identified robot.
 
 last = recorded(read[2:], told[2:])
 after = robot.follow(last)[:, :12]
@@ -231,11 +229,10 @@ for label, positions in (("commands", told[2]), ("before", before), ("after", af
     print(f"{label}: {1e3 * error:.1f} mrad from the recorded positions")
 
 # %%
-# Into a simulator
-# ----------------
-# `to_mjcf` writes the robot with its motors: controls are commanded positions. With
-# ``sample=k`` it writes a robot that this one may be, all values drawn together, delay
-# included: one for each environment of a training.
+# Export
+# ------
+# `to_mjcf` writes the robot with position-controlled motors. With ``sample=k`` it
+# writes a random draw of all parameters, delay included, for domain randomisation.
 
 for k in range(3):
     robot.to_mjcf(folder / f"sample_{k}.xml", sample=k)

@@ -1,17 +1,17 @@
 """
-==============================
-Record, report, design, record
-==============================
+=========================
+Design the next recording
+=========================
 
-A first recording was slow, and the report names two causes for what the model lacks.
-The motion to record next is designed to tell them apart.
+A slow first recording leaves two possible causes of the model error. An exciting
+trajectory is designed to distinguish them, recorded, and searched again.
 """
 
 # %%
-# A robot with a cable bundle
-# ---------------------------
-# The arm has three joints, and its drives the friction that is declared. What nobody
-# declared is a bundle of cables over the second joint: it pulls like a spring.
+# Robot
+# -----
+# The arm has three joints with the declared friction. A bundle of cables over the
+# second joint acts as a spring and is not declared.
 
 import warnings
 
@@ -64,10 +64,11 @@ def record(motion, seed, steps=10):
 
 
 # %%
-# A poor first recording
-# ----------------------
-# Three slow sines in each joint; the second joint goes through a quarter of its range.
-# The motion does not repeat: a second period would show the first one's errors again.
+# First recording
+# ---------------
+# Each joint follows three slow sines, and the second joint covers a quarter of its
+# range only. The motion does not repeat, because a repetition would also repeat the
+# model error.
 
 SIZE = np.array([[1.8, 0.24, 0.36], [0.6, 0.36, 0.18], [0.6, 0.18, 0.18]])
 PHASE = np.array([[0.0, 1.0, 2.0], [1.0, 2.0, 3.0], [2.0, 0.0, 4.0]])
@@ -107,13 +108,13 @@ first = record(slow, seed=0)
 loop = search(first)
 
 # %%
-# The spring may be a counterbalance, a spring on a lever, whose torque bends far from
-# where it was recorded.
+# The spring may also be a counterbalance, a spring on a lever, whose torque differs
+# only outside the recorded range.
 #
-# The motion that parts them
-# --------------------------
-# It keeps the limits of the description. The report says what is to be parted, and the
-# first recording how noisy the joints are.
+# Design
+# ------
+# The trajectory stays within the limits of the description. The report provides the two
+# effects to distinguish, and the first recording the noise of the joints.
 
 motion = design_motion(
     loop.identifier_, report=loop, duration=DURATION, dt=DT, random_state=0
@@ -128,10 +129,10 @@ for shown in motion.shows:
         )
 
 # %%
-# Record it
-# ---------
-# The controller is as soft as before, and does not follow exactly. That does no harm:
-# what was recorded is what is fitted.
+# Second recording
+# ----------------
+# The controller does not follow the trajectory exactly. The recorded motion is fitted,
+# so this does not matter.
 
 second = record(motion.states, seed=1)
 print(f"tracking error: up to {np.abs(second[0] - motion.q).max():.3f} rad")
@@ -141,12 +142,11 @@ for symbol, (low, high) in cables.intervals.items():
     print(f"{symbol}: {cables.parameters[symbol]:.3f} ({low:.3f} to {high:.3f})")
 
 # %%
-# Why it works
-# ------------
-# Both causes are fitted to the first recording, in the shapes that the search found. On
-# its motion they expect the same torques, up to a fraction of the noise; on the
-# designed one they do not. The models warn that they are asked beyond what they have
-# seen, which is the point here.
+# Excitation of the two effects
+# -----------------------------
+# Both effects are fitted to the first recording. On its motion the predicted torques
+# agree within a fraction of the noise; on the designed motion they differ. The models
+# warn because the designed motion leaves the range of their fit.
 
 (spring,) = (effect for effect in loop.effects_ if effect.name == "spring")
 shapes = {"spring": {}} | {trial.name: trial.shape for trial in spring.trials[:1]}
@@ -188,9 +188,10 @@ axes[1, 0].set_ylabel("difference [N m]")
 axes[1, 0].legend()
 
 # %%
-# The motion and its limits
-# -------------------------
-# Each signal over its limit. Positions are over half of the range, from its middle.
+# Motion and limits
+# -----------------
+# Each signal relative to its limit; positions relative to half of their range, from its
+# centre.
 
 limits = motion.limits
 middle, half = limits.position.mean(axis=1), np.ptp(limits.position, axis=1) / 2

@@ -1,21 +1,20 @@
 """
-================================================
-Inputs with standard errors: what changes
-================================================
+=============================================
+Regression with standard errors of the inputs
+=============================================
 
-Many tables say how well they were measured: beside each mean stands its standard error.
-Least squares cannot use it. This example regresses a diagnosis on three means over cell
-nuclei, with the standard errors as the noise of the inputs, and says what changes and
-what does not.
+Many tables contain means with standard errors, which ordinary least squares cannot use.
+A diagnosis is regressed on three means over cell nuclei, with the standard errors as
+input noise.
 """
 
 # %%
-# The table
-# ---------
-# Scikit-learn's breast-cancer data: 569 images, each from another patient. An input is
-# the mean over the nuclei in the image, and the table has its standard error. We take
-# size (radius), grey levels (texture) and outline (smoothness). How much of an input's
-# variance is noise? The mean square of its standard errors over its variance:
+# Data
+# ----
+# Scikit-learn's breast cancer data: 569 images of different patients. An input is the
+# mean over the nuclei of an image, and the table has its standard error. The inputs are
+# radius, texture and smoothness. The share of noise is the mean squared standard error
+# over the variance of the input:
 
 # sphinx_gallery_thumbnail_number = 1
 import matplotlib.pyplot as plt
@@ -44,11 +43,10 @@ for name, share in zip(names, noise):
     print(f"{name:10s} {100 * share:3.0f} % of the variance is noise")
 
 # %%
-# Are these errors independent of each other, as we assume? What is left of the
-# covariance without the noise must still be a covariance: no negative eigenvalue. With
-# a fourth input, symmetry, it has one. Nuclei with a rough outline are probably less
-# symmetric too, so that the errors of the two have something in common, and the table
-# does not say how much. We leave symmetry out:
+# The noise is assumed to be independent between inputs. Then the covariance of the
+# inputs minus that of the noise has no negative eigenvalues. With a fourth input,
+# symmetry, it has one, probably because nuclei with a rough outline are also less
+# symmetric. Symmetry is therefore excluded:
 
 for chosen in (names, (*names, "symmetry")):
     Z, its_errors = read(*chosen)
@@ -56,11 +54,11 @@ for chosen in (names, (*names, "symmetry")):
     print(chosen[-1], "smallest eigenvalue:", np.linalg.eigvalsh(left)[0].round(2))
 
 # %%
-# The coefficients
-# ----------------
-# A coefficient is the change of the share of malignant images with one standard
-# deviation of the input. Least squares gives the one for the *measured* mean.
-# ``query="noiseless"`` gives the one for the mean of many nuclei.
+# Coefficients
+# ------------
+# A coefficient is the change of the share of malignant images per standard deviation of
+# the input. Least squares estimates it for the *measured* mean, and
+# ``query="noiseless"`` for the mean over many nuclei.
 
 plain = LinearRegression().fit(X, malignant)
 known = VBJFARegressor(input_noise=noise, query="noiseless").fit(X, malignant)
@@ -71,15 +69,14 @@ for k, name in enumerate(names):
     )
 
 # %%
-# The radius, with 2 % of noise, hardly changes. The coefficient of smoothness, with 30
-# %, is about 40 % larger than least squares says. If you ask which property goes with
-# the disease, or compare two of them, the answer is another one.
+# The coefficient of the radius, with 2 % of noise, hardly changes. That of smoothness,
+# with 30 % of noise, is about 40 % larger than by least squares.
 #
-# Is it true?
-# -----------
-# Nobody knows the true coefficients. But we can measure worse: with half of the nuclei,
-# the variances of the errors double. We add that noise, row by row, from the row's own
-# standard error. A method that is right answers as with all nuclei.
+# Check with fewer nuclei
+# -----------------------
+# The true coefficients are unknown, but the measurement can be degraded: with half of
+# the nuclei the variances of the errors double. Noise is added to each row accordingly.
+# A correct method gives the same coefficients.
 
 fewer = np.array([1, 2, 3, 4])
 rng = np.random.default_rng(0)
@@ -105,14 +102,14 @@ axes[0].set_ylim(0.0)
 figure.legend(*axes[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
 
 # %%
-# With fewer nuclei, least squares makes the coefficients of texture and smoothness
-# smaller and smaller. VB-JFA gives nearly the same ones each time.
+# With fewer nuclei, the least squares coefficients of texture and smoothness decrease.
+# Those of VB-JFA remain nearly the same.
 #
-# What does not change
-# --------------------
-# Predictions for patients who are measured in the same way. There least squares is
-# right, noise or not, and the default of ``VBJFARegressor`` (``query="noisy"``) is as
-# good. The coefficients for noiseless inputs predict worse from noisy ones:
+# Predictions for equally noisy inputs
+# ------------------------------------
+# For patients who are measured in the same way, least squares is unbiased, and the
+# default ``query="noisy"`` is as good. The coefficients for noiseless inputs predict
+# worse from noisy ones:
 
 folds = KFold(10, shuffle=True, random_state=0)
 models = {
@@ -125,10 +122,9 @@ for name, one in models.items():
     print(f"{name:32s} {100 * error:.1f} % of the variance left")
 
 # %%
-# The noise matters again where new rows are measured better than the fitted ones: here
-# the model is fitted to a quarter of the nuclei and asked about all of them. What
-# counts is the noise that the fitted rows have in excess, three times that of the
-# table.
+# The noise matters if new measurements are better than the fitted ones. Here the model
+# is fitted with a quarter of the nuclei and predicts from all nuclei. The relevant
+# noise is the excess of the fitted rows, three times that of the table.
 
 Z = X + np.sqrt(3) * errors * rng.normal(size=X.shape)
 models["VB-JFA, excess noise known"] = VBJFARegressor(

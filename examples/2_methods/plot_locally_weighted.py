@@ -1,10 +1,10 @@
 """
-=====================================================
-A curve from noisy inputs: local models around VB-JFA
-=====================================================
+============================================
+Local linear models for a nonlinear function
+============================================
 
-Section 6 of the paper suggests an extension to nonlinear functions: locally weighted
-linear models. Here they fit a curved surface over two noisy inputs.
+Section 6 of the paper suggests locally weighted linear models for nonlinear functions.
+They fit a curved surface over two noisy inputs.
 """
 
 # %%
@@ -20,14 +20,14 @@ def surface(t):
 
 
 # %%
-# Noise in both inputs and in the output.
+# Both inputs and the output are noisy.
 rng = np.random.default_rng(0)
 t = rng.uniform(-2, 2, size=(3000, 2))
 X = t + 0.15 * rng.normal(size=t.shape)
 y = surface(t) + 0.1 * rng.normal(size=3000)
 
 # %%
-# One global linear model, and 25 local ones of two kinds.
+# A global linear model is compared with 25 local models of two kinds.
 models = {
     "global VB-JFA": VBJFARegressor(),
     "25 local least-squares models": LocallyWeightedRegressor(
@@ -36,7 +36,8 @@ models = {
     "25 local VB-JFA models": LocallyWeightedRegressor(n_models=25),
 }
 # %%
-# A cut through the surface, and the error on 2,000 noiseless points.
+# The figure shows a cut through the surface; the error is that on 2,000 noise-free
+# points.
 line = np.column_stack([np.linspace(-1.8, 1.8, 200), np.full(200, 0.5)])
 grid = rng.uniform(-1.8, 1.8, size=(2000, 2))
 

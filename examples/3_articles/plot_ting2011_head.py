@@ -1,24 +1,22 @@
 """
-=================================================
-Ting, D'Souza and Schaal (2011): head in control
-=================================================
+============================================
+Ting, D'Souza and Schaal (2011): vision head
+============================================
 
 Section 5.2 of the paper and the left columns of its Figs. 6 to 8. A vision head with
-seven joints is identified from encoders and torques while it moves under a low-gain
-controller, and the identified model then feeds torques forward. How well does the head
-follow unseen motions, and how much does the feedback have to add?
+seven joints is identified while it moves under a low-gain controller. The identified
+model then provides feedforward torques for unseen motions.
 
-The head of the paper is not available. A simulated one differs from its declared model
-in what the paper names for such robots: inertias, cables, protective shells, actuators,
-and nonlinear friction. The benchmark ``tests/benchmarks/bench_paper_robots.py`` uses
-longer recordings and more methods.
+The robot of the paper is not available. The simulated head differs from its declared
+model in inertias, cables, shells, actuators and nonlinear friction. The benchmark
+``tests/benchmarks/bench_paper_robots.py`` has longer recordings and more methods.
 """
 
 # %%
-# The recording
-# -------------
-# Sinusoids in all joints, six motions of eight seconds, at 150 Hz to keep this page
-# short (the head of the paper had 420 Hz).
+# Recording
+# ---------
+# Six motions of eight seconds with sinusoids in all joints, at 150 Hz (420 Hz in the
+# paper).
 
 import warnings
 
@@ -43,9 +41,9 @@ fit_to = (recording.q, recording.tau, recording.groups)
 # %%
 # Methods
 # -------
-# The paper's, each with the projection onto physically consistent parameters; the
-# default of `RobotIdentifier`; and the default completed with what `EffectDiscovery`
-# finds out of two effects.
+# The methods of the paper, each with the projection onto physically consistent
+# parameters; the default of `RobotIdentifier`; and the default with the effects that
+# `EffectDiscovery` finds.
 
 blocks = KFold(5)
 regressors = {
@@ -79,7 +77,8 @@ print(loop.report_)
 # %%
 # Control
 # -------
-# Each model feeds forward its torques for the desired motion; the feedback is the same.
+# Each model provides the feedforward torques of the desired motion; the feedback is the
+# same.
 
 motion = make_closed_loop_recording(
     "head", duration=1.0, plant=recording.plant, random_state=1001
@@ -125,10 +124,9 @@ fig.suptitle("What counts is what the model contains", weight="bold")
 plt.show()
 
 # %%
-# In the paper the Bayesian estimate was 10 to 25 per cent better than ridge regression,
-# and stepwise regression could not be run. Here the methods are equal: after smoothing
-# and low-pass hardly any noise is left in the inputs, and all of them miss what the
-# declared model does not contain. What helps is to find it.
+# In the paper the Bayesian estimate was 10 to 25 % better than ridge regression. Here
+# the methods are equal, because smoothing and low-pass filtering leave little noise in
+# the inputs. The missing effects dominate the error, and finding them reduces it.
 #
-# The margin returns with the noise: with states smoothed to 60 Hz and no low-pass the
-# default needs a fifth less feedback than its rivals (see the benchmarks).
+# With states smoothed to 60 Hz and no low-pass filter the default needs a fifth less
+# feedback than the other methods.

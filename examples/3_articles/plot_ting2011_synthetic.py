@@ -1,21 +1,20 @@
 """
-====================================================
-Ting, D'Souza and Schaal (2011): the synthetic study
-====================================================
+===============================================
+Ting, D'Souza and Schaal (2011): synthetic data
+===============================================
 
-Section 5.1 of the paper: a hundred inputs, ten of them relevant and noisy, the others
-redundant (convex combinations of the noisy relevant ones) or irrelevant. Models are
-fitted to noisy data and judged on noiseless data, with signal-to-noise ratios of two
-(Fig. 2) and five (Fig. 3) in the inputs and five in the output.
-
-All estimators run with their defaults. Two trials per cell keep this page short.
+Section 5.1 of the paper: of a hundred inputs, ten are relevant and noisy; the others
+are redundant (convex combinations of noisy relevant inputs) or irrelevant. Models are
+fitted to noisy data and tested on noise-free data, with signal-to-noise ratios of two
+(Fig. 2) and five (Fig. 3) in the inputs and five in the output. All estimators have
+their default parameters; there are two trials per cell.
 """
 
 # %%
 # Methods
 # -------
-# The paper's, and also automatic relevance determination and total least squares. The
-# oracle knows the ten inputs and the variances of their noise.
+# The methods of the paper, automatic relevance determination and total least squares.
+# The oracle knows the ten inputs and the variances of their noise.
 
 import warnings
 
@@ -52,7 +51,7 @@ def methods():
 
 
 # %%
-# Mean squared errors on noiseless test data, over the variance of the output.
+# Mean squared errors on noise-free test data, divided by the variance of the output.
 
 
 def nmse(prediction, data):
@@ -84,8 +83,8 @@ def trial(snr, redundant, seed):
 # %%
 # Figures 2 and 3
 # ---------------
-# The grey band holds the rivals that take their inputs for exact. Total least squares,
-# which takes all noise for equal, is beyond the scale.
+# The grey band contains the methods that assume exact inputs. Total least squares,
+# which assumes equal noise, is outside the scale.
 
 exact = ("OLS", "stepwise", "PLS", "LASSO", "ARD")
 drawn = {
@@ -132,7 +131,6 @@ axes[0].set_ylabel("nMSE, noiseless test data")
 plt.show()
 
 # %%
-# With redundant inputs the noise is shared: the default finds the ten inputs that
-# generate the rest, drops what does not matter, and subtracts as much noise as the
-# second moments allow. The paper's literal model depends on where its iteration starts
-# and stops.
+# Redundant inputs share their noise. The default finds the ten inputs that generate the
+# others, excludes irrelevant ones, and subtracts as much noise as the second moments
+# allow. The literal model of the paper depends on its starting point and stopping rule.

@@ -53,7 +53,10 @@ def test_a_page_has_its_parts_and_links_to_others(name):
     links = re.findall(r":doc:`[^<`]+<([^>]+)>`|:doc:`([^<`]+)`", text)
     for link in map("".join, links):
         assert link != name
-        assert (DOCS / "effects" / f"{link}.rst").is_file(), link
+        target = DOCS / "effects" / link
+        assert any(
+            target.with_name(f"{target.name}{end}").is_file() for end in (".rst", ".md")
+        ), link
 
 
 @pytest.mark.parametrize("name", NAMES)

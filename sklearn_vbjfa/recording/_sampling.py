@@ -439,17 +439,22 @@ def _channels_of(one):
     return own if one.v is None else own | {"v": one.v}
 
 
+def together(arrays: Sequence[np.ndarray]) -> np.ndarray:
+    """Return arrays end to end, a single one as it is."""
+    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+
 def _fields(pieces: Sequence[_Piece], dt: float) -> dict:
     """Concatenate pieces into the array fields of a `Recording`."""
     columns = {
-        key: np.concatenate([piece.channels[key] for piece in pieces])
+        key: together([piece.channels[key] for piece in pieces])
         for key in pieces[0].channels
     }
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": np.concatenate([piece.t for piece in pieces]),
+        "t": together([piece.t for piece in pieces]),
         "dt": dt,
         "groups": labels_of([len(x.t) for x in pieces]),
         "group_names": tuple(piece.name for piece in pieces),
@@ -739,7 +744,9 @@ def on_one_grid(recordings, names, dt):
 
 
 def _rows_of(channels, rows):
-    return {key: values[rows] for key, values in channels.items()}
+    """Return rows of all channels; all of them as they are."""
+    whole = isinstance(rows, np.ndarray) and rows.size == len(channels["q"])
+    return channels if whole else {key: x[rows] for key, x in channels.items()}
 
 
 def _put(t, values, checked, part, dt, tally):

@@ -49,6 +49,14 @@ class RecordingRefused(ValueError):
         super().__init__(f"{self.reason}{offer}.")
 
 
+class NotATable(ValueError):
+    """A file that holds no table of numbers at all, such as a text to be read."""
+
+    def __init__(self, path, message):
+        self.path = path
+        super().__init__(message)
+
+
 def pandas_of(path):
     """Return the module pandas, or say how to install it."""
     try:
@@ -89,6 +97,11 @@ class Table:
     def names(self) -> list[str]:
         """Names of the columns."""
         return list(self.frame)
+
+    @property
+    def has_numbers(self) -> bool:
+        """Whether a column has numbers."""
+        return any(kind.kind in "iuf" for kind in self.frame.dtypes)
 
     def values(self, name) -> np.ndarray:
         """Return a column: numbers, dates, or text as objects."""
@@ -294,9 +307,10 @@ def _number_of_rows(path, arrays):
     ):
         if chosen:
             return Counter(map(len, chosen)).most_common(1)[0][0]
-    raise ValueError(
+    raise NotATable(
+        path.shown,
         f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
-        "shape (n_samples, n_joints), or columns q1, ..., tau1, ..."
+        "shape (n_samples, n_joints), or columns q1, ..., tau1, ...",
     )
 
 

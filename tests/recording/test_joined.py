@@ -169,3 +169,39 @@ def test_recordings_that_need_a_mapping_are_not_joined(made, tmp_path):
         written(tmp_path / f"run{k}.txt", matrix)
     recording, _ = read(tmp_path, made, columns="t=1,q=2-7,tau=8-13")
     assert len(recording.group_names) == 2
+
+
+@pytest.mark.parametrize("columns", ["channels", "joints", "numbers"])
+def test_velocities_of_a_file_of_their_own(columns, made, tmp_path):
+    known = blocks(made)
+    for kind, name in (("q", "positions"), ("v", "velocities"), ("tau", "torques")):
+        names = {"channels": named(kind), "joints": made.joint_names}
+        names["numbers"] = named("joint")
+        save(tmp_path / f"{name}.csv", ["t", *names[columns]], made.t, known[kind])
+    recording, _ = read(tmp_path, made)
+    assert_same(recording, made)
+    np.testing.assert_allclose(recording.v, known["v"], atol=1e-6)
+
+
+def test_files_of_a_folder_that_are_no_tables_are_left_out_with_a_note(two, made):
+    (two / "README.txt").write_text("The arm of the lab\nrecorded on a cold day\n")
+    (two / "config.json").write_text('{"kp": [20, 40], "robot": "arm"}')
+    (two / "video.mp4").write_bytes(b"\0\1\2")
+    recording, notes = read(two, made)
+    assert_same(recording, made)
+    (note,) = (x for x in notes if "no tables of numbers in" in x)
+    for name in ("README.txt", "config.json", "video.mp4"):
+        assert name in note
+
+
+def test_a_broken_file_among_many_is_named(made, tmp_path):
+    rows = slice(0, 40)
+    for k in range(30):
+        names, q = ["t", *named("q"), *named("tau")], made.q[rows] + 0.001 * k
+        save(tmp_path / f"run{k:02}.csv", names, made.t[rows], q, made.tau[rows])
+    assert len(read(tmp_path, made)[0].group_names) == 30
+    broken = tmp_path / "run17.csv"
+    lines = broken.read_text().splitlines()
+    lines[9] = lines[9][:30]
+    broken.write_text("\n".join(lines) + "\n")
+    assert f"{broken}: line 10 has" in str(refused(tmp_path, made))

@@ -26,7 +26,7 @@ def names_and_start(lines):
         while cells and not cells[-1]:
             cells.pop()
         rows.append(cells)
-        if _is_data(cells):
+        if is_data(cells):
             break
     else:
         # Without a row of numbers, as with one column of text.
@@ -47,7 +47,7 @@ def names_and_start(lines):
     return names, names + 1 + bool(units), units
 
 
-def _is_data(cells):
+def is_data(cells):
     """Whether most of the cells that are filled are numbers."""
     numbers = [is_number(x.replace(",", ".", 1)) for x in cells if x]
     return 2 * sum(numbers) > len(cells)
@@ -80,6 +80,8 @@ def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **kno
     """Return a table of columns whose cells are numbers, dates, text or lists."""
     # comma: whether numbers may have decimal commas.
     table = Table(path=path.shown, frame=frame, place=place)
+    if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
+        return replace(table, notes=notes, **known)
     columns = {}
     for name in frame:
         values = _column(table, name, comma)

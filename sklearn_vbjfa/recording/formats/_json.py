@@ -8,6 +8,7 @@ import numpy as np
 from sklearn_vbjfa.recording._table import (
     CUT,
     Format,
+    NotATable,
     Source,
     Table,
     check_size,
@@ -127,10 +128,11 @@ def _broken(path, error, line=0):
 
 
 def _no_records(path, found, number):
-    return ValueError(
+    return NotATable(
+        path.shown,
         f"{path}: holds {quoted(found)} as record {number}; expected objects such as "
         '{"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of numbers, or arrays by '
-        "their names."
+        "their names.",
     )
 
 

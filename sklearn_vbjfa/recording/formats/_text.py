@@ -6,6 +6,7 @@ import re
 from sklearn_vbjfa.recording._table import (
     CUT,
     Format,
+    NotATable,
     Source,
     Table,
     no_rows,
@@ -14,6 +15,7 @@ from sklearn_vbjfa.recording._table import (
 from sklearn_vbjfa.recording.formats._cells import (
     LONGEST_PREAMBLE,
     check_header,
+    is_data,
     names_and_start,
     table_of_cells,
 )
@@ -27,6 +29,7 @@ from sklearn_vbjfa.recording.formats._precheck import (
 
 # Other separators that a header in one piece may have.
 _OTHER_MARKS = ("|", ":", "/")
+_ANY = re.compile(r"[;,\s]+")
 # By this line Excel is told the separator.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
@@ -38,8 +41,8 @@ _NOTHING = ["", "nan", "NaN", "NAN", "-nan", "+nan", "-NaN", "-NAN"]
 def read_text(path: Source, wanted) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
     text = text_in_utf8(path)
+    lines = text.lines(2 * LONGEST_PREAMBLE)
     try:
-        lines = text.lines(2 * LONGEST_PREAMBLE)
         if _BRACKETED.fullmatch(_first_content(path, lines)):
             text = text.without_brackets()
             lines = text.lines(2 * LONGEST_PREAMBLE)
@@ -48,6 +51,12 @@ def read_text(path: Source, wanted) -> Table:
         raise ValueError(
             f"{path}: is not a table of numbers ({error}); save it as CSV in UTF-8."
         ) from error
+    except ValueError as error:
+        content = [_content(line) for line in lines if _content(line)]
+        # An empty log is one, and broken.
+        if len(content) < 2 or any(is_data(re.split(_ANY, x)) for x in content):
+            raise
+        raise NotATable(path.shown, str(error)) from error
 
 
 def _first_content(path, lines):

@@ -98,7 +98,7 @@ class RecordingRegressorMixin(RegressorMixin):
         return tags
 
     def score(self, X, y, sample_weight=None, groups=None, t=None, signals=None):
-        """Coefficient of determination R^2 of the predicted torques.
+        """Return the coefficient of determination R^2 of the predicted torques.
 
         Parameters
         ----------
@@ -113,7 +113,7 @@ class RecordingRegressorMixin(RegressorMixin):
         t : array-like of shape (n_samples,), default=None
             Time [s], as for `predict`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, as for `predict`.
+            Recorded signals, as for `predict`.
 
         Returns
         -------
@@ -133,228 +133,189 @@ class RecordingRegressorMixin(RegressorMixin):
 
 
 class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
-    """Identify a robot: joint positions and torques in, rigid-body model out.
+    """Identify the rigid-body model of a robot from joint positions and torques.
 
-    The whole chain: state estimation, regressor matrices, parallel low-pass filtering
-    of regressor and torques, standstill mask, weighted estimation of one parameter
-    vector, and projection onto the physically consistent set.
+    The estimator smooths the positions, computes the regressor matrix, filters
+    regressor and torques, excludes standstill, estimates one parameter vector by
+    weighted regression, and projects it onto the physically consistent set.
 
     Parameters
     ----------
     model : str, os.PathLike or pinocchio.Model
-        Path of a URDF or MJCF file, or a model; a tree of one-degree-of-freedom
-        joints; a free base is held, see `load_model`. Its inertias complete what
-        the data do not determine, see `theta_`.
+        Path of a URDF or MJCF file, or a model: a tree of joints with one degree of
+        freedom. A free base is held, see `load_model`. The inertias of the model
+        complete what the data do not determine.
     dt : float, default=None
-        Sample period [s]; needed unless states are given and nothing is filtered.
+        Sample period [s]. Required unless states are given and nothing is filtered.
     friction : tuple of {"viscous", "coulomb", "offset", "rotor_inertia"}, \
             default=("viscous", "coulomb", "offset", "rotor_inertia")
-        Additional columns of each joint: by default the four that hardly any drive is
-        without. The paper has ``("viscous",)``.
+        Friction terms of each joint. The paper has ``("viscous",)``.
     effects : tuple of Effect, default=()
-        Effects beyond rigid bodies and friction, each on one joint; see
-        `sklearn_vbjfa.effects`. `EffectDiscovery` finds out which are needed.
+        Effects beyond rigid bodies and friction, see `sklearn_vbjfa.effects`.
+        `EffectDiscovery` finds the required ones.
     regressor : estimator, default=None
-        Linear regressor, see `JointTorqueRegressor`; None is
-        ``VBJFARegressor(latent="correlated", input_noise=0.0)``. One whose `fit` takes
-        `instruments`, as `InstrumentalVariables`, has the commanded motion of the
-        `drive` for them, and without one the odd samples beside the even ones.
+        Linear regressor, see `JointTorqueRegressor`. None is
+        ``VBJFARegressor(latent="correlated", input_noise=0.0)``. If its `fit` takes
+        `instruments` (`InstrumentalVariables`), these are the commanded motion of the
+        `drive`, or the odd samples without a drive.
     projector : "default", PhysicalProjector or None, default="default"
-        Projection of the parameters; None leaves them as estimated.
+        Projection of the parameters. None leaves them as estimated.
     cutoff : "auto", float or None, default="auto"
-        Cut-off [Hz] of the low-pass applied to regressor and torques. ``"auto"``:
-        five times the bandwidth of the motion (the frequency below which 99 % of the
-        velocity power of the fastest joint lies), as in Gautier's practice; if states
-        are given, nothing is filtered. None filters nothing.
+        Cut-off frequency [Hz] of the low-pass filter of regressor and torques.
+        ``"auto"`` is five times the bandwidth of the motion (the frequency below which
+        99 % of the velocity power of the fastest joint lies); states are not filtered.
+        None filters nothing.
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off [Hz] of `StateEstimator`. ``"auto"``: 1.25 times the one of least
-        acceleration error, since noise averages out and smoothing bias does not.
+        Cut-off frequency [Hz] of `StateEstimator`. ``"auto"`` is 1.25 times that of
+        least acceleration error, because noise averages out and smoothing bias does
+        not.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Speed [rad/s or m/s] at or below which a joint's equations are left out.
-        ``"auto"``: 2 % of the 99.5th percentile of its speed in the fitted
-        recordings. None masks nothing.
+        Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
+        ``"auto"`` is 2 % of the 99.5th percentile of its speed. None excludes nothing.
     joint_weights : "auto", None or array-like of shape (nv,), default="auto"
         Weights of the joints' equations, see `JointTorqueRegressor`.
     input_noise : "auto" or None, default="auto"
-        ``"auto"``: given positions, the noise of the regressor is measured by
-        computing it from the even and the odd samples separately, whose white encoder
-        noise is independent; a regressor that accepts a noise covariance (the default
-        one) corrects for it. None treats the regressor as exact.
+        With ``"auto"`` the noise of the regressor matrix is estimated from even and odd
+        samples, and corrected by regressors that accept a noise covariance. None treats
+        the regressor matrix as exact.
     torque_noise : float or array-like of shape (nv,), default=None
         Standard deviation of the white noise of one torque sample [N m or N], for
-        `noise_floor_`. None measures it in the fitted torques, above the band of the
-        low-pass. Interpolation attenuates noise: for interpolated rows, give the
-        `torque_noise` of the recording.
+        `noise_floor_`. None estimates it above the band of the low-pass filter. For
+        interpolated rows pass the `torque_noise` of the recording.
     n_jobs : int, default=None
-        Number of recordings, or pieces of them, processed in parallel, in threads
-        unless a `joblib.parallel_config` says otherwise; None is one, -1 all
-        processors. The result does not depend on it.
+        Number of recordings, or pieces of them, that are processed in parallel. None is
+        1, -1 all processors. The result does not depend on it.
     gains : None, "unknown" or sequence of str, default=None
-        None: y holds torques. ``"unknown"``: it holds what is proportional to them,
-        such as motor currents, with an unknown factor for each channel. The factors are
-        identified relative to one channel, from what joints have in common, see
-        `gains_`; torques, masses and friction are then in units of that channel, unless
-        `known_masses` fixes its gain. Names of joints: channels that are to be the
-        units, one for each group of joints that share bodies.
+        None: y holds torques. ``"unknown"``: y is proportional to the torques (motor
+        currents); the factors of the channels are identified relative to a reference
+        channel, see `gains_`, and torques, masses and friction are in its unit unless
+        `known_masses` determines it. A sequence names the reference joints, one for
+        each group of joints that share bodies.
     known_masses : dict of str to float, default=None
-        Masses [kg] of bodies by their names, or of a ``"payload"``, which an effect
-        `Payload` has; for unknown gains. A mass that the recording determines fixes the
-        gain that all channels have in common.
+        Known masses [kg] of bodies, or of a ``"payload"`` (effect `Payload`), which
+        determine the common factor of unknown gains.
     criterion : {"torque", "simulation"}, default="torque"
-        ``"torque"``: least squares of the torques. ``"simulation"``: their result is
-        refined by output error, until simulated positions are closest to the measured
-        ones; see Notes and ``docs/simulation.rst``.
+        ``"torque"`` minimises the torque error. ``"simulation"`` refines the result by
+        output error, until simulated positions are closest to the measured ones.
     window : "auto" or float, default="auto"
-        Length [s] of the windows that are simulated, each from its measured state.
-        ``"auto"``: five times as long as friction takes to slow the slowest joint to
-        1 / e, but at least five periods of the fastest motion, and so that there are at
-        least eight windows.
+        Length [s] of the simulated windows. ``"auto"`` is five times the longest time
+        constant of friction, at least five periods of the fastest motion, and at most
+        an eighth of the recordings.
     bodies : {"prior", "free", "fixed"}, default="prior"
-        What the description's masses and inertias are worth. ``"prior"``: bodies are
-        near those of the description, each at a distance tr((P0^-1 dP)^2) of its
-        pseudo-inertia (no frame matters) whose scale is integrated over, a half-Cauchy
-        distribution around 0.2: torques that tell a body otherwise are believed.
-        ``"free"``: the torques alone decide, and the description completes what they
-        say nothing of. ``"fixed"``: the bodies are those of the description. Bodies
-        without mass or extension are free, and so are all with `gains` or a
-        `regressor` of one's own.
+        Use of the described masses and inertias. ``"prior"``: bodies are near those of
+        the description unless the torques contradict it (affine-invariant distance
+        with a half-Cauchy scale around 0.2). ``"free"``: the torques decide, and the
+        description completes what they do not determine. ``"fixed"``: bodies are as
+        described. Bodies without mass or extension are free, and so are all bodies
+        with `gains` or a custom `regressor`.
     drive : PDDrive, CurrentDrive, VoltageDrive or None, default=None
-        What the robot was told in place of torques, where no torque was measured: y is
-        then that, and torques are what the drive makes of it (``docs/drives.rst``). A
-        delay of the commands is found with the other parameters.
+        Control law of the motors for logs without torques; y then holds positions,
+        currents or voltages (``docs/drives.rst``). The delay of commands is estimated.
     alike : "auto", None, str or sequence, default="auto"
-        Joints that have the same drive, such as those of the legs of a quadruped: their
-        rotor inertia, viscous and Coulomb friction, and coefficients of effects that
-        have no sign (`Stribeck`, `LoadFriction`, ...), are near each other. The mean of
-        a group is free; the scatter between its joints, as a share of that mean, is
-        integrated over, a half-Cauchy distribution around 0.2, so that torques that
-        tell a value otherwise are believed; offsets are not shared. A sequence of
-        groups: each the names of its joints, or a pattern that is a part of them, with
-        wildcards; or all patterns in one text, ``"hip thigh calf"``. ``"auto"``: joints
-        of which none carries another, whose names differ in a leg, a side or a number
-        alone, and whose bodies in the description have the same mass and principal
-        inertias; none with `gains` or a `regressor` of one's own. None: no joints.
+        Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
+        friction, and coefficients of unsigned effects share a mean. Their scatter,
+        relative to the mean, has a half-Cauchy prior around 0.2. A sequence holds the
+        groups, each as names or as a pattern; a string holds all patterns,
+        ``"hip thigh calf"``. ``"auto"`` groups joints whose names differ in a leg, a
+        side or a number only and whose described bodies are equal; it groups none with
+        `gains` or a custom `regressor`. None groups none.
     verbose : int, default=0
         If not 0, show :ref:`progress bars <progress>` on terminals.
 
     Attributes
     ----------
     theta_ : ndarray of shape (p,)
-        Parameters, physically consistent if projected; effects' coefficients come
-        last. Directions that the data do not determine are those of the prior; with
-        free bodies they are completed from the model's inertias, scaled to the data.
+        Parameters, physically consistent if projected: for each joint ten inertial
+        parameters in Pinocchio's order and the friction, then the coefficients of the
+        effects.
     theta_unconstrained_ : ndarray of shape (p,)
         Parameters before the projection.
     theta_std_ : ndarray of shape (p,)
-        Posterior standard deviations of `theta_unconstrained_`; 90 % intervals are
-        plus or minus 1.645 of them. They allow for residuals correlated in time, as
-        unmodelled effects are: the deviations for independent residuals are scaled by
-        the ratio of observed to expected scatter between forty blocks of time (see
-        Notes), or of phases where a motion repeats. nan if the regressor
-        provides none. The projection moves `theta_`
-        into the physically consistent set, and undetermined directions to the model's
-        values; no deviation is given for that.
+        Posterior standard deviations of `theta_unconstrained_`, which allow for
+        residuals that are correlated in time (see Notes). nan if the regressor provides
+        none.
     theta_prior_std_ : ndarray of shape (p,)
-        Standard deviations of the bodies' parameters by the description alone, at the
-        scale that each body turned out to have; nan for what it does not say, and
+        Standard deviations of the bodies' parameters by the description alone; nan
         without a prior.
     from_description_ : ndarray of shape (p,), bool
-        Parameters of which the data take away less than half of that variance: their
-        values are those of the description more than measured ones.
+        Parameters whose variance the data reduce by less than half.
     common_size_ : float
-        How many times as heavy all bodies together are as in the description: a
-        description in grams has 0.001, a torque channel may have another unit.
+        Common factor of all masses relative to the description.
     mass_deviations_ : tuple of Departure
-        Bodies that are not as described, the surest first, each with `bodies` (joints
-        whose bodies explain the torques about as well, within three nats), `factors`
-        (how many times as heavy each would be), `stds` and `log_odds`.
+        Bodies that differ from the description, the most certain first: `bodies`
+        (indistinguishable candidates), `factors` (mass over described mass), `stds` and
+        `log_odds`.
     alike_ : tuple of AlikeValue
-        Values that joints share: `group`, `parameter`, the `joints`, their mean `value`
-        with its deviation `std` and its `unit`, the `scatter` between them as a share
-        of the mean, and `apart`, joints whose value is another one: each a `Departure`
-        with `factors` over the mean of the other joints. They are not shared.
+        Parameters that joints share: `group`, `parameter`, `joints`, the mean `value`,
+        its `std` and `unit`, the relative `scatter`, and `apart`, the joints that
+        differ from their group.
     effects_ : tuple of Effect
-        Effects in use: first the bodies of joints that follow others (``mimic`` of a
-        URDF), each with its ten inertial parameters.
+        Effects in use; first the bodies of joints that follow others (``mimic``).
     effect_ranges_ : tuple of EffectRange
-        What each effect was fitted on, the declared friction joint by joint and then
-        `effects_`: positions, speeds and loads of its joint behind the low-pass, in
-        rows with weight in which it moves. `predict` warns outside. Loads are nan
-        without `effects`.
+        Positions, speeds and loads on which declared friction and `effects_` were
+        fitted. `predict` warns outside.
     gains_ : ChannelGains or None
         Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
-        90 %, the joint whose channel each is relative to, ``reference`` (nv,), and
-        ``common``, what their common factor rests on. None unless they are unknown.
+        90 %, ``reference`` (nv,), and the ``common`` factor. None unless unknown.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
         Parameters that the data determine individually, not only in combination.
     joint_names_ : tuple of str
-        Joints in Pinocchio's order, which is the column order of X and y.
+        Joints in the order of the columns of X and y.
     min_eigenvalues_ : ndarray of shape (nv,)
-        Smallest eigenvalue of each body's pseudo-inertia matrix in units of the
-        body's mass and length scale; positive for a physically consistent body.
+        Smallest eigenvalue of each body's pseudo-inertia matrix in units of its mass
+        and length scale; positive for a physically consistent body.
     noise_floor_ : ndarray of shape (nv,)
-        Standard deviation of `residuals` expected from noise alone, with a complete
-        model [N m or N]: input noise through the parameters, and torque sensor noise
-        in the band of the fit. With `period` it refers to the mean period and is
-        smaller than for a single recording. nan where the sensor noise is not known.
+        Standard deviation of `residuals` [N m or N] that encoder and torque noise leave
+        in a complete model. nan if the torque noise is unknown.
     torque_noise_ : ndarray of shape (nv,)
-        Sensor noise component of the floor [N m or N], white or coloured: the residual
-        spectrum above the band of the fit, extrapolated into it. nan where it cannot
-        be determined: nothing lies above the band, the spectrum there resembles no
-        smooth noise spectrum, or it still rises towards the band and the residual
-        between the motion's band and the cut-off is not its continuation.
+        Torque noise component of the floor [N m or N]: the residual spectrum above the
+        band, extrapolated into it. nan if the extrapolation is ambiguous.
     input_noise_torque_ : ndarray of shape (nv,)
-        Input noise component of the floor [N m or N].
+        Encoder noise component of the floor [N m or N].
     output_noise_ : ndarray of shape (nv,)
-        Standard deviation of the fit residual not explained by input noise [N m or N];
-        it exceeds `torque_noise_` by the model error.
+        Standard deviation of the residual that input noise does not explain [N m or N];
+        its excess over `torque_noise_` is model error.
     cutoff_ : float
-        Cut-off of the low-pass in use [Hz]; infinity without.
+        Cut-off frequency of the low-pass filter [Hz]; infinity without.
     standstill_ : ndarray of shape (nv,)
-        Speeds at or below which samples are left out.
+        Speeds at or below which samples are excluded [rad/s or m/s].
     state_estimator_ : StateEstimator or None
         None if states were given.
     robot_ : IdentifiedRobot
-        The identified robot without data and estimator, as `load_identified` reads it:
-        what `predict`, `residuals`, `simulate`, `save` and the exports ask.
+        The identified robot without data, as `load_identified` returns it.
     features_ : RigidBodyFeatures
-        Fitted transformer from states to the regressor.
+        Fitted transformer from states to the regressor matrix.
     estimator_ : JointTorqueRegressor
         Fitted regressor of the parameters.
     criteria_ : SimulationCriteria
-        Errors of positions and torques before and after the refinement, ``(nv,)`` each,
-        number and length of the windows, number of steps and whether they converged.
-        Only with ``criterion="simulation"``.
+        Errors of positions and torques (nv,) before and after the refinement, number
+        and length of the windows, number of steps, convergence. Only with
+        ``criterion="simulation"``.
     n_features_in_ : int
         nv or 3 nv.
 
     Notes
     -----
-    Joints that follow others by the description, q_f = m q + o, have no columns. Their
-    bodies are felt by the joints that move them, tau = A' Phi(A q + b) pi: see
-    `effects_`. Effects that correct the robot's geometry leave those bodies where the
-    description has them.
+    Joints that follow others in the description, q_f = m q + o, have no columns. Their
+    bodies act on the joints that move them, tau = A' Phi(A q + b) pi; see `effects_`.
 
-    The regressor is computed and reduced to second moments piece by piece, and never
-    held as a whole (unless `regressor` needs the equations themselves).
+    The regressor matrix is reduced to second moments piece by piece, unless `regressor`
+    needs the equations themselves.
 
-    `theta_std_` compares the scatter between forty blocks of time, over all recordings,
-    with that expected of white residuals after the fit (a block sandwich estimate,
-    unbiased for white residuals, with Student's t for the number of blocks). Blocks
-    are merged until neighbours are nearly uncorrelated or sixteen remain. Where a
-    motion repeats, within a recording or between recordings, blocks are its phases:
-    what is not modelled comes again with it and does not average out. Residuals that
-    stay correlated over a tenth of the recordings or longer still make it too small.
+    `theta_std_` compares the observed scatter between forty blocks of time with that
+    expected for white residuals (a block sandwich estimate with Student's t). If a
+    motion repeats, the blocks are its phases, because unmodelled torques repeat with
+    it. The standard deviations are too small if residuals are correlated over a tenth
+    of the recordings or longer.
 
     With ``criterion="simulation"`` bodies, friction and coefficients of effects are
-    refined by steps of Gauss and Newton on the sensitivities of simulated positions,
-    damped in the metric of the torque fit, so that what the simulation does not
-    determine stays as it was, and projected onto the consistent parameters; the
-    criterion never rises. Start states of the windows are estimated as well, with their
-    measurement noise as prior. `theta_std_` is then a sandwich estimate with windows as
-    blocks. Shapes of effects and the values of those in the model stay.
+    refined by Gauss-Newton steps on the sensitivities of simulated positions, damped in
+    the metric of the torque fit, and projected onto the consistent parameters. The
+    initial states of the windows are estimated as well. `theta_std_` is then a sandwich
+    estimate with windows as blocks. Shape parameters and corrections of the model are
+    those of the torque fit.
 
     Examples
     --------
@@ -435,8 +396,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         y : array-like of shape (n_samples, nv)
             Joint torques [N m] or forces [N]; columns of a data frame are matched by
             name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``. With a `drive`
-            what that was told: positions of a `PDDrive`, currents, or
-            voltages.
+            its input: commanded positions, currents, or voltages.
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings; nothing is differentiated or filtered
             across their boundaries.
@@ -448,11 +408,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             restart with each recording, unless effects vary with time. None counts
             `dt` from the first row.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, such as a temperature, by name (or a
-            data frame), for effects that vary with them (`effects.Signal`). Columns of
-            a data frame X that are not a channel of a joint are taken as well. A
-            `drive` takes its further channels from here, (n_samples, nv) each:
-            ``v_desired``, ``tau_ff``, ``kp``, ``kd``, ``supply``.
+            Recorded signals by name, such as a temperature, or a data frame, for
+            effects that vary with them (`effects.Signal`). Other columns of a data
+            frame X are used as well. Further channels of a `drive`, of shape
+            (n_samples, nv): ``v_desired``, ``tau_ff``, ``kp``, ``kd``, ``supply``.
 
         Returns
         -------
@@ -462,19 +421,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Raises
         ------
         ValueError
-            If an argument does not suit the robot, or a signal is missing, constant,
-            no finite numbers, or a position, velocity, torque or time by another name.
+            If an argument does not match the robot, or a signal is missing, constant,
+            not finite, or equal to a position, velocity, torque or time.
         SimulationError
-            A ValueError; with ``criterion="simulation"``, if the motion that is
-            simulated with the parameters of the torque fit diverges.
+            A ValueError; with ``criterion="simulation"``, if the simulation with the
+            parameters of the torque fit diverges.
 
         Warns
         -----
         UserWarning
-            With ``criterion="simulation"``, if there are fewer than two windows of
-            joints for each direction of the parameters that they determine. With
-            ``bodies="prior"`` or ``"fixed"``, if the torques are so small for the
-            described bodies that they are motor currents, or in another unit.
+            With ``criterion="simulation"``, if there are fewer than two windows per
+            determined direction of the parameters. With ``bodies="prior"`` or
+            ``"fixed"``, if the torques are too small for the described bodies.
         """
         check_criterion(self)
         self._declare()
@@ -483,12 +441,12 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             return self._fit(recording)._of_a_size()
 
     def fit_recording(self, recording):
-        """Identify the robot from a recording as it is.
+        """Identify the robot from a `Recording`.
 
         Parameters
         ----------
         recording : Recording
-            Positions or states, torques [N m or N], labels, weights and signals, its
+            Positions or states, torques [N m or N], labels, weights and signals, with
             columns in the order of `joint_names_`.
 
         Returns
@@ -851,54 +809,47 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Parameters
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions, which are smoothed to the cut-off of the fit (nothing was
-            identified above it); or states [q | v | a], taken as noiseless.
+            Joint positions, which are smoothed to the cut-off of the fit, or noiseless
+            states [q | v | a].
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time. None: the
-            motion begins when the first recording of the fit began, with the robot as
-            cold and as loaded as it was then.
+            Time [s] on the clock of the fit, for effects that vary with time. None
+            starts at the beginning of the first fitted recording.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, as for `fit`; needed by effects that
-            vary with them.
+            Recorded signals, as for `fit`; required by effects that vary with them.
         return_std : bool, default=False
-            Whether to return the standard deviation of measured torques about the
-            predicted ones as well; see Notes.
+            If True, also return the standard deviation of measured torques about the
+            predicted ones; see Notes.
 
         Returns
         -------
         torque : ndarray of shape (n_samples, nv)
             Joint torques [N m] or forces [N], friction included.
         std : ndarray of shape (n_samples, nv)
-            Standard deviation [N m or N] of what the torque channel will read behind
-            the low-pass of the fit; only with `return_std`. Infinite where a row asks
-            for a parameter of which the fit saw nothing, as of a joint that stood.
+            Standard deviation [N m or N] of the low-pass filtered reading of the torque
+            channel; only with `return_std`. Infinite if a row depends on a parameter
+            that the fit does not determine.
 
         Raises
         ------
         ValueError
-            If X does not suit the robot, a signal is missing, or `return_std` is asked
-            of a regressor without ``coef_cov_``.
+            If X does not match the robot, a signal is missing, or `return_std` is used
+            with a regressor without ``coef_cov_``.
 
         Warns
         -----
         UserWarning
-            If the motion leaves what effects were fitted on (`effect_ranges_`), once
-            for all of them: a joint's position, speed or load that one of its effects
-            `depends` on lies outside by more than a fifth of the range's width (a tenth
-            where the effect is curved) in more than 0.5 % of the rows. It says which
-            torques are held beyond that margin, see Notes. The same warning
-            tells of effects of time outside the time of the fit, by more than a tenth
-            of its duration, what they add there and its standard deviation
-            (`IdentifiedRobot.effects_of_time`), and of recorded signals that leave
-            their range in the fit by more than a fifth of its width.
+            If the motion leaves the range of an effect (`effect_ranges_`) by more than
+            a fifth of its width (a tenth for curved effects) in more than 0.5 % of the
+            rows, if it leaves the time of the fit by more than a tenth of its duration
+            and effects vary with time, or if signals leave their range.
 
         Notes
         -----
         A joint at rest may have any dry friction within its band, and the sign of its
-        estimated velocity is noise. Every effect of a velocity's sign is therefore
-        predicted with the expected sign, over what the true velocity may be,
+        estimated velocity is noise. The sign of the velocity is therefore replaced by
+        its expected value over the possible true velocities,
 
         .. math::
 
@@ -906,51 +857,37 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
             w = \frac{v_s}{1 + |a| T / v_s}.
 
-        sigma is the velocity noise, propagated from the encoders through the smoother
-        (`StateEstimator`); zero for states. v_s is `standstill_`, at or below which
-        the fit has no equations, and T the period of the fastest motion: 5 / `cutoff_`,
-        or that of the fitted states if nothing is filtered. Without v_s
-        (`standstill=None`) s is erf(v / (sqrt(2) sigma)); for noiseless states it is
-        v / w up to w and the sign itself beyond. At rest s = 0; at a reversal the
-        acceleration is large, w therefore small, and the sign is kept. The rule uses
-        one row at a time: states may come one by one.
+        sigma is the standard deviation of the velocity (`StateEstimator`), zero for
+        states; v_s is `standstill_`, and T the period of the fastest motion. Without
+        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)). At rest s = 0; at a
+        reversal the acceleration is large, w is small, and the sign is kept.
 
-        Beyond the margin from which on the motion counts as outside, the torque of an
-        effect of `effects_` stays as it is there: its columns are made from its joint's
-        position, speed or load (those that it `depends` on) at the nearest of
-        `EffectRange.ends`. Rigid bodies, declared friction and effects whose law is
-        `bounded` (ripple, counterbalance) go on with the motion. The equations of a fit
-        hold nothing.
+        Outside the margin of its range, the torque of an effect is held constant: its
+        columns are computed at the nearest of `EffectRange.ends`. Rigid bodies,
+        declared friction and `bounded` effects are extrapolated. After the last time of
+        the fit a drift continues to decay and a payload remains; before the first time
+        both have their initial value.
 
-        Effects of time use what is known: after the last time of the fit a drift fades
-        on, towards what remains when warm, and a payload stays; before the first time
-        both are as they were then.
-
-        The standard deviation is that of measured minus predicted torque, both behind
-        the low-pass of the fit as in `residuals`, at a new state of the same robot
-        while the joint moves,
+        The standard deviation is that of measured minus predicted torque, both filtered
+        as in `residuals`, at a new state of the same robot while the joint moves,
 
         .. math::
 
             \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
 
         phi is the row of the regressor, C the covariance of the parameters before the
-        projection, with one factor for the scatter between blocks of time as in
-        `theta_std_`, and s the residual of the joint in the fit: noise of the torque,
-        what the model lacks and, unless states are asked for, noise of the positions;
-        what the fit took of them for its own is added. 90 % of the torques are within
-        1.645 of it if the other motion finds the model as wrong as that of the fit did:
-        88 to 91 % on simulated arms with white and coloured noise of the torques.
-        Where the model lacks something it is not so: on another motion of measured
-        robots 80 to 97 %, and 41 % for joint 5 of a TX40 (``docs/evidence.md``).
-        Values of effects that correct the robot (a tilt, a gain), tuned shapes, dry
-        friction at rest, and noise above the low-pass are not in it.
+        projection, and s the residual of the joint in the fit. 90 % of the torques
+        are within 1.645 standard deviations if the model error on the new motion is
+        that of the fit: 88 to 91 % on simulated arms, but 80 to 97 % on other motions
+        of measured robots, and 41 % for joint 5 of a TX40. Corrections of the model,
+        shape parameters, dry friction at rest, and noise above the low-pass are not
+        included.
         """
         return self.robot_.predicted(X, groups, t, signals, return_std)
 
     @property
     def robot_(self):
-        """The identified robot without data and estimator, an `IdentifiedRobot`."""
+        """The identified robot without data, an `IdentifiedRobot`."""
         check_is_fitted(self)
         if self.theta_ is not self._robot.theta_:
             return replace(self._robot, theta_=self.theta_)
@@ -967,7 +904,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         *,
         cutoff="fit",
     ):
-        """Torque residuals on a recording, with the low-pass and mask of the fit.
+        """Return the torque residuals, filtered and masked as in the fit.
 
         Parameters
         ----------
@@ -984,11 +921,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             Time [s] on the clock of the fit, for effects that vary with time; None as
             for `predict`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them, as for
-            `fit`.
+            Recorded signals, as for `fit`.
         cutoff : "fit", float or None, default="fit"
-            Cut-off of the low-pass [Hz]; ``"fit"`` uses `cutoff_`, None filters
-            nothing. Nothing was identified above the band of the fit.
+            Cut-off frequency of the low-pass filter [Hz]; ``"fit"`` uses `cutoff_`,
+            None filters nothing.
 
         Returns
         -------
@@ -997,9 +933,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
         Notes
         -----
-        Rows with weight are predicted with the columns of the fit, effects held within
-        their ranges as in `predict`. Where a joint is at rest (zero weight), dry
-        friction has its mean, as there.
+        Effects are held within their ranges, and dry friction at rest has its mean, as
+        in `predict`.
         """
         if self.drive is not None:
             check_is_fitted(self)
@@ -1010,25 +945,24 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         )
 
     def sample(self, n, random_state=None):
-        r"""Draw robots that this one may be, as its next recording may show it.
+        r"""Draw parameters of the robot in its next recording from the posterior.
 
         Parameters
         ----------
         n : int
-            How many.
+            Number of draws.
         random_state : int, RandomState or None, default=None
-            Seed. Row k of a seed is the same one for every n, and the sample k of
-            `to_mjcf` and `to_urdf`.
+            Seed. Row k does not depend on n, and is the sample k of `to_mjcf` and
+            `to_urdf`.
 
         Returns
         -------
         ndarray of shape (n, p)
             Parameters in the order of `parameter_names_` and the units of
-            `parameter_units_`; bodies are physically consistent, and friction and
-            armature are not negative. What no torque tells stays as it is. Values of
-            the geometry (a tilt, a gain) are drawn by themselves, and the files of
-            `to_mjcf` and `to_urdf` have them as identified; a delay of commands is
-            drawn with the damping that it may be mistaken for.
+            `parameter_units_`. Bodies are physically consistent; friction and armature
+            are not negative. Parameters without effect on the torques are constant.
+            Corrections of the model are drawn independently; a delay of commands is
+            drawn together with the damping.
 
         Raises
         ------
@@ -1049,24 +983,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
 
         theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection, with one factor for the scatter between blocks of time,
-        as in `predict` (`theta_std_` has a factor for each, which would lose what the
-        torques tell of sums of them). e is there if several recordings were fitted, for
-        all that is not a body: a random effect by recording,
-        :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with :math:`u_{rk} \sim N(0,
-        s_k^2)`, independent. h is the sum of the squared shares that recordings have
-        in the value that was fitted, 1/R for R recordings alike. The scale s is
-        half-Cauchy around a fifth of the value, at most twice the value, and each row
-        has one of its own, by its posterior from the second moments of the recordings
-        (with the others' scales at their geometric means): for few recordings the tails
-        are as wide as those of Student's t. Of more than 40 recordings, neighbours are
-        taken together.
+        before the projection, with one factor for the scatter between blocks of time.
+        With several recordings, e is a random effect by recording of all parameters
+        that are not of bodies, :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with
+        independent :math:`u_{rk} \sim N(0, s_k^2)`. h is the sum of the squared shares
+        of the recordings in the fitted value, 1/R for R equal recordings. The scale s
+        is half-Cauchy around a fifth of the value, at most twice the value, and is
+        drawn from its posterior given the second moments of the recordings.
 
-        Armature and friction of drives are cut off at zero as the joint distribution
-        is: rows in which one of them is negative are drawn anew by Gibbs's sampler, 200
-        sweeps one parameter at a time given all others. Bodies of a row that none can
-        have are projected in the metric of their posterior, and the rest of the row is
-        drawn given them.
+        Armature and friction are truncated at zero: rows with a negative value are
+        redrawn by Gibbs sampling (200 sweeps). Inconsistent bodies of a row are
+        projected in the metric of their posterior, and the other parameters are drawn
+        given them.
 
         Examples
         --------
@@ -1078,18 +1006,18 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return self.robot_.sample(n, random_state)
 
     def ranges(self, level=0.9):
-        """Return how far each parameter may be off in the robot's next recording.
+        """Return the range of each parameter in the robot's next recording.
 
         Parameters
         ----------
         level : float, default=0.9
-            Probability that it is within its range, half of the rest on each side.
+            Probability of the range; the tails are equal.
 
         Returns
         -------
         Ranges
-            One `ParameterRange` for each parameter; ``save`` writes ``ranges.json``,
-            in which simulators find their own words.
+            One `ParameterRange` for each parameter; ``save`` writes ``ranges.json``
+            with the names of simulators.
 
         Raises
         ------
@@ -1102,10 +1030,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
         Notes
         -----
-        Each range is of the parameter by itself: of the distribution of `sample` with
-        `theta_std_` for C, but for what other parameters cut off and the consistency of
-        bodies. What is known
-        in combination only (``known``) is better drawn with `sample`.
+        Ranges are marginal, with `theta_std_` for C of `sample`. Draw parameters that
+        are known in combination only (``known``) with `sample`.
 
         Examples
         --------
@@ -1122,39 +1048,34 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def to_urdf(self, path, sample=None, random_state=0):
         """Write the robot description with the identified inertias and friction.
 
-        Damping and friction of a joint are the sums of what was declared and found.
-        Axes of joints that a `JointAxis` has turned are corrected, too. A tilt of the
-        base, zeros of encoders and gains of torque channels are not a property of the
-        robot that a description could hold: a comment at the top says what is to be
-        changed, as plainly as that four degrees are to be subtracted. It also names
-        bodies whose masses the recording does not determine, and lists what the file
-        does not have. Torques of the written robot are the true ones, at true
-        positions; damping that an effect found has no end, though `predict` holds it
-        outside the speeds of the fit. Of an MJCF file the joints and bodies are written
-        as a URDF.
+        Damping and friction of a joint are the sums of declared and found terms, and
+        axes with the effect `JointAxis` are corrected. A comment at the top of the file
+        lists the corrections that a URDF cannot hold (tilt of the base, encoder zeros,
+        gains of torque channels), bodies whose masses are not identifiable, and effects
+        that are left out. The robot has true torques at true positions. MJCF models are
+        written as URDF.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write.
         sample : int, default=None
-            Row of `sample` to write in place of `theta_`; the file says which.
+            Row of `sample` to write instead of `theta_`; None writes `theta_`.
         random_state : int, RandomState or None, default=0
             Seed of the sample, as for `sample`.
 
         Returns
         -------
         tuple of LeftOut
-            What the file does not have: springs, armature, offsets, effects of the
-            load, of time, of the channels, and coefficients that are negative. Each has
-            `name`, `joint`, `joint_name`, `size` (root mean square of its torque over
-            the fitted recording [N m or N]; nan if unknown), `unit` and `reason`.
+            Effects that the file cannot hold, and negative coefficients, each with
+            `name`, `joint`, `joint_name`, `size` (RMS of its torque over the fitted
+            recording [N m or N]; nan if unknown), `unit` and `reason`.
 
         Raises
         ------
         ValueError
-            If `model` is a `pinocchio.Model`, which keeps no URDF, or the parameters
-            are not physically consistent.
+            If `model` is a `pinocchio.Model`, which has no URDF, or the parameters are
+            not physically consistent.
 
         See Also
         --------
@@ -1173,27 +1094,25 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return self.robot_.to_urdf(path, sample, random_state)
 
     def save(self, path):
-        """Write the identified robot to a file that predicts without the data.
+        """Write the identified robot to a file.
 
         Parameters
         ----------
         path : str or os.PathLike
-            File to write, JSON with the robot description inside; see
-            ``docs/simulation.rst``. References to meshes are kept as they are, the
-            meshes are not in it.
+            JSON file with the robot description (``docs/simulation.rst``). Meshes are
+            referenced, not included.
 
         Raises
         ------
         FileNotFoundError
-            If its folder does not exist, or the URDF of `model` no longer does.
+            If its folder, or the URDF of `model`, does not exist.
         ValueError
-            If that URDF describes another robot by now, `model` is a
-            `pinocchio.Model` with a joint that URDF has no name for, or an effect of
-            one's own has a parameter that JSON cannot hold.
+            If that URDF has changed, `model` is a `pinocchio.Model` with a joint type
+            that URDF lacks, or a custom effect has a parameter that JSON cannot hold.
 
         See Also
         --------
-        load_identified : Reads it, to predict and for control loops.
+        load_identified : Read the file.
 
         Examples
         --------
@@ -1209,41 +1128,33 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.robot_.save(path)
 
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
-        """Write the identified robot as MJCF, the description of MuJoCo.
+        """Write the identified robot as an MJCF file for MuJoCo.
 
-        Bodies and joints come from the robot model, as its effects correct it: a
-        `pinocchio.Model` will do, and no meshes are written. Viscous friction is
-        ``damping``, Coulomb friction ``frictionloss``, rotor inertia ``armature``, a
-        spring ``stiffness`` and ``springref``; a tilted base is in the direction of
-        gravity, an encoder's zero in ``ref``. Couplings that two joints have of each
-        other are fixed tendons with the same attributes. Each joint has a motor of its
-        name, whose control is what the torque channel reads, or, with a `PDDrive`, the
-        commanded position, at the gains, the limit and the delay of the drive; constant
-        torques are its bias. Torques of springs and dampers have no end, though
-        `predict` holds those of `effects_` outside the range of the fit.
+        Bodies and joints are those of the corrected robot model; no meshes are written.
+        Viscous friction is ``damping``, Coulomb friction ``frictionloss``, rotor
+        inertia ``armature``, a spring ``stiffness`` and ``springref``, a tilted base
+        ``gravity``, an encoder zero ``ref``, and a coupling a fixed tendon. Each joint
+        has a motor of its name, whose control is the reading of the torque channel, or,
+        with a `PDDrive`, the commanded position.
 
         Parameters
         ----------
         path : str or os.PathLike
-            File to write. MuJoCo 3.2 and newer read it; 3.3.1 and newer if couplings
-            have inertia, which inverse dynamics know of in 3.6.
+            File to write, for MuJoCo 3.2 or newer (3.3.1 if couplings have inertia).
         sample : int, default=None
-            Row of `sample` to write in place of `theta_`; the file says which.
+            Row of `sample` to write instead of `theta_`; None writes `theta_`.
         random_state : int, RandomState or None, default=0
             Seed of the sample, as for `sample`.
         drive : PDDrive, default=None
-            Drive of the motors, whose controls are then positions; by default the
-            identifier's, with the mean of gains that were recorded. Its delay is the
-            one that was found, or sampled, and needs MuJoCo 3.5. Motors of a robot with
-            another drive, or none, are told torques, as are those of
-            ``robot_.to_mjcf(path)``.
+            Drive of the motors, whose controls are then positions. None is the drive of
+            the identifier, with the mean of recorded gains and the estimated or sampled
+            delay (MuJoCo 3.5). Robots without a `PDDrive` have torque motors.
 
         Returns
         -------
         tuple of LeftOut
-            What the file does not have, in its comment as well: effects of the load, of
-            time, of the channels, what is not a linear function of position or speed,
-            and coefficients that are negative; see `to_urdf`.
+            Effects that the file cannot hold, and negative coefficients; see `to_urdf`.
+            They are also listed in a comment of the file.
 
         Raises
         ------

@@ -149,9 +149,9 @@ def design_motion(
     >>> from sklearn_vbjfa.datasets import load_demo_recording
     >>> from sklearn_vbjfa.design import design_motion
     >>> urdf = load_demo_recording().urdf
-    >>> motion = design_motion(urdf, duration=5.0, dt=0.01, random_state=0)
+    >>> motion = design_motion(urdf, duration=3.0, dt=0.05, random_state=0)
     >>> motion.q.shape, motion.within_limits
-    ((500, 6), True)
+    ((60, 6), True)
     """
     rng = check_random_state(random_state)
     task = pose(

@@ -161,7 +161,7 @@ def test_the_summary_names_what_is_decided_and_what_no_motion_shows(designed):
     assert share == pytest.approx(100 * largest, abs=1.0)
 
 
-def test_the_same_again_gives_the_same(designed, capsys):
+def test_a_motion_that_exists_is_not_replaced(designed, capsys):
     out, _, argv = designed
     before = out.read_bytes()
     line = refusal(capsys, *argv)
@@ -170,6 +170,13 @@ def test_the_same_again_gives_the_same(designed, capsys):
     out.write_text("mine")
     assert "exist" in refusal(capsys, *argv)
     assert out.read_text() == "mine"
+    out.write_bytes(before)
+
+
+@pytest.mark.slow
+def test_the_same_again_gives_the_same(designed):
+    out, _, argv = designed
+    before = out.read_bytes()
     assert main(["design", *argv, "--force"]) == UNCHECKED
     assert out.read_bytes() == before
 

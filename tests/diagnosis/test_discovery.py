@@ -111,7 +111,11 @@ def unlike(name):
     ("name", "rivals"),
     [
         ("spring", ["coulomb", "offset", "ripple"]),
-        ("asymmetric_friction", ["coulomb", "viscous_quadratic"]),
+        pytest.param(
+            "asymmetric_friction",
+            ["coulomb", "viscous_quadratic"],
+            marks=pytest.mark.slow,
+        ),
         ("ripple", ["offset", "spring", "coulomb"]),
         pytest.param("stribeck", ["coulomb", "spring"], marks=pytest.mark.slow),
         pytest.param("presliding", ["coulomb", "stribeck"], marks=pytest.mark.slow),

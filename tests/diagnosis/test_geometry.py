@@ -42,7 +42,9 @@ TRUTHS = {
 
 
 # Tilts and zeros are found below, beside others.
-@pytest.fixture(scope="module", params=["axis", "gain"])
+@pytest.fixture(
+    scope="module", params=["axis", pytest.param("gain", marks=pytest.mark.slow)]
+)
 def one_fault(request):
     truth = TRUTHS[request.param]
     return truth, discover([truth])

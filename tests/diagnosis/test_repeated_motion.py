@@ -55,7 +55,13 @@ def closed(q, tau, groups=None):
 
 # With blocks of time in place of phases each of these has names.
 @pytest.mark.parametrize(
-    ("seed", "recordings"), [(9, 1), (12, 1), (0, TIMES), (12, TIMES)]
+    ("seed", "recordings"),
+    [
+        (9, 1),
+        pytest.param(12, 1, marks=pytest.mark.slow),
+        pytest.param(0, TIMES, marks=pytest.mark.slow),
+        (12, TIMES),
+    ],
 )
 def test_a_curve_of_the_phase_has_no_name(seed, recordings):
     q, tau = recorded(seed)

@@ -195,6 +195,7 @@ def assert_same_loop(found, expected):
     assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_the_loop_does_not_notice_a_worker_that_dies(
     monkeypatch, cluster, sprung, tmp_path_factory
 ):

@@ -209,7 +209,9 @@ def test_a_body_that_weighs_ten_times_as_much_is_said_and_the_others_do_not_suff
     np.testing.assert_allclose(*rotors, rtol=0.05, atol=0.01)
 
 
-@pytest.mark.parametrize("bodies", ["prior", "fixed"])
+@pytest.mark.parametrize(
+    "bodies", ["prior", pytest.param("fixed", marks=pytest.mark.slow)]
+)
 def test_a_fit_asks_for_the_unit_of_torques_that_are_too_small(recording, bodies):
     model, (q, tau) = a_robot(), recording
     robot = RobotIdentifier(model, dt=DT, bodies=bodies)

@@ -93,7 +93,7 @@ def test_sensitivities_are_derivatives_of_the_simulation(case):
     axes, effects = ROBOTS[case]
     friction = ("viscous",) if case == "smooth friction" else FRICTION
     model = arm(axes)
-    robot, states, tau = identified(model, effects, friction=friction)
+    robot, states, tau = identified(model, effects, duration=3.0, friction=friction)
     robot.theta_ = robot.theta_.copy()
     # Effects of some size, which the torques did not have.
     robot.theta_[robot.features_.n_parameters_ :] = 0.4

@@ -49,7 +49,9 @@ def test_signs_explain_a_torque_of_gravity_and_friction():
         assert abs((found * np.sign(torque)).mean()) == 1.0
 
 
-@pytest.mark.parametrize("constant", [0.5, "unknown"])
+@pytest.mark.parametrize(
+    "constant", [pytest.param(0.5, marks=pytest.mark.slow), "unknown"]
+)
 def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
     one = identify(ARM.tau, CurrentDrive(constant))
     other = identify(np.abs(ARM.tau), CurrentDrive(constant, signed=False))

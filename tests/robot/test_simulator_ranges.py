@@ -278,10 +278,16 @@ def literal(known, n, seed=0):
     return x[(x[:, known.nonnegative] >= 0).all(axis=1)]
 
 
-@pytest.mark.parametrize("between", [None, OFF])
 @pytest.mark.parametrize(
-    ("centre", "nonnegative"),
-    [((5.0, 9.0, 7.0), ()), ((-0.8, 0.3, 0.4), (0, 1)), ((-1.0, -2.0, 9.0), (0, 1, 2))],
+    ("between", "centre", "nonnegative"),
+    [
+        (None, (5.0, 9.0, 7.0), ()),
+        (OFF, (-0.8, 0.3, 0.4), (0, 1)),
+        (None, (-1.0, -2.0, 9.0), (0, 1, 2)),
+        pytest.param(OFF, (5.0, 9.0, 7.0), (), marks=pytest.mark.slow),
+        pytest.param(None, (-0.8, 0.3, 0.4), (0, 1), marks=pytest.mark.slow),
+        pytest.param(OFF, (-1.0, -2.0, 9.0), (0, 1, 2), marks=pytest.mark.slow),
+    ],
 )
 def test_samples_are_those_of_the_definition(centre, nonnegative, between):
     known = posterior(centre, CORRELATED, between, nonnegative)
@@ -329,7 +335,9 @@ def test_a_row_of_a_seed_is_the_same_one_for_every_number(several):
     assert not np.allclose(several.sample(3), several.sample(3))
 
 
-@pytest.mark.parametrize("bodies", ["prior", "free"])
+@pytest.mark.parametrize(
+    "bodies", ["prior", pytest.param("free", marks=pytest.mark.slow)]
+)
 def test_samples_are_robots(bodies, simulated):
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt, bodies=bodies)
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)

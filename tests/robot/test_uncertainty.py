@@ -156,7 +156,7 @@ def by_time(recording, plan):
     return BlockAssignment.of([plan.lowpass.centres(n).size for n in rows])
 
 
-@pytest.mark.parametrize("period", [10.0, 4.0])
+@pytest.mark.parametrize("period", [pytest.param(10.0, marks=pytest.mark.slow), 4.0])
 def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(monkeypatch, period):
     """What is locked to the phase; seeds 100 to 129, which nothing was tuned on."""
 
@@ -226,7 +226,7 @@ def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
     assert np.isinf(robot.predict(states, return_std=True)[1][:, 1]).all()
 
 
-@pytest.mark.parametrize("rho", [0.0, 0.9])
+@pytest.mark.parametrize("rho", [pytest.param(0.0, marks=pytest.mark.slow), 0.9])
 def test_predicted_deviations_hold_another_motion(rho):
     """Noisy positions; measured and predicted torque behind the low-pass."""
     inside = []

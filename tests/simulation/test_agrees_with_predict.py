@@ -63,7 +63,7 @@ def inverse(robot, states, t):
     return tau
 
 
-@settings(max_examples=40, deadline=None, derandomize=True)
+@settings(max_examples=20, deadline=None, derandomize=True)
 @given(seed=st.integers(0, 99), nv=st.integers(1, 7))
 def test_inverse_dynamics_of_simulated_states(seed, nv):
     rng = np.random.default_rng([seed, nv])

@@ -98,7 +98,10 @@ def test_load_friction():
     assert sum(turns(found)) >= 1
 
 
-@pytest.mark.parametrize(("width", "exact"), [(0.5, 5e-6), (1e-4, 1e-5)])
+@pytest.mark.parametrize(
+    ("width", "exact"),
+    [(0.5, 5e-6), pytest.param(1e-4, 1e-5, marks=pytest.mark.slow)],
+)
 def test_smoothed_coulomb_friction(width, exact):
     dry = np.array([4.0, 1.5])
     law = Law(smooth=beside(lambda q, v, t: dry * np.tanh(v / width)))

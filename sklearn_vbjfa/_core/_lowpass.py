@@ -17,7 +17,7 @@ _ATTENUATION = 60.0  # dB
 _MASK_SHARE = 0.5
 # Memory of a block's rows, and fewest rows for which a call is worth its overhead.
 _BLOCK_BYTES = 1 << 20
-_MIN_ROWS = 128
+_MIN_ROWS = 512
 # Fewest rows that are multiplied with taps together.
 _FEWEST = 32
 

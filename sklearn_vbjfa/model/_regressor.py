@@ -5,14 +5,10 @@ xi_1 e_1 + xi_2 e_2 + xi_3 e_3, with the origin p and the axes e_k in the world,
 accelerates with a + xi_1 d_1 + xi_2 d_2 + xi_3 d_3. Mass times acceleration and its
 moment, summed over the points, are all ten columns of a body's regressor: cross
 products of (p, e_1, e_2, e_3) and (a, d_1, d_2, d_3). A joint's torque is its screw
-times the forces on what it carries. `_compiled` does this; without Numba Pinocchio's
-recursion.
+times the forces on what it carries.
 """
 
-import functools
-
 import numpy as np
-from scipy import sparse
 
 from sklearn_vbjfa.model._corrected import cross, dot, links_of, mixed
 from sklearn_vbjfa.model._trees import describe, import_pinocchio
@@ -22,10 +18,9 @@ from sklearn_vbjfa.model._trees import describe, import_pinocchio
 _ROUNDING = 1e-12
 # Random states that tell which entries are zero whatever the motion.
 _N_PROBES = 32
-# Samples whose torques are computed together, and bytes of regressor matrices that are
-# in memory at once for that: few enough to stay in the processor's cache.
+# Samples whose torques are computed together: few enough to stay in the processor's
+# cache.
 _ROWS = 2048
-_CACHE = 1 << 19
 
 
 def rounding_entries(power):
@@ -40,18 +35,6 @@ def rounding_entries(power):
         largest = power[:, :, kind].max(axis=(1, 2), keepdims=True)
         rounding[:, :, kind] = power[:, :, kind] <= _ROUNDING**2 * largest
     return rounding
-
-
-@functools.cache
-def load_kernel():
-    """Return the compiled loop over samples, or None where Numba is not installed."""
-    try:
-        from sklearn_vbjfa.model._compiled import fill
-    except ModuleNotFoundError as error:
-        if error.name != "numba":
-            raise
-        return None
-    return fill
 
 
 class TreeRegressor:
@@ -113,44 +96,23 @@ class TreeRegressor:
         # places (nv, nv, 10): row of `out` (n_entries, n) for each torque, body and
         # parameter, -1 for none, as it must be outside the support. Rows without an
         # entry are left alone.
-        kernel = load_kernel()
-        if kernel is not None:
-            kernel(q, v, a, self._tree, places, out)
-            return
-        one, used = self.one_by_one(), places >= 0
-        matrices = np.empty((q.shape[0], *places.shape))
-        for matrix, *sample in zip(matrices, q, v, a):
-            matrix[...] = one(*sample)
-        out[places[used]] = matrices[:, used].T
+        for begin in range(0, q.shape[0], _ROWS):
+            rows = slice(begin, begin + _ROWS)
+            links = links_of(self._tree, q[rows], v[rows], a[rows])
+            forces, moments = _forces_and_moments(links)
+            for i, link in enumerate(links):
+                body, parameter = np.nonzero(places[i] >= 0)
+                torque = dot(link.moment[:, None], moments[:, body, parameter])
+                light = parameter < 4
+                pulled = forces[:, body[light], parameter[light]]
+                torque[light] += dot(link.force[:, None], pulled)
+                out[places[i, body, parameter], rows] = torque
 
     def torques(self, q, v, a, inertial):
         """Compute inverse dynamics (n, nv), without friction and rotors."""
         # inertial (nv, 10): as the regressor's columns; they need not belong to any
         # body.
         inertial = np.reshape(inertial, (self.nv, 10))
-        if load_kernel() is None:
-            return self._torques_of_links(q, v, a, inertial)
-        count = np.count_nonzero(self.support)
-        places = np.full(self.support.shape, -1)
-        places[self.support] = np.arange(count)
-        # Each torque is a sum over its entries, of which a robot of many branches has
-        # few.
-        joint, *parameter = np.nonzero(self.support)
-        sums = sparse.csr_array(
-            (inertial[tuple(parameter)], (joint, np.arange(count))),
-            shape=(self.nv, count),
-        )
-        torque = np.empty(q.shape)
-        size = max(1, _CACHE // (8 * max(count, 1)))
-        for begin in range(0, q.shape[0], size):
-            rows = slice(begin, min(begin + size, q.shape[0]))
-            entries = np.empty((count, rows.stop - begin))
-            self.entries(q[rows], v[rows], a[rows], places, entries)
-            torque[rows] = (sums @ entries).T
-        return torque
-
-    def _torques_of_links(self, q, v, a, inertial):
-        """Compute inverse dynamics in NumPy, where Numba is not installed."""
         torque = np.empty(q.shape)
         for begin in range(0, q.shape[0], _ROWS):
             rows = slice(begin, begin + _ROWS)
@@ -165,6 +127,28 @@ class TreeRegressor:
                     carried[parent][0] += force
                     carried[parent][1] += moment
         return torque
+
+
+def _forces_and_moments(links):
+    """Return forces (3, nv, 4, n) by m and mc, and moments (3, nv, 10, n)."""
+    p, field, w, dw = (
+        np.stack([getattr(link, name) for link in links], axis=1)[:, :, None]
+        for name in ("origin", "field", "spin", "gain")
+    )
+    axes = np.stack([link.axes for link in links], axis=1)
+    # Accelerations of the tips of the axes relative to the origin.
+    tips = cross(dw, axes) + cross(w, cross(w, axes))
+    moments = np.empty((3, len(links), 10, p.shape[-1]))
+    moments[:, :, :1] = cross(p, field)
+    moments[:, :, 1:4] = cross(p, tips) + cross(axes, field)
+    # A moment of inertia sums the squares of the other two coordinates, a product of
+    # inertia is a mixed second moment times minus one.
+    own = cross(axes, tips)
+    moments[:, :, (4, 6, 9)] = 0.5 * own.sum(axis=2, keepdims=True) - own
+    first, second = (0, 0, 1), (1, 2, 2)
+    moments[:, :, (5, 7, 8)] = cross(tips[:, :, first], axes[:, :, second])
+    moments[:, :, (5, 7, 8)] += cross(tips[:, :, second], axes[:, :, first])
+    return np.concatenate([field, tips], axis=2), moments
 
 
 def _wrench(link, body):

@@ -120,7 +120,7 @@ def with_extension(model):
 
 
 class Tree(NamedTuple):
-    """What the compiled loop needs to know of a robot."""
+    """Geometry of the joints, as loops over them need it."""
 
     parents: np.ndarray  # (nv,): number of the parent, -1 for none
     # (nv, 3): place of a joint at zero in its parent's frame [m]; zero without parent

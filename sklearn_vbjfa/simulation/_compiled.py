@@ -9,17 +9,9 @@ the inertia of composite bodies is a sum.
 
 import math
 
+import numba
 import numpy as np
 
-from sklearn_vbjfa.model._compiled import (
-    axpy,
-    combine,
-    compiled,
-    cross,
-    dot,
-    turn,
-    vector,
-)
 from sklearn_vbjfa.simulation import _integrate, _terms
 
 # Rows of what is known of a body: its axes, origin, angular velocity and acceleration,
@@ -29,6 +21,65 @@ _AXES, _ORIGIN, _SPEED, _GAIN, _FIELD = 0, 9, 12, 15, 18
 _ANGULAR, _LINEAR, _FORCE, _MOMENT = 21, 24, 27, 30
 _MASS, _FIRST, _INERTIA = 33, 34, 37
 _STATE = 46
+
+
+# The machine code is kept on disk: only the first use after an installation takes the
+# seconds of the compilation. Fused multiplications and additions round once instead of
+# twice.
+compiled = numba.njit(
+    nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
+)
+
+
+@compiled
+def vector(x):
+    """Return three numbers as a tuple."""
+    return x[0], x[1], x[2]
+
+
+@compiled
+def cross(x, y):
+    """Cross product of two vectors."""
+    return (
+        x[1] * y[2] - x[2] * y[1],
+        x[2] * y[0] - x[0] * y[2],
+        x[0] * y[1] - x[1] * y[0],
+    )
+
+
+@compiled
+def dot(x, y):
+    """Scalar product of two vectors."""
+    return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
+
+
+@compiled
+def axpy(a, x, y):
+    """Return a x + y."""
+    return a * x[0] + y[0], a * x[1] + y[1], a * x[2] + y[2]
+
+
+@compiled
+def combine(a, x, y, z):
+    """Return a_1 x + a_2 y + a_3 z."""
+    return (
+        a[0] * x[0] + a[1] * y[0] + a[2] * z[0],
+        a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
+        a[0] * x[2] + a[1] * y[2] + a[2] * z[2],
+    )
+
+
+@compiled
+def turn(axis, cosine, sine):
+    """Return the axes of a frame turned about an axis, in that frame, by rows."""
+    u, v, w = axis
+    rest = 1.0 - cosine
+    x, y, z = rest * u, rest * v, rest * w
+    return (
+        (x * u + cosine, x * v + w * sine, x * w - v * sine),
+        (y * u - w * sine, y * v + cosine, y * w + u * sine),
+        (z * u + v * sine, z * v - u * sine, z * w + cosine),
+    )
 
 
 _add_terms = compiled(_terms.add_terms)

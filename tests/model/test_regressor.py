@@ -10,7 +10,6 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RigidBodyFeatures  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     TreeRegressor,
-    _regressor,
     rounding_entries,
 )
 from tests.model._trees import (  # noqa: E402
@@ -22,18 +21,6 @@ from tests.model._trees import (  # noqa: E402
     make_joint,
     random_placement,
 )
-
-
-@pytest.fixture(scope="module", autouse=True, params=["compiled", "not compiled"])
-def loop(request):
-    """Compute the regressors with Numba, and without."""
-    if request.param == "compiled":
-        pytest.importorskip("numba")
-        yield
-        return
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_regressor, "load_kernel", lambda: None)
-        yield
 
 
 def carried(model):

@@ -677,10 +677,6 @@ class FixedPointSteps(PlainSteps):
         return quiet and (self.smallest <= _SETTLED or self.idle >= _PATIENCE)
 
 
-# Evaluations of the bound after which two ascents are compared.
-_GLANCE = 100
-
-
 @dataclass(frozen=True, kw_only=True)
 class CorrelatedSolution(Solution):
     """Result of the iteration, with the latent inputs of the model."""
@@ -728,8 +724,6 @@ def solve_correlated(
         known = {"latent": problem.latent, "direct": problem.direct}
         return CorrelatedSolution(**known, **vars(found))
 
-    if problem.latent.exact and common and not more:
-        return _highest_of_two(problem, up, max_iter, fast=joint)
     found = up(problem.start(fast=joint), max_iter)
     if not (problem.latent.exact and more):
         return found
@@ -750,22 +744,6 @@ def _has_digits(moments):
     """Whether rounding is far below the smallest eigenvalue of S."""
     values = linalg.eigvalsh(moments.S)
     return bool(values[0] > _HALF_DIGITS * values[-1])
-
-
-def _highest_of_two(problem, up, max_iter, *, fast):
-    """Ascend from the exact fit or the ridge solution, whichever gets higher."""
-    # Fewer samples than inputs can be fitted exactly or explained as noise entirely;
-    # often both are maxima, with a long flat ridge between them.
-    glance = min(_GLANCE, max_iter)
-    exact = up(problem.start_from_least_squares(fast=fast), glance)
-    noisy = up(problem.start(fast=fast), glance)
-    best = exact if exact.history[-1] > noisy.history[-1] else noisy
-    used = exact.n_iter + noisy.n_iter
-    if best.status != "max_iter" or used >= max_iter:
-        return replace(best, n_iter=min(used, max_iter))
-    make = problem.start_from_least_squares if best is exact else problem.start
-    best = up(make(fast=fast), max_iter - used)
-    return replace(best, n_iter=used + best.n_iter)
 
 
 def posterior_covariance(n, psi, solution, dof=np.inf):

@@ -16,7 +16,7 @@ _MODULES = {
     "_design": ("best_drawn", "design_motion", "pose"),
     "_limits": ("MotionLimits",),
     "_motion": ("DesignedMotion", "FourierCurve"),
-    "_collisions": ("Clearance", "capsule_around", "segment_distances"),
+    "_collisions": ("Clearance",),
     "_criterion": ("Questions", "worth"),
     "_known_robot": ("KnownRobot",),
     "_optimise": ("Lagrangian",),

@@ -3,9 +3,7 @@
 The gradient of a distance follows from the points where two shapes are nearest and from
 the normal between them: shapes move rigidly, and to first order the points may be held
 on them. That fails only where the nearest points jump, as between parallel faces.
-Capsules around the shapes give lower bounds for many pairs at once: their distance is
-that of two line segments less two radii, and they follow links, which are long and
-thin, as spheres do not.
+Balls around the shapes give lower bounds for many pairs at once.
 """
 
 import os
@@ -83,12 +81,13 @@ class Clearance:
         self._bodies = np.array([shape.joint for shape in self._shapes])
         self._axes = np.array([shape.axes for shape in self._shapes])
         self._origins = np.array([shape.origin for shape in self._shapes])
-        capsules = [capsule_around(x.corners, x.swept) for x in self._shapes]
-        self._radii = np.array([capsule.radius for capsule in capsules])
-        self._ends = np.array(
-            [x.ends @ s.axes.T + s.origin for x, s in zip(capsules, self._shapes)]
-        )
-        self.near = float(np.median(self._radii))
+        boxes = [shape.geometry.aabb_local for shape in self._shapes]
+        ends = np.array([[box.min_, box.max_] for box in boxes]).reshape(-1, 2, 3)
+        halves = 0.5 * (ends[:, 1] - ends[:, 0])
+        middles = np.einsum("nij,nj->ni", self._axes, ends.mean(axis=1))
+        self._centres = middles + self._origins
+        self._radii = np.linalg.norm(halves, axis=1)
+        self.near = float(np.median(halves.min(axis=1)))
         candidates = [
             (i, j)
             for i, j in combinations(range(len(self._shapes)), 2)
@@ -213,11 +212,11 @@ class Clearance:
             yield start, self._poses(q[start : start + step])
 
     def _bounds(self, poses):
-        """Lower bounds of the distances (n, n_pairs), from capsules."""
-        axes = poses.axes[:, self._bodies]
-        ends = self._ends @ np.swapaxes(axes, -1, -2)
-        ends += poses.origins[:, self._bodies, None]
-        apart = segment_distances(ends[:, self._first], ends[:, self._second])
+        """Lower bounds of the distances (n, n_pairs), of balls around the shapes."""
+        turned = np.einsum("nbij,bj->nbi", poses.axes[:, self._bodies], self._centres)
+        centres = turned + poses.origins[:, self._bodies]
+        way = centres[:, self._first] - centres[:, self._second]
+        apart = np.linalg.norm(way, axis=-1)
         return apart - self._radii[self._first] - self._radii[self._second]
 
     def _nearest_points(self, poses, rows, pairs):
@@ -259,67 +258,3 @@ class _Nearest:
     distance: np.ndarray
     normal: np.ndarray
     point: np.ndarray
-
-
-@dataclass(frozen=True)
-class Capsule:
-    """All points within a radius of a line segment."""
-
-    ends: np.ndarray  # (2, 3) [m]
-    radius: float  # [m]
-
-    @property
-    def volume(self):
-        """Volume [m^3]."""
-        length = np.linalg.norm(self.ends[1] - self.ends[0])
-        return np.pi * self.radius**2 * (length + 4 / 3 * self.radius)
-
-
-def capsule_around(points, swept=0.0):
-    """Return a small capsule that holds balls of radius `swept` about points (n, 3)."""
-    # Of capsules along the coordinates and along the principal axes, that of least
-    # volume.
-    centred = points - points.mean(axis=0)
-    principal = np.linalg.eigh(centred.T @ centred)[1]
-    along = [_along(axis, points) for axis in (*np.eye(3), *principal.T)]
-    best = min(along, key=lambda capsule: capsule.volume)
-    return Capsule(best.ends, best.radius + swept)
-
-
-def _along(axis, points):
-    """Return the capsule around points whose segment has a given direction."""
-    place = points @ axis
-    aside = points - np.outer(place, axis)
-    centre = (aside.min(axis=0) + aside.max(axis=0)) / 2
-    # The box need not be square to the axis; the centre has to be.
-    centre -= (centre @ axis) * axis
-    away = np.linalg.norm(aside - centre, axis=1)
-    radius = away.max()
-    # The round ends reach beyond the segment by what the radius leaves.
-    beyond = np.sqrt(np.maximum(radius**2 - away**2, 0.0))
-    first, last = (place + beyond).min(), (place - beyond).max()
-    if first > last:
-        first = last = (first + last) / 2
-    return Capsule(centre + np.outer([first, last], axis), float(radius))
-
-
-def segment_distances(first, second):
-    """Return the distances (...) between line segments (..., 2, 3), or points."""
-    # Ericson, Real-Time Collision Detection, Morgan Kaufmann 2005, section 5.1.9.
-    tiny = np.finfo(float).tiny
-    u = first[..., 1, :] - first[..., 0, :]
-    v = second[..., 1, :] - second[..., 0, :]
-    apart = first[..., 0, :] - second[..., 0, :]
-    uu, vv, uv = _dot(u, u), _dot(v, v), _dot(u, v)
-    ua, va = _dot(u, apart), _dot(v, apart)
-    # The nearest points of the two lines, then each held on its segment in turn.
-    across = np.maximum(uu * vv - uv**2, tiny)
-    s = np.clip((uv * va - ua * vv) / across, 0.0, 1.0)
-    t = np.clip((uv * s + va) / np.maximum(vv, tiny), 0.0, 1.0)
-    s = np.clip((uv * t - ua) / np.maximum(uu, tiny), 0.0, 1.0)
-    gap = apart + s[..., None] * u - t[..., None] * v
-    return np.sqrt(_dot(gap, gap))
-
-
-def _dot(x, y):
-    return np.einsum("...i,...i->...", x, y)

@@ -14,9 +14,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
-from scipy.special import ndtri
-
-from sklearn_vbjfa._core._linear_systems import or_one
 
 # Evidence at which two causes count as told apart: a sum of squared differences of 50
 # noise variances is a difference of log likelihoods of 25.
@@ -29,8 +26,6 @@ _RIDGE, _LEAST = 1e-9, 1e-9
 BALANCE, _POWER = 2.0, 6.0
 # Why no motion shows an effect.
 SAME_COLUMNS = "absorbed by other parameters"
-# Half width of a 90 % interval, in standard errors.
-_NINETY = float(ndtri(0.95))
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,18 +158,6 @@ def information_of(equations, places, n_columns, weight):
 
 
 @dataclass(frozen=True, kw_only=True)
-class ExpectedInterval:
-    """How well a parameter will be known."""
-
-    # one of the bodies stands for the combination of parameters that torques depend on
-    name: str
-    unit: str
-    half_width: float  # of its 90 % interval
-    # what the model has now, of bodies of the combination; nan if nothing is known
-    value: float
-
-
-@dataclass(frozen=True, kw_only=True)
 class Visible:
     """An effect that a motion shows."""
 
@@ -220,34 +203,6 @@ def condition_number(problem, states):
     if not values[0] > 1e-14 * values[-1]:
         return float("inf")
     return float(np.sqrt(values[-1] / values[0]))
-
-
-def expected_intervals(problem, robot, states, step):
-    """Return the expected 90 % intervals of the parameters of the model."""
-    model = problem.model
-    n = model.n_model
-    M = problem.information(states, step)[:n, :n]
-    size = np.sqrt(np.diag(M))
-    safe = or_one(size)
-    variance = np.diag(np.linalg.pinv(M / np.outer(safe, safe), hermitian=True))
-    width = np.where(size > 0, _NINETY * np.sqrt(variance) / safe, np.inf)
-    features = robot.features
-    names = [features.parameter_names_[k] for k in model.base]
-    units = [features.parameter_units_[k] for k in model.base]
-    for one in model.effects[: model.n_own]:
-        effect = one.effect
-        joint = robot.joint_names[effect.joint]
-        kind = int(bool(model.prismatic[effect.joint]))
-        for c, unit in zip(effect.coefficients, effect.units):
-            names.append(
-                f"{joint}:{effect.name}"
-                + (f":{c}" if len(effect.coefficients) > 1 else "")
-            )
-            units.append(unit[kind])
-    return tuple(
-        ExpectedInterval(name=name, unit=unit, half_width=float(w), value=float(c))
-        for name, unit, w, c in zip(names, units, width, problem.coefficients)
-    )
 
 
 def _least(noise, evidence):

@@ -10,7 +10,6 @@ from sklearn_vbjfa.design._collisions import Clearance
 from sklearn_vbjfa.design._criterion import (
     Questions,
     condition_number,
-    expected_intervals,
     information_of,
     promise,
     worth,
@@ -544,7 +543,6 @@ def _made(task, z, first, fine):
         no_clearance=task.no_clearance,
         noise=task.noise,
         band=robot.band(curve.highest, dt),
-        expected_intervals=expected_intervals(problem, robot, design, samples[1]),
         **promise(task.told, robot, design, samples[1], task.noise),
         curve=curve,
         coordinates=z,

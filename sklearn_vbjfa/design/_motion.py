@@ -55,9 +55,6 @@ class DesignedMotion:
         Pairs of effects that it was asked to tell apart.
     invisible : tuple of Invisible
         Effects that no motion shows, or not this one, and why.
-    expected_intervals : tuple of ExpectedInterval
-        Half widths of the 90 % intervals of the parameters, if the noise is all that is
-        left.
     """
 
     t: np.ndarray
@@ -80,7 +77,6 @@ class DesignedMotion:
     shows: tuple = ()
     parts: tuple = ()
     invisible: tuple = ()
-    expected_intervals: tuple = ()
     curve: object = field(default=None)
     coordinates: np.ndarray | None = field(default=None)
 

@@ -17,8 +17,6 @@ from sklearn_vbjfa.model._xml import parse_description
 
 # Prefixes after which a package's name and a path in it follow.
 _IN_PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")
-# Corners of the polygon that stands around a circle.
-_CORNERS = 16
 # What coal calls the sizes of its shapes.
 _SIZES = ("radius", "halfLength", "halfSide")
 
@@ -38,9 +36,6 @@ class CollisionShape:
     origin: np.ndarray
     # box, sphere, capsule, cylinder or convex polyhedron, in its own frame
     geometry: object
-    # (n_corners, 3): points whose convex hull, swept by a ball, holds it [m]
-    corners: np.ndarray
-    swept: float  # radius of that ball [m]
 
 
 @dataclass(frozen=True)
@@ -172,15 +167,13 @@ def _shape(coal, found, link, path):
             f"The collision geometry of link {link!r} in {path.name!r} has a negative "
             "size."
         )
-    corners, swept = _corners(coal, geometry, link)
+    geometry.computeLocalAABB()
     return CollisionShape(
         link=link,
         joint=found.parentJoint,
         axes=found.placement.rotation.copy(),
         origin=found.placement.translation.copy(),
         geometry=geometry,
-        corners=corners,
-        swept=swept,
     )
 
 
@@ -207,34 +200,6 @@ def _hull(coal, points, mesh):
     for triangle in hull.simplices:
         triangles.append(coal.Triangle(*(int(number[k]) for k in triangle)))
     return coal.Convex(corners, triangles)
-
-
-def _corners(coal, geometry, link):
-    """Return points and the radius of a ball that, swept over them, hold a shape."""
-    ends = np.array([[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]])
-    if isinstance(geometry, coal.Sphere):
-        return np.zeros((1, 3)), float(geometry.radius)
-    if isinstance(geometry, coal.Capsule):
-        return geometry.halfLength * ends, float(geometry.radius)
-    if isinstance(geometry, coal.Box):
-        signs = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
-        return signs * geometry.halfSide, 0.0
-    if isinstance(geometry, coal.Cylinder):
-        angles = 2 * np.pi * np.arange(_CORNERS) / _CORNERS
-        rim = np.column_stack([np.cos(angles), np.sin(angles)])
-        rim *= geometry.radius / np.cos(np.pi / _CORNERS)
-        return np.concatenate(
-            [
-                np.column_stack([rim, np.full(_CORNERS, z)])
-                for z in (-geometry.halfLength, geometry.halfLength)
-            ]
-        ), 0.0
-    if isinstance(geometry, coal.ConvexBase):
-        return np.array([geometry.point(k) for k in range(geometry.num_points)]), 0.0
-    raise NoShapes(
-        f"The collision geometry of link {link!r} is a {type(geometry).__name__}; "
-        "expected a box, a sphere, a capsule, a cylinder or a mesh."
-    )
 
 
 def _neighbours(tree, links):

@@ -4,6 +4,7 @@ A description is checked before a parser sees it, since these do not limit the d
 """
 
 import os
+import re
 import shlex
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
@@ -30,7 +31,7 @@ def add_comment(root, note):
     """Put a comment at the top of an element, unless it is empty."""
     if note:
         # Two hyphens would end the comment.
-        lines = note.replace("--", "- -").replace("\n", "\n    ")
+        lines = re.sub("-(?=-)", "- ", note).replace("\n", "\n    ")
         root.insert(0, ElementTree.Comment(f" {lines} "))
 
 

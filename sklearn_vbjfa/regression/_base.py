@@ -11,6 +11,8 @@ from sklearn.utils.validation import (
 
 from sklearn_vbjfa._core._linear_systems import unit_columns
 
+# Columns that are larger, or smaller than its inverse, have no squares to sum.
+LARGEST = 1e100
 # Private parts of scikit-learn come from here alone.
 __all__ = ["Interval", "StrOptions", "check_sample_weight"]
 
@@ -30,6 +32,9 @@ class BaseRegressor(RegressorMixin, BaseEstimator):
             ensure_min_samples=min_samples,
             reset=reset,
         )
+        names = getattr(self, "feature_names_in_", range(X.shape[1]))
+        names = [f"column {name} of X" for name in names]
+        check_sizes(np.column_stack([X, y]), names)
         if sample_weight is None:
             return X, y, None
         return X, y, check_sample_weight(sample_weight, X)
@@ -72,6 +77,18 @@ class LinearRegressor(BaseRegressor):
         d = coef.size
         self.coef_ = coef
         self.intercept_ = float(mean[d] - mean[:d] @ coef)
+
+
+def check_sizes(columns, names):
+    """Refuse columns (n, d + 1) of [X y] in units in which their squares overflow."""
+    size = np.abs(columns).max(axis=0)
+    wrong = (size > LARGEST) | ((size > 0) & (size < 1 / LARGEST))
+    if wrong.any():
+        k = int(np.argmax(wrong))
+        raise ValueError(
+            f"The largest value of {[*names, 'y'][k]} is {size[k]:.3g}, expected "
+            f"between {1 / LARGEST:g} and {LARGEST:g}. Choose another unit."
+        )
 
 
 def check_sample_weight(sample_weight, X):

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import linalg
+from scipy.special import expit
 
 from sklearn_vbjfa._core._correlated import (
     CorrelatedSolution,
@@ -27,6 +28,11 @@ LARGEST_FRACTION = 1 / 3
 # Samples per input from which on each input has a precision of its own, and second
 # moments say something of the inputs' noise.
 SAMPLES_PER_INPUT = 2
+
+
+# What the bound has less for each further precision, whose prior spreads over fourteen
+# units of its logarithm, than it has for a prior over two.
+PRECISION_COST = float(-np.log(1e-6)) - 2.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,14 +78,10 @@ class _Solver:
         )
 
 
-def _is_selected(data, noise):
+def _is_selected(noise):
     """Whether inputs are selected for noiseless queries."""
-    if noise is None:
-        # With hardly more samples than inputs the smallest eigenvalues, which bound
-        # the noise, are those of chance: regression on inputs taken as exact.
-        return _enough_samples(data)
     # Zero noise is Bayesian ARD regression; a covariance is taken at its word.
-    return np.ndim(noise) < 2 and bool(np.any(noise))
+    return noise is None or (np.ndim(noise) < 2 and bool(np.any(noise)))
 
 
 def _enough_samples(data):
@@ -94,16 +96,18 @@ def fit_correlated(data, noise, labels, *, max_iter, tol, cross=None, dof=np.inf
     # and only relevant ones are fitted, with one precision in common; noisy queries are
     # then answered by all inputs as they are, see `_average`.
     m = data.moments
-    # Hardly more samples than inputs do not tell a precision for each.
-    common = not _enough_samples(data)
+    # Hardly more samples than inputs do not tell a precision for each of noisy ones.
+    few = not _enough_samples(data)
+    common = few and noise is not None
     solve = _Solver(max_iter=max_iter, tol=tol, common=common)
+    if few and noise is None:
+        return _fit_few(m, solve)
     d = m.xx.size
     psi = standard_noise(noise, data)
     if psi is not None:
         _warn_excess(m.S / m.n, psi, data, labels)
-    if not _is_selected(data, noise):
-        known = np.zeros((d, d)) if psi is None else psi
-        return _fit_all(m, known, solve, cross, dof)
+    if not _is_selected(noise):
+        return _fit_all(m, psi, solve, cross, dof)
     R, r = m.S / m.n, m.xy / m.n
     as_they_are = solve(m, np.zeros((d, d)))
     found = find_dependencies(R)
@@ -178,6 +182,24 @@ def _fit_all(m, psi, solve, cross, dof):
     )
 
 
+def _fit_few(m, solve):
+    """Fit hardly more samples than inputs, which are taken as exact."""
+    # Their smallest eigenvalues, which bound the noise, are those of chance.
+    solution = solve(m, np.zeros_like(m.S))
+    state = solution.state
+    variance = np.diagonal(state.beta_cov)
+    model = _average(m, solution, solve, by_evidence=True)
+    return CorrelatedFit(
+        noisy=model,
+        noiseless=model,
+        noisy_solution=solution,
+        noiseless_solution=solution,
+        alpha=state.E_alpha,
+        relevant=state.beta_mean**2 > RELEVANT_DEVIATIONS**2 * variance,
+        psi=np.zeros_like(m.S),
+    )
+
+
 def _in_common(m, psi, solution, solve, cross=None):
     """Solution with one precision in common, which `solution` may be already."""
     return solution if solve.common else solve(m, psi, common=True, cross=cross)
@@ -230,20 +252,29 @@ def _admissible_ends(m):
     return 0.0, min(largest, LARGEST_FRACTION, no_signal)
 
 
-def _average(m, solution, solve):
+def _average(m, solution, solve, *, by_evidence=False):
     """Answer to noisy queries: the mean of two regressions on the noisy inputs."""
     # One gives each input a precision of its own, which suits few relevant inputs;
-    # the other one precision to all, which suits many. Nothing tells beforehand which
-    # suits; their mean is nearly as good as the better one, and half of what they
-    # differ in is not known.
+    # the other one precision to all, which suits many. With many samples nothing tells
+    # beforehand which suits; their mean is nearly as good as the better one, and what
+    # they differ in is not known. Few samples fit the wrong one badly.
     exact = np.zeros_like(m.S)
     other = _in_common(m, exact, solution, solve)
-    both = [one.state for one in (solution, other)]
-    coef = 0.5 * sum(state.beta_mean for state in both)
+    share = 0.5
+    if by_evidence:
+        gain = solution.history[-1] - other.history[-1]
+        share = float(expit(gain + (m.xx.size - 1) * PRECISION_COST))
+    first, second = solution.state, other.state
+    coef = share * first.beta_mean + (1 - share) * second.beta_mean
+    apart = _square(first.beta_mean - second.beta_mean)
+    cov = posterior_covariance(m.n, exact, other)
+    if by_evidence:
+        cov = share * first.beta_cov + (1 - share) * cov
+        cov += share * (1 - share) * apart
+    else:
+        cov = cov + _square(second.beta_mean - coef)
     return LinearModel(
-        coef=coef,
-        cov=_uncertainty(m, exact, coef, other),
-        noise=0.5 * sum(state.psi_y for state in both),
+        coef=coef, cov=cov, noise=share * first.psi_y + (1 - share) * second.psi_y
     )
 
 

@@ -24,6 +24,8 @@ from sklearn_vbjfa.regression._input_noise import noise_shares, resolve_input_no
 
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256
+# Coefficients whose variances are numbers.
+_LARGEST_UNIT = 1e140
 
 
 class BaseJointFactorRegressor(BaseRegressor):
@@ -197,6 +199,11 @@ class BaseJointFactorRegressor(BaseRegressor):
     def _set_linear_models(self, noisy, noiseless, data):
         """Set what the two kinds of queries need, and which of them `predict` takes."""
         unit = data.y_scale / data.x_scale
+        if unit.max(initial=1.0) > _LARGEST_UNIT:
+            raise ValueError(
+                f"Coefficients have the size {unit.max():.3g} [unit of y / unit of X], "
+                f"expected at most {_LARGEST_UNIT:g}. Choose other units."
+            )
         y2 = data.y_scale**2
         self.coef_noisy_ = data.expand(noisy.coef * unit)
         self.coef_noiseless_ = data.expand(noiseless.coef * unit)

@@ -38,8 +38,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     latent : {"auto", "independent", "correlated"}, default="auto"
         ``"independent"``: the paper's model, one hidden input of its own for each
         observed input. ``"correlated"``: the hidden inputs share a full covariance.
-        ``"auto"``: correlated with more samples than inputs, else (and with
-        ``prior="paper"``) independent.
+        ``"auto"``: correlated; independent with ``prior="paper"``, and with fewer
+        samples than inputs and more than 256 of these.
     prior : {"noise", "paper"}, default="noise"
         For independent latents: ``"paper"`` is the model of the paper to the letter
         (one precision alpha_m for both w_zm and w_xm, no prior on the input noise);
@@ -97,8 +97,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Variance of y given noiseless inputs, unit of y squared.
     alpha_ : ndarray of shape (n_features,)
         Posterior means of the ARD precisions, 1 / unit of y squared; infinite for
-        an input that never varies. With hardly more samples than inputs, and correlated
-        latents, all inputs share one.
+        an input that never varies. With at most two samples for each input, correlated
+        latents and an `input_noise` that is known, all inputs share one.
     relevant_ : ndarray of shape (n_features,), bool
         Inputs that matter. Independent latents: the posterior means of both loadings
         are more than two posterior standard deviations away from zero. Correlated
@@ -252,9 +252,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         if self.prior == "paper":
             return "independent"
-        gram = data.moments.S is not None
-        more = data.moments.n > data.x_scale.size
-        return "correlated" if more and gram else "independent"
+        return "independent" if data.moments.S is None else "correlated"
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]

@@ -1,0 +1,77 @@
+"""Units out of range, and columns in another order."""
+
+import numpy as np
+import pytest
+
+from sklearn_vbjfa import (
+    InstrumentalVariables,
+    JFARegressor,
+    LocallyWeightedRegressor,
+    StepwiseRegressor,
+    TotalLeastSquares,
+    VBJFARegressor,
+)
+
+ESTIMATORS = [
+    InstrumentalVariables(),
+    JFARegressor(),
+    LocallyWeightedRegressor(),
+    StepwiseRegressor(),
+    TotalLeastSquares(),
+    VBJFARegressor(),
+    VBJFARegressor(latent="independent"),
+]
+
+
+def table(n=60):
+    rng = np.random.default_rng(0)
+    X = rng.normal(size=(n, 3))
+    return X, X @ [1.0, -2.0, 0.0] + 0.1 * rng.normal(size=n)
+
+
+def fitted(estimator, X, y):
+    return estimator.fit(X, y)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: type(e).__name__)
+@pytest.mark.parametrize("scale", [1e-200, 1e200])
+def test_units_without_squares_are_refused_by_name(estimator, scale):
+    X, y = table()
+    with pytest.raises(ValueError, match=r"column 1 of X is .* another unit"):
+        fitted(estimator, X * [1.0, scale, 1.0], y)
+    with pytest.raises(ValueError, match=r"of y is .* another unit"):
+        fitted(estimator, X, y * scale)
+
+
+@pytest.mark.parametrize("estimator", [JFARegressor(), VBJFARegressor()])
+def test_coefficients_without_squares_are_refused(estimator):
+    X, y = table()
+    with pytest.raises(ValueError, match="Choose other units"):
+        estimator.fit(X * 1e-90, y * 1e90)
+
+
+@pytest.mark.parametrize("estimator", ESTIMATORS, ids=lambda e: type(e).__name__)
+def test_units_at_the_ends_of_the_range_are_only_units(estimator):
+    X, y = table()
+    expected = fitted(estimator, X, y).predict(X)
+    # One unit for inputs and output: TotalLeastSquares compares them.
+    for scale in (2.0**-220, 2.0**220):
+        found = fitted(estimator, X * scale, y * scale).predict(X * scale)
+        np.testing.assert_allclose(found / scale, expected, rtol=1e-8, atol=1e-8)
+        if hasattr(estimator, "coef_std_"):
+            assert np.isfinite(estimator.coef_std_).all()
+
+
+@pytest.mark.parametrize("input_noise", [None, 0.05, 0.3])
+@pytest.mark.parametrize("seed", range(3))
+def test_columns_of_joint_factors_in_another_order(input_noise, seed):
+    rng = np.random.default_rng(seed)
+    X = rng.normal(size=(100, 4))
+    y = X @ [1.0, 2.0, 3.0, 4.0] + 0.1 * rng.normal(size=100)
+    # Copies and a sum: directions in which the likelihood is flat.
+    X = np.column_stack([X, X[:, :2], X[:, 0] + X[:, 1]])
+    order = rng.permutation(7)
+    estimator = JFARegressor(input_noise=input_noise)
+    expected = estimator.fit(X, y).predict(X)
+    found = estimator.fit(X[:, order], y).predict(X[:, order])
+    np.testing.assert_allclose(found, expected, atol=1e-6)

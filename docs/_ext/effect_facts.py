@@ -43,7 +43,7 @@ def symbols(formula):
     text = re.sub(r"\\text\{[^}]*\}|\\(left|right|q?quad|[,;: ])", " ", formula)
     text = text.replace(r"\_", "_UNDERSCORE_").replace(r"\Delta", " d")
     text = re.sub(r"\bd\s+(?=[A-Z\\])", "d", text)
-    text = re.sub(r"\\(sin|cos|tanh|frac|partial|ge|dot|ddot)(?![a-z])", " ", text)
+    text = re.sub(r"\\(sum_k|sin|cos|frac|partial|ge|dot|ddot)(?![a-z])", " ", text)
     text = re.sub(r"\\mathrm\{([^}]*)\}", r" \1 ", text)
     text = text.replace("_UNDERSCORE_", "\x00")
     found = re.findall(r"\\?[A-Za-z\x00]+(?:_(?:\{\s*\w+\s*\}|\w|\s\w+))?", text)

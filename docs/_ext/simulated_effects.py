@@ -110,8 +110,8 @@ def uses():
         Use(effect=effects.ViscousQuadratic(joint=1), coef=(5.0,)),
         Use(effect=effects.LoadFriction(joint=1), coef=(0.1,)),
         Use(
-            effect=effects.Presliding(joint=1, displacement=0.02),
-            coef=(6.0,),
+            effect=effects.MaxwellSlip(joint=1, displacements=(0.005, 0.02, 0.08)),
+            coef=(2.0, 2.0, 2.0),
             x_label="way of joint 2 since it turned round [rad]",
             signal=_since_reversal,
             with_motion=True,

@@ -4,7 +4,8 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import softmax
+from scipy.optimize import nnls
+from scipy.special import log_ndtr, softmax
 
 from sklearn_vbjfa._core._linear_systems import or_one
 
@@ -43,6 +44,32 @@ def student(gain, freedom, width):
     return 0.5 * (freedom + width) * np.log1p(2 * gain / freedom)
 
 
+def log_orthant(mean, covariance):
+    """Log probabilities (...) that normal vectors (..., k) have no negative element."""
+    # The elements are truncated one by one, the most negative first, and what is left
+    # is taken for normal with the moments of the truncated distribution (Mendell and
+    # Elston, Biometrics 30, 1974, doi 10.2307/2529616).
+    mean, covariance = np.array(mean), np.array(covariance)
+    left = np.ones(mean.shape, dtype=bool)
+    total = np.zeros(mean.shape[:-1])
+    for _ in range(mean.shape[-1]):
+        variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+        deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
+        ratio = np.where(left, mean / deviation, np.inf)
+        at = np.argmin(ratio, axis=-1)[..., None]
+        z = np.take_along_axis(ratio, at, -1)
+        size = np.take_along_axis(deviation, at, -1)
+        column = np.take_along_axis(covariance, at[..., None], -1)[..., 0] / size
+        log_share = log_ndtr(z)
+        moved = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_share)
+        total += log_share[..., 0]
+        mean += moved * column
+        shrunk = moved * (moved + z)
+        covariance -= shrunk[..., None] * column[..., :, None] * column[..., None, :]
+        np.put_along_axis(left, at, False, -1)
+    return total
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Groups:
     """Second moments of c groups of k columns beside a model."""
@@ -55,6 +82,7 @@ class Groups:
     unit: np.ndarray
     # degrees of freedom of the noise: Student's t in place of the normal
     freedom: float = np.inf
+    positive: bool = False  # whether no coefficient may be negative
 
     def evidence(self, scale):
         """Logarithms of Bayes factors (c,) against the model without the group."""
@@ -74,6 +102,7 @@ class Groups:
             own=self.own / excess.ratio,
             unit=self.unit,
             freedom=excess.freedom,
+            positive=self.positive,
         )
 
     def integrated(self, scale, own):
@@ -103,7 +132,28 @@ class Groups:
         ratio = scales / scale
         prior = ratio / (1 + ratio**2)
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
+        if self.positive:
+            # The prior is that of positive coefficients, 2^k times as dense.
+            volume -= self._log_orthant(scales)
         return gain - volume + np.log(prior / prior.sum())[:, None]
+
+    def _log_orthant(self, scales):
+        """Log of the share (n_scales, c) of positive coefficients, over the prior's."""
+        value, rest, vectors = self._spectral
+        s = scales[:, None, None]
+        precision = 1.0 + s**2 * value
+        mean = np.einsum("cab,scb->sca", vectors, s * rest / precision)
+        covariance = np.einsum("cab,scb,cdb->scad", vectors, 1 / precision, vectors)
+        return log_orthant(mean, covariance) + mean.shape[-1] * np.log(2.0)
+
+    @functools.cached_property
+    def _nonnegative(self):
+        """Scaled coefficients (c, k) of non-negative least squares."""
+        value, rest, vectors = self._spectral
+        root = np.sqrt(value)
+        rows = root[:, :, None] * vectors.transpose(0, 2, 1)
+        right = rest / or_one(root)
+        return np.array([nnls(A, b)[0] for A, b in zip(rows, right)])
 
     @functools.cached_property
     def _spectral(self):
@@ -122,10 +172,15 @@ class Groups:
     def coefficients(self):
         """Coefficients (c, k) of least squares, of what is seen of each group."""
         value, rest, vectors = self._spectral
+        if self.positive:
+            return self._nonnegative * self.unit
         inside = rest / or_one(value)
         return np.einsum("cab,cb->ca", vectors, inside) * self.unit
 
     def gain(self):
         """Fall (c,) of the weighted squared error by least squares."""
-        value, rest, _ = self._spectral
+        value, rest, vectors = self._spectral
+        if self.positive:
+            along = np.einsum("cab,ca->cb", vectors, self._nonnegative)
+            return (2 * rest * along - value * along**2).sum(axis=1)
         return (rest**2 / or_one(value)).sum(axis=1)

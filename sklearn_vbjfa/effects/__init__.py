@@ -31,15 +31,11 @@ from sklearn_vbjfa.effects._drive import (
 )
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
-    Backlash,
     Coulomb,
     LoadFriction,
-    Presliding,
     Stribeck,
     Viscous,
     ViscousQuadratic,
-    dahl,
-    play,
 )
 from sklearn_vbjfa.effects._in_model import (
     BaseTilt,
@@ -64,6 +60,7 @@ from sklearn_vbjfa.effects._library import (
     declared_unit,
     resolve,
 )
+from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, play, stops
 from sklearn_vbjfa.effects._motion import (
     CURVED,
     FAST,
@@ -102,10 +99,10 @@ __all__ = [
     "JointEffect",
     "JointZero",
     "LoadFriction",
+    "MaxwellSlip",
     "OfTime",
     "Offset",
     "Payload",
-    "Presliding",
     "Ripple",
     "RotorInertia",
     "Shaped",

@@ -110,6 +110,12 @@ class Effect(TransformerMixin, BaseEstimator):
         What URDF and MJCF have of it.
     alike : bool
         Whether a mirrored joint has the same coefficients.
+    bank : bool
+        Whether its columns are alike elements of positive size; a search leaves out the
+        others.
+    replaces : str
+        Declared term of its joint that it stands for, "" for none. Where it replaces
+        Coulomb friction, rows at rest are fitted.
     whole_robot : bool
         Whether it acts on all joints: columns of shape (n, nv, k).
     scope : {"joint", "robot"}
@@ -146,6 +152,8 @@ class Effect(TransformerMixin, BaseEstimator):
     # In a search.
     contains: tuple[str, ...] = ()
     nonnegative: tuple[str, ...] = ()
+    bank = False
+    replaces = ""
     # What its columns are made from, and where predictions follow them.
     needs: tuple[str, ...] = ()
     recorded: tuple[str, ...] = ()  # names of the recorded signals that it uses
@@ -181,7 +189,7 @@ class Effect(TransformerMixin, BaseEstimator):
         Parameters
         ----------
         maths : Arrays or Floats
-            Has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint, smoothing=0.0)``,
+            Has ``exp``, ``cos``, ``sin``, ``sqrt``, and ``sign(joint)``,
             which returns a function of a joint's velocity and acceleration.
 
         Returns
@@ -266,6 +274,14 @@ class Effect(TransformerMixin, BaseEstimator):
     def parameters(self, coef):
         """Return what an engineer calls the coefficients, symbol -> value."""
         return dict(zip(self.coefficients, map(float, coef)))
+
+    def in_file(self, coef):
+        """Return the coefficients that a joint parameter of `files` holds, or zeros."""
+        return np.asarray(coef, dtype=float)
+
+    def completed(self, motion):
+        """Return the effect with what stands for the term that it replaces."""
+        return self
 
     def linearised_at(self, coef):
         """Return the effect linearised at its coefficients, if it is linearised."""

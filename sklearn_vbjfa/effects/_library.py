@@ -8,15 +8,14 @@ from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
 from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
-    Backlash,
     Coulomb,
     LoadFriction,
-    Presliding,
     Stribeck,
     Viscous,
     ViscousQuadratic,
 )
 from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
+from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
@@ -29,7 +28,7 @@ _LIBRARY = {
         Stribeck,
         ViscousQuadratic,
         LoadFriction,
-        Presliding,
+        MaxwellSlip,
         Backlash,
         Offset,
         Spring,

@@ -13,10 +13,9 @@ from scipy.special import erf
 
 # Speeds are scaled by this quantile of a joint's speed: its fastest, without outliers.
 FAST = 0.995
-# An interval of speeds below this share of the noise, or of a smoothing, is none.
+# An interval of speeds below this share of the noise is none.
 _NARROW = 1e-3
 _TINY = float(np.finfo(float).tiny)
-_LOG_2 = math.log(2.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,16 +52,14 @@ class Rest:
             rounding=_of(self.rounding, own).max(keepdims=True),
         )
 
-    def sign(self, v, a, smoothing=0.0):
+    def sign(self, v, a):
         """Mean sign of velocities (n, nv) with accelerations (n, nv)."""
-        # That of tanh(v / smoothing) where a speed is given.
         # Where the jump is larger than the acceleration can be, the joint stays.
         v = v + self.rounding * np.clip(a, -self.corner, self.corner)
         passed = np.abs(a) * self.time
         # vs / (1 + passed / vs), and zero where vs is
         width = self.speed**2 / np.maximum(self.speed + passed, _TINY)
-        mean = _mean_sign if not smoothing > 0 else _mean_tanh(smoothing)
-        columns = [mean(*column) for column in zip(v.T, width.T, self.noise)]
+        columns = [_mean_sign(*column) for column in zip(v.T, width.T, self.noise)]
         return np.column_stack(columns)
 
 
@@ -94,31 +91,9 @@ def _mean_size(v, noise):
     return v * erf(x) + noise * np.sqrt(2 / np.pi) * np.exp(-(x**2))
 
 
-def _mean_tanh(smoothing):
-    """Return the mean of tanh(v / smoothing) in place of that of the sign."""
-
-    def mean(v, width, noise):
-        # tanh(v / s) has the slope of a mean sign under noise of sqrt(2 / pi) s: the
-        # noise of the velocity adds to it as variances do.
-        s = np.sqrt(smoothing**2 + 0.5 * np.pi * noise**2)
-        wide = width > _NARROW * s
-        w = np.where(wide, width, 1.0)
-        spread = s * (_log_cosh((v + w) / s) - _log_cosh((v - w) / s)) / (2 * w)
-        return np.where(wide, spread, np.tanh(v / s))
-
-    return mean
-
-
-def _log_cosh(x):
-    x = np.abs(x)
-    return x + np.log1p(np.exp(-2 * x)) - np.log(2)
-
-
-def mean_sign(v, a, rest, smoothing=0.0):
-    """Sign of velocities (n, nv), or tanh; its mean where a `Rest` is given."""
-    if rest is not None:
-        return rest.sign(v, a, smoothing)
-    return np.tanh(v / smoothing) if smoothing > 0 else np.sign(v)
+def mean_sign(v, a, rest):
+    """Sign of velocities (n, nv); its mean where a `Rest` is given."""
+    return np.sign(v) if rest is None else rest.sign(v, a)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -148,6 +123,7 @@ class Motion:
     since: float | None = None
     signals: Mapping = field(default_factory=dict)  # (n,) by name, in their own units
     command: np.ndarray | None = None  # (n, nv): torques by commands, `CommandDelay`
+    before: tuple = ()  # positions (k, nv) before each part; empty if unknown
     _speeds: dict = field(default_factory=dict, repr=False)
 
     def __post_init__(self):
@@ -207,18 +183,18 @@ class Arrays:
     def __init__(self, rest):
         self.rest = rest
 
-    def sign(self, *joints, smoothing=0.0):
+    def sign(self, *joints):
         """Return (v, a) -> mean sign of the speed of a joint, or of a sum of speeds."""
         rest = None if self.rest is None else self.rest.pick(*joints)
-        return lambda v, a: mean_sign(v[:, None], a[:, None], rest, smoothing)[:, 0]
+        return lambda v, a: mean_sign(v[:, None], a[:, None], rest)[:, 0]
 
 
 class AllJoints(Arrays):
     """The same of signals (n, nv) of all joints at once."""
 
-    def sign(self, *joints, smoothing=0.0):
+    def sign(self, *joints):
         """Return (v, a) -> mean signs of the speeds of all joints."""
-        return lambda v, a: mean_sign(v, a, self.rest, smoothing)
+        return lambda v, a: mean_sign(v, a, self.rest)
 
 
 class Floats:
@@ -229,7 +205,7 @@ class Floats:
     def __init__(self, rest):
         self.rest = rest
 
-    def sign(self, *joints, smoothing=0.0) -> Callable:
+    def sign(self, *joints) -> Callable:
         """Return (v, a) -> mean sign of a speed, as `Arrays.sign`."""
         rest = None if self.rest is None else self.rest.pick(*joints)
         speed = 0.0 if rest is None else float(rest.speed[0])
@@ -242,20 +218,7 @@ class Floats:
                 return v / width
             return 1.0 if v > 0 else -1.0 if v < 0 else v
 
-        def smoothed(v, a):
-            width = square / max(speed + abs(a) * time, _TINY)
-            if not width > _NARROW * smoothing:
-                return math.tanh(v / smoothing)
-            ends = _log_cosh_of((v + width) / smoothing)
-            ends -= _log_cosh_of((v - width) / smoothing)
-            return smoothing * ends / (2 * width)
-
-        return smoothed if smoothing > 0 else sign
-
-
-def _log_cosh_of(x):
-    x = abs(x)
-    return x + math.log1p(math.exp(-2 * x)) - _LOG_2
+        return sign
 
 
 @dataclass(slots=True)

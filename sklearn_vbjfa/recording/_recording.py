@@ -133,6 +133,9 @@ class Recording:
         velocities: noise of positions is noise of `tau`, that many times.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
+    before : tuple of ndarray of shape (k, nv), default=()
+        Positions before each segment, if these are pieces of longer recordings, on
+        which friction with memory depends. Empty if they are unknown.
     left_out : mapping of str to str, default={}
         Other columns of a file that are none of `signals`, and why.
     urdf : str or None, default=None
@@ -179,6 +182,7 @@ class Recording:
     command: np.ndarray | None = None
     feedback: np.ndarray | None = None
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
+    before: tuple[np.ndarray, ...] = ()
     left_out: Mapping[str, str] = field(default_factory=dict)
     urdf: str | None = None
     source: str = ""
@@ -471,7 +475,19 @@ def take_rows(recording, rows, groups):
         command=command,
         feedback=recording.feedback,
     )
-    return taken if v is None else replace(taken, v=v)
+    starts = [int(rows[part.start]) for part in taken.segments]
+    before = tuple(_positions_before(recording, row) for row in starts)
+    return replace(taken, v=v, before=before)
+
+
+def _positions_before(recording, row):
+    """Positions (k, nv) of the recording that a row belongs to, before that row."""
+    k = int(recording.groups[row])
+    part, nv = recording.segments[k], recording.q.shape[1]
+    known = recording.inputs[part.start : row, :nv]
+    if not recording.before or not len(recording.before[k]):
+        return known
+    return np.concatenate([recording.before[k], known])
 
 
 def _period(dt: float | None) -> str:

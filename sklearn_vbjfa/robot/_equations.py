@@ -116,6 +116,7 @@ def make_motion(
     signals=None,
     ranges=(),
     command=None,
+    before=(),
 ):
     """Build the `Motion` that effects are computed from."""
     # states (n, 3 nv); t (n,) [s] or None; parts: slices of the segments; theta:
@@ -123,7 +124,8 @@ def make_motion(
     # `plain_coefficients` picks of the effects' coefficients, for the whole torque;
     # bandwidth: cut-off of the low-pass [Hz]; rest: velocity signs at rest; since:
     # first time of the fit [s]; signals: recorded beside the motion; ranges: what the
-    # effects' motion is held within, see `Plan`; command (n, nv): see `Recording`.
+    # effects' motion is held within, see `Plan`; command (n, nv), before: see
+    # `Recording`.
     nv = features.n_joints_
     load = torque = rigid = derivatives = None
     if theta is not None:
@@ -167,6 +169,7 @@ def make_motion(
         since=since,
         signals={} if signals is None else signals,
         command=command,
+        before=before,
     )
     if torque is not None and coefs.size:
         # The torque is the motion's own array.
@@ -425,6 +428,7 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         recording.signals,
         plan.ranges,
         recording.command,
+        recording.before,
     )
 
 
@@ -663,7 +667,7 @@ def build_segments(
             halves=halves[i],
             torque=recording.tau[part],
             weight=weight[part],
-            standstill=plan.standstill,
+            standstill=plan.masked,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),
             feedback=recording.feedback,
             number=first + i,
@@ -731,6 +735,9 @@ def held_columns(features, effects):
                 term = features.friction_.index("offset")
                 found.append(effect.joint * per_joint + first + term)
             taken.add(effect.joint)
+        if effect.replaces in features.friction_:
+            term = features.friction_.index(effect.replaces)
+            found.append(effect.joint * per_joint + first + term)
         at += len(effect.coefficients)
     return found
 

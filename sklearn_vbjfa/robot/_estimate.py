@@ -375,7 +375,7 @@ def _mirror(rows):
 # -- projection ------------------------------------------------------------------------
 
 
-def project(found, projector, features):
+def project(found, projector, features, effects=()):
     """Project an estimate onto the physically consistent parameters of a robot."""
     if projector is None:
         return found
@@ -386,6 +386,7 @@ def project(found, projector, features):
         found.posterior_metric,
         features.friction_,
         nominal_followers(features),
+        _sizes_of_banks(features, effects),
     )
     kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
     own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
@@ -393,6 +394,16 @@ def project(found, projector, features):
         # What is held has not moved but for the accuracy of the solver.
         theta = kept
     return replace(found, theta=theta, projector=fitted)
+
+
+def _sizes_of_banks(features, effects):
+    """Places of the coefficients of banks, which are not negative."""
+    places, at = [], features.n_parameters_
+    for effect in effects:
+        width = len(effect.coefficients)
+        places += range(at, at + width) if effect.bank else ()
+        at += width
+    return places
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):
@@ -442,7 +453,9 @@ def _complete(bodies, length):
     return np.where(good[:, None], bodies, ball)
 
 
-def fit_projector(projector, model, theta, metric, friction, followers=None):
+def fit_projector(
+    projector, model, theta, metric, friction, followers=None, positive=()
+):
     """Fit a projector to an estimate, filling in the settings the user left open."""
     # theta (p + n_effects,): effects come last and are unconstrained, except the bodies
     # of followers, (n_followers, 10) in the description, which come first among them;
@@ -463,6 +476,7 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
         for k, name in enumerate(friction)
         if declared_nonnegative(name)
     ]
+    nonnegative += positive
     fitted = PhysicalProjector() if default else clone(projector)
     given = fitted.options or Options()
     starts, anchor = given.body_starts, given.anchor
@@ -473,6 +487,7 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
             model, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
         )
         anchor = np.concatenate([anchor, theta[bodies:]])
+        anchor[list(positive)] = np.maximum(anchor[list(positive)], 0.0)
     else:
         anchor = np.concatenate([anchor, theta[p:]])
     if not isinstance(given.nonnegative, str):
@@ -498,7 +513,9 @@ def identifiable(metric):
     return result
 
 
-def project_beside(projector, model, theta, metric, friction, followers=None):
+def project_beside(
+    projector, model, theta, metric, friction, followers=None, positive=()
+):
     """Project the bodies and re-optimise the effects' coefficients, which come last."""
     # The distance (eq. 35) is minimised over both. A metric given by the user covers
     # the bodies only: they are projected first, then the effects are re-optimised.
@@ -506,7 +523,9 @@ def project_beside(projector, model, theta, metric, friction, followers=None):
     p = model.nv * (10 + len(friction))
     own = getattr(projector, "metric", None) is not None
     if theta.size == p or not own:
-        fitted = fit_projector(projector, model, theta, metric, friction, followers)
+        fitted = fit_projector(
+            projector, model, theta, metric, friction, followers, positive
+        )
         return fitted, fitted.transform(theta[None])[0]
     rigid = theta[:p]
     fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)

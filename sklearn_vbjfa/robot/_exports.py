@@ -202,6 +202,8 @@ class _Account:
         if not coef.any():
             return
         sizes = self._sizes(effect, coef)
+        if effect.files.parameter:
+            sizes = self._beside_file(effect, coef)
         if not (effect.whole_robot or effect.in_model):
             self.leave(effect.name, effect.joint, sizes[effect.joint], reason)
             return
@@ -212,6 +214,14 @@ class _Account:
         if most != effect.joint:
             reason = f"{reason} (size on {self.robot.joint_names[most]})"
         self.leave(effect.name, effect.joint, sizes[most], reason, self._units[most])
+
+    def _beside_file(self, effect, coef):
+        """Root mean square (nv,) of what the file's dry friction lacks of an effect."""
+        # (F - |x|)^2 <= F^2 - x^2 for a torque x of up to F that opposes the motion.
+        held = effect.in_file(coef)
+        rounded = held.sum() ** 2 - self._sizes(effect, held) ** 2
+        rest = self._sizes(effect, coef - held)
+        return np.hypot(np.sqrt(np.maximum(rounded, 0.0)), rest)
 
     def _sizes(self, effect, coef):
         """Root mean square of an effect's torque on every joint, (nv,)."""
@@ -240,7 +250,7 @@ class _Account:
             total += self.robot.friction[:, self.robot.friction_names.index(name)]
         for effect, coef in self.uses:
             if effect.files.parameter == name:
-                total[effect.joint] += coef[0]
+                total[effect.joint] += effect.in_file(coef).sum()
         return total
 
     def passive(self, name):
@@ -253,39 +263,12 @@ class _Account:
                 abs(total[j]) * self._column_size(name, j),
                 f"its coefficient is negative ({total[j]:.4g}), which would drive",
             )
-        if name == "coulomb":
-            self._leave_smoothing()
         return np.maximum(total, 0.0)
-
-    def _leave_smoothing(self):
-        """List what dry friction with a rounded sign lacks of the sharp one."""
-        for effect, coef in self.uses:
-            own = effect.files.parameter == "coulomb"
-            if own and effect.smoothing > 0 and coef[0] != 0:
-                # (1 - x)^2 <= 1 - x^2 for x = tanh(abs(v) / smoothing)
-                share = self._column_size_of(effect)
-                most = abs(coef[0]) * np.sqrt(max(1.0 - share, 0.0))
-                self.leave(
-                    effect.name,
-                    effect.joint,
-                    most,
-                    "its sign turns at once in the file, and not over "
-                    f"{effect.smoothing:.4g} {_speed(self._units[effect.joint])}; the "
-                    "size is the most that this can make",
-                )
-
-    def _column_size_of(self, effect):
-        """Mean square of the only column of an effect on its joint."""
-        return float(self._sizes(effect, np.ones(1))[effect.joint] ** 2)
 
     def leave_column(self, name, totals, reason):
         """List plain coefficients (nv,) that have no place."""
         for j in np.flatnonzero(totals):
             self.leave(name, j, abs(totals[j]) * self._column_size(name, j), reason)
-
-
-def _speed(unit):
-    return "m/s" if unit == "N" else "rad/s"
 
 
 # -- URDF ------------------------------------------------------------------------------

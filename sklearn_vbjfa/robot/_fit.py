@@ -221,7 +221,7 @@ class Recipe:
         if self.alike:
             found = beside_each_other(found, self.alike, robot)
         with stage("consistent bodies"):
-            found = project(found, self.projector, robot.features_)
+            found = project(found, self.projector, robot.features_, robot.effects_)
         return Fit.of(robot, found, self._shown(found), made)
 
     def of_equations(self, robot, pieces, made=()):

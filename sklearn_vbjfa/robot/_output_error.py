@@ -481,7 +481,7 @@ def _step(predictor, found, normal, own, held, projector):
     change[held] = 0.0
     raw = predictor.theta_ + change
     asked = replace(found, theta=raw, theta_unconstrained=raw, metric=own)
-    theta = project(asked, projector, predictor.features_).theta
+    theta = project(asked, projector, predictor.features_, predictor.effects_).theta
     return raw, np.where(held, predictor.theta_, theta)
 
 

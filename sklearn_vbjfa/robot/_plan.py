@@ -98,11 +98,27 @@ class Plan:
         return [replace(self, effects=plain)] + (_LOAD_PASSES - 1) * [self]
 
     @property
+    def masked(self):
+        """Speeds (nv,) at or below which equations are masked, none if negative."""
+        # Friction with memory knows the torque of a joint at rest.
+        return np.where(self._remembered, -1.0, self.standstill)
+
+    @property
+    def _remembered(self):
+        """Joints (nv,), bool, with an effect in place of Coulomb friction."""
+        out = np.zeros(self.standstill.size, dtype=bool)
+        out[[e.joint for e in self.effects if e.replaces == "coulomb"]] = True
+        return out
+
+    @property
     def turning(self):
         """`Rest` of the velocities of a fit, None if their signs are as they are."""
-        # A fit masks joints that may be standing.
+        # A fit masks joints that may be standing, but those with memory.
         own, nothing = self._reversals(self.state_estimator), 0.0 * self.standstill
-        return Rest(speed=nothing, time=nothing, noise=nothing, **own) if own else None
+        speed = np.where(self._remembered, np.maximum(self.standstill, 0.0), 0.0)
+        if not (own or speed.any()):
+            return None
+        return Rest(speed=speed, time=self._stands, noise=nothing, **own)
 
     def _reversals(self, estimator):
         """How the velocities of an estimator turn, see `Rest`."""
@@ -113,13 +129,17 @@ class Plan:
     def rest(self, noise, estimator=None):
         """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""
         # estimator: of the velocities, None for those that are known.
-        time = np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
-        if not np.isfinite(self.cutoff) and self.fastest_period is not None:
-            # unknown for rows of a running robot
-            time = self.fastest_period
         # Negative speeds mask nothing.
         speed, own = np.maximum(self.standstill, 0.0), self._reversals(estimator)
-        return Rest(speed=speed, time=time, noise=noise, **own)
+        return Rest(speed=speed, time=self._stands, noise=noise, **own)
+
+    @property
+    def _stands(self):
+        """Times (nv,) for which a joint stands at least [s], see `Rest`."""
+        if not np.isfinite(self.cutoff) and self.fastest_period is not None:
+            # unknown for rows of a running robot
+            return self.fastest_period
+        return np.full(self.standstill.size, CUTOFF_PER_BANDWIDTH / self.cutoff)
 
 
 def make_plan(settings, effects, lengths, estimator, facts):

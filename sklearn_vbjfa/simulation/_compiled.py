@@ -282,7 +282,7 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     lines, inertia, coupling = table.lines, table.inertia, table.coupling
     sums = np.zeros((7, nv))
     placed, smooth, dry, load_smooth = sums[0], sums[1], sums[2], sums[3]
-    by_position, by_velocity, load_by_velocity = sums[4], sums[5], sums[6]
+    by_position, by_velocity, load_by_position = sums[4], sums[5], sums[6]
     for i in range(nv):
         placed[i], smooth[i] = lines[1, i], lines[0, i] * v[i]
         dry[i], by_velocity[i] = lines[2, i], lines[0, i] + coupling[i, i]
@@ -325,7 +325,7 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
         for i in range(nv):
             rhs[i] -= size[i] * pressed[i]
             limit[i] += lines[3, i] * pressed[i]
-            by_velocity[i] += load_by_velocity[i] * pressed[i]
+            by_position[i] += load_by_position[i] * pressed[i]
     else:
         B = A.copy()
         _hold(B, a, stuck)

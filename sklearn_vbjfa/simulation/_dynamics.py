@@ -254,7 +254,7 @@ class ForwardDynamics:
             sums = [values.tolist() for values in sums]
             add_terms(*self._own, q.tolist(), v.tolist(), sums)
             placed, smooth, dry, load_smooth, *slopes = map(np.array, sums)
-            by_position, by_velocity, load_by_velocity = slopes
+            by_position, by_velocity, load_by_position = slopes
         A = M + terms.inertia if self._asymmetric else M
         rhs = tau - h - placed - smooth - dry * mode
         limit = dry
@@ -276,7 +276,7 @@ class ForwardDynamics:
             rhs = rhs - size * pressed
             limit = dry + terms.load_dry * pressed
             if load_smooth is not None:
-                by_velocity = by_velocity + load_by_velocity * pressed
+                by_position = by_position + load_by_position * pressed
         else:
             a = _solve(A, rhs, stuck)
         moved = tau - placed

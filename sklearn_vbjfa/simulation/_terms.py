@@ -18,20 +18,20 @@ from sklearn_vbjfa.effects import HELD, Motion, OfChannel, own_motions
 from sklearn_vbjfa.model import is_prismatic
 
 # Kinds of terms in the table, by the names that effects enter them with.
-_NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute", "tanh", "load_tanh")
-_NAMES += ("harmonics", "linkage", "ripple", "presliding", "backlash")
+_NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
+_NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
 _NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
 KINDS = {name: kind for kind, name in enumerate(_NAMES)}
-_STRIBECK, _QUADRATIC, _ABSOLUTE, _TANH, _LOAD_TANH = range(5)
-_HARMONICS, _LINKAGE, _RIPPLE, _PRESLIDING, _BACKLASH = range(5, 10)
-_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(10, 15)
+_STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
+_HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
+_COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)
 _DRY = _STRIBECK, _LEVEL_DRY
-_BENT = _ABSOLUTE, _TANH, _LOAD_TANH
-_REMEMBERING = _PRESLIDING, _BACKLASH
-_FRICTION = (*_DRY, *_BENT, _QUADRATIC, _PRESLIDING, _VISCOUS)
-# What needs no table, and dry friction, which does where its sign is smoothed.
+_REMEMBERING = _STOP, _BACKLASH
+_FRICTION = (*_DRY, _ABSOLUTE, _QUADRATIC, _STOP, _VISCOUS)
+# What needs no table.
 _LINES = ("constant", "dry", "load_dry", "armature")
-_SMOOTHED = {"coulomb": ("dry", "tanh"), "load_friction": ("load_dry", "load_tanh")}
+# Where a term of a stop operator says whether its size is proportional to the load.
+_OF_LOAD = 3
 # What changes with time, and the kind of its term.
 _LEVELS = {"offset": "level", "coulomb": "level_dry", "viscous": "viscous"}
 # Parameters of a term in the table; the two behind them are its ends.
@@ -117,7 +117,7 @@ class TermTable:
         # Joints with a memory of where they turned, and with a bend in their torque.
         self.remembers, self.bends = np.zeros((2, nv), dtype=bool)
         self.remembers[self._joints_of(_REMEMBERING)] = True
-        self.bends[self._joints_of(_BENT)] = True
+        self.bends[self._joints_of([_ABSOLUTE])] = True
         self.has_dry = (self.dry != 0) | (self.load_dry != 0)
         self.has_dry[self._joints_of(_DRY)] = True
         if self.others is not None:
@@ -131,24 +131,16 @@ class TermTable:
     def add(self, name, joint, *numbers):
         """Add a term, its size first, and return whether that can be done."""
         # name: one of `KINDS`, see `add_terms`, or what needs no table.
+        of_load = name == "load_dry" or (name == "stop" and numbers[_OF_LOAD] > 0)
+        # All friction of a joint over the load is held within the same ends.
+        if of_load and self._load_ends.setdefault(joint, self._ends) != self._ends:
+            return False
         if name in _LINES:
             getattr(self, name)[joint] += numbers[0]
-        elif name in _SMOOTHED:
-            return self._add_dry(*_SMOOTHED[name], joint, *numbers)
         else:
             left = (0.0,) * (_WIDTH - len(numbers))
             self._rows.append((KINDS[name], joint, (*numbers, *left, *self._ends)))
         return True
-
-    def _add_dry(self, sharp, smooth, joint, size, smoothing):
-        """Add dry friction, with a sign or a smoothed one."""
-        if sharp == "load_dry":
-            # All friction of a joint over the load is held within the same ends.
-            if self._load_ends.setdefault(joint, self._ends) != self._ends:
-                return False
-        if smoothing > 0:
-            return self.add(smooth, joint, size, smoothing)
-        return self.add(sharp, joint, size)
 
     def add_level(self, joint, of, level):
         """Add what changes with time: its size is level(t, signals)."""
@@ -164,7 +156,8 @@ class TermTable:
     @property
     def of_load(self):
         """Whether friction depends on the load."""
-        return bool(self.load_dry.any() or (self.kinds == _LOAD_TANH).any())
+        stops = self._numbers[self.kinds == _STOP]
+        return bool(self.load_dry.any() or stops[:, _OF_LOAD].any())
 
     @property
     def is_timed(self):
@@ -220,9 +213,9 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
     # out (7, nv), added to: what depends on position and time alone or couples joints,
     # and may do work; smooth friction; the size of dry friction; smooth friction over
     # the load; and the derivatives of smooth torques by the joint's own position and
-    # velocity, and of friction over the load.
+    # velocity, and of friction over the load by the position.
     placed, smooth, dry, load_smooth = out[0], out[1], out[2], out[3]
-    by_position, by_velocity, load_by_velocity = out[4], out[5], out[6]
+    by_position, by_velocity, load_by_position = out[4], out[5], out[6]
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
         row = numbers[i]
@@ -241,14 +234,6 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
         elif kind == _ABSOLUTE:
             smooth[j] += size * abs(u)
             by_velocity[j] += moves_u * size * (1.0 if v[j] > 0 else -1.0)
-        elif kind == _TANH:
-            s = math.tanh(v[j] / row[1])
-            smooth[j] += size * s
-            by_velocity[j] += size * (1.0 - s * s) / row[1]
-        elif kind == _LOAD_TANH:
-            s = math.tanh(v[j] / row[1])
-            load_smooth[j] += size * s
-            load_by_velocity[j] += size * (1.0 - s * s) / row[1]
         elif kind == _HARMONICS:
             c, s = math.cos(x), math.sin(x)
             c2, s2 = c * c - s * s, 2.0 * s * c
@@ -269,12 +254,22 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             c, s = math.cos(waves * x), math.sin(waves * x)
             placed[j] += size * c + row[1] * s
             by_position[j] += moves_x * waves * (row[1] * c - size * s)
-        elif kind == _PRESLIDING:
-            gone = q[j] - memory[i][0]
-            way = 1.0 if gone > 0 else -1.0
-            left = (memory[i][1] - way) * math.exp(-abs(gone) / row[1])
-            smooth[j] += size * (way + left)
-            by_position[j] += size * abs(left) / row[1]
+        elif kind == _STOP:
+            z = memory[i][1] + (q[j] - memory[i][0]) / row[1]
+            slope = size / row[1] if abs(z) < 1.0 else 0.0
+            z = max(min(z, 1.0), -1.0)
+            bend = 0.0
+            if row[2] > 0:
+                r = v[j] / row[2]
+                size *= math.exp(-r * r)
+                bend = -2.0 * r * size * z / row[2]
+            if row[_OF_LOAD] > 0:
+                load_smooth[j] += size * z
+                load_by_position[j] += slope
+            else:
+                smooth[j] += size * z
+                by_position[j] += slope
+                by_velocity[j] += bend
         elif kind == _BACKLASH:
             half = 0.5 * row[1]
             p = max(min(memory[i][1], x + half), x - half)
@@ -302,11 +297,9 @@ def remember(kinds, joints, numbers, memory, q):
     """Move the memory of a table on to positions q; no joint turned on the way."""
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
-        if kind == _PRESLIDING:
-            gone = q[j] - memory[i][0]
-            way = 1.0 if gone > 0 else -1.0
-            left = (memory[i][1] - way) * math.exp(-abs(gone) / numbers[i][1])
-            memory[i][1] = way + left
+        if kind == _STOP:
+            z = memory[i][1] + (q[j] - memory[i][0]) / numbers[i][1]
+            memory[i][1] = max(min(z, 1.0), -1.0)
             memory[i][0] = q[j]
         elif kind == _BACKLASH:
             half, low, high = 0.5 * numbers[i][1], numbers[i][_LOW], numbers[i][_HIGH]

@@ -105,7 +105,7 @@ def load_friction(world, j, rng):
     return Draw(torque, {"mu": 1.0}, {}, _unless_declared(world, "coulomb"))
 
 
-def presliding(world, j, rng):
+def maxwell_slip_or_lugre(world, j, rng):
     """Draw friction that builds up over a displacement after each reversal."""
     z = np.exp(rng.uniform(np.log(0.005), np.log(0.05))) * world.unit[j]
     torque = np.zeros(world.t.size)
@@ -259,7 +259,7 @@ ADDED = {
     "stribeck": stribeck,
     "viscous_quadratic": viscous_quadratic,
     "load_friction": load_friction,
-    "presliding": presliding,
+    "maxwell_slip": maxwell_slip_or_lugre,
     "backlash": backlash,
     "offset": offset,
     "spring": spring,

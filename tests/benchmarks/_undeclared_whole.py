@@ -29,7 +29,7 @@ NV = 6
 RATE = 200.0
 MOTIONS = 3
 FRICTION = ("viscous", "coulomb")
-SLOW = ("presliding", "stribeck")
+SLOW = ("maxwell_slip", "stribeck")
 FURTHER = (
     "asymmetric_friction",
     "viscous_quadratic",

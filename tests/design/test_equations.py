@@ -137,7 +137,7 @@ def test_gradient_with_effects_to_part(path):
 
 @pytest.mark.slow
 def test_gradient_with_effects_that_remember(path):
-    problem, z = problem_of(path, effects=("presliding", "spring"))
+    problem, z = problem_of(path, effects=("maxwell_slip", "spring"))
     assert any(one.remembers for one in problem.model.effects)
     assert gradient_error(problem, z) < 0.05
 

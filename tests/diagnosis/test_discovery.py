@@ -83,7 +83,7 @@ def unlike(name):
             },
             {"Fs": 1.5, "vs": 0.4},
         ),
-        "presliding": ({"joint_2": lugre}, {"Fp": 1.2, "displacement": 0.02}),
+        "maxwell_slip": ({"joint_2": lugre}, {"Fc": 1.2, "half": 0.0139}),
         "backlash": (
             {"joint_1": lambda r: 20 * play_sample_by_sample(r.q[:, 0], 0.2)},
             {"k": 20.0, "width": 0.2},
@@ -118,7 +118,7 @@ def unlike(name):
         ),
         ("ripple", ["offset", "spring", "coulomb"]),
         pytest.param("stribeck", ["coulomb", "spring"], marks=pytest.mark.slow),
-        pytest.param("presliding", ["coulomb", "stribeck"], marks=pytest.mark.slow),
+        pytest.param("maxwell_slip", ["coulomb", "stribeck"], marks=pytest.mark.slow),
         ("backlash", ["coulomb", "spring", "offset"]),
         pytest.param("coupling", ["coulomb", "offset"], marks=pytest.mark.slow),
         pytest.param("drift", ["coulomb", "offset"], marks=pytest.mark.slow),
@@ -354,11 +354,11 @@ def test_recordings_are_used_together():
     torque = np.vstack([r.torque(joint_2=lugre) for r in parts])
     groups = np.repeat([4, 2], [r.t.size for r in parts])
     loop = EffectDiscovery(
-        ARM.robot(), effects=["coulomb", "presliding"], random_state=0
+        ARM.robot(), effects=["coulomb", "maxwell_slip"], random_state=0
     )
     loop.fit(position, torque, groups=groups)
-    assert named(loop) == [("presliding", 1)]
-    assert loop.effects_[0].parameters["Fp"] == pytest.approx(1.2, rel=0.15)
+    assert named(loop) == [("maxwell_slip", 1)]
+    assert loop.effects_[0].parameters["Fc"] == pytest.approx(1.2, rel=0.15)
     rows = loop.report_.to_dict()["settings"]["search_rows"]
     assert rows == pytest.approx(0.75 * groups.size, rel=0.05)
     assert loop.report_.outcome.settings["untouched_stretches"] == 3

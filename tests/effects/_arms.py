@@ -144,16 +144,12 @@ def last_body_regressor(model, states):
     )
 
 
-def dahl_in_small_steps(q, displacement, substeps=200):
-    """Dahl's equation by the midpoint rule between the samples."""
-    z = np.zeros(q.size)
+def stops_sample_by_sample(q, displacement):
+    """Stop operator by its definition."""
+    z = np.zeros_like(q)
     for i in range(1, q.size):
-        way, step = np.sign(q[i] - q[i - 1]), abs(q[i] - q[i - 1])
-        h, x = step / substeps / displacement, z[i - 1]
-        for _ in range(substeps if step else 0):
-            half = x + 0.5 * h * (way - x)
-            x += h * (way - half)
-        z[i] = x
+        moved = z[i - 1] + (q[i] - q[i - 1]) / displacement
+        z[i] = min(max(moved, -1.0), 1.0)
     return z
 
 

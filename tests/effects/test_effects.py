@@ -10,15 +10,15 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn.base import clone
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import Effect, Motion, dahl, play
+from sklearn_vbjfa.effects import Effect, Motion, play, stops
 from tests.effects._arms import (
     Derivatives,
     arm,
-    dahl_in_small_steps,
     inverse_dynamics,
     last_body_regressor,
     motion,
     play_sample_by_sample,
+    stops_sample_by_sample,
     with_changed_body,
 )
 
@@ -204,7 +204,6 @@ def closed_forms():
     return {
         "viscous": ({}, [v]),
         "coulomb": ({}, [sign]),
-        "coulomb smooth": ({"smoothing": 0.2}, [1 - 2 / (np.exp(2 * v / 0.2) + 1)]),
         "asymmetric_friction": ({}, [one, v * sign]),
         "stribeck": ({"vs": 0.3}, [sign * np.exp(-v * sign / 0.3)]),
         "stribeck square": (
@@ -213,9 +212,14 @@ def closed_forms():
         ),
         "viscous_quadratic": ({}, [sign * v**2]),
         "load_friction": ({}, [np.sqrt(load**2) * sign]),
-        "load_friction smooth": (
-            {"smoothing": 0.1},
-            [np.sqrt(load**2) * (1 - 2 / (np.exp(2 * v / 0.1) + 1))],
+        "maxwell_slip": (
+            {"displacements": (0.02, 0.3), "loaded": (0.1,), "falling": (0.05,)},
+            [
+                stops_sample_by_sample(q, 0.02),
+                stops_sample_by_sample(q, 0.3),
+                np.sqrt(load**2) * stops_sample_by_sample(q, 0.1),
+                np.exp(-(v**2) / 0.01) * stops_sample_by_sample(q, 0.05),
+            ],
         ),
         "backlash": ({"width": 0.07}, [play_sample_by_sample(q, 0.07), one]),
         "offset": ({}, [one]),
@@ -299,26 +303,45 @@ def test_delay_by_whole_samples_shifts_the_torque(samples):
     assert_allclose((early + LOAD[:, 0])[:-samples], LOAD[samples:, 0], atol=1e-12)
 
 
-def test_dahl_is_the_differential_equation():
-    q = Q[:250, 0]
-    column = effects.Presliding(displacement=0.04).fit_transform(X[:250])[:, 0]
-    assert_allclose(column, dahl_in_small_steps(q, 0.04, 50), atol=1e-4)
-    assert np.abs(column).max() <= 1.0
-    assert np.ptp(column) > 0.5
-
-
 walks = st.lists(st.integers(-40, 40), min_size=2, max_size=40).map(
     lambda steps: np.cumsum(steps) / 32.0
 )
 
 
 @settings(deadline=None, max_examples=60)
-@given(q=walks, displacement=st.sampled_from([0.25, 1.0, 4.0]))
-def test_dahl_on_any_walk(q, displacement):
-    assert_allclose(
-        dahl(q, displacement), dahl_in_small_steps(q, displacement), atol=1e-3
+@given(q=walks, displacement=st.sampled_from([0.03125, 0.25, 1.0, 4.0]))
+def test_stops_on_any_walk(q, displacement):
+    z = stops(q, (displacement, 2 * displacement))
+    assert_allclose(z[:, 0], stops_sample_by_sample(q, displacement), atol=1e-12)
+    assert_allclose(z[:, 1], stops_sample_by_sample(q, 2 * displacement), atol=1e-12)
+    assert_array_equal(stops(-q, (displacement,))[:, 0], -z[:, 0])
+
+
+def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
+    effect = effects.MaxwellSlip(displacements=(0.01, 0.04))
+    coef, x = [2.0, 1.0], np.linspace(0.0, 0.06, 13)
+    states = np.column_stack([x, np.ones((13, 2))])
+    curve = effect.fit_transform(states) @ coef
+    assert_allclose(effect.virgin_curve(coef, x), curve)
+    found = effect.parameters(coef)
+    assert found["Fc"] == 3.0
+    assert_allclose(np.interp(found["half"], x, curve), 1.5)
+    assert effect.unresolved(0.02) == (0.01,)
+
+
+def test_elements_that_are_left_keep_their_columns():
+    bank = effects.MaxwellSlip(
+        displacements=(0.01, 0.04), loaded=(0.1,), falling=(0.02, 0.03), vs=0.3
     )
-    assert_allclose(dahl(-q, displacement), -dahl(q, displacement))
+    mask = np.array([False, True, True, False, True])
+    assert_array_equal(transform(bank.only(mask)), transform(bank)[:, mask])
+    assert bank.only(mask).coefficients == ("F1", "mu1", "S1")
+
+
+@pytest.mark.parametrize("values", [(), (0.0,), (0.1, -1.0), (np.nan,)])
+def test_a_bank_needs_positive_displacements(values):
+    with pytest.raises(ValueError, match="displacements"):
+        transform(effects.MaxwellSlip(displacements=values))
 
 
 @settings(deadline=None, max_examples=100)
@@ -337,7 +360,7 @@ def test_hysteresis_does_not_depend_on_the_speed(q, repeats):
     """More samples of the same path change nothing."""
     knots = np.arange(q.size)
     fine = np.interp(np.arange(0, q.size - 1 + 1e-9, 1 / repeats), knots, q)
-    assert_allclose(dahl(fine, 0.5)[::repeats], dahl(q, 0.5), atol=1e-9)
+    assert_allclose(stops(fine, (0.5,))[::repeats], stops(q, (0.5,)), atol=1e-9)
     assert_allclose(play(fine, 0.5)[::repeats], play(q, 0.5), atol=1e-9)
 
 
@@ -450,8 +473,10 @@ def recordings_of(effect):
 @pytest.mark.parametrize("name", [n for n in NAMES if n not in BODIES])
 def test_nothing_is_remembered_across_recordings(name):
     effect = library_effect(name)
-    memory = name in ("delay", "torque_filter", "jerk", "presliding", "backlash")
-    if memory and continuous(effect):
+    memory = name in ("delay", "torque_filter", "jerk", "maxwell_slip", "backlash")
+    if name == "maxwell_slip":
+        effect.set_params(displacements=(0.3,))
+    elif memory and continuous(effect):
         (shape,) = continuous(effect)
         effect.set_params(**{shape: 0.2})
     together, apart, one = recordings_of(effect)
@@ -644,7 +669,6 @@ def test_an_effect_needs_a_name_units_and_columns_only():
         effects.Stribeck(vs=0.0),
         effects.Ripple(period=0.0),
         effects.Counterbalance(form="linkage", ratio=0.0),
-        effects.Presliding(displacement=0.0),
         effects.Delay(delay=0.0),
         effects.TorqueFilter(time_constant=0.0),
         effects.Drift(time_constant=0.0),

@@ -40,17 +40,6 @@ def test_it_is_the_mean_over_what_the_velocity_may_be(noise, a):
     np.testing.assert_allclose(found[:, 0], np.sign(moved).mean(axis=1), atol=0.012)
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.01])
-@pytest.mark.parametrize("smoothing", [1e-4, 0.03, 0.3])
-def test_the_mean_of_a_smoothed_sign(smoothing, noise):
-    rng = np.random.default_rng(0)
-    n = 200_000
-    moved = V[::6] + rng.uniform(-0.05, 0.05, n) + noise * rng.normal(size=n)
-    found = mean_sign(V[::6], 0 * V[::6], rest(noise=noise), smoothing)
-    expected = np.tanh(moved / smoothing).mean(axis=1)
-    np.testing.assert_allclose(found[:, 0], expected, atol=0.02)
-
-
 def test_a_reversal_is_no_rest():
     v = np.array([[0.01]])
     slow, fast = (
@@ -77,9 +66,7 @@ def motion(known, nv=2, n=200):
     "effect",
     [
         effects.Coulomb(),
-        effects.Coulomb(smoothing=1e-4),
         effects.LoadFriction(),
-        effects.LoadFriction(smoothing=1e-4),
         effects.Stribeck(vs=0.05),
         effects.AsymmetricFriction(),
         effects.Drift(of="coulomb"),

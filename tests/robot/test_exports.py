@@ -19,6 +19,7 @@ from sklearn_vbjfa.effects import (
     JointAxis,
     JointZero,
     LoadFriction,
+    MaxwellSlip,
     Motion,
     Offset,
     Ripple,
@@ -180,7 +181,7 @@ def odd():
             (ViscousQuadratic(2), [0.2]),
             (Drift(3, "coulomb", 10.0), [0.5]),
             (AsymmetricFriction(2), [0.1, 0.2]),
-            (Coulomb(3, smoothing=0.1), [0.7]),
+            (MaxwellSlip(3, (0.05, 0.2), loaded=(0.1,)), [0.5, 0.2, 0.1]),
             (Viscous(1), [-2.0]),
             (Spring(2), [3.0, 0.0]),
         ],
@@ -213,11 +214,14 @@ def test_mjcf_lists_what_it_has_not_with_its_size(odd, tmp_path):
     robot, motion, powers = odd
     path = tmp_path / "robot.xml"
     left = written(robot, path, powers)
-    v, sign = motion.v, np.sign(motion.v)
+    v = motion.v
+    z, loaded = np.split(robot.effects[6].columns(motion), [2], axis=1)
     expected = {
         ("viscous", 1): rms(v[:, 1]),
         ("coulomb", 1): 0.3,
-        ("coulomb", 3): 0.7 * np.sqrt(1 - np.mean(np.tanh(v[:, 3] / 0.1) ** 2)),
+        ("maxwell_slip", 3): np.hypot(
+            np.sqrt(0.7**2 - rms(z @ [0.5, 0.2]) ** 2), 0.1 * rms(loaded)
+        ),
         ("stribeck", 0): 1.5 * rms(np.exp(-np.abs(v[:, 0]) / 0.2)),
         ("load_friction", 1): 0.1 * rms(motion.load[:, 1]),
         ("ripple", 1): rms(
@@ -236,9 +240,8 @@ def test_mjcf_lists_what_it_has_not_with_its_size(odd, tmp_path):
     reasons = {(one.name, one.joint): one.reason for one in left}
     assert "negative (-1), which would drive" in reasons["viscous", 1]
     assert 'MuJoCo 4 takes it as damping="1 0.2"' in reasons["viscous_quadratic", 2]
-    # It cannot be more than the bound.
-    lack = 0.7 * (np.tanh(v[:, 3] / 0.1) - sign[:, 3])
-    assert rms(lack) <= expected["coulomb", 3]
+    loss = ElementTree.parse(path).find(".//joint[@name='joint_3']").get("frictionloss")
+    assert float(loss) == pytest.approx(0.1 + 0.7)
 
 
 # -- whole identifications -------------------------------------------------------------

@@ -16,7 +16,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     Jerk,
     JointZero,
     LoadFriction,
-    Presliding,
+    MaxwellSlip,
     Spring,
     TorqueGain,
 )
@@ -103,7 +103,7 @@ def test_a_tilted_base_is_in_the_model(simulated):
 @pytest.fixture(scope="module")
 def read(simulated, tmp_path_factory):
     """Robot with a memory, and with an effect that needs the future, from a file."""
-    effects = [LoadFriction(joint=1), Presliding(joint=2), Jerk(joint=0)]
+    effects = [LoadFriction(joint=1), MaxwellSlip(joint=2), Jerk(joint=0)]
     robot = RobotIdentifier(
         simulated.urdf,
         dt=simulated.dt,

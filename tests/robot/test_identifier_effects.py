@@ -15,10 +15,10 @@ from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.robot import _plan
 from tests.effects._arms import (
     arm,
-    dahl_in_small_steps,
     inverse_dynamics,
     motion,
     play_sample_by_sample,
+    stops_sample_by_sample,
     with_changed_body,
 )
 
@@ -88,11 +88,6 @@ def cases():
     w = V[:, 0] + V[:, 1]
     return {
         "coulomb": (effects.Coulomb(1), on_joint(1, 2 * sign), [2.0]),
-        "smooth coulomb": (
-            effects.Coulomb(1, smoothing=0.1),
-            on_joint(1, 2 * np.tanh(v / 0.1)),
-            [2.0],
-        ),
         "asymmetric": (
             effects.AsymmetricFriction(1),
             on_joint(1, np.where(v > 0, 1.0, 1.0) + 0.4 * np.abs(v)),
@@ -108,10 +103,13 @@ def cases():
             on_joint(1, -0.3 * v * abs(v)),
             [-0.3],
         ),
-        "presliding": (
-            effects.Presliding(1, displacement=0.05),
-            on_joint(1, 2 * dahl_in_small_steps(q, 0.05, 20)),
-            [2.0],
+        "maxwell_slip": (
+            effects.MaxwellSlip(1, displacements=(0.05, 0.2)),
+            on_joint(
+                1,
+                2 * stops_sample_by_sample(q, 0.05) + stops_sample_by_sample(q, 0.2),
+            ),
+            [2.0, 1.0],
         ),
         "backlash": (
             effects.Backlash(1, width=0.1),
@@ -233,7 +231,7 @@ def test_a_fit_after_another_has_its_load():
 SEVERAL = (
     effects.Coulomb(1),
     effects.LoadFriction(0),
-    effects.Presliding(2, displacement=0.03),
+    effects.MaxwellSlip(2, displacements=(0.03,)),
     effects.Payload(2, instant=6.0),
     effects.Drift(1, of="offset", time_constant=6.0),
 )

@@ -24,8 +24,8 @@ from sklearn_vbjfa.effects import (
     JointAxis,
     JointZero,
     LoadFriction,
+    MaxwellSlip,
     Payload,
-    Presliding,
     Signal,
     TorqueGain,
 )
@@ -58,9 +58,9 @@ def fitted_plain(recording):
 
 def fitted_effects(recording):
     effects = [
-        LoadFriction(joint=1, smoothing=0.1),
+        LoadFriction(joint=1),
         Counterbalance(joint=2, form="linkage"),
-        Presliding(joint=3),
+        MaxwellSlip(joint=3, loaded=(0.02,)),
         Drift(joint=0, of="offset", time_constant=5.0),
         Delay(joint=4, delay=0.003),
         Payload(joint=5, instant=7.0, centre=(0.0, 0.1, 0.0)),

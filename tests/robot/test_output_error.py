@@ -9,7 +9,6 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
-    Coulomb,
     Ripple,
     Spring,
     Stribeck,
@@ -70,7 +69,6 @@ ROBOTS = {
     "slide": ("zY", ()),
     "springs and ripple": ("ZY", (Spring(1), Ripple(0, period=0.7))),
     "friction of speed": ("ZY", (Stribeck(0, vs=0.3), AsymmetricFriction(1))),
-    "smooth friction": ("ZY", (Coulomb(1, smoothing=0.05),)),
 }
 
 

@@ -18,10 +18,11 @@ def random_shape(effect, rng, nv, length):
     """Shape parameters of an effect of the library, as a fit could have them."""
     others = [j for j in range(nv) if j != effect.joint]
     values = {
-        "smoothing": rng.choice([0.0, 0.05, 0.3]),
+        "falling": (float(rng.choice([0.02, 0.05, 0.3])),),
         "vs": rng.uniform(0.05, 0.5),
         "k": int(rng.integers(1, 3)),
-        "displacement": rng.uniform(0.01, 0.3),
+        "displacements": (0.02, rng.uniform(0.01, 0.3)),
+        "loaded": (0.1,),
         "width": rng.uniform(0.01, 0.3),
         "form": str(rng.choice(["harmonics", "linkage"])),
         "ratio": rng.uniform(0.2, 0.8),

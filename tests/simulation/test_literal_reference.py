@@ -6,14 +6,13 @@ import pytest
 from sklearn_vbjfa.effects import (
     AsymmetricFriction,
     Backlash,
-    Coulomb,
     Counterbalance,
     Coupling,
     Drift,
     LoadFriction,
+    MaxwellSlip,
     Offset,
     Payload,
-    Presliding,
     Ripple,
     RotorInertia,
     Signal,
@@ -98,17 +97,6 @@ def test_load_friction():
     assert sum(turns(found)) >= 1
 
 
-@pytest.mark.parametrize(
-    ("width", "exact"),
-    [(0.5, 5e-6), pytest.param(1e-4, 1e-5, marks=pytest.mark.slow)],
-)
-def test_smoothed_coulomb_friction(width, exact):
-    dry = np.array([4.0, 1.5])
-    law = Law(smooth=beside(lambda q, v, t: dry * np.tanh(v / width)))
-    effects = [(Coulomb(j, width), [dry[j]]) for j in range(2)]
-    compare(effects, law, exact=exact, method="Radau")
-
-
 def test_asymmetric_friction():
     law = Law(
         smooth=beside(lambda q, v, t: (0.6 + 0.2 * abs(v[0]), -0.1 + 0.05 * abs(v[1]))),
@@ -129,17 +117,24 @@ def test_quadratic_friction():
     compare([(ViscousQuadratic(j), [F2[j]]) for j in range(2)], law)
 
 
-def test_presliding():
-    Fp, way = np.array([3.0, 0.8]), np.array([0.02, 0.05])
+def test_maxwell_slip():
+    F, d = np.array([2.0, 1.0]), np.array([0.02, 0.3])
+    last, z = [Q0[0]], [np.zeros(2)]
+
+    def moved(q):
+        return np.clip(z[0] + (q - last[0]) / d, -1.0, 1.0)
+
+    def turned(joint, q):
+        if joint == 0:
+            last[0], z[0] = q[0], moved(q[0])
+
     law = Law(
-        smooth=lambda q, v, t, w, z: VISCOUS * v + Fp * z,
-        watched=(True, True),
-        z0=(0.0, 0.0),
-        rate=lambda q, v, w, z: (v - np.abs(v) * z) / way,
+        smooth=beside(lambda q, v, t: (F @ moved(q[0]), 0.0)),
+        watched=(True, False),
+        turned=turned,
     )
-    effects = [(Presliding(j, way[j]), [Fp[j]]) for j in range(2)]
-    found = compare(effects, law)
-    assert sum(turns(found)) >= 2
+    found = compare([(MaxwellSlip(0, tuple(d)), F)], law, exact=5e-4)
+    assert turns(found)[0] >= 1
 
 
 def test_backlash():

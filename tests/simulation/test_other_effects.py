@@ -10,7 +10,7 @@ from sklearn_vbjfa.effects import (
     Coulomb,
     Effect,
     LoadFriction,
-    Presliding,
+    MaxwellSlip,
     RotorInertia,
     Signal,
     Spring,
@@ -50,10 +50,10 @@ class OwnSignal(Signal):
     law = Signal.law
 
 
-class OwnMemory(Presliding):
+class OwnMemory(MaxwellSlip):
     """Hysteresis that the library does not know."""
 
-    columns = Presliding.columns
+    columns = MaxwellSlip.columns
 
 
 class Everywhere(Effect):
@@ -138,8 +138,12 @@ def test_torque_that_is_not_linear_in_acceleration():
 
 
 def test_memory_is_left_out_with_a_warning():
-    robot = wheel(effects=[(OwnMemory(), [0.5]), (OwnSpring(), [2.0, 0.0])])
-    with pytest.warns(UserWarning, match="leaves out presliding on wheel .its torque"):
+    robot = wheel(
+        effects=[(OwnMemory(displacements=(0.1,)), [0.5]), (OwnSpring(), [2.0, 0.0])]
+    )
+    with pytest.warns(
+        UserWarning, match="leaves out maxwell_slip on wheel .its torque"
+    ):
         states = simulate(robot, np.zeros((20, 1)), [0.1])
     bare = simulate(wheel(effects=[(Spring(), [2.0, 0.0])]), np.zeros((20, 1)), [0.1])
     np.testing.assert_allclose(states, bare, rtol=0, atol=1e-12)

@@ -6,9 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from sklearn_vbjfa.effects import Coulomb
 from sklearn_vbjfa.simulation import simulate, with_bodies
-from tests.simulation._machines import random_machine, wheel
+from tests.simulation._machines import random_machine
 
 
 def all_solutions(M, push, Fc):
@@ -67,13 +66,3 @@ def test_joints_at_rest_never_tremble():
         for own, push in zip(v.T, tau.T):
             turns = (np.diff(np.sign(own[own != 0])) != 0).sum()
             assert turns <= 4 * (np.diff(np.sign(push)) != 0).sum() + 4
-
-
-@pytest.mark.parametrize("smoothing", [1e-2, 1e-4, 1e-6])
-def test_smoothed_friction_creeps_without_changing_its_way(smoothing):
-    Fc, push = 3.0, 1.0
-    robot = wheel(0.5, effects=[(Coulomb(0, smoothing), [Fc])])
-    states = simulate(robot, np.full((200, 1), push), [0.0])
-    creeps = smoothing * np.arctanh(push / Fc)
-    np.testing.assert_allclose(states[100:, 1], creeps, rtol=1e-4)
-    assert (states[1:, 1] > 0).all()

@@ -102,7 +102,7 @@ def test_bodies_that_are_none():
 
 def test_reset_begins_a_recording():
     rng = np.random.default_rng(2)
-    names = ["presliding", "backlash", "delay", "torque_filter"]
+    names = ["maxwell_slip", "backlash", "delay", "torque_filter"]
     predictor = random_predictor(rng, 2, names)
     for effect in predictor.effects_:
         if effect.name == "delay":
@@ -182,7 +182,7 @@ class Remembering(Summed):
 
 def with_effects(rng, own, nv=3):
     """Return a predictor with effects of one's own, beside a hysteresis."""
-    predictor = random_predictor(rng, nv, ["presliding"])
+    predictor = random_predictor(rng, nv, ["maxwell_slip"])
     widths = sum(len(effect.coefficients) for effect in own)
     plain = sum(len(e.coefficients) for e in own if "load" not in e.needs)
     made = replace(

@@ -76,6 +76,7 @@ class FinalFit:
             rest=view.robot.plan.turning,
             effects=effects,
             signals=view.signals,
+            before=view.before,
         )
         self._columns = [self.view.in_equations(e, self.motion) for e in self.effects]
         for own in self._columns:

@@ -328,7 +328,7 @@ def _channel(robot):
 
     def distance(weight):
         found = estimate(moments, regressor, joint_weights=weight)
-        held = project(found, robot.projector, robot.features_)
+        held = project(found, robot.projector, robot.features_, robot.effects_)
         return _distance(found.metric, found.theta, held.theta)
 
     whole, left = distance(weights), np.where(weights > 0, 1.0, np.inf)

@@ -66,9 +66,9 @@ TERMS = (
         "torque of the rigid bodies (gravity and inertia) on the joint.",
     ),
     (
-        "presliding",
-        "Presliding",
-        "the elastic travel of a joint behind a reversal, before friction slides.",
+        "with memory",
+        "Friction with memory",
+        "the joint yields elastically after a reversal, before friction slides.",
     ),
     (
         r"\bblocks?\b",
@@ -265,7 +265,7 @@ def parameter_text(effect):
     """Return "Fc = 1.2 +- 0.1 N m" for each parameter worth reading."""
     found = []
     for key, value in effect.parameters.items():
-        if key in ("of", "other", "signal") or (key == "smoothing" and not value):
+        if key in ("of", "other", "signal") or isinstance(value, tuple):
             continue
         interval = effect.intervals.get(key)
         # A share has no unit that anyone would write.

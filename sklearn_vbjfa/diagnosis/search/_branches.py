@@ -52,6 +52,7 @@ class Branch:
         if recording.states is not None:
             states = recording.states.reshape(recording.n_samples, 3, -1)
             columns["states"] = states[:, :, self.joints].reshape(len(states), -1)
+        columns["before"] = tuple(q[:, self.joints] for q in recording.before)
         for name in ("joint_names", "position_units", "torque_units"):
             whole = getattr(recording, name)
             columns[name] = tuple(whole[j] for j in self.joints)

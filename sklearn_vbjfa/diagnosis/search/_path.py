@@ -266,7 +266,26 @@ class Path:
 
     def _scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
-        return rescaled(fit, self.settings.scale)
+        return self._trimmed(rescaled(fit, self.settings.scale))
+
+    def _trimmed(self, fit):
+        """Return a fit whose banks have no element of negative size."""
+        for i, member in enumerate(fit.members):
+            used = fit.coefficients(i) > 0
+            if member.effect.bank and used.any() and not used.all():
+                kept = self._single(member.effect.only(used)).member(0, member.scale)
+                members = (*fit.members[:i], kept, *fit.members[i + 1 :])
+                return self._trimmed(Fit(fit.base, members))
+        return fit
+
+    def _bank(self, fit, effect):
+        """Return a bank with the elements of positive size beside a fit."""
+        family = self._family(effect)
+        groups = fit.groups(family)
+        best = int(np.argmax(groups.evidence(self.settings.scale)))
+        found = family.effects[best]
+        used = groups.coefficients()[best, : len(found.coefficients)] > 0
+        return found.only(used) if used.any() else effect
 
     def _member(self, fit, candidate):
         """Return a candidate as a member, its shape searched between the grid's."""
@@ -277,6 +296,8 @@ class Path:
     def _best_shape(self, fit, candidate):
         """Effect of a candidate, its shape searched between the grid's."""
         effect, family = candidate.effect, candidate.family
+        if effect.bank:
+            return self._bank(fit, effect)
         if not (isinstance(effect, Shaped) and effect.continuous):
             return effect
         if effect.jumping:
@@ -339,10 +360,13 @@ class Path:
         for i, member in enumerate(fit.members):
             elsewhere = joint is not None and member.effect.joint != joint
             shaped = isinstance(member.effect, Shaped) and member.effect.continuous
-            if elsewhere or not shaped:
+            if elsewhere or not (shaped or member.effect.bank):
                 continue
             rest = fit.without(i)
-            found = self._refined(rest, [member.effect])
+            if member.effect.bank:
+                found = self._bank(rest, member.effect)
+            else:
+                found = self._refined(rest, [member.effect])
             if found.jumping:
                 again = self._instants(rest, found, self._family(found))
                 found = self._refined(rest, [found, *again])
@@ -616,7 +640,9 @@ class Path:
         scale, members = self.settings.scale, []
         for family in self.families[joint]:
             first = family.effects[0]
-            if first.in_model or first.whole_robot or first.name in within:
+            if first.in_model or first.whole_robot or first.bank:
+                continue
+            if first.name in within:
                 continue
             groups = fit.groups(family)
             free = groups.shown() & [e.key() not in taken for e in family.effects]
@@ -753,7 +779,7 @@ def tuned_on(view, effects, settings):
         if abs(now - before) < _STAYS:
             break
         before = now
-    return tuple(member.effect for member in fit.members)
+    return tuple(member.effect.completed(path.motion) for member in fit.members)
 
 
 def keys_of(fit):

@@ -177,13 +177,16 @@ def search(view, library, settings, alpha, max_effects=None):
         warning = _warning(member, evidence, settings, needed, path)
         findings.append(
             Finding(
-                effect=member.effect, evidence=evidence, rivals=rivals, warning=warning
+                effect=member.effect.completed(path.motion),
+                evidence=evidence,
+                rivals=rivals,
+                warning=warning,
             )
         )
     order = sorted(range(len(findings)), key=lambda i: bool(findings[i].warning))
     model = FoundModel(
         view=path.view,
-        effects=tuple(m.effect for m in fit.members),
+        effects=tuple(m.effect.completed(path.motion) for m in fit.members),
         motion=path.motion,
         # As the held-out part is: stretches between others.
         residual=HeldOut(path.view, path.view.blocks.fold)

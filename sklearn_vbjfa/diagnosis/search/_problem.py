@@ -485,7 +485,13 @@ class Fit:
             H = H - _blocks(D, c, k)
             q = q - (self._t @ D).reshape(c, k)
         diagonal = np.diagonal(own.gram, axis1=1, axis2=2)
-        return Groups(H=H, q=q, own=diagonal, unit=family.unit)
+        return Groups(
+            H=H,
+            q=q,
+            own=diagonal,
+            unit=family.unit,
+            positive=family.effects[0].bank,
+        )
 
     @functools.cached_property
     def scores(self):

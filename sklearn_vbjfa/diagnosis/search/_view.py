@@ -257,7 +257,7 @@ class RecordingView:
         t = recording.t
         self.states, self.clock = states[rows], None if t is None else t[rows]
         self.signals = {name: x[rows] for name, x in recording.signals.items()}
-        command = recording.command
+        command, self.before = recording.command, recording.before
         self.command = None if command is None else command[rows]
         places = np.arange(recording.n_samples)[rows]
         self.index = np.searchsorted(places, self.recorded)
@@ -356,6 +356,7 @@ class RecordingView:
             effects=effects,
             signals=self.signals,
             command=self.command,
+            before=self.before,
         )
         return replace(motion, begins=self._begins)
 

@@ -21,12 +21,12 @@ EVIDENCE = Evidence(log_odds=8.2, gain=0.46, gain_std=0.04, errors=11.0, n_block
 # Of probability 80 %, and of one that is sure and chance on other stretches.
 POSSIBLE = Evidence(log_odds=1.386, gain=0.02, gain_std=0.02, errors=1.7, n_blocks=52)
 KINDS = (
-    ("load_friction", {"mu": 0.112}, {"mu": ""}, ("presliding",)),
+    ("load_friction", {"mu": 0.112}, {"mu": ""}, ("maxwell_slip",)),
     (
         "coupling",
         {"Fvm": 1.234, "Fcm": 12.3, "Iam": 0.0345, "other": 0, "of": "sum"},
         {"Fvm": "N m s/rad", "Fcm": "N m", "Iam": "kg m^2"},
-        ("coulomb", "stribeck", "drift", "presliding"),
+        ("coulomb", "stribeck", "drift", "maxwell_slip"),
     ),
     ("ripple", {"A": 0.8, "phase": 1.2, "period": 0.33}, {"A": "N m"}, ()),
     ("my_own_effect", {"k3": 2e-7}, {"k3": "N m/rad^3"}, ()),

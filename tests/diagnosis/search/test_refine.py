@@ -22,8 +22,6 @@ def test_brackets_reach_to_the_next_points_of_the_grid():
     assert inner.value(inner.high) == pytest.approx(GRID[3])
     last = Bracket.of(effects.Stribeck(1, vs=GRID[-1]), "vs", MOTION)
     assert last.value(last.high) == pytest.approx(GRID[-1])
-    # The sign itself has no smoothing to go on from.
-    assert Bracket.of(effects.Coulomb(1), "smoothing", MOTION) is None
 
 
 def test_the_best_place_between_two_points_is_found():

@@ -52,7 +52,7 @@ def test_what_has_the_wrong_sign_is_something_else():
 
 def test_the_plain_effect_comes_before_what_contains_it():
     torque = CLEAN.torque(joint_2=coulomb(1.0))
-    now = search(torque, ["stribeck", "presliding", "asymmetric_friction", "coulomb"])
+    now = search(torque, ["stribeck", "maxwell_slip", "asymmetric_friction", "coulomb"])
     assert found(now.run()) == [("coulomb", 1)]
 
 
@@ -86,7 +86,7 @@ def test_the_best_of_many_shapes_is_not_named_in_noise():
 
 
 FAST = record("ZY", seed=4, duration=40.0, noise=0.02)
-CHANNELS = ["coulomb", "presliding", "delay", "torque_filter", "jerk"]
+CHANNELS = ["coulomb", "maxwell_slip", "delay", "torque_filter", "jerk"]
 
 
 def on_joint_2(torque, function):
@@ -235,9 +235,9 @@ def test_one_in_place_of_two():
 
 def test_no_effect_is_named_in_the_search():
     """What must be known of an effect is read off its class."""
-    # A signal is also what an effect may need, in plain English; presliding is a term
-    # that a page explains, and a delay of a channel a finding of its own.
-    names = set(effects.available()) - {"signal", "presliding", "delay"}
+    # A signal is also what an effect may need, in plain English; and a delay of a
+    # channel a finding of its own.
+    names = set(effects.available()) - {"signal", "delay"}
     for path in Path(_path.__file__).parents[1].rglob("*.py"):
         tree = ast.parse(path.read_text(encoding="utf-8"))
         texts = {n.value for n in ast.walk(tree) if isinstance(n, ast.Constant)}

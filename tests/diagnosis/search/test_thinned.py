@@ -107,7 +107,7 @@ def test_columns_of_fewer_samples_are_nearly_those_of_all(few, monkeypatch, reco
     for effect in (
         effects.LoadFriction(1),
         effects.Stribeck(0, vs=0.5),
-        effects.Presliding(1),
+        effects.MaxwellSlip(1),
     ):
         rows = [
             view.columns([effect], view.motion_of(robot.theta_))

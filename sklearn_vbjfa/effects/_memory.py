@@ -1,0 +1,432 @@
+"""Dry friction and play that remember the positions a joint came from."""
+
+import itertools
+from numbers import Real
+
+import numpy as np
+
+from sklearn_vbjfa.effects._base import (
+    POSITION,
+    SPEED,
+    STIFFNESS,
+    TORQUE,
+    InFiles,
+    Shaped,
+    Stateful,
+)
+
+# Widths of play to try, as shares of half of the joint's range.
+_WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
+# Displacements of the bank to try, as shares of the joint's range: their number, and
+# the smallest and the largest one.
+_COUNT, _SMALLEST, _LARGEST = 9, 3e-4, 0.5
+# Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
+_SPEEDS = (0.05, 0.12, 0.3)
+
+
+def _turning_points(q):
+    """Find the samples at which a position turns, with both ends."""
+    step = np.diff(q)
+    moving = np.flatnonzero(step)
+    if moving.size == 0:
+        return np.array([0, q.size - 1])
+    way = np.sign(step[moving])
+    turns = moving[1:][way[1:] != way[:-1]]
+    return np.unique(np.r_[0, turns, q.size - 1])
+
+
+def stops(q, displacements, before=()):
+    """Stop operators z' = clip(z + dq / d, -1, 1) of unit size, (n, k)."""
+    # before: positions that the joint came through, at the first of which z is zero.
+    # Between two turning points the sum of the clipped steps is the clipped sum, so
+    # that the state at each turning point determines the rows up to the next one.
+    d = np.asarray(displacements, dtype=float)
+    start = np.zeros(d.size)
+    if len(before):
+        known = np.append(before, q[0])
+        start = _at_turns(known[_turning_points(known)], d, start)[-1]
+    turns = _turning_points(q)
+    at_turn = _at_turns(q[turns], d, start)
+    last = np.searchsorted(turns, np.arange(q.size), side="right") - 1
+    return np.clip(at_turn[last] + (q - q[turns[last]])[:, None] / d, -1.0, 1.0)
+
+
+def _at_turns(q, d, start):
+    """Stop operators (n, k) at turning points q (n,)."""
+    found = np.empty((q.size, d.size))
+    found[0] = start
+    for i, step in enumerate(np.diff(q)[:, None] / d):
+        found[i + 1] = np.minimum(np.maximum(found[i] + step, -1.0), 1.0)
+    return found
+
+
+def play(q, width):
+    """Play operator: what follows q at a distance of at most half the width."""
+    out = np.empty_like(q)
+    half = 0.5 * width
+    turns = _turning_points(q)
+    out[0] = q[0]
+    for a, b in itertools.pairwise(turns):
+        if q[b] >= q[a]:
+            out[a : b + 1] = np.maximum(out[a], q[a : b + 1] - half)
+        else:
+            out[a : b + 1] = np.minimum(out[a], q[a : b + 1] + half)
+    return out
+
+
+class MaxwellSlip(Shaped, Stateful):
+    """Dry friction with memory, tau = sum_k F_k z_k(q) with stop operators z_k.
+
+    Each element sticks up to a displacement d_k and then slips,
+    z' = clip(z + dq / d, -1, 1): the Maxwell slip model, of which Coulomb friction is
+    the limit of small displacements [1]_. The elements depend on the positions alone:
+    a joint at rest holds the torque with which it stopped.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    displacements : tuple of float, default=(0.001, 0.01, 0.1)
+        Displacements [rad or m] at which elements of constant size slip.
+    loaded : tuple of float, default=()
+        Displacements of elements whose size is proportional to the load,
+        mu_k abs(tau_load).
+    falling : tuple of float, default=()
+        Displacements of elements whose size falls with speed, S_k exp(-(v / vs)^2).
+    vs : float, default=0.1
+        Stribeck speed [rad/s or m/s] of the falling elements.
+
+    Notes
+    -----
+    All coefficients are non-negative. The elements are taken to be relaxed, z = 0, in
+    the first row of each recording; an element has forgotten that once the joint has
+    moved by twice its displacement without turning round.
+
+    References
+    ----------
+    .. [1] F. Al-Bender, V. Lampaert, J. Swevers, "The generalized Maxwell-slip model",
+       IEEE Trans. Automatic Control 50(11), 2005. :doi:`10.1109/TAC.2005.858676`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import MaxwellSlip
+    >>> states = [[0.0, 1, 0], [0.01, 1, 0], [0.1, 1, 0], [0.095, -1, 0]]
+    >>> MaxwellSlip(displacements=(0.02,)).fit_transform(states).ravel()
+    array([0.  , 0.5 , 1.  , 0.75])
+    """
+
+    name = "maxwell_slip"
+    label = "dry friction with memory"
+    formula = (
+        r"\sum_k (F_k + \mu_k|\tau_\mathrm{load}| + S_k e^{-(v/v_s)^2})\,z_k(q),"
+        r" \quad z_k = \mathrm{clip}(z_k + \Delta q / d_k, -1, 1)"
+    )
+    shape_units = (
+        ("displacements", POSITION),
+        ("loaded", POSITION),
+        ("falling", POSITION),
+        ("vs", SPEED),
+    )
+    contains = ("coulomb",)
+    positive = ("vs",)
+    bank = True
+    replaces = "coulomb"
+    visible = "many reversals, some of them short"
+    record = "reversals after short and after long ways"
+    files = InFiles(
+        parameter="coulomb",
+        urdf="friction in URDF turns round at once: stiffness before sliding, and "
+        "friction that depends on load or speed",
+        mjcf="frictionloss in MJCF turns round at once: stiffness before sliding, and "
+        "friction that depends on load or speed",
+    )
+
+    def __init__(
+        self,
+        joint=0,
+        displacements=(0.001, 0.01, 0.1),
+        loaded=(),
+        falling=(),
+        vs=0.1,
+    ):
+        super().__init__(joint)
+        self.displacements = displacements
+        self.loaded = loaded
+        self.falling = falling
+        self.vs = vs
+
+    @property
+    def _banks(self):
+        return self.displacements, self.loaded, self.falling
+
+    @property
+    def coefficients(self):
+        """Sizes of the elements: F1, F2, ..., mu1, ..., S1, ..."""
+        return tuple(
+            f"{symbol}{k + 1}"
+            for symbol, bank in zip(("F", "mu", "S"), self._banks)
+            for k in range(len(bank))
+        )
+
+    nonnegative = coefficients
+
+    @property
+    def units(self):
+        """Units of the coefficients."""
+        kinds = TORQUE, ("", ""), TORQUE
+        return tuple(unit for unit, bank in zip(kinds, self._banks) for _ in bank)
+
+    @property
+    def needs(self):
+        """Whether some elements need the load."""
+        return ("load",) if self.loaded else ()
+
+    @property
+    def depends(self):
+        """Quantities with which the columns grow."""
+        return ("direction", "load") if self.loaded else ("direction",)
+
+    @property
+    def named_units(self):
+        """Units of what `parameters` returns."""
+        return tuple(
+            (name, unit)
+            for names, units, bank in zip(
+                (("Fc", "half"), ("mu",), ("Fs",)),
+                ((TORQUE, POSITION), (("", ""),), (TORQUE,)),
+                self._banks,
+            )
+            if bank
+            for name, unit in zip(names, units)
+        )
+
+    def check(self):
+        """Raise ValueError for displacements that are not positive, too."""
+        super().check()
+        for name in ("displacements", "loaded", "falling"):
+            for value in getattr(self, name):
+                if not (isinstance(value, Real) and 0 < value < np.inf):
+                    raise ValueError(
+                        f"{name} of {self.name} must hold positive, finite "
+                        f"displacements; got {value!r}."
+                    )
+        if not self.coefficients:
+            raise ValueError(
+                f"{self.name} must have at least one element; got no displacements."
+            )
+
+    def columns(self, motion):
+        j = self.joint
+        q, v = motion.q[:, j], motion.v[:, j]
+        d = np.concatenate(self._banks)
+        before = [own[:, j] for own in motion.before] or [()] * len(motion.parts)
+        own = zip(motion.parts, before, strict=True)
+        z = np.concatenate([stops(q[part], d, known) for part, known in own])
+        _, loaded, falling = self._split(z.T)
+        if loaded.size:
+            loaded *= np.abs(motion.load[:, j])
+        if falling.size:
+            falling *= np.exp(-((v / self.vs) ** 2))
+        return z
+
+    def _split(self, values):
+        """Split what there is of each element (k, ...) by the kinds of elements."""
+        edges = np.cumsum([len(bank) for bank in self._banks])
+        return np.split(values, edges[:-1])
+
+    def law(self, maths):
+        j, vs, exp = self.joint, self.vs, maths.exp
+        plain, loaded, falling = self._banks
+        d = [float(one) for one in (*plain, *loaded, *falling)]
+        first, second = len(plain), len(plain) + len(loaded)
+        last, z = None, [0.0] * len(d)
+
+        def torque(state):
+            nonlocal last
+            q = state.q[j]
+            step = 0.0 if last is None else q - last
+            last = q
+            for k, displacement in enumerate(d):
+                z[k] = min(max(z[k] + step / displacement, -1.0), 1.0)
+            load = abs(state.load[j]) if loaded else 0.0
+            fall = exp(-((state.v[j] / vs) ** 2)) if falling else 0.0
+            return (
+                *z[:first],
+                *(load * one for one in z[first:second]),
+                *(fall * one for one in z[second:]),
+            )
+
+        return torque
+
+    def simulated(self, table, *coef):
+        """Enter each element into a `TermTable`."""
+        coef = self._split(np.asarray(coef, dtype=float))
+        kinds = zip(self._banks, coef, (0.0, 0.0, self.vs), (0.0, 1.0, 0.0))
+        for bank, sizes, vs, of_load in kinds:
+            for d, size in zip(bank, sizes):
+                table.add("stop", self.joint, float(size), d, vs, of_load)
+        return True
+
+    def shapes(self, motion):
+        """Banks from displacements that friction hardly shows to half of the range."""
+        reach, fast = motion.range(self.joint), motion.speed(self.joint)
+        bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
+        plain = {"displacements": bank, "loaded": (), "falling": (), "vs": 0.1}
+        found = [plain] + [plain | {"falling": bank, "vs": s * fast} for s in _SPEEDS]
+        return found if motion.load is None else [*found, plain | {"loaded": bank}]
+
+    def key(self):
+        """All banks are one use of the effect."""
+        return (self.name, self.joint, ())
+
+    def only(self, used):
+        """Return the effect with some of its elements, by a mask (k,)."""
+        names = "displacements", "loaded", "falling"
+        kept = {
+            name: tuple(np.asarray(bank)[own].tolist())
+            for name, bank, own in zip(names, self._banks, self._split(used))
+        }
+        return type(self)(joint=self.joint, vs=self.vs, **kept)
+
+    def completed(self, motion):
+        """Return the effect with an element of the smallest displacement."""
+        smallest = _SMALLEST * motion.range(self.joint)
+        if not smallest > 0 or min((*self.displacements, np.inf)) <= smallest:
+            return self
+        more = (smallest, *self.displacements)
+        return type(self)(**self.get_params(deep=False) | {"displacements": more})
+
+    def in_file(self, coef):
+        """Return the sizes of the elements of constant size, zero for the others."""
+        found = np.array(coef, dtype=float)
+        found[len(self.displacements) :] = 0.0
+        return found
+
+    def virgin_curve(self, coef, displacement):
+        """Compute the torque of a relaxed joint that is moved in one direction.
+
+        Parameters
+        ----------
+        coef : array-like of shape (k,)
+            Coefficients.
+        displacement : array-like of shape (n,)
+            Displacements [rad or m].
+
+        Returns
+        -------
+        ndarray of shape (n,)
+            Torques of the elements of constant size [N m or N].
+        """
+        return self.virgin_columns(displacement) @ self._split(np.asarray(coef))[0]
+
+    def virgin_columns(self, displacement):
+        """Columns (n, k) of `virgin_curve`, for its standard deviation."""
+        x = np.asarray(displacement, dtype=float)
+        d = np.asarray(self.displacements, dtype=float)
+        return np.clip(x[:, None] / d, -1.0, 1.0)
+
+    def unresolved(self, resolution):
+        """Displacements below the resolution [rad or m] of an encoder, a tuple."""
+        return tuple(d for d in self.displacements if d < resolution)
+
+    def parameters(self, coef):
+        """Total friction Fc, displacement `half` at half of it, and sums mu and Fs.
+
+        Parameters
+        ----------
+        coef : array-like of shape (k,)
+            Coefficients.
+
+        Returns
+        -------
+        dict of str to float
+            Values by symbol.
+        """
+        plain, loaded, falling = self._split(np.asarray(coef, dtype=float))
+        found = {}
+        if plain.size:
+            ends = np.r_[0.0, np.sort(self.displacements)]
+            curve = self.virgin_curve(coef, ends)
+            half = np.interp(0.5 * curve[-1], curve, ends) if curve[-1] > 0 else 0.0
+            found |= {"Fc": float(plain.sum()), "half": float(half)}
+        if loaded.size:
+            found["mu"] = float(loaded.sum())
+        if falling.size:
+            found["Fs"] = float(falling.sum())
+        return found
+
+
+class Backlash(Shaped, Stateful):
+    """Play in series with a spring, tau = k play(q; width) + c.
+
+    The play operator follows the position at a distance of at most half the width
+    and rests while the gap is crossed [1]_.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    width : float, default=0.01
+        Width of the gap [rad or m].
+
+    References
+    ----------
+    .. [1] M. Brokate, J. Sprekels, "Hysteresis and Phase Transitions", Springer, 1996.
+       :doi:`10.1007/978-1-4612-4048-8`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import Backlash
+    >>> states = [[0.0, 1, 0], [0.01, 1, 0], [0.1, 1, 0], [0.09, -1, 0]]
+    >>> Backlash(width=0.04).fit_transform(states)[:, 0]
+    array([0.  , 0.  , 0.08, 0.08])
+    """
+
+    name = "backlash"
+    label = "backlash"
+    formula = r"k\,\mathrm{play}(q;\,\mathrm{width}) + c"
+    coefficients = ("k", "c")
+    nonnegative = ("k",)
+    units = (STIFFNESS, TORQUE)
+    shape_units = (("width", POSITION),)
+    contains = ("spring", "coulomb")
+    continuous = ("width",)
+    positive = ("width",)
+    depends = ("position",)
+    seen_over = "position"
+    visible = "many reversals, at several positions"
+    record = "reversals at several positions"
+    files = InFiles.nowhere("play with a memory of where the joint came from")
+    terms = (("backlash", "k", "width"), ("constant", "c"))
+
+    def __init__(self, joint=0, width=0.01):
+        super().__init__(joint)
+        self.width = width
+
+    def columns(self, motion):
+        q = motion.q[:, self.joint]
+        p = np.concatenate([play(q[part], self.width) for part in motion.parts])
+        return np.column_stack([p, np.ones_like(p)])
+
+    def law(self, maths):
+        j, half = self.joint, 0.5 * self.width
+        last = p = None
+
+        def torque(state):
+            nonlocal last, p
+            q = state.q[j]
+            if p is None:
+                p = q
+            elif q > last:
+                p = max(p, q - half)
+            elif q < last:
+                p = min(p, q + half)
+            last = q
+            return p, 1.0
+
+        return torque
+
+    def shapes(self, motion):
+        """Widths up to a quarter of the range."""
+        reach = motion.range(self.joint)
+        return [{"width": 2 * s * reach} for s in _WIDTHS]

@@ -1,0 +1,91 @@
+"""Bad and odd logs: exit codes and reasons; the commands that refusals print work."""
+
+import csv
+import json
+import shlex
+import shutil
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa._cli import main
+from sklearn_vbjfa.datasets import load_demo_recording
+from tests.command_line import _bad_logs
+
+TABLE = tomllib.loads(Path(__file__).with_name("bad_logs.toml").read_text("utf-8"))
+CASES = [
+    pytest.param(name, marks=[] if case.get("quick") else [pytest.mark.slow])
+    for name, case in TABLE.items()
+]
+OFFER = "this would work: python -m sklearn_vbjfa "
+
+
+def arm_in(folder):
+    """Return twenty seconds of an arm with six joints, for files in a folder."""
+    recording = load_demo_recording().select(0)
+    urdf = Path(shutil.copy(recording.urdf, folder / "arm.urdf"))
+    columns = (recording.clock(), recording.q, recording.tau)
+    return _bad_logs.Arm(folder, urdf, *(x[::2] for x in columns))
+
+
+@pytest.fixture
+def arm(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return arm_in(tmp_path)
+
+
+def identify(log, urdf, out):
+    argv = ["identify", log, "--urdf", urdf, "--no-search", "-o", out, "-q"]
+    return main(list(map(str, argv)))
+
+
+def identified(out):
+    """Return values and deviations of parameters that are identifiable alone."""
+    with Path(out, "parameters.csv").open(newline="", encoding="utf-8") as file:
+        rows = [x for x in csv.DictReader(file) if x["identifiable"] == "yes"]
+    return {x["parameter"]: (float(x["value"]), float(x["std"])) for x in rows}
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory):
+    """Return what is identified from the log as it is."""
+    arm = arm_in(tmp_path_factory.mktemp("sound"))
+    out = arm.folder / "out"
+    assert identify(*made(arm, {}), out) == 0
+    return identified(out)
+
+
+def made(arm, case):
+    """Write the files of a case; return the paths of the log and of the robot."""
+    for name, options in case.get("values", {}).items():
+        arm = replace(arm, **getattr(_bad_logs, name)(arm, **options))
+    ((name, options),) = case.get("file", {"encoded": {}}).items()
+    paths = getattr(_bad_logs, name)(arm, **options)
+    return paths if isinstance(paths, tuple) else (paths, arm.urdf)
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_bad_logs(name, arm, sound, capsys):
+    case = TABLE[name]
+    code = identify(*made(arm, case), "out")
+    out, err = capsys.readouterr()
+    assert code == case["exit"], f"{err}\n{out}"
+    message = err
+    if code != 2:
+        report = json.loads(Path("out/report.json").read_text("utf-8"))
+        message += " ".join(x["message"] for x in report["channels"])
+    assert case.get("words", "") in message
+    if code == 0:
+        found = identified("out")
+        for key, (value, std) in sound.items():
+            if not key.startswith(case.get("changed", "none")):
+                off = abs(found[key][0] - value)
+                assert off < 3 * std + 0.05 * abs(value), (key, found[key], value, std)
+    _, offered, command = err.partition(OFFER)
+    if offered:
+        # The command does what it says.
+        assert main(shlex.split(command)) in (0, 3), capsys.readouterr().err

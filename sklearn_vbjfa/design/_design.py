@@ -64,72 +64,64 @@ def design_motion(
     start=None,
     random_state=None,
 ):
-    r"""Design the motion to record next.
+    r"""Design an exciting trajectory.
 
-    A periodic motion, a finite Fourier series in each joint that stands still at its
-    start and end, within limits of position, velocity, acceleration and torque, and,
-    where the description has geometry, free of self-collision. It makes the determinant
-    of the information on the base parameters and the friction large, as a D-optimal
-    motion would, and their condition number small at the same time [1]_ [2]_; with a
-    report or with `effects`, it is as much for parting the causes that the recordings
-    so far left open [3]_.
+    The trajectory is a finite Fourier series in each joint, periodic, at rest at its
+    start and end, within limits of position, velocity, acceleration and torque, and
+    free of self-collision if the description has collision geometry. It maximises the
+    determinant of the information matrix of base parameters and friction, with a
+    penalty on the condition number [1]_ [2]_. With `report` or `effects` it also
+    separates effects that are not distinguishable yet [3]_.
 
     Parameters
     ----------
     model : str, os.PathLike, pinocchio.Model, RobotIdentifier or IdentifiedRobot
-        Path of a URDF file or a model, of which nothing has been measured yet; or a
-        robot identified from earlier recordings, whose parameters give the torques and
-        whose encoder and torque noise weight the equations.
+        URDF file or model, or a robot that was identified from earlier recordings,
+        which provides torques and noise.
     duration : float
-        Length of the motion [s], one period.
+        Length of the motion, one period [s].
     dt : float
-        Sample period [s], of the motion and of the recording of it.
+        Sample period of motion and recording [s].
     limits : MotionLimits, default=None
-        Limits; None takes those of the description.
+        Limits; None uses those of the description.
     effects : sequence of str or Effect, default=()
-        Effects that the motion shall show and tell apart; a name stands for the effect
-        on every joint.
+        Effects to excite and to distinguish; a name means the effect on every joint.
     report : EffectDiscovery, Report, str or os.PathLike, default=None
-        What a search in the recordings so far left open: a fitted search, its report,
-        or the folder that the command ``identify`` wrote.
+        Open questions: a fitted search, its report, or the folder that the command
+        ``identify`` wrote.
     start : array-like of shape (nv,), default=None
-        Positions at which the motion starts and ends [rad or m]; None chooses them.
+        Positions at the start and end [rad or m]; None chooses them.
     random_state : int, RandomState instance or None, default=None
-        Draws the motions of which the best is improved.
+        Seed of the initial motions.
 
     Returns
     -------
     DesignedMotion
-        The motion, its margins and what it will show.
+        The motion, its margins, and the effects that it excites.
 
     Raises
     ------
     TypeError
-        If `limits` are not `MotionLimits`, or `report` is not a report.
+        If `limits` is not a `MotionLimits`, or `report` is not a report.
     ValueError
-        If limits leave no room or are missing, the start lies outside them, or the
-        duration is too short for the slowest joint.
+        If the limits are missing or infeasible, `start` is outside them, or `duration`
+        is too short for the slowest joint.
 
     Warns
     -----
     UserWarning
-        If the encoder noise of an identified robot is not known; it counts as none.
+        If the encoder noise of an identified robot is unknown; it counts as zero.
 
     Notes
     -----
     With the columns :math:`x` of the model and the noise :math:`\sigma_j` of joint j in
-    the band of the fit, the information matrix of a motion is :math:`M = \sum x x^T /
-    \sigma_j^2` over joints and independent samples; equations of a joint that stands
-    count for nothing. The criterion is :math:`\tfrac12 \log\det M_{AA} - 2 n \log
-    \kappa(M_{AA}^{1/2})` for the n columns of the model (base parameters, friction,
-    effects that it has), over their sizes at random states within the limits, with a
-    smooth condition number :math:`\kappa`: the determinant alone would be D-optimality,
-    which this is not. To it comes, for every pair of causes that are to be parted, the
-    evidence that is left for the one beside the model with the other; see
-    ``docs/design.rst``. Its gradient goes through the columns by exact differences
-    (they are of second degree in the velocities and linear in the accelerations) to the
-    coefficients of the series. The best of random motions is improved, so that a better
-    one may exist.
+    the band of the fit, the information matrix is :math:`M = \sum x x^T / \sigma_j^2`
+    over joints and independent samples, without those at standstill. The objective is
+    :math:`\tfrac12 \log\det M_{AA} - 2 n \log \kappa(M_{AA}^{1/2})` for the n columns
+    of the model, scaled by their size at random states within the limits, with a smooth
+    condition number :math:`\kappa`. For each pair of effects to distinguish, the
+    remaining evidence is added; see ``docs/design.rst``. The gradient is exact, and the
+    optimum is local.
 
     References
     ----------

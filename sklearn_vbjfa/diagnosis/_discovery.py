@@ -49,87 +49,78 @@ _NO_INFORMATION = ("coarse_torque", "still_joint")
 
 
 class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
-    """Find what a robot model lacks: close the loop with measured data.
+    """Find effects that are missing from a robot model.
 
-    Fits the declared model, adds the plain terms that it lacks (viscous and Coulomb
-    friction, an offset and the rotor's inertia, on every joint), and looks for the most
-    probable set of effects beside them: every effect of the library on every joint has
-    posterior odds. An effect that is probable enough and predicts motion that was not
-    fitted is named; the others that are more probable than not are listed as possible.
-    Residuals that no effect explains are reported as unexplained. Part of the motion is
-    held out for the errors of the declared model, with the plain terms, and with the
-    effects; finally the completed model is fitted to all data.
+    The estimator fits the declared model, adds viscous and Coulomb friction, offset and
+    rotor inertia on every joint, and searches for the most probable set of further
+    effects. Effects with sufficient posterior probability that also improve the
+    prediction of held-out motion are reported; less probable ones are listed as
+    possible. The errors of all models are measured on held-out data, and the completed
+    model is then fitted to all data.
 
     Parameters
     ----------
     identifier : RobotIdentifier
-        The declared model: robot, friction, filter settings. What it declares is the
-        "before" of the report; it does not change what is found.
+        Declared model: robot, friction and filter settings.
     effects : "all", or list of str or Effect, default="all"
         Effects to search for: names of the library (see
-        `sklearn_vbjfa.effects.available`), or user-defined effects.
+        `sklearn_vbjfa.effects.available`), or custom effects.
     test_size : float, default=0.25
-        Share of the motion held out for the final comparison: both ends of each of
-        several recordings, or several intervals of a single one, not counting
-        standstill. There are more intervals if a joint would hardly move in them, and
-        the share is up to 0.4 if it would be too little for a verdict.
+        Share of the motion that is held out: both ends of each of several recordings,
+        or several intervals of a single one, standstill excluded. It is increased up to
+        0.4 if a joint would move too little in it.
     alpha : float, default=0.05
-        Share of recordings with nothing missing in which an effect may be named: an
-        effect is named from a posterior probability of ``1 - alpha`` on. Also the
-        level of recordings that contradict each other.
+        Accepted share of recordings of complete robots with a reported effect: effects
+        need a posterior probability of ``1 - alpha``. It is also the level of the test
+        for contradicting recordings.
     max_effects : int or None, default=None
         Maximum number of effects to add.
     settings : SearchSettings or None, default=None
-        Further numbers that decide, see `sklearn_vbjfa.diagnosis.SearchSettings`; None
-        takes its defaults.
+        Further constants of the search, see `sklearn_vbjfa.diagnosis.SearchSettings`.
     random_state : int, RandomState instance or None, default=None
-        Recorded in the report. Neither search nor intervals are random.
+        Recorded in the report. The search is deterministic.
     verbose : int, default=0
         If not 0, show :ref:`progress bars <progress>` on terminals.
 
     Attributes
     ----------
     effects_ : tuple of DiscoveredEffect
-        Effects that are named; each has `name`, `joint` (from zero), `log_odds`
-        (natural logarithm of the posterior odds that the model lacked it),
-        `probability`, `rivals` (what would take its place within three nats),
-        `parameters`, `units`, `intervals` (of 90 %), `ranges` (of the motion that it
-        was fitted on). The values are those of `identifier_`.
+        Reported effects, each with `name`, `joint` (from zero), `log_odds` (natural
+        logarithm of the posterior odds), `probability`, `rivals` (effects that could
+        replace it within three nats), `parameters`, `units`, `intervals` (90 %), and
+        `ranges` (of the fitted motion). The values are those of `identifier_`.
     possible_ : tuple of DiscoveredEffect
-        Effects that are more probable than not but not named; `warning` says why. They
-        are part of `identifier_` and `judged_` like those that are named.
+        Effects that are more probable than not but not reported; `warning` is the
+        reason. They are part of `identifier_` and `judged_`.
     added_ : tuple of str
-        Plain terms that were fitted on every joint beyond what was declared.
+        Friction terms that were added to the declared ones on every joint.
     error_before_, error_plain_, error_after_ : ndarray of shape (nv,)
-        Root mean square of the torque residual on the held-out part, of the declared
-        model, with the four plain terms, and with the effects as well, over
-        `torque_spread_`. Their intervals, ``report_.outcome.intervals``, are a
-        statement about the same robot in the same motion: they hold the errors over its
-        next 50 s in 90 % of cases.
+        RMS of the torque residual on the held-out data over `torque_spread_`, of the
+        declared model, with the four friction terms, and with the effects. The
+        intervals ``report_.outcome.intervals`` contain the errors over the next 50 s of
+        the same motion in 90 % of cases.
     torque_spread_ : ndarray of shape (nv,)
-        Standard deviation of each joint's torque in the moving time of the whole
-        recording, behind the low-pass [N m or N]: times an error, the error in N m.
+        Standard deviation of the low-pass filtered torque of each joint while the robot
+        moves [N m or N].
     consistency_cost_ : ndarray of shape (nv,)
-        By how much physically consistent parameters raise `error_after_`; 0 where not
-        by more than chance, nan where it cannot be said or they were not asked for.
-        ``report_.outcome.projection`` has the body and the channel that it comes from.
+        Increase of `error_after_` by the projection onto physically consistent
+        parameters; 0 if it is not significant, nan if unknown.
     unexplained_ : tuple of Unexplained
-        Joints whose residual stays above the noise floor, how much of the torque that
-        is, and the signals it varies with.
+        Joints with a residual above the noise floor, its share of the torque, and the
+        signals on which it depends.
     hidden_ : tuple of Hidden
-        Effects that this robot or this recording cannot show.
+        Effects that are not identifiable for this robot or from this recording.
     identifier_ : RobotIdentifier
-        The model with the effects, fitted to all data afterwards, in the same band.
+        Completed model, fitted to all data.
     judged_ : RobotIdentifier
-        The model with the effects, fitted to the search part: the one whose errors are
-        reported.
+        Completed model, fitted to the search data; its errors are reported.
     declared_, baseline_ : RobotIdentifier
-        The declared model, and the same with the four plain terms, fitted to the same
-        part.
+        Declared model, and the same with the four friction terms, fitted to the search
+        data.
     joint_names_ : tuple of str
-        Joints in Pinocchio's order, which is the column order of X and y.
+        Joints in the order of the columns of X and y.
     report_ : Report
-        Report of all results: ``print(discovery.report_)``, `to_dict`, `to_html`.
+        Report of all results: ``print(search.report_)``, `to_dict`, `to_html`.
     n_features_in_ : int
         Number of columns of X.
 
@@ -139,45 +130,30 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Notes
     -----
-    Viscous and Coulomb friction, an offset and a rotor inertia are fitted on every
-    joint, declared or not, and never dropped: in a short recording true ones do not
-    stand out from chance, and leaving them out costs more than fitting one that is not
-    there. What is found does not depend on which of them were declared.
+    The method is described in the section "Search for effects" of the documentation.
+    A candidate is an effect on a joint. Its posterior odds are a Bayes factor times the
+    prior odds (the expected number of effects over the number of candidates). The
+    coefficients are normal with a scale that has a half-Cauchy prior [2]_ and is
+    integrated over [3]_. The residual is coloured [1]_ as far as the result agrees
+    with least squares [5]_, and the evidence is discounted by its scatter between
+    blocks of time. Simpler effects are tried before those that contain them [4]_.
 
-    Each candidate, a joint and an effect, has posterior odds: a Bayes factor, in which
-    coefficients are normal with a common scale, the scale has a half-Cauchy prior [2]_
-    and is integrated over [3]_, and the residual is as coloured as it is found to be
-    [1]_ where that agrees with least squares [5]_; times the expected number of effects
-    over that of the candidates. Evidence is tempered by how much it scatters between
-    blocks of time. What an effect contains comes first [4]_. The guide has all of it
-    under "How the loop decides".
+    Effects are reported if their probability is at least ``1 - alpha``, if they reduce
+    the cross-validated error significantly and by at least 2 %, and if the interval of
+    a parameter excludes zero (three standard deviations for values of the geometry).
+    Filters of a torque channel are reported only above the band of the motion.
 
-    A name takes a probability of ``1 - alpha``; a gain on stretches of time, or whole
-    recordings, that were not fitted, beyond chance and of two per cent; and an
-    interval of a parameter that excludes zero (a value of the geometry is known to a
-    third of itself). Filters of a channel are named only above the frequencies of the
-    motion.
+    Robots with more than seven joints are searched branch by branch, without couplings
+    between branches, unless `max_effects`, custom effects or declared effects are used.
+    With a `PDDrive`, delays, filters, jerk and elasticity are excluded. Recordings of
+    more than 50,000 rows are searched on a subset of the samples.
 
-    Beyond seven joints the branches that leave the base are searched one by one, as
-    they share no body, each with its share of the effects that are expected; couplings
-    between branches are then not looked for. With `max_effects`, effects of your own,
-    or effects declared already, the robot is searched as a whole.
+    A guard interval separates the held-out data from the search data. Errors are
+    measured in the band of the fit and in a wider one
+    (``report_.outcome.wide_cutoff``).
 
-    Where a `PDDrive` makes the torques no channel reads them: delays, filters, jerk and
-    elasticity, which its simulation from commands goes without, are not looked for.
-
-    Of more than 50,000 rows the search looks at every so many samples, five for each
-    filtered row, and beyond 50,000 of these at stretches of equal motion; parameters,
-    errors and the spread of the torque are those of all rows.
-
-    The held-out part begins and ends as far from the search part as the residual
-    remembers (at most a quarter of a stretch). Errors are taken in the band of the fit,
-    and in a wider one (``report_.outcome.wide_cutoff``), in which nothing was
-    identified, as a controller would meet them.
-
-    Intervals of effects' parameters come from the completed model: its estimates, and
-    the scatter of its residuals between forty blocks of time, shape parameters beside
-    the coefficients. What was chosen in the search counts as given.
+    Intervals of the effects' parameters follow from the completed model and the scatter
+    of its residuals between forty blocks of time, given the selected effects.
 
     References
     ----------

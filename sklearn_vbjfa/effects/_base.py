@@ -49,26 +49,25 @@ class InFiles:
 
 
 class Effect(TransformerMixin, BaseEstimator):
-    """Something that adds torque to a joint, linear in its coefficients.
+    """Base class of joint torques that are linear in their coefficients.
 
-    A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or as
-    `columns`; everything else has a default that works. Its bases say which kind it
-    is: `Shaped` has parameters to search, `Stateful` a memory, `OfTime` changes with
-    time, `InModel` corrects the rigid-body model.
-    Instances go into ``EffectDiscovery(effects=[...])`` and
-    ``RobotIdentifier(effects=[...])`` like those of the library.
+    A subclass needs `name`, `coefficients`, `units`, and its torque as `law` or
+    `columns`; all other attributes have defaults. Further base classes: `Shaped` has
+    shape parameters, `Stateful` has memory, `OfTime` changes with time, `InModel`
+    corrects the rigid-body model. Instances are passed to
+    ``EffectDiscovery(effects=[...])`` and ``RobotIdentifier(effects=[...])``.
 
     Parameters
     ----------
     joint : int, default=0
-        Joint that the effect acts on, from zero.
+        Index of the joint, from zero.
 
     Attributes
     ----------
     name : str
         Name, the same for all joints.
     label : str
-        Name in a sentence of a report; by default `name`.
+        Name in reports; by default `name`.
     formula : str
         Added torque in LaTeX, for documentation and reports.
     coefficients : tuple of str
@@ -82,32 +81,30 @@ class Effect(TransformerMixin, BaseEstimator):
     negative : tuple of (str, str)
         Coefficients of either sign, and the meaning of a negative one.
     contains : tuple of str
-        Plainer effects: a search takes those first that are probable by themselves.
+        Simpler effects, which a search tries first.
     needs : tuple of {"time", "load", "signals"}
         Required signals besides the states.
     depends : tuple of {"position", "speed", "load", "direction"}
-        Quantities of its joint with which its columns grow without limit: predictions
-        follow them up to a margin outside the range of the fit and hold the torque
-        beyond.
+        Quantities of its joint with which its columns grow: beyond a margin outside the
+        range of the fit, predictions hold the torque constant.
     growth : {"straight", "curved", "bounded"}
-        How they grow: along a straight line, otherwise (with half the margin), or up
-        to a largest torque (followed everywhere).
+        Growth of the columns: linear, nonlinear (half the margin), or bounded
+        (extrapolated).
     visible : str
-        What a recording must contain for the effect to show.
+        What a recording must contain for the effect to be identifiable.
     record : str
-        What to record next to tell it from its rivals.
+        What to record to distinguish it from its rivals.
     seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
-        Horizontal axis of its picture; empty for its own torque.
+        Horizontal axis of its picture; empty for its torque.
     with_motion : bool
-        Whether the picture counts torques in the direction of motion, as for friction.
+        Whether the picture has torques in the direction of motion, as for friction.
     terms : tuple of (str, str, ...)
-        Kinds of terms of the forward dynamics that it consists of, each with its
-        coefficients and shape parameters. Without terms it is simulated by its
-        columns, which is slower.
+        Terms of the compiled forward dynamics, with coefficients and shape parameters.
+        Without terms it is simulated by its columns, which is slower.
     not_simulated : str
-        Why a simulation leaves it out; empty if it does not.
+        Reason why a simulation leaves it out; empty if it does not.
     files : InFiles
-        What URDF and MJCF have of it.
+        What URDF and MJCF files hold of it.
     alike : bool
         Whether a mirrored joint has the same coefficients.
     bank : bool
@@ -312,7 +309,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return cls.label or cls.name.replace("_", " ")
 
     def told_beside(self, other):
-        """Return its name among the rivals of another effect."""
+        """Return its name in a list of rivals."""
         return self.name
 
     # -- derived ------------------------------------------------------------------
@@ -377,7 +374,7 @@ class Effect(TransformerMixin, BaseEstimator):
         groups : array-like of shape (n_samples,), default=None
             Labels of separate recordings.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            What was recorded beside the motion; needed by effects that vary with it.
+            Recorded signals; required by effects that vary with them.
 
         Returns
         -------
@@ -450,7 +447,7 @@ class Shaped(Effect):
     Parameters
     ----------
     joint : int, default=0
-        Joint that the effect acts on, from zero.
+        Index of the joint, from zero.
 
     Attributes
     ----------
@@ -507,7 +504,7 @@ class Stateful(Effect):
     Parameters
     ----------
     joint : int, default=0
-        Joint that the effect acts on, from zero.
+        Index of the joint, from zero.
 
     Attributes
     ----------
@@ -539,7 +536,7 @@ class OfTime(Effect):
     Parameters
     ----------
     joint : int, default=0
-        Joint that the effect acts on, from zero.
+        Index of the joint, from zero.
 
     Attributes
     ----------
@@ -568,7 +565,7 @@ class JointEffect(Effect):
     Parameters
     ----------
     joint : int, default=0
-        Joint that the effect acts on, from zero.
+        Index of the joint, from zero.
 
     Examples
     --------

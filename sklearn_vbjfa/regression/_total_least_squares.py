@@ -239,43 +239,41 @@ class NoiseCovariance:
 def replicate_noise(X, groups):
     """Estimate the covariance of the input noise from repeated measurements.
 
-    What differs between measurements of one unit is noise. Its covariance is that of
-    the measurements about the means of their units, pooled over all units, with as many
-    degrees of freedom as there are measurements more than units (Fuller 1987,
-    section 2.2).
+    The estimate is the covariance of the measurements about the means of their units,
+    pooled over all units. Its degrees of freedom are the number of measurements minus
+    the number of units (Fuller 1987, section 2.2).
 
     Parameters
     ----------
     X : array-like of shape (n_samples, n_features)
-        Measurements, a row each.
+        Measurements, one per row.
     groups : array-like of shape (n_samples,)
-        Label of the unit that each row is a measurement of. Units may have unequal
-        numbers of measurements; those with a single one say nothing of the noise.
+        Label of the measured unit of each row. Units may have different numbers of
+        measurements; units with a single measurement do not contribute.
 
     Returns
     -------
     noise : object
-        With the attributes `covariance`, ndarray of shape (n_features, n_features), of
-        the noise of a single measurement, and `dof`, its degrees of freedom.
-        ``np.asarray`` gives the covariance, ``of_means(m)`` the same for means of m
-        measurements; ``input_noise=`` of the regressors takes it as it is. The
-        covariance is singular with fewer degrees of freedom than features.
+        `covariance`, ndarray of shape (n_features, n_features), of the noise of a
+        single measurement, and its degrees of freedom `dof`. ``np.asarray`` gives the
+        covariance, and ``of_means(m)`` that of means of m measurements. Regressors
+        accept the object as `input_noise`. The covariance is singular with fewer
+        degrees of freedom than features.
 
     Raises
     ------
     ValueError
-        If no unit was measured more than once, or X and groups do not fit.
+        If no unit was measured more than once, or the lengths of X and groups differ.
 
     See Also
     --------
-    VBJFARegressor : Takes it as `input_noise`.
+    VBJFARegressor : Accept the result as `input_noise`.
 
     Notes
     -----
-    The noise must be that of the rows which the model is fitted to: for means of m
-    measurements take ``replicate_noise(X, groups).of_means(m)``. What all measurements
-    of a unit have in common (a bias of its own, a drift from unit to unit) is not a
-    difference between them, and is not seen.
+    The noise must be that of the fitted rows: for means of m measurements use
+    ``replicate_noise(X, groups).of_means(m)``. A bias that is common to all
+    measurements of a unit is not detected.
 
     References
     ----------

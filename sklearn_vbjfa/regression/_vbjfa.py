@@ -24,154 +24,126 @@ class VBJFARegressor(BaseJointFactorRegressor):
     Linear regression with noise in inputs and output, automatic relevance
     determination, and coefficients for noiseless queries [1]_.
 
-    For predictions from inputs as noisy as those of the fit, the default, this is
-    Bayesian regression on the inputs as they are: as good as least squares with many
-    rows, where noise in the inputs is no reason to do anything else, and better where
-    inputs are many, correlated or irrelevant. What goes beyond that are queries
-    without noise: motions that are planned, instruments better than those of the fit,
-    coefficients that mean something (a mass, a dose). They need the input noise. Give
-    it (`input_noise`) where you know it or can measure it (`replicate_noise`); without,
-    the data only bound it, and the intervals say how much that leaves open.
+    With the default ``query="noisy"`` this is Bayesian regression for predictions from
+    inputs that are as noisy as the fitted ones. It equals least squares with many rows,
+    and is better with many, correlated or irrelevant inputs. ``query="noiseless"``
+    corrects the bias by input noise, for planned motions, better instruments and
+    coefficients with a meaning. It needs the size of the noise (`input_noise`,
+    `replicate_noise`); without it the data only bound the coefficients.
 
     Parameters
     ----------
     latent : {"auto", "independent", "correlated"}, default="auto"
-        ``"independent"``: the paper's model, one hidden input of its own for each
-        observed input. ``"correlated"``: the hidden inputs share a full covariance.
-        ``"auto"``: correlated; independent with ``prior="paper"``, and with fewer
-        samples than inputs and more than 256 of these.
+        ``"independent"``: the model of the paper, one latent input for each observed
+        input. ``"correlated"``: the latent inputs have a full covariance. ``"auto"``:
+        correlated; independent with ``prior="paper"``, and with fewer samples than
+        inputs and more than 256 inputs.
     prior : {"noise", "paper"}, default="noise"
-        For independent latents: ``"paper"`` is the model of the paper to the letter
-        (one precision alpha_m for both w_zm and w_xm, no prior on the input noise);
-        ``"noise"`` puts alpha_m on w_zm alone and a weak prior on the input noise,
-        an inverse-gamma with its mode at 0.2 of the input's variance and the weight
-        of 0.1 of the samples. See Notes. Not used with correlated latents.
+        Prior of independent latent inputs. ``"paper"``: one precision alpha_m for both
+        loadings w_zm and w_xm, no prior on the input noise. ``"noise"``: alpha_m for
+        w_zm alone, and an inverse-gamma prior on the input noise with its mode at 0.2
+        of the variance of the input and the weight of 0.1 of the samples. Not used with
+        correlated latent inputs.
     input_noise : float or array-like, default=None
-        What is known of the input noise: its share of each input's variance, in
-        [0, 1), its variances, shape (n_features,) [unit of X_j squared], or
-        (correlated latents) its covariance, shape (n_features, n_features), or what
-        `replicate_noise` returns. ``None``: unknown, see Notes.
+        Input noise: its share of the variance of each input in [0, 1), its variances of
+        shape (n_features,) [unit of X_j squared], or, with correlated latent inputs,
+        its covariance of shape (n_features, n_features) or the result of
+        `replicate_noise`. None: unknown, see Notes.
     input_output_noise : array-like of shape (n_features,), default=None
-        Covariance of the noise of each input with the noise of y [unit of X_j times
-        unit of y], for correlated latents and an `input_noise` that is known: an output
-        that was computed from the same noisy readings, such as the torque of a position
-        controller. None is zero.
+        Covariance of the noise of each input with that of y [unit of X_j times unit of
+        y], for correlated latent inputs and known `input_noise`. An example is the
+        torque that a position controller computes from noisy readings. None is zero.
     fit_intercept : bool, default=True
-        Whether the means of X and y are free.
+        If False, X and y are not centred.
     query : {"noisy", "noiseless"}, default="noisy"
-        Which queries `predict` answers: inputs as noisy as those of the fit, or
-        noiseless ones (planned motions). Intervals for noiseless queries with unknown
-        `input_noise` hold whatever that noise is, and are up to 3 times as wide as with
-        known noise (8 times in 5000 rows). Rows must be independent.
+        Inputs of `predict`: as noisy as those of the fit, or noiseless. For noiseless
+        queries with unknown `input_noise` the intervals cover all admissible values of
+        the noise. Rows must be independent.
     max_iter : int, default=20000
-        Largest number of iterations.
+        Maximum number of iterations.
     tol : float, default=1e-7
-        Gain of the bound per sample below which the iteration has converged. With
-        correlated latents it goes on from there to the fixed point, which a few
-        extrapolated steps reach.
+        Increase of the bound per sample below which the iteration has converged.
 
     Attributes
     ----------
     coef_ : ndarray of shape (n_features,)
-        Coefficients that `predict` uses, unit of y / unit of X_j: `coef_noisy_` or
-        `coef_noiseless_`, by `query`.
+        Coefficients of `predict` [unit of y / unit of X_j]: `coef_noisy_` or
+        `coef_noiseless_`, see `query`.
     coef_noiseless_ : ndarray of shape (n_features,)
         Coefficients for noiseless queries (eq. 29); zero for inputs that are not
-        relevant, where inputs are selected (see Notes).
+        selected.
     coef_noisy_ : ndarray of shape (n_features,)
         Coefficients for noisy queries (eq. 27).
     coef_std_ : ndarray of shape (n_features,)
-        Posterior standard deviations of `coef_`; infinite for an input that never
-        varies. For noiseless queries and correlated latents they hold the uncertainty
-        of the input noise: that of its estimate (`replicate_noise`), or both ends of
-        what the data permit, see `query`. With independent latents they are given the
-        noise.
+        Posterior standard deviations of `coef_`; infinite for a constant input. For
+        noiseless queries and correlated latent inputs they include the uncertainty of
+        the input noise.
     coef_cov_ : ndarray of shape (n_features, n_features)
-        Their posterior covariance.
+        Posterior covariance of `coef_`.
     intercept_ : float
-        Intercept that goes with `coef_`.
+        Intercept of `coef_`.
     input_noise_ : ndarray of shape (n_features,) or (n_features, n_features)
-        Input-noise variances, or covariance with correlated latents: where it is
-        unknown, the middle of what the data permit.
+        Variances of the input noise, or its covariance with correlated latent inputs;
+        if unknown, the middle of the admissible range.
     output_noise_ : float
-        Variance of y given noiseless inputs, unit of y squared.
+        Variance of y given noiseless inputs [unit of y squared].
     alpha_ : ndarray of shape (n_features,)
-        Posterior means of the ARD precisions, 1 / unit of y squared; infinite for
-        an input that never varies. With at most two samples for each input, correlated
-        latents and an `input_noise` that is known, all inputs share one.
+        Posterior means of the precisions [1 / unit of y squared]; infinite for a
+        constant input. With at most two samples per input, correlated latent inputs and
+        known `input_noise`, all inputs share one.
     relevant_ : ndarray of shape (n_features,), bool
-        Inputs that matter. Independent latents: the posterior means of both loadings
-        are more than two posterior standard deviations away from zero. Correlated
-        latents: the coefficient of an ARD regression on the noisy inputs is. Of inputs
-        that are exact combinations of others only the generators can be relevant;
-        exact copies share one coefficient and are relevant together.
+        Relevant inputs. Independent latent inputs: both loadings exceed two posterior
+        standard deviations. Correlated latent inputs: the coefficient of an ARD
+        regression on the noisy inputs does. Of exactly dependent inputs only the
+        generators can be relevant; exact copies share one coefficient.
     elbo_history_ : ndarray
-        The bound at each iteration that was kept, at most `n_iter_` values, with all
-        constants of the likelihood: of X and y with independent latents, of y given X
-        with correlated ones.
+        The bound at each accepted iteration, at most `n_iter_` values: of X and y with
+        independent latent inputs, of y given X with correlated ones.
     n_iter_ : int
-        Number of iterations of the fit behind `coef_`.
+        Number of iterations.
     converged_ : bool
-        Whether the gain fell below `tol`.
+        Whether the increase fell below `tol`.
     statistics_ : Moments or None
-        Count, means and scatter; None when there were fewer samples than features.
+        Count, means and scatter; None if there were fewer samples than features.
     n_features_in_ : int
         Number of features seen during fit.
     feature_names_in_ : ndarray of shape (n_features,)
-        Their names, where X had names that are all strings.
+        Names of the features, if X has names that are all strings.
 
     See Also
     --------
     JFARegressor : The same model by EM, without priors.
-    replicate_noise : The input noise from repeated measurements.
-    sklearn.linear_model.ARDRegression : Noiseless inputs.
+    replicate_noise : Estimate the input noise from repeated measurements.
+    sklearn.linear_model.ARDRegression : Regression with noiseless inputs.
 
     Notes
     -----
-    **What is identifiable.** Second moments fix the coefficients for noisy queries.
-    How the variance of an input splits into signal and noise they do not say; they
-    only bound the noise from above. So the split comes from `input_noise` if given,
-    else from a prior, which is documented and free of units:
+    **Identifiability.** The second moments determine the coefficients for noisy
+    queries. They only bound the split of the variance of an input into signal and
+    noise, which follows from `input_noise` if given, and otherwise from a prior:
 
-    - Correlated latents: all relevant inputs have the same fraction f of noise in
-      their variances. With R the correlations of the inputs and :math:`b_0` the
-      coefficients for noisy queries, :math:`(R - f I) b_f = R b_0` for every f that
-      the data admit, from zero to the smallest eigenvalue of the correlations of the
-      inputs given the output; an input is taken to be signal for two thirds at least.
-      `coef_noiseless_` is that of the middle, and `coef_cov_` the second moment about
-      it over both ends, all inputs switched on, which more rows do not reduce. Exact
-      inputs thus get coefficients that are a little too large: give
-      ``input_noise=0`` if you know that they are exact.
-    - Independent latents with ``prior="noise"``: an inverse-gamma on each psi_x with
-      its mode at 0.2 of the input's variance and the weight of 0.1 of the samples.
-    - ``prior="paper"``: the starting point and the shared alpha_m, under which both
-      loadings of a redundant input shrink at different rates; their ratio then means
-      nothing, and the input is reported as not relevant with the coefficient zero.
+    - Correlated latent inputs: all relevant inputs have the same fraction f of noise.
+      With the correlations R of the inputs and the coefficients :math:`b_0` for noisy
+      queries, :math:`(R - f I) b_f = R b_0` for every admissible f, from zero to the
+      smallest eigenvalue of the correlations of the inputs given the output (at most a
+      third). `coef_noiseless_` is the middle, and `coef_cov_` the second moment about
+      it over both ends, which more rows do not reduce. If the inputs are exact, pass
+      ``input_noise=0``.
+    - Independent latent inputs with ``prior="noise"``: the inverse-gamma prior.
+    - ``prior="paper"``: the starting point and the shared alpha_m. The loadings of a
+      redundant input shrink at different rates, and the input is not relevant.
 
-    **Selection.** For noiseless queries of correlated latents, inputs that are exact
-    combinations of others are reduced to those that generate them, only relevant inputs
-    are fitted, and their coefficients share one precision. This is left out if
-    `input_noise` is zero (Bayesian ARD regression on all inputs) or a full covariance
-    (dependencies are then part of what is known), and with hardly more samples than
-    inputs.
+    **Selection.** For noiseless queries of correlated latent inputs, exactly dependent
+    inputs are reduced to their generators, only relevant inputs are fitted, and their
+    coefficients share one precision. There is no selection if `input_noise` is zero or
+    a full covariance, or with few samples per input.
 
-    **Noisy queries** need no split. With a selection they are answered by the mean of
-    two Bayesian regressions on the inputs as they are, one with a precision for each
-    input (automatic relevance determination) and one with a precision for all; which of
-    them suits depends on how many inputs matter.
+    **Noisy queries** are answered by the mean of two Bayesian regressions on all
+    inputs, one with a precision for each input and one with a common precision, unless
+    there is no selection.
 
-    Noise that is independent from input to input is not so among inputs that are sums
-    of each other. Exactly dependent inputs are therefore reduced to the ones that
-    generate the others with non-negative weights, where these are unique, else to
-    the subset of largest volume.
-
-    Known noise: the correlated model fits the second moments of any data of full
-    rank exactly, so its estimates are consistent; with zero noise it is Bayesian
-    linear regression with automatic relevance determination.
-
-    An iteration costs O(d^2) with independent latents (O(n d) on the data with more
-    features than samples), O(d^3) with correlated ones, whatever the number of
-    samples.
+    An iteration costs O(d^2) with independent latent inputs (O(n d) with more features
+    than samples) and O(d^3) with correlated ones, for any number of samples.
 
     References
     ----------

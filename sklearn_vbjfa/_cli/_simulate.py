@@ -288,17 +288,14 @@ def _commanded(drive, robot, recording):
 
     from sklearn_vbjfa.robot import signed
 
-    late = _command_delay(robot)
     if drive.of_positions:
-        # The delay is that of the fit.
-        drive = drive if late is None else clone(drive).set_params(delay="auto")
-        # Of all rows: parts of it have commands from before they begin.
-        return drive.driven(replace(recording, command=None)), drive
-    drive = drive if late is None else clone(drive).set_params(delay=late)
-    driven = drive.driven(replace(recording, command=None))
+        if _command_delay(robot) is not None:
+            # The delay is that of the fit.
+            drive = clone(drive).set_params(delay="auto")
+        return recording, drive
     if drive.unsigned:
-        driven = signed(getattr(robot, "robot_", robot), driven)
-    return driven, None
+        recording = signed(getattr(robot, "robot_", robot), recording)
+    return recording, None
 
 
 def _command_delay(robot):

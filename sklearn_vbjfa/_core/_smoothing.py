@@ -454,3 +454,29 @@ def interpolate(values, parts, t, delay=0.0, order=0):
         if order:
             out[part][(asked < 0.0) | (asked > clock[-1])] = 0.0
     return out
+
+
+def held(values, parts, t, delay=0.0):
+    """Channels (n, ...) that are held from row to row and act a delay [s] late."""
+    # Sampled steps would fold what lies above the band of the rows into it. Within the
+    # band, steps are a spline whose last period is averaged.
+    out = np.empty(values.shape)
+    for part in parts:
+        rows, clock = values[part], t[part] - t[part][0]
+        if clock.size == 1:
+            out[part] = rows
+            continue
+        period = clock[-1] / (clock.size - 1)
+        spline = make_interp_spline(clock, rows, k=min(3, clock.size - 1))
+        until = clock - delay
+        both = [_integral(spline, rows, x) for x in (until, until - period)]
+        out[part] = (both[0] - both[1]) / period
+    return out
+
+
+def _integral(spline, rows, t):
+    """Integral of a spline from its first time, whose first and last rows are held."""
+    inside = np.clip(t, *spline.t[[0, -1]])
+    outside = (t - inside).reshape(-1, *(rows.ndim - 1) * (1,))
+    ends = np.minimum(outside, 0.0) * rows[0] + np.maximum(outside, 0.0) * rows[-1]
+    return spline.antiderivative()(inside) + ends

@@ -275,8 +275,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         Parameters
         ----------
         recording : Recording
-            Of the identifier's robot; of a `drive`, its channels or what
-            `PDDrive.driven` made of them.
+            Of the identifier's robot; with a `drive`, the result of its ``driven``.
         signals : mapping of str to array-like of shape (n_samples,), default=None
             As for `fit`.
 
@@ -288,8 +287,6 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         library = self._check_parameters()
         model = load_model(self.identifier.model)
         names = tuple(map(str, recording.group_names))
-        if self.identifier.drive is not None:
-            recording = self.identifier.drive.driven(recording)
         known = recording.groups, recording.weight, None
         whole = self._recording(model, recording.inputs, recording.tau, *known)
         known = {"command": recording.command, "feedback": recording.feedback}
@@ -309,12 +306,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             # Signs of rows that are not fitted follow from what was.
             split = split_in_time(self.identifier, whole, self.test_size)
             part = split.searched(whole)
-            own = clone(self.identifier)
-            if drive.gains is None:
-                # The torques are made by its constant already.
-                done = clone(drive).set_params(torque_constant=1.0, gear=1.0)
-                own.set_params(drive=done)
-            whole = _fitted(own, part).signed(whole)
+            whole = _fitted(clone(self.identifier), part).signed(whole)
         signals, unusable = survey(signals, beside, whole, (*library, *declared))
         told = replace(whole, signals={**signals, **whole.signals})
         whole = replace(whole, signals=signals)

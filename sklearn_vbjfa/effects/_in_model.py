@@ -603,11 +603,6 @@ class CommandDelay(InModel):
             return "needs the commands of a drive, drive=PDDrive(...)"
         return Effect.applies(self, motion)
 
-    def change(self, command, parts, t):
-        """Torque (n, nv) that the delay adds to the law at no delay."""
-        # command (n, nv): c(t) [N m or N]
-        return interpolate(command, parts, t, self.delay) - command
-
     def columns(self, motion):
         known = motion.command, motion.parts, motion.t
         return interpolate(*known, self.delay, 1)[:, :, None]

@@ -40,6 +40,7 @@ class Rest:
     # `StateEstimator.rounding` [rad/s^2 or m/s^2, s]
     corner: np.ndarray | float = 0.0
     rounding: np.ndarray | float = 0.0
+    span: float = 0.0  # time around a row over which its sign is averaged [s]
 
     def pick(self, *joints):
         """Return what holds for a joint, or for the sum of the speeds of several."""
@@ -50,6 +51,7 @@ class Rest:
             noise=np.sqrt((self.noise[own] ** 2).sum(keepdims=True)),
             corner=_of(self.corner, own).sum(keepdims=True),
             rounding=_of(self.rounding, own).max(keepdims=True),
+            span=self.span,
         )
 
     def sign(self, v, a):
@@ -59,6 +61,7 @@ class Rest:
         passed = np.abs(a) * self.time
         # vs / (1 + passed / vs), and zero where vs is
         width = self.speed**2 / np.maximum(self.speed + passed, _TINY)
+        width = width + 0.5 * self.span * np.abs(a)
         columns = [_mean_sign(*column) for column in zip(v.T, width.T, self.noise)]
         return np.column_stack(columns)
 

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa._core._smoothing import interpolate
+from sklearn_vbjfa._core._smoothing import held, interpolate
 from sklearn_vbjfa.recording._recording import check_dt
 
 # Channels of joints that are commands, by their names in `Recording.signals`.
@@ -234,32 +234,47 @@ class PDDrive(Drive):
             )
         return float(self.delay)
 
-    def driven(self, recording):
-        """Return a recording of the torques that the law asks for; see `Drive`."""
-        if recording.command is not None:
-            return recording
+    def commands(self, recording):
+        """Return the part of the torques that follows from each row of the commands.
+
+        Parameters
+        ----------
+        recording : Recording
+            As of `driven`.
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv)
+            A row acts from its time to that of the next one, a delay later [N m or N].
+        """
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
         self._check_aim(aim, recording)
         kp, kd = self.law(names, recording)
         gear = _by_joint("gear", self.gear, names, least=None)
-        dt = check_dt(recording.dt)
-        parts = recording.segments
-        clock = dt * np.arange(recording.n_samples)
         rate = self._channel(recording, "v_desired")
-        if rate is None:
-            rate = interpolate(aim, parts, clock, order=1) if self.feedforward else 0.0
+        if rate is None and self.feedforward:
+            clock = check_dt(recording.dt) * np.arange(recording.n_samples)
+            rate = interpolate(aim, recording.segments, clock, order=1)
         ahead = self._channel(recording, "tau_ff")
-        command = kp * aim + kd * rate + gear * (0.0 if ahead is None else ahead)
+        command = kp * aim + kd * (0.0 if rate is None else rate)
+        return command + gear * (0.0 if ahead is None else ahead)
+
+    def driven(self, recording):
+        """Return a recording of the torques that the law asks for; see `Drive`."""
+        command, parts = self.commands(recording), recording.segments
+        kp, kd = self.law(recording.joint_names, recording)
+        dt = check_dt(recording.dt)
+        clock = dt * np.arange(recording.n_samples)
         if self.waits is not None:
             check_wait(self.waits, recording)
-            command = interpolate(command, parts, clock, self.waits)
+        command = held(command, parts, clock, self.waits or 0.0)
         q, v = np.asarray(recording.q), velocities(recording)
         if self.period is not None:
             # A torque that is held acts half a period late; of the command it is a
             # part of the delay.
-            held = 0.5 * dt / self.updates(dt)
-            q, v = (interpolate(x, parts, clock, held) for x in (q, v))
+            late = 0.5 * dt / self.updates(dt)
+            q, v = (interpolate(x, parts, clock, late) for x in (q, v))
         tau = command - kp * q - kd * v
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
         made = replace(recording, tau=tau, command=command, feedback=np.array(shares))
@@ -453,8 +468,6 @@ class CurrentDrive(_MotorDrive):
         Without channels ``current`` its torques are taken for currents. `command` is
         None until the signs are known.
         """
-        if recording.command is not None:
-            return recording
         current = self._given(recording)
         if self.gains is None:
             for name in ("torque_constant", "gear"):
@@ -525,8 +538,6 @@ class VoltageDrive(_MotorDrive):
 
         Without channels ``voltage`` its torques are taken for voltages.
         """
-        if recording.command is not None:
-            return recording
         volts, supply = self._given(recording), self._channel(recording, "supply")
         if self.supply is not None:
             supply = self._number("supply", recording)

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.interpolate import CubicSpline
 
+from sklearn_vbjfa._core._smoothing import interpolate
+
 if TYPE_CHECKING:
     import pinocchio as pin
 
@@ -126,8 +128,8 @@ class Recording:
         measured before rows were interpolated, which attenuates noise; None if no row
         was. A parameter of `RobotIdentifier`.
     command : ndarray of shape (n_samples, nv) or None, default=None
-        What of `tau` follows from commands alone [see `torque_units`], where the drive
-        made it of commands and positions; see `PDDrive`.
+        The part of `tau` that follows from commands alone [see `torque_units`], where
+        a drive computed it from commands and positions; see `PDDrive`.
     feedback : ndarray of shape (2, nv) or None, default=None
         Gains with which the drive made the rest of the measured positions and
         velocities: noise of positions is noise of `tau`, that many times.
@@ -233,6 +235,35 @@ class Recording:
                 "t must not decrease inside a recording, it does after row "
                 f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
             )
+
+    def torques(self, delay: float = 0.0) -> np.ndarray:
+        """Return the torques if commands act later than assumed in `tau`.
+
+        Parameters
+        ----------
+        delay : float, default=0.0
+            Additional delay of the commands [s].
+
+        Returns
+        -------
+        ndarray of shape (n_samples, nv)
+            `tau` itself if the delay is zero.
+
+        Raises
+        ------
+        ValueError
+            If the delay is not zero and the recording has no commands.
+        """
+        if not delay:
+            return self.tau
+        if self.command is None:
+            raise ValueError(
+                f"The robot follows its commands {delay:.4g} s late, and the recording "
+                "has no commands: give them as in the fit (drive=PDDrive(...)), or "
+                "predict torques without measured ones."
+            )
+        late = interpolate(self.command, self.segments, self.clock(), delay)
+        return self.tau + (late - self.command)
 
     @property
     def n_samples(self) -> int:

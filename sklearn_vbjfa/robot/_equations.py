@@ -12,12 +12,7 @@ from sklearn_vbjfa._core._lowpass import (
     filter_weight,
 )
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.effects import (
-    CommandDelay,
-    Motion,
-    declared_columns,
-    own_motions,
-)
+from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
 from sklearn_vbjfa.model import is_prismatic, rounding_entries
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording._repetition import find_repetition
@@ -432,33 +427,6 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
     )
 
 
-def with_delayed_commands(recording, plan):
-    """Return a recording whose torques are what the drive made of late commands."""
-    for effect in plan.effects:
-        if isinstance(effect, CommandDelay) and effect.corrects:
-            if recording.command is None:
-                raise ValueError(
-                    f"The robot follows its commands {effect.delay:.4g} s late, and "
-                    "without them its torques are not known: give commands as in the "
-                    "fit (drive=PDDrive(...)), or predict torques without measured "
-                    "ones."
-                )
-            change = effect.change(
-                recording.command, recording.segments, plan.clock(recording)
-            )
-            recording = replace(recording, tau=recording.tau + change)
-    return recording
-
-
-def delayed_command_torque(recording, effects):
-    """Torques (n, nv) that follow from commands alone, as late as effects have them."""
-    command, clock = recording.command, recording.clock()
-    for effect in effects:
-        if isinstance(effect, CommandDelay):
-            command = command + effect.change(command, recording.segments, clock)
-    return command
-
-
 # -- segments --------------------------------------------------------------------------
 
 
@@ -649,8 +617,7 @@ def build_segments(
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
 
-    recording = with_delayed_commands(recording, plan)
-    parts = recording.segments
+    torques, parts = recording.torques(plan.delay), recording.segments
     average = states.halves is not None and plan.corrects_noise
     rows = len(parts) * [None] if average else rows_of(states.own)
     halves = len(parts) * [None]
@@ -658,14 +625,14 @@ def build_segments(
         halves = list(zip(*[rows_of(half) for half in states.halves]))
     weight = recording.weight
     if weight is None:
-        weight = np.broadcast_to(1.0, recording.tau.shape)
+        weight = np.broadcast_to(1.0, torques.shape)
     return [
         Segment(
             first=part.start,
             states=states.own[i],
             rows=rows[i],
             halves=halves[i],
-            torque=recording.tau[part],
+            torque=torques[part],
             weight=weight[part],
             standstill=plan.masked,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),

@@ -17,7 +17,6 @@ from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._equations import (
     accumulate,
     build_segments,
-    delayed_command_torque,
     equations,
     held_columns,
     instrumented,
@@ -46,7 +45,7 @@ from sklearn_vbjfa.robot._gains import (
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._output_error import refine
-from sklearn_vbjfa.robot._plan import needs_load
+from sklearn_vbjfa.robot._plan import needs_load, observe
 from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
@@ -155,6 +154,11 @@ class Fit:
         )
         robot = replace(robot, known_=known_parameters(robot, found))
         return replace(self, robot=robot, found=found)
+
+    def squares(self):
+        """Weighted sums of squared residuals of the joints, (nv,)."""
+        theta = self.robot.linear_part(self.found.theta_unconstrained)
+        return self.found.moments.residual_squares(theta)
 
     def with_loads(self):
         """Return the fit with the ranges of the loads in its segments."""
@@ -283,24 +287,41 @@ def fit_robot(recipe, robot, source, before=None):
     if load is not None:
         passes = passes[1:]
     fit = run_passes(recipe, robot, source, relative, passes, load)
+    steady = without_steps(fit.robot, source)
+    if steady is not None:
+        source, plan, load = steady, fit.robot.plan, fit.robot.load_parameters
+        fit = run_passes(recipe, robot, source, relative, [plan], load)
     turned = with_corners(fit.robot, source)
     if turned is not None:
-        rounded = fit.found.theta_unconstrained
-        fit = run_passes(
-            recipe, turned, source, relative, [turned.plan], fit.robot.load_parameters
-        )
-        fit = _in_doubt(fit, rounded)
+        fit = _with_turned(recipe, turned, source, relative, fit)
     return fit.with_loads()
 
 
-def _in_doubt(fit, rounded):
-    """Add to what is not known a share of what corners moved, from `rounded` (p,)."""
+def _with_turned(recipe, turned, source, relative, rounded):
+    """Fit with corners on the joints whose residuals they reduce."""
+    # The jump is that of a joint whose others are free, smoothed once: in a stiff loop,
+    # behind a low cut-off, it may be off by more than what it corrects.
+    load, fits = rounded.robot.load_parameters, [rounded]
+    better = np.ones(turned.plan.standstill.size, dtype=bool)
+    while better.any() and len(fits) < _MOST_TURNED:
+        plan = replace(turned.plan, corners=np.where(better, turned.plan.corners, 0.0))
+        robot = replace(turned, plan=plan)
+        fits.append(run_passes(recipe, robot, source, relative, [plan], load))
+        worse = better & (fits[-1].squares() > rounded.squares())
+        if not worse.any():
+            return _in_doubt(fits[-1], rounded)
+        better &= ~worse
+    return _in_doubt(rounded, fits[-1])
+
+
+def _in_doubt(fit, other):
+    """Add to what is not known a share of what corners moved, from another fit."""
     # They follow from dry friction that turns at once, at a joint whose others are
     # free. No drive is quite so, and all joints are off the same way, so that nothing
     # of it shows in how the residual scatters.
     found = fit.found
     std = found.std
-    moved = DESCRIBED * (found.theta_unconstrained - rounded)
+    moved = DESCRIBED * (found.theta_unconstrained - other.found.theta_unconstrained)
     moved = np.where(std > 0, moved, 0.0)
     covariance = found.covariance
     if covariance is not None:
@@ -662,6 +683,10 @@ def tell_unsettled(values):
 
 # Rows at which the inertia of a joint is looked at.
 _ROWS = 64
+# Of a sample period: delay that a ripple may look like without a new fit.
+_LEAST_RIPPLE = 5e-4
+# Fits with corners, the one without included.
+_MOST_TURNED = 3
 # Frequencies of the integral, in cut-offs: what lies beyond is a share of 1e-3.
 _LOWEST, _HIGHEST, _COUNT = 0.1, 1e3, 4000
 
@@ -676,7 +701,8 @@ def with_corners(robot, source):
         return None
     nothing = np.zeros(source.recording.nv)
     terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
-    command = delayed_command_torque(source.recording, robot.effects_)
+    recording = source.recording
+    command = recording.command + recording.torques(plan.delay) - recording.tau
     torques = [_of_effects(robot, source), command]
     further, commanded = _jumps_of(torques, robot, source)
     dry = terms.get("coulomb", nothing) + further
@@ -691,6 +717,39 @@ def with_corners(robot, source):
         jump(*own) for own in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
     ]
     return replace(robot, plan=replace(plan, corners=np.array(jumps)))
+
+
+def without_steps(robot, source):
+    """Return a source whose torques are free of the response to steps of commands."""
+    # A joint answers each step of a held command by a ripple, which sampled positions
+    # hide: at rows it is in proportion to the slope of the command. It is the double
+    # integral of a sawtooth B1, by the Bernoulli polynomials B3 and, for the damping,
+    # B4. None where it is too small to matter.
+    recording, dt = source.recording, source.recording.dt
+    if recording.feedback is None or robot.plan.state_estimator is None:
+        return None
+    terms = dict(zip(robot.features_.friction_, robot.bodies(robot.theta_)[:, 10:].T))
+    rotors = np.maximum(terms.get("rotor_inertia", np.zeros(recording.nv)), 0.0)
+    phase = robot.plan.delay / dt % 1.0
+    third = phase * (phase - 0.5) * (phase - 1.0) * dt**3 / 6.0
+    fourth = ((phase * (phase - 1.0)) ** 2 - 1.0 / 30.0) * dt**4 / 24.0
+    inertia = _inertias(robot, rotors, source.states)
+    inertia = np.where(inertia > 0, inertia, np.inf)
+    stiffness, damping = recording.feedback
+    losses = damping + np.maximum(terms.get("viscous", 0.0), 0.0)
+    size = (third + losses / inertia * fourth) / inertia
+    if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
+        return None
+    known = recording.command, recording.segments, recording.clock(), robot.plan.delay
+    position, speed = (size * _smoothing.interpolate(*known, k) for k in (1, 2))
+    recording = replace(
+        recording,
+        q=recording.q - position,
+        tau=recording.tau + stiffness * position + damping * speed,
+    )
+    halves = source.states.halves is not None
+    states, _ = observe(recording, robot.plan.state_estimator, halves, source.n_jobs)
+    return replace(source, recording=recording, states=states)
 
 
 def jump(dry, inertia, damping, stiffness, cutoff):

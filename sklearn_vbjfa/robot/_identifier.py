@@ -23,7 +23,7 @@ from sklearn_vbjfa.recording import (
 )
 from sklearn_vbjfa.robot._alike import alike_joints
 from sklearn_vbjfa.robot._bodies import described_bodies, warn_of_unit
-from sklearn_vbjfa.robot._equations import numbered, with_delayed_commands
+from sklearn_vbjfa.robot._equations import numbered
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
     refuse_followers,
@@ -125,7 +125,7 @@ class RecordingRegressorMixin(RegressorMixin):
         if getattr(self, "drive", None) is not None:
             told = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
-            y = with_delayed_commands(told, self.robot_.plan).tau
+            y = told.torques(self.robot_.plan.delay)
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -603,7 +603,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Recording
             With `tau` and `command` of both signs.
         """
-        return signed(self.robot_, self.drive.driven(recording))
+        return signed(self.robot_, recording)
 
     def begin_with(self, fitted):
         """Begin the next fit with the load of a fitted identifier, where it has one.
@@ -731,8 +731,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             )
         validate_data(self, X, skip_check_array=True)
         self._check_rows(X, recording.groups, recording.t, recording.segments)
-        if self.drive is not None:
-            recording = self.drive.driven(recording)
         offered = OfferedSignals(columns=recording.signals)
         used = signals_for(self.effects_, None, offered, recording.n_samples)
         weight = recording.weight

@@ -77,6 +77,11 @@ class Plan:
         return recording.clock(stamped=self.timed)
 
     @property
+    def delay(self):
+        """Delay [s] of the commands that the torques follow."""
+        return sum(e.delay for e in self.effects if isinstance(e, CommandDelay))
+
+    @property
     def timed(self):
         """Whether effects need the clock."""
         return any("time" in effect.needs for effect in self.effects)
@@ -124,7 +129,8 @@ class Plan:
         """How the velocities of an estimator turn, see `Rest`."""
         if self.corners is None or estimator is None:
             return {}
-        return {"corner": self.corners, "rounding": estimator.rounding()}
+        known = {"corner": self.corners, "rounding": estimator.rounding()}
+        return {**known, "span": self.dt}
 
     def rest(self, noise, estimator=None):
         """Return the `Rest`, for mean velocity signs, of velocity noise (nv,)."""

@@ -40,7 +40,6 @@ from sklearn_vbjfa.robot._equations import (
     joined,
     motion_of,
     regressor_rows,
-    with_delayed_commands,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf
@@ -259,7 +258,7 @@ class SimulatesTorques:
         Notes
         -----
         The law acts on simulated positions and velocities, at least a thousand times a
-        second (`PDDrive.period`), with commands that go straight between rows, within
+        second (`PDDrive.period`), with commands that are held between rows, within
         its `saturation`. Where a robot is followed closely, positions say little of
         its parameters: compare the errors with the range of what was commanded minus
         what was reached.
@@ -278,7 +277,7 @@ class SimulatesTorques:
         >>> recording = replace(recording, signals={"q_desired": aim})
         >>> drive = PDDrive(kp=kp, kd=kp / 50.0, delay=0.0)
         >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
-        >>> robot = robot.fit_recording(recording)
+        >>> robot = robot.fit_recording(drive.driven(recording))
         >>> states = robot.follow(recording, window=0.5)
         >>> bool(np.abs(states[:, :6] - recording.q).max() < 0.1)
         True
@@ -649,7 +648,7 @@ class IdentifiedRobot(SimulatesTorques):
         smoother = self.smoother(recording.inputs, recording.groups)
         states = RecordingStates.of(recording, smoother)
         plan = replace(self.plan, effects=())
-        recording = with_delayed_commands(recording, self.plan)
+        recording = replace(recording, tau=recording.torques(self.plan.delay))
         made = build_segments(recording, states, plan, self.features_)
         (found,) = compare(made, [plan.lowpass], None)
         return found
@@ -1134,12 +1133,12 @@ class IdentifiedRobot(SimulatesTorques):
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
-        found, recording = [], with_delayed_commands(recording, self.plan)
+        found, torques = [], recording.torques(self.plan.delay)
         for rows in map(rows_looked_at, recording.segments):
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}
             asked = self.prepare(recording.inputs[rows], t=t, signals=own)
-            asked, y = asked.noiseless(self.plan), recording.tau[rows]
+            asked, y = asked.noiseless(self.plan), torques[rows]
             residual = y - self.torques(asked, n_jobs)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found

@@ -10,7 +10,6 @@ from sklearn_vbjfa.effects import OfChannel
 from sklearn_vbjfa.model import DoubtWarning, is_prismatic
 from sklearn_vbjfa.recording import check_dt, torques_in_order
 from sklearn_vbjfa.recording._drives import velocity_lags
-from sklearn_vbjfa.robot._equations import delayed_command_torque
 from sklearn_vbjfa.simulation import SimulationError, simulate_controlled
 
 # Level of the one-sided test by which an error is clearly smaller than another.
@@ -502,6 +501,8 @@ def _rms(errors, axis):
 
 # Why an effect of a torque channel is not simulated under a drive.
 _AT_ONCE = "torques of the drive act at once"
+# Share of a row by which rounding may move a time.
+_JITTER = 1e-9
 # Drives set their torque at least so often, in simulation [s].
 _DRIVE_PERIOD = 1e-3
 
@@ -517,8 +518,10 @@ class Follower:
     # robot: `IdentifiedRobot`.
 
     def __init__(self, robot, drive, recording):
-        made, names = drive.driven(recording), recording.joint_names
-        self._command = delayed_command_torque(made, robot.effects_)
+        names = recording.joint_names
+        self._command = drive.commands(recording)
+        self._late = (robot.plan.delay + (drive.waits or 0.0)) / recording.dt
+        self._begins = np.array([part.start for part in recording.segments])
         self._gains = [
             np.broadcast_to(x, self._command.shape) for x in drive.law(names, recording)
         ]
@@ -545,9 +548,10 @@ class Follower:
 
     def run(self, rows, start, t):
         """Simulate rows, a slice, from a state (3 nv,) on; t (n,) is their time."""
-        nv = self._command.shape[1]
-        kp, kd = (x[rows] for x in self._gains)
-        law = law_of(self._command[rows], kp, kd, self._most)
+        nv, late = self._command.shape[1], self._late - 0.5 / self._updates
+        begin = self._begins[self._begins <= rows.start][-1]
+        known = (x[begin : rows.stop] for x in (self._command, *self._gains))
+        law = law_of(*known, self._most, rows.start - begin, late)
         states, _ = simulate_controlled(
             self._model,
             _seen_late(law, self._lags, self._dt, self._updates),
@@ -598,14 +602,14 @@ def _seen_late(control, lags, dt, updates):
     return late
 
 
-def law_of(command, kp, kd, most):
-    """Let a drive follow commands (n, nv) that go straight between rows."""
+def law_of(command, kp, kd, most, first=0, late=0.0):
+    """Let a drive follow commands (n, nv), each held until the next one."""
+    # first: row that the simulation begins with; late: delay of the commands, in rows.
     kp, kd = (np.broadcast_to(x, command.shape) for x in (kp, kd))
 
     def control(row, q, v):
-        i = min(int(row), len(command) - 1)
-        j = min(i + 1, len(command) - 1)
-        asked = command[i] + (row - i) * (command[j] - command[i])
-        return np.clip(asked - kp[i] * q - kd[i] * v, -most, most)
+        i = min(int(first + row), len(command) - 1)
+        k = min(max(int(np.floor(first + row - late + _JITTER)), 0), len(command) - 1)
+        return np.clip(command[k] - kp[i] * q - kd[i] * v, -most, most)
 
     return control

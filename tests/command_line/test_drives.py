@@ -44,7 +44,8 @@ def told(urdf):
     made = make_robot_recording(
         str(urdf), duration=15.0, n_harmonics=8, encoder_noise=1e-5, random_state=0
     )
-    later = made.t + DELAY
+    # A command is held until the next one, half a row later in the mean.
+    later = made.t + DELAY + 0.5 * made.dt
     q, tau = (CubicSpline(made.t, x) for x in (made.q, made.tau))
     aim = q(later) + (tau(later) + KD * q(later, 1)) / KP
     columns = {"t": made.t}

@@ -339,9 +339,9 @@ def test_go2_is_told_what_the_law_of_its_motors_says(fetch, converted):
         np.testing.assert_allclose(part.tau, spring + damper, atol=1e-12)
         np.testing.assert_array_equal(part.signals["q_desired"], raw["q_desired"])
         assert not part.signals["v_desired"].any()
-        driven = PDDrive().driven(part)
+        commands = PDDrive().commands(part)
         aim = 4 * [20.0, 20.0, 40.0] * part.signals["q_desired"]
-        np.testing.assert_allclose(driven.command, aim, atol=1e-12)
+        np.testing.assert_allclose(commands, aim, atol=1e-12)
         # Sums of 0.005 in single precision.
         np.testing.assert_allclose(part.t, raw["t"], atol=0.006)
 

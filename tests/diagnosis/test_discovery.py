@@ -723,6 +723,6 @@ def test_channels_that_a_drive_has_not_are_not_looked_for():
     made = EffectDiscovery(clone(robot).set_params(drive=drive), **asked)
     left_out = r"not looked for: jerk \(.*; torque_filter \("
     with pytest.warns(UserWarning, match=left_out):
-        made.fit_recording(told)
+        made.fit_recording(recording)
     assert made.effects_ + made.possible_ == ()
     assert max(made.unexplained_, key=lambda one: one.rms).joint == 1

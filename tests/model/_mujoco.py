@@ -42,7 +42,7 @@ def moving_states(rng, n, nv, reach=1.0, slowest=0.1):
 def followed(path, start, wanted, dt):
     """Simulate positions (n, nv) at rows of `dt` seconds, from commanded ones (n, nv).
 
-    Commands go straight between the rows, and the first one was told for long; start
+    A command is held until the next one, and the first one was there for long; start
     (2 nv,) are positions and velocities. Columns are in the order of the motors.
     """
     import mujoco
@@ -61,8 +61,7 @@ def followed(path, start, wanted, dt):
     found = np.empty(wanted.shape)
     for k, now in enumerate(wanted):
         found[k] = data.qpos[places]
-        further = wanted[min(k + 1, len(wanted) - 1)] - now
-        for step in range(steps):
-            data.ctrl[:] = now + step / steps * further
+        data.ctrl[:] = now
+        for _ in range(steps):
             mujoco.mj_step(model, data)
     return found

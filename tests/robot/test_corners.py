@@ -76,12 +76,13 @@ def test_the_sign_turns_when_the_true_velocity_does(turns, before):
 
 
 def driven(seconds=20.0, seed=0):
-    """Simulate a joint under its drive at 20 kHz and log it at 200 Hz."""
+    """Simulate a joint under its drive at 20 kHz, commanded and logged at 200 Hz."""
     rng = np.random.default_rng(seed)
     dt, sub = 1e-3, 20
     t = dt * np.arange(round(seconds / dt))
     f, phase = rng.uniform(1.0, 3.0, 3), rng.uniform(0, 2 * np.pi, 3)
     aim = (0.6 / (1 + f) * np.sin(2 * np.pi * f * t[:, None] + phase)).sum(axis=1)
+    aim = np.repeat(aim[::5], 5)
     rows, q, v = np.empty(t.size), 0.0, 0.0
     for i in range(t.size):
         rows[i] = q
@@ -94,8 +95,7 @@ def driven(seconds=20.0, seed=0):
             q += v * dt / sub
     q, aim = rows[::5, None], aim[::5, None]
     whole = take_arrays(q, 0.0 * q, dt=DT, joint_names=("j",))
-    # a command is held for a period of the drive
-    drive = PDDrive(KP, KD, delay=0.5 * dt)
+    drive = PDDrive(KP, KD, delay=0.0)
     return drive, replace(whole, signals={"q_desired": aim})
 
 
@@ -110,6 +110,8 @@ def wheel():
 def fitted(drive, recording, **settings):
     given = {"dt": DT, "cutoff": 3.0, "state_cutoff": 6.0, "bodies": "fixed"}
     robot = RobotIdentifier(wheel(), drive=drive, **{**given, **settings})
+    if drive is not None:
+        recording = drive.driven(recording)
     return robot.fit_recording(recording)
 
 
@@ -139,7 +141,7 @@ def test_a_fifth_of_what_corners_moved_is_not_known(monkeypatch):
     drive, recording = driven()
     drive.set_params(delay="auto")
     robot = fitted(drive, recording)
-    monkeypatch.setattr(_fit, "_in_doubt", lambda fit, rounded: fit)
+    monkeypatch.setattr(_fit, "_in_doubt", lambda fit, other: fit)
     certain = fitted(drive, recording)
     monkeypatch.setattr(_fit, "with_corners", lambda *known: None)
     before = fitted(drive, recording)

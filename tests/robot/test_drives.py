@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.interpolate import CubicSpline
+from scipy.linalg import expm
 from sklearn.linear_model import LinearRegression
 
 pin = pytest.importorskip("pinocchio")
@@ -54,10 +55,25 @@ def torques(q, v, a):
     return rigid + ARMATURE * a + VISCOUS * v
 
 
-def command(t, delay, rate=0.0, ahead=0.0):
+def held(wanted, t):
+    """Rows that, held for a period, have the mean of a function of time (n, nv)."""
+    # The inverse of the gain of a mean over DT, sin(x) / x, in powers of x.
+    middle, h = t + 0.5 * DT, 0.5 * DT
+    around = [wanted(middle + k * h) for k in range(-2, 3)]
+    second = np.tensordot([-1, 16, -30, 16, -1], around, 1) / (12 * h**2)
+    fourth = np.tensordot([1, -4, 6, -4, 1], around, 1) / h**4
+    return around[2] - DT**2 / 24 * second + 7 * DT**4 / 5760 * fourth
+
+
+def command(t, delay, kp=KP, ahead=None):
     """Positions that, a delay later, make the drive move the arm as `states` does."""
-    q, v, a = states(t + delay)
-    return q + (torques(q, v, a) + KD * (v - rate) - ahead) / KP
+
+    def wanted(t):
+        q, v, a = states(t)
+        further = 0.0 if ahead is None else ahead(t)
+        return q + (torques(q, v, a) + KD * v - further) / kp
+
+    return held(wanted, t + delay)
 
 
 def told(delay=0.0, duration=12.0, **signals):
@@ -74,6 +90,8 @@ def identify(recording, drive=None, **settings):
     """Fit to states without a filter."""
     drive = PDDrive(KP, KD) if drive is None else drive
     given = {**EXACT, "dt": DT, "drive": drive, **settings}
+    if recording.command is None and isinstance(drive, PDDrive):
+        recording = drive.driven(recording)
     return RobotIdentifier(ARM, **given).fit_recording(recording)
 
 
@@ -87,25 +105,50 @@ def test_the_law_makes_the_torque():
     recording = told()
     found = PDDrive(KP, KD).driven(recording)
     exact = torques(*np.split(recording.states, 3, axis=1))
-    assert_allclose(found.tau, exact, rtol=1e-9, atol=1e-9)
+    # What was commanded before the recording is not known.
+    inside = slice(20, -20)
+    assert_allclose(found.tau[inside], exact[inside], rtol=0, atol=1e-4)
     feedback = KP * recording.q + KD * recording.states[:, 3:6]
     assert_allclose(found.command, found.tau + feedback, atol=1e-9)
+    later = PDDrive(KP, KD, delay=0.01).driven(recording).tau
+    assert_allclose(found.torques(0.01)[inside], later[inside], atol=1e-4)
+    assert found.torques() is found.tau
+
+
+def test_a_command_acts_until_the_next_one():
+    """A step, written out: halfway in its row, there before and after."""
+    aim = np.zeros((60, 3))
+    aim[30:] = 1.0
+    recording = take_arrays(0 * aim, 0 * aim, dt=DT, joint_names=NAMES)
+    recording = replace(recording, signals={"q_desired": aim})
+    found = PDDrive(KP, KD).driven(recording).command / KP
+    assert_allclose(found[30], 0.5)
+    assert_allclose(found[:30].sum(axis=0), (1 - found[31:]).sum(axis=0), atol=1e-9)
+    assert_array_equal(PDDrive(KP, KD).commands(recording), KP * aim)
 
 
 def test_all_channels_of_the_law_are_used():
     t = DT * np.arange(2000)
     q, v, a = states(t)
-    rate, ahead = 0.7 * v, 0.2 * torques(q, v, a)
+
+    def rate(t):
+        return 0.7 * states(t)[1]
+
+    def ahead(t):
+        return 0.2 * torques(*states(t))
+
     beside = {
-        "v_desired": rate,
-        "tau_ff": ahead,
+        "v_desired": held(rate, t),
+        "tau_ff": held(ahead, t),
         "kp": 0.0 * q + KP,
         "kd": 0.0 * q + KD,
     }
     recording = told(duration=10.0, **beside)
-    recording.signals["q_desired"] = command(t, 0.0, rate, ahead)
-    found = PDDrive().driven(recording)
-    assert_allclose(found.tau, torques(q, v, a), rtol=1e-9, atol=1e-9)
+    recording.signals["q_desired"] = command(
+        t, 0.0, ahead=lambda t: KD * rate(t) + ahead(t)
+    )
+    found, inside = PDDrive().driven(recording), slice(20, -20)
+    assert_allclose(found.tau[inside], torques(q, v, a)[inside], rtol=0, atol=1e-4)
 
 
 def test_a_velocity_is_as_late_as_the_recorded_one():
@@ -135,6 +178,42 @@ def test_the_delay_is_found(delay):
     assert effect.delay == pytest.approx(delay, abs=1e-5)
 
 
+def stepped(dt, delay, kp=30.0, kd=1.5, moment=0.04, viscous=0.3):
+    """Solve exactly how a joint follows commands that are held, and log both."""
+    rng, t = np.random.default_rng(3), dt * np.arange(round(40.0 / dt))
+    f, phase = rng.uniform(0.2, 1.5, 6), rng.uniform(0, 2 * np.pi, 6)
+    aim = 0.2 * np.sin(2 * np.pi * f * t[:, None] + phase).sum(axis=1)
+    rows, rest = divmod(delay, dt)
+    motion = np.array([[0.0, 1.0], [-kp / moment, -(kd + viscous) / moment]])
+    first, second = expm(motion * rest), expm(motion * (dt - rest))
+    now, found = np.array([aim[0], 0.0]), np.empty(t.size)
+    for k in range(t.size):
+        found[k] = now[0]
+        for jump, ago in ((first, rows + 1), (second, rows)):
+            reached = np.array([aim[max(int(k - ago), 0)], 0.0])
+            now = reached + jump @ (now - reached)
+    recording = take_arrays(found[:, None], aim[:, None], dt=dt, joint_names=("j",))
+    drive = PDDrive(kp, kd)
+    return drive, drive.driven(replace(recording, signals={"q_desired": aim[:, None]}))
+
+
+@pytest.mark.parametrize("dt", [0.002, 0.005, 1 / 30])
+def test_the_delay_of_commands_that_are_held_is_found(dt):
+    """Within 2 % of the sample period, at most 0.1 ms below 200 Hz."""
+    delay, viscous, rotor = 0.0113, 0.3, 0.03
+    drive, recording = stepped(dt, delay)
+    model = pin.Model()
+    joint = model.addJoint(0, pin.JointModelRZ(), pin.SE3.Identity(), "j")
+    model.inertias[joint] = pin.Inertia(1.0, np.zeros(3), 0.01 * np.eye(3))
+    robot = RobotIdentifier(
+        model, dt=dt, drive=drive, bodies="fixed", friction=FRICTION
+    ).fit_recording(recording)
+    terms = dict(zip(robot.parameter_names_, robot.theta_))
+    assert abs(terms["drive:delay"] - delay) < max(1e-4, 0.02 * dt)
+    assert terms["j:viscous"] == pytest.approx(viscous, rel=0.05)
+    assert terms["j:rotor_inertia"] == pytest.approx(rotor, rel=0.05)
+
+
 def test_a_known_delay_is_no_parameter():
     robot = identify(told(0.012), PDDrive(KP, KD, delay=0.012))
     assert "drive:delay" not in robot.parameter_names_
@@ -150,12 +229,9 @@ def test_the_column_is_the_derivative_by_the_delay():
     robot = identify(recording)
     step = 1e-4
 
-    def torque(delay):
-        effect = CommandDelay(delay=delay)
-        t = recording.clock()
-        return effect.change(recording.command, recording.segments, t)
-
-    slope = (torque(0.01 + step) - torque(0.01 - step)) / (2 * step)
+    slope = (recording.torques(0.01 + step) - recording.torques(0.01 - step)) / (
+        2 * step
+    )
     at = replace(robot.robot_.plan, effects=(CommandDelay(delay=0.01),))
     made = replace(robot.robot_, plan=at).equations(recording)
     # The law moves by minus what the column adds to the model.
@@ -204,9 +280,8 @@ def test_samples_of_delay_and_damping_belong_together(tmp_path):
     """An arm that follows closely: a later command is a smaller damping."""
     stiff = PDDrive(20 * KP, KD)
     recording = told()
-    q, v, a = states(DT * np.arange(len(recording.q)) + 0.008)
-    later = q + (torques(q, v, a) + KD * v) / (20 * KP)
-    recording.signals["q_desired"][:] = later
+    t = DT * np.arange(len(recording.q))
+    recording.signals["q_desired"][:] = command(t, 0.008, kp=20 * KP)
     recording = stiff.driven(recording)
     noise = np.random.default_rng(3).normal(size=recording.q.shape)
     # Commands of before the recording, and after it, are not known.
@@ -317,13 +392,14 @@ def test_a_joint_that_is_held_does_not_move_for_the_noise_of_its_encoder():
 
 
 def pendulum(where, sigma=3e-3, kp=200.0, kd=2.0, seconds=60.0, seed=0):
-    """Simulate a joint under its drive at 1 kHz, logged at 200 Hz with noise."""
+    """Simulate a joint under its drive at 1 kHz, commanded and logged at 200 Hz."""
     rng = np.random.default_rng(seed)
     weight, moment, viscous, coulomb = 1.962, 0.09, 0.3, 0.4
     dt, sub = 1e-3, 4
     t = dt * np.arange(round(seconds / dt))
     f, phase = rng.uniform(0.2, 2.5, 8), rng.uniform(0, 2 * np.pi, 8)
     aim = (0.25 / np.sqrt(f) * np.sin(2 * np.pi * f * t[:, None] + phase)).sum(axis=1)
+    aim = np.repeat(aim[::5], 5)
     noise = sigma * rng.normal(size=t.size)
     rows, q, v = np.empty((t.size, 2)), 0.0, 0.0
     for i in range(t.size):
@@ -338,7 +414,8 @@ def pendulum(where, sigma=3e-3, kp=200.0, kd=2.0, seconds=60.0, seed=0):
     recording = take_arrays(q[:, None], 0.0 * q[:, None], dt=DT, joint_names=("j",))
     signals = {"q_desired": aim[:, None]}
     recording = replace(recording, v=v[:, None], signals=signals)
-    return PDDrive(kp, kd, delay=0.0), recording
+    drive = PDDrive(kp, kd, delay=0.0, period=dt)
+    return drive, drive.driven(recording)
 
 
 def bob():
@@ -361,7 +438,7 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
         robot.fit_recording(recording)
         return robot.theta_[robot.parameter_names_.index("j:rotor_inertia")] / 0.05 - 1
 
-    apart = replace(drive.driven(recording), feedback=None)
+    apart = replace(recording, feedback=None)
     assert abs(rotor(recording)) < 0.02
     # of the inputs alone, and of none
     assert rotor(apart) > rotor(recording) + 0.04
@@ -384,8 +461,8 @@ def test_commands_are_instruments_of_the_motion(where):
         return np.array(found) / [0.09, 0.3, 0.4] - 1
 
     plain, instrumented = off(LinearRegression()), off(InstrumentalVariables())
-    assert (np.abs(plain) > 0.09).all()
-    assert (np.abs(instrumented) < 0.03).all()
+    assert (np.abs(plain) > 0.07).all()
+    assert (np.abs(instrumented) < np.abs(plain) / 3).all()
 
 
 def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
@@ -396,11 +473,12 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
     ).fit_recording(recording)
     estimator = robot.state_estimator_
     even, odd = estimator.split_transform(recording.q, groups=recording.groups)
-    made = drive.driven(recording)
     own = RecordingStates.of_rows(
-        made.segments, robot.robot_.query(made.q, made.groups)[0], (even, odd)
+        recording.segments,
+        robot.robot_.query(recording.q, recording.groups)[0],
+        (even, odd),
     )
-    (segment,) = build_segments(made, own, robot.robot_.plan, robot.features_)
+    (segment,) = build_segments(recording, own, robot.robot_.plan, robot.features_)
     lowpass = robot.robot_.plan.lowpass
     moments = segment.moments(lowpass, slice(0, segment.n_rows))
     turning = robot.robot_.plan.turning
@@ -454,8 +532,7 @@ def follows(robot, recording, path, **given):
     """Write the robot; return what MuJoCo and the package make of its commands."""
     drive = given.get("drive", robot.drive)
     left = robot.to_mjcf(path, **given)
-    made = drive.driven(recording)
-    ahead = made.command / made.feedback[0]
+    ahead = drive.commands(recording) / KP
     found = followed(path, recording.states[0, :6], ahead, DT)
     return found, robot.follow(recording, drive)[:, :3], left
 

@@ -61,14 +61,26 @@ class Log:
     applied: np.ndarray | None = None
 
     def wanted_at(self, times):
-        """Command at times [s], (n, nv) or, for times (n, nv), one time a joint."""
+        """Command at times [s], (n, nv) or, for times (n, nv), one time a joint.
+
+        A command is held until the next row: within the band of the rows it is the mean
+        of the last period of a spline.
+        """
         n = len(self.wanted)
         spline = interpolate.CubicSpline(DT * np.arange(n), self.wanted)
-        times = np.clip(times, 0.0, DT * (n - 1))
+        total, last = spline.antiderivative(), DT * (n - 1)
+
+        def mean(times, j=slice(None)):
+            ends = [np.clip(x, 0.0, last) for x in (times, times - DT)]
+            outside = (times - ends[0]) - (times - DT - ends[1])
+            first, final = self.wanted[0], self.wanted[-1]
+            held = np.where(times[:, None] < 0.5 * last, first, final)
+            found = total(ends[0]) - total(ends[1]) + outside[:, None] * held
+            return found[:, j] / DT
+
         if times.ndim == 1:
-            return spline(times)
-        columns = [spline(x)[:, j] for j, x in enumerate(times.T)]
-        return np.stack(columns, axis=1)
+            return mean(times)
+        return np.stack([mean(x, j) for j, x in enumerate(times.T)], axis=1)
 
 
 # -- the robot for MuJoCo --------------------------------------------------------------
@@ -193,7 +205,13 @@ def recorded(
     data = mujoco.MjData(model)
     n = round(duration / TICK) + 1
     t = TICK * np.arange(n)
-    wanted = motion(np.maximum(t + 0.5 * TICK - numbers.delay, 0.0))
+    wanted = np.mean(
+        [
+            motion(DT * np.floor(np.maximum(t + share * TICK - numbers.delay, 0) / DT))
+            for share in (np.arange(10) + 0.5) / 10
+        ],
+        axis=0,
+    )
     e, w = read_noise(deviation, wanted.shape, rng)
     seen_e, seen_w = (e, w) if in_loop else (0 * e, 0 * w)
     data.qpos[:] = wanted[0]

@@ -92,8 +92,9 @@ def declared(model, case, part, **more):
 
 def fit(robot, part):
     """Fit to arrays, or to a recording whose drive is told commands."""
-    if getattr(robot, "identifier", robot).drive is not None:
-        return robot.fit_recording(part["recording"])
+    drive = getattr(robot, "identifier", robot).drive
+    if drive is not None:
+        return robot.fit_recording(drive.driven(part["recording"]))
     return robot.fit(part["q"], part["tau"], groups=part["groups"])
 
 

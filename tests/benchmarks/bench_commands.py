@@ -7,7 +7,7 @@ Data: the description is the MJCF of the measured Go2 (`fetch_unitree_go2`), its
 held. The truth is not as described: masses and shapes off by 20 % and one body by a
 factor of two (as in ``bench_bodies.py``); armature, damping and Coulomb friction drawn
 for hip, thigh and calf, those of the four legs alike within 5 %; commands late by a
-constant delay. It is stepped by MuJoCo at 20 kHz under a PD law at 1 kHz that holds its
+constant delay, each of them held until the next row of the log. It is stepped by MuJoCo at 20 kHz under a PD law at 1 kHz that holds its
 torque (`_commanded_robots.py`): nothing of it comes from the package. Encoders are read
 with white noise; speeds are true but for that noise, differentiated behind 40 Hz. The
 log has 20 s at 200 Hz: positions and speeds as read, positions as commanded. Every
@@ -253,7 +253,8 @@ def package(described, gains, *logs, drive=False, **settings):
     if drive:
         settings["drive"] = PDDrive(gains.kp, gains.kd, period=TICK)
     robot = RobotIdentifier(described, dt=DT, **settings)
-    robot.fit_recording(recording_of(described, gains, *logs))
+    recording = recording_of(described, gains, *logs)
+    robot.fit_recording(settings["drive"].driven(recording) if drive else recording)
     return found_by(robot, described)
 
 

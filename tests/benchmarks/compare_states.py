@@ -253,7 +253,7 @@ def go2(data_home):
         figures = fitted_robot(robot, q, groups)
         found |= {f"torques, {bodies}, {key}": x for key, x in figures.items()}
     robot = RobotIdentifier(model, drive=PDDrive(), **settings)
-    timed(found, "commands", getattr(robot, "fit_recording", robot.fit), runs[0])
+    timed(found, "commands", robot.fit_recording, PDDrive().driven(runs[0]))
     figures = fitted_robot(robot, runs[0].q)
     return found | {f"commands, {key}": value for key, value in figures.items()}
 

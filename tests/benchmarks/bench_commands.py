@@ -7,11 +7,12 @@ Data: the description is the MJCF of the measured Go2 (`fetch_unitree_go2`), its
 held. The truth is not as described: masses and shapes off by 20 % and one body by a
 factor of two (as in ``bench_bodies.py``); armature, damping and Coulomb friction drawn
 for hip, thigh and calf, those of the four legs alike within 5 %; commands late by a
-constant delay, each of them held until the next row of the log. It is stepped by MuJoCo at 20 kHz under a PD law at 1 kHz that holds its
-torque (`_commanded_robots.py`): nothing of it comes from the package. Encoders are read
-with white noise; speeds are true but for that noise, differentiated behind 40 Hz. The
-log has 20 s at 200 Hz: positions and speeds as read, positions as commanded. Every
-joint has a chirp of its own; judged on another motion, sums of four sines.
+constant delay, each held until the next row of the log. It is stepped by MuJoCo at 20
+kHz under a PD law at 1 kHz that holds its torque (`_commanded_robots.py`): nothing of
+it comes from the package. Encoders are read with white noise; speeds are true but for
+that noise, differentiated behind 40 Hz. The log has 20 s at 200 Hz: positions and
+speeds as read, positions as commanded. Every joint has a chirp of its own; judged on
+another motion, sums of four sines.
 
 Cells, by the seed: noise of .1, 1 and 3 mrad (seed modulo 3), which the drive sees or
 only the log (next), delays of 0 to 5, 5 to 10 and 10 to 15 ms (next): 18 seeds have

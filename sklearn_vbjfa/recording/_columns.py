@@ -1,6 +1,5 @@
 """Columns that a caller gives: those of the joints, and signals beside them."""
 
-import itertools
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -294,9 +293,6 @@ def _finding(name, reason):
 # -- data frames, by the names of joints instead of by their places --------------------
 
 _NUMBERED = re.compile(r"([a-z]+?)_?(\d+)")
-# Prefixes of the quantities of a state, in order.
-_STATES = (("q", ""), ("v",), ("a",))
-_TORQUE = ("tau",)
 # Columns that say when and in which recording, and where they are to be given.
 _TIME, _LABEL = "is time: give it as t", "labels recordings: give it as groups"
 _NOT_HERE = {"t": _TIME, "time": _TIME, "segment": _LABEL, "group": _LABEL}
@@ -307,27 +303,27 @@ def positions_in_order(X, names):
     """Put a data frame of positions or states into the model's order of joints."""
     # Columns are ``q_<joint>``, ``<joint>``, or ``q1, q2, ...`` (from 0 if there is a
     # ``q0``); of states also ``v_<joint>`` and ``a_<joint>``, or ``v1``, ``a1``. What
-    # has no names comes back as it is. Where all positions are there by name, other
-    # columns are `columns_beside` them; otherwise a name that is none of these is
-    # refused.
-    wanted, _ = _divided(X, names)
-    if wanted:
-        return X[wanted]
-    return _in_order(X, names, "X", _STATES)
+    # has no names comes back as it is; other columns are `columns_beside` them.
+    found = _by_kind(_columns_of(X), names, "q")
+    if "q" in found:
+        return X[_states(found)]
+    return _foreign(X, names, "X", ("q", "v", "a"))
 
 
 def columns_beside(X, names):
-    """Return what a data frame X holds beside the positions, `OfferedSignals`."""
+    """Return the columns of a data frame X beside the positions, `OfferedSignals`."""
     # Time, labels of recordings and other channels of joints are no signals; they are
     # among those left out. Empty for what has no names.
-    _, rest = _divided(X, names)
-    if not rest:
+    columns = _columns_of(X)
+    found = _by_kind(columns, names, "q")
+    channels = {column for own in found.values() for column in own}
+    rest = [x for x in columns if x not in channels and x.lower() not in _NOT_HERE]
+    if "q" not in found or not rest:
         return OfferedSignals()
-    known = {column for found in _channels(list(X.columns), names) for column in found}
     others = {
         column: _NOT_HERE.get(column.lower(), "belongs to a joint")
-        for column in X.columns
-        if column not in rest and column not in known
+        for column in columns
+        if column not in rest and column not in _states(found)
     }
     return OfferedSignals(
         columns={name: X[name].to_numpy() for name in rest}, left_out=others
@@ -338,22 +334,11 @@ def torques_in_order(y, names):
     """Put a data frame of torques into the model's order of joints."""
     # Columns are ``tau_<joint>``, ``<joint>``, or ``tau1, tau2, ...`` (from 0 if there
     # is a ``tau0``).
-    return _in_order(y, names, "y", (("tau", ""),))
-
-
-def _divided(X, names):
-    """Columns of positions or states in order, and columns beside them, two lists."""
-    # Both are empty where there is nothing beside them, or positions are not complete.
-    columns = _columns_of(X)
-    found = _channels(columns, names)
-    channels = list(itertools.chain(*found))
-    for prefixes in (*_STATES[1:], _TORQUE):
-        channels += _by_joint(columns, names, prefixes)
-        channels += _by_number(columns, len(names), prefixes)
-    rest = [c for c in columns if c not in channels and c.lower() not in _NOT_HERE]
-    if not found[0] or not rest:
-        return [], []
-    return list(itertools.chain(*found)), rest
+    columns = _columns_of(y)
+    found = _by_kind(columns, names, "tau")
+    if "tau" in found and len(columns) == len(names):
+        return y[found["tau"]]
+    return _foreign(y, names, "y", ("tau",))
 
 
 def _columns_of(frame):
@@ -362,67 +347,42 @@ def _columns_of(frame):
     return columns if all(isinstance(column, str) for column in columns) else []
 
 
-def _channels(columns, names):
-    """Columns of positions or of states, a list for each quantity; empty for none."""
-    found = [_named(columns, names, prefixes) for prefixes in _STATES]
-    return found if all(found) else found[:1]
+def _by_kind(columns, names, bare):
+    """Return the columns of each kind in order, as far as all joints have one."""
+    # bare: the kind of columns that have the names of joints alone.
+    found = {}
+    numbered = [(_NUMBERED.fullmatch(column), column) for column in columns]
+    for kind in ("q", "v", "a", "tau"):
+        spelled = [[f"{kind}_{name}" for name in names], list(names)]
+        numbers = {int(x[2]): column for x, column in numbered if x and x[1] == kind}
+        first = 0 if 0 in numbers else 1
+        if sorted(numbers) == list(range(first, first + len(names))):
+            spelled.append([numbers[k] for k in sorted(numbers)])
+        if kind != bare:
+            del spelled[1]
+        own = [x for x in spelled if set(x) <= set(columns)]
+        found |= {kind: own[0]} if own else {}
+    return found
 
 
-def _in_order(frame, names, what, kinds):
-    """Order columns; `kinds` are the prefixes of each quantity in turn."""
+def _states(found):
+    """Return the columns of states if all are there, else those of positions."""
+    kinds = ("q", "v", "a") if {"v", "a"} <= found.keys() else ("q",)
+    return [column for kind in kinds for column in found[kind]]
+
+
+def _foreign(frame, names, what, kinds):
+    """Refuse columns of which not all are joints'; the number is checked elsewhere."""
     columns = _columns_of(frame)
     count, rest = divmod(len(columns), len(names))
-    # A wrong number of columns is refused elsewhere, as for arrays.
     if rest or count not in {1, len(kinds)}:
         return frame
-    wanted = []
-    for prefixes in kinds[:count]:
-        found = _named(columns, names, prefixes)
-        if not found:
-            expected = [f"{kind[0]}_{name}" for kind in kinds[:count] for name in names]
-            strange = [c for c in columns if not _known(c, names, kinds)]
-            raise ValueError(
-                f"{what} has columns {', '.join(columns)}"
-                + (f", of which {', '.join(strange)} name no joint" if strange else "")
-                + f" of the robot; expected {', '.join(expected)} in any order (or the "
-                "joints' names alone). Rename the columns, or give an array "
-                f"({what}.to_numpy()) in the robot's order."
-            )
-        wanted += found
-    return frame if wanted == columns else frame[wanted]
-
-
-def _named(columns, names, prefixes):
-    """Columns of one quantity by joints or by their numbers, empty without all."""
-    by_number = _by_number(columns, len(names), prefixes)
-    return _by_joint(columns, names, prefixes) or by_number
-
-
-def _by_joint(columns, names, prefixes):
-    """Columns of one quantity by joints, empty if some is missing."""
-    for prefix in prefixes:
-        found = [f"{prefix}_{name}" if prefix else name for name in names]
-        if set(found) <= set(columns):
-            return found
-    return []
-
-
-def _by_number(columns, nv, prefixes):
-    """Columns of one quantity by their numbers, empty if some is missing."""
-    numbers = {}
-    for column in columns:
-        match = _NUMBERED.fullmatch(column)
-        if match and match[1] == prefixes[0]:
-            numbers[int(match[2])] = column
-    first = 0 if 0 in numbers else 1
-    if sorted(numbers) != list(range(first, first + nv)):
-        return []
-    return [numbers[k] for k in sorted(numbers)]
-
-
-def _known(column, names, kinds):
-    return any(
-        column in _by_joint([column], [name], prefixes)
-        for prefixes in kinds
-        for name in names
+    expected = [f"{kind}_{name}" for kind in kinds[:count] for name in names]
+    strange = [x for x in columns if x not in (*expected, *names)]
+    raise ValueError(
+        f"{what} has columns {', '.join(columns)}"
+        + (f", of which {', '.join(strange)} name no joint" if strange else "")
+        + f" of the robot; expected {', '.join(expected)} in any order (or the joints' "
+        "names alone). Rename the columns, or give an array "
+        f"({what}.to_numpy()) in the robot's order."
     )

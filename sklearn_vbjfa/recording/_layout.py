@@ -101,8 +101,6 @@ class Layout:
     segments: tuple[str, ...] = ()  # columns of labels
     # columns that are known not to be conditions of the robot
     beside: frozenset = frozenset()
-    # names of the numbered joints, in the order of the numbers, if the file has any
-    joints: tuple[str, ...] = ()
     what: str = ""  # the kind of log that was recognised
     # whether a mapping, a preset or the format says which columns are channels
     certain: bool = False
@@ -116,21 +114,6 @@ class Layout:
         if not self.certain or "q" not in self.channels:
             return ()
         return tuple(self.channels["q"].by_joint)
-
-    def named(self):
-        """Return the layout with names, if the file has any, in place of numbers."""
-        if not self.joints:
-            return self
-        channels = {}
-        first = 0 if any("0" in x.by_number for x in self.channels.values()) else 1
-        for kind, own in self.channels.items():
-            channels[kind] = Channel(dict(own.by_joint))
-            for key, roles in own.by_number.items():
-                known = 0 <= int(key) - first < len(self.joints)
-                name = self.joints[int(key) - first] if known else key
-                for role in roles:
-                    channels[kind].add(name, role, is_number=not known)
-        return replace(self, channels=channels)
 
 
 # -- by names --------------------------------------------------------------------------
@@ -342,7 +325,8 @@ def _expression(pattern):
 
 def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    kinds = {key: _KEY.fullmatch(key)[1] for key in mapping}
+    parsed = {key: _KEY.fullmatch(key) for key in mapping}
+    kinds = {key: match and match[1] for key, match in parsed.items()}
     found = {
         key: matches(pattern, table, kinds[key]) for key, pattern in mapping.items()
     }
@@ -452,16 +436,24 @@ def _fitted(table, log: KnownLog, joints, kinds, chosen):
     times = _times(table, log, prefix)
     if not times and not log.commands:
         return None
+    # Numbers count from 0 or 1; the file may have the names of the joints.
+    names = _names_in(table, log) or (() if chosen else _motors(log, joints))
+    first = int("0" not in {x.key for own in found.values() for x in own})
     channels: dict[str, Channel] = {}
     for kind, own in found.items():
         if kind not in ("q", kinds[0]) and not pairs[kind] >= shared:
             continue
         for match in own:
-            if match.prefix == prefix:
-                unit = match.unit or (log.motor_unit if kind == "tau" else "")
-                role = Role(column=match.column, unit=unit)
-                channel = channels.setdefault(kind, Channel())
-                channel.add(match.key, role, is_number=match.is_number)
+            if match.prefix != prefix:
+                continue
+            unit = match.unit or (log.motor_unit if kind == "tau" else "")
+            place = int(match.key) - first if match.is_number else -1
+            known = 0 <= place < len(names)
+            channels.setdefault(kind, Channel()).add(
+                names[place] if known else match.key,
+                Role(column=match.column, unit=unit),
+                is_number=match.is_number and not known,
+            )
     beside = {
         name
         for name in table.names
@@ -472,12 +464,11 @@ def _fitted(table, log: KnownLog, joints, kinds, chosen):
         times=tuple(times),
         segments=(log.segment,) if log.segment in table.frame else (),
         beside=frozenset(beside),
-        joints=_names_in(table, log) or (() if chosen else _motors(log, joints)),
         what=log.what,
         certain=True,
         question=log.question if kinds[0] in log.commands else "",
         answer=f"q={log.q} [{SHARE[0] if table.shares else 'deg'}]",
-    ).named()
+    )
 
 
 def _with_prefix_of_state(found, log):

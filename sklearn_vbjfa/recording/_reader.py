@@ -52,104 +52,81 @@ def read_recording(
     path : str, os.PathLike or sequence of these
         One row per sample, as
         TABLES;
-        a bag of ROS 1 or 2 or an MCAP file with JointState, with or without its folder;
-        the folder of a LeRobot data set; "-" for standard input. Columns: positions q1
-        ... qn [rad or m] and torques tau1 ... taun [N m or N]; optionally v1 ... vn
-        [rad/s or m/s], a1 ... an [rad/s^2 or m/s^2], t [s or dates] and segment, the
-        label of separate recordings (contiguous rows). Names may also be q_1 or q[1],
-        count from 0, or use the joint's name, such as q_shoulder; a unit may follow (q1
-        [deg], t_ms), or stand in a row below the names. Names that the presets know are
-        recognised. An npz or JSON file may hold matrices q, tau, ... and a number dt;
-        JSON may also be a list of records, or one record a line. Text is separated by
-        comma, semicolon, tab or blanks; # begins a comment. Of several files of one
-        robot the recordings stand one after the other, called after their files, with
-        their own names behind where a file has several. A folder of tables stands for
-        them: one recording each if a file can be read on its own, and with `join`
-        otherwise. Columns without names are called by their places, from 1.
+        a bag of ROS 1 or 2 or an MCAP file with JointState; the folder of a LeRobot
+        data set; "-" for standard input. Columns: positions q1 ... qn [rad or m],
+        torques tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s], a1 ... an
+        [rad/s^2 or m/s^2], t [s or dates] and segment, the label of separate
+        recordings. Numbers may count from 0 or be joint names (q_shoulder), and a unit
+        may follow (q1 [deg], t_ms) or stand in a row below the names. Several files, or
+        a folder of them, are several recordings of one robot, or with `join` one.
     dt : float, default=None
-        Sample period [s]; needed if there is no time.
+        Sample period [s]; required if there is no time.
     urdf : str or os.PathLike, default=None
-        URDF or MJCF file of the robot: gives the joints' names and order, which must
-        agree with the columns. Where columns have joints' names, its joints without any
-        are held at zero.
+        URDF or MJCF file of the robot, for the names and order of its joints. Joints
+        without columns of their names are held at zero.
     joint_names : sequence of str, default=None
-        Joints in the order of the columns; with `urdf` some of its joints (the others,
-        such as wheels and fingers, are then held at zero). None takes all of `urdf`,
-        or joint_1, ...
+        Joints in the order of the columns; the others of `urdf`, such as wheels and
+        fingers, are held at zero. None takes all of `urdf`, or joint_1, ...
     name : str, default=None
         Name of the recording; None is that of the file, or of the folder of several.
     columns : str or dict of str to str, default=None
-        Which columns are which channels, such as
+        Columns by channel, such as
         "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
-        of a joint, from 0 or 1, and {joint} for its name. A unit may follow, as in
-        "q=pos_{i} [deg]". Single joints are q1=..., tau_elbow=.... Of a table without
-        names "t=1,q=2-7,tau=8-13" says the places.
+        of a joint and {joint} for its name; a unit may follow ("q=pos_{i} [deg]").
+        Single joints are q1=..., tau_elbow=.... For a table without names,
+        "t=1,q=2-7,tau=8-13" gives the places of the columns, from 1.
     preset : {"ros", "ur", "franka", "lerobot", "unitree"}, default=None
         Take names as these tools write them; None recognises them.
     topic : str, default=None
         Topic of a bag; None takes the only one of joint states.
     gains : sequence of float or "unknown", default=None
-        Torques are these factors [N m or N per unit] times what was recorded, for each
-        joint in the order of `joint_names` or else of `urdf`. "unknown" leaves them in
-        the unit of a motor current without a word.
+        Factors [N m or N per unit] of the recorded torques, one for each joint in the
+        order of `joint_names` or else of `urdf`. "unknown" leaves the unit as it is.
     time_unit : {"s", "ms", "us", "ns"}, default=None
-        Unit of time; None takes what the names say, or seconds.
+        Unit of time; None takes that in the name of the column, or seconds.
     drive : Drive or str, default=None
-        What the robot follows, where no torque was measured: a `PDDrive`, or a text
-        such as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
-        channels, such as q_desired1 ... or q_desired_shoulder, ``kp_...`` and
-        ``kd_...``, are then needed and those of torques are not; names such as
-        q_des, q_cmd, target_position and goal_position are recognised, and in an npz
-        file gains may be one number for each joint.
+        Control law of the motors if no torque was measured: a `PDDrive`, or a text such
+        as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
+        channels, such as q_desired1 ..., replace those of the torques; in an npz file
+        gains may be one number for each joint.
     join : bool, default=False
-        Whether several files are one recording, side by side: positions in one, torques
-        in another. Each column comes from one file. Rows go by the time stamps of the
-        file with the positions, others being interpolated by straight lines where they
-        have none there, or one by one where files have as many rows and no stamps. The
-        name of a file (positions.csv, tau.txt, t.txt) says what its columns are where
-        their names do not, or where there are none.
+        Whether several files are one recording, such as positions.csv and torques.csv.
+        The rows are those of the file with the positions; other files are interpolated
+        linearly at its time stamps, or without stamps taken row by row. Where columns
+        do not tell the channel, the name of the file does. A folder is joined if fewer
+        than two of its files can be read alone.
 
     Returns
     -------
     recording : Recording
-        On a uniform time grid. Other numeric columns are in its `signals` by their
-        names, as are accelerations ("a"); what is wrong with others is in `left_out`.
-        Where rows were interpolated, `torque_noise` is the white noise that the torques
-        had before. Of several files, `signals` has the columns that all of them have.
-        With a `drive`, `signals` has its channels (n_samples, nv), and `tau` is what
-        the drive makes of them. Where rows are interpolated, commands hold the value
-        that came last.
+        On a uniform time grid, in the units and joint order of the package. Other
+        numeric columns are in `signals`, accelerations as "a", and the channels of a
+        `drive`; `left_out` says what is wrong with other columns. Where rows were
+        interpolated, `torque_noise` is the white noise of the torques before, and
+        commands hold their last value.
 
     Raises
     ------
     FileNotFoundError
         If the file does not exist.
     ImportError
-        If a package is missing that the format needs (PACKAGES),
-        or `urdf` without Pinocchio.
+        If pandas or a package that the format needs is missing (PACKAGES), or Pinocchio
+        for `urdf`.
     OSError
         If the file cannot be read.
     ValueError
-        If the file is damaged, not what its ending says, or written to while it is
-        read, the number of columns is wrong, two columns could be meant, a value is not
-        finite or beyond 1e12, time runs backwards, is not in seconds or does not reveal
-        the period, or there is neither time nor `dt`; if one of several files is a copy
-        of another, or has other joints or channels, a sample period that differs by
-        more than 1 %, or no time stamps while others have some. The message names the
-        file, what was expected and what to do; where other options would read the file,
-        the attribute ``options`` of the error has them.
+        If the file is damaged or written to while it is read, channels are missing or
+        ambiguous, a value is not finite or beyond 1e12, time is missing or contradicts
+        `dt`; if several files have other joints, channels or periods, or are copies.
+        Where other options would read the file, the attribute ``options`` has them.
 
     Warns
     -----
     UserWarning
-        If names other than those above were recognised: what was taken for what; if
-        torques are in the unit of a motor current. If time stamps are irregular: where
-        positions follow the stamps, samples are
-        interpolated on a uniform grid from their neighbours; otherwise the rows are
-        taken as equidistant. If up to five consecutive rows are missing: they are
-        interpolated and the others kept. If more are missing: the recording is split
-        there, and pieces of fewer than 16 rows are dropped. If rows occur twice, or
-        stamps repeat.
+        If names were recognised as those of a tool, torques are motor currents, time
+        stamps are irregular (rows are interpolated if positions follow the stamps, else
+        taken as equidistant), rows are missing (up to five are interpolated, the
+        recording is split at more), or rows or stamps are repeated.
 
     Examples
     --------

@@ -81,7 +81,7 @@ def joined(tables, joints, path) -> Table:
                 continue
             values = _at(part.table.values(name), at)
             if name in columns and not np.array_equal(columns[name], values):
-                if part.kinds & set(by_names(_only(part.table, name), joints).channels):
+                if by_names(_only(part.table, name), joints).channels:
                     raise ValueError(
                         f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
                         "with other values; leave one of the files out, or rename the "
@@ -94,14 +94,13 @@ def joined(tables, joints, path) -> Table:
     notes.insert(0, f"{len(parts)} files of one recording, {how}: {listed(what)}.")
     if left_out:
         notes.insert(1, f"{listed(left_out)}: not needed beside the others, left out.")
+    tables = [part.table for part in (base, *others)]
     return Table(
         path=path,
         frame=pandas_of(path).DataFrame(columns, index=frame.index),
         place=f"{base.table.place} of {base.name}",
-        scalars={
-            k: x for part in (base, *others) for k, x in part.table.scalars.items()
-        },
-        units={k: x for part in (base, *others) for k, x in part.table.units.items()},
+        scalars={key: x for one in tables for key, x in one.scalars.items()},
+        units={key: x for one in tables for key, x in one.units.items()},
         joints=next((x.joints for x in tables if x.joints), ()),
         notes=(*_notes_of_tables(tables), *notes),
     )
@@ -127,14 +126,12 @@ def _notes_of_tables(tables):
 def _parts(tables, joints, path):
     """Return the files that can stand side by side, and names of those left out."""
     known = [(table, _kind_of_file(table)) for table in tables]
-    rows = {x.n_rows for x, _ in known if not (x.nameless and len(x.names) == 1)}
-    n_rows = rows.pop() if len(rows) == 1 else 0
     parts, left_out = [], []
     for table, kind in known:
         if kind is None or (table.nameless and not kind):
             left_out.append(table.path.name)
         else:
-            parts.append(_part(table, kind, joints, n_rows))
+            parts.append(_part(table, kind, joints))
     kinds = {kind for part in parts for kind in part.kinds}
     if left_out and not {"q", "tau"} <= kinds:
         raise ValueError(
@@ -165,10 +162,10 @@ def _kind_of_file(table):
     return kind
 
 
-def _part(table: Table, kind, joints, n_rows):
+def _part(table: Table, kind, joints):
     """Return a file with the channels that its columns are, by its own name."""
     if table.nameless:
-        table = _with_names(table, kind, joints, n_rows)
+        table = _with_names(table, kind, joints)
         time = Role(column="t") if "t" in table.frame else None
         return _Part(table=table, time=time, kind=kind)
     plain = by_names(table, joints)
@@ -195,16 +192,11 @@ def _holds(column, joint, joints):
     )
 
 
-def _with_names(table: Table, kind, joints, n_rows):
+def _with_names(table: Table, kind, joints):
     """Name the columns of a table without names by its file."""
     count, n = len(table.names), len(joints)
     if kind == "t" and count == 1:
         return _renamed(table, {"1": "t"})
-    if count == 1 and n != 1:
-        # All joints in one column, one after the other.
-        table = _upright(table, n_rows, n)
-        count = len(table.names)
-        n = count
     stamped = count > 1 and count != n and _names.is_clock(table.values("1"))
     if n not in (0, count - stamped):
         raise ValueError(
@@ -213,26 +205,6 @@ def _with_names(table: Table, kind, joints, n_rows):
         )
     names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
     return _renamed(table, {"1": "t"} | names if stamped else names)
-
-
-def _upright(table, n_rows, n):
-    """Return a table with a column for each joint, of one that has all in one."""
-    values = table.values("1")
-    # As many as there are for each row; whether the robot has so many joints is seen
-    # when they are laid out.
-    count = values.size // n_rows if n_rows else n
-    if not count or values.size % count or (n_rows and values.size % n_rows):
-        raise ValueError(
-            f"{table.path}: has {values.size} numbers, one a line, which is not a "
-            f"multiple of {n_rows or n}; expected one for each joint in each "
-            f"{'of as many rows' if n_rows else 'row'}."
-        )
-    frame = pandas_of(table.path).DataFrame(
-        values.reshape(-1, count),
-        index=table.frame.index[::count],
-        columns=[str(k + 1) for k in range(count)],
-    )
-    return table.with_frame(frame)
 
 
 def _renamed(table, names):

@@ -26,7 +26,6 @@ Sources of the names:
 
 import csv
 import gzip
-import json
 
 import numpy as np
 
@@ -185,125 +184,6 @@ def zipped(recording, folder):
     return path
 
 
-# -- logs as they lie ------------------------------------------------------------------
-
-
-def two_files(recording, folder):
-    """Positions in one file, torques in another, on the same clock."""
-    return [*_parts(recording, folder / "two", positions="q", efforts="tau")]
-
-
-def folder_of_two(recording, folder):
-    """Give the folder of the two."""
-    return _parts(recording, folder / "run", positions="q", efforts="tau")[0].parent
-
-
-def _parts(recording, folder, **kinds):
-    folder.mkdir()
-    paths = []
-    for name, kind in kinds.items():
-        values = getattr(recording, kind)
-        header = ["t", *_counted(f"{kind}{{}}", recording.nv, 1)]
-        rows = ([f"{t:.6f}", *_cells(x)] for t, x in zip(recording.t, values))
-        paths.append(_write(folder / f"{name}.csv", header, rows))
-    return paths
-
-
-def five_texts(recording, folder):
-    """Return a folder of five tables without names, each called after its content."""
-    folder = folder / "five"
-    folder.mkdir()
-    for name, values in zip(("t", "q", "dq", "ddq", "tau"), _of_joints(recording)):
-        np.savetxt(folder / f"{name}.txt", values, "%.9f")
-    return folder
-
-
-def _of_joints(recording):
-    """Return time, and four quantities of all joints."""
-    v = np.gradient(recording.q, recording.dt, axis=0)
-    a = np.gradient(v, recording.dt, axis=0)
-    return recording.t, recording.q, v, a, recording.tau
-
-
-def json_records(recording, folder):
-    """Write a list of records of arrays."""
-    path = folder / "records.json"
-    path.write_text(json.dumps(_records(recording)))
-    return path
-
-
-def _records(recording):
-    rows = zip(recording.t.tolist(), recording.q.tolist(), recording.tau.tolist())
-    return [{"t": t, "q": q, "tau": tau} for t, q, tau in rows]
-
-
-def json_lines(recording, folder):
-    """Messages of /joint_states, one a line."""
-    path = folder / "states.jsonl"
-    with path.open("w") as file:
-        for one in _records(recording):
-            stamp = {"sec": int(one["t"]), "nanosec": round(one["t"] % 1 * 1e9)}
-            message = {"header": {"stamp": stamp}, "name": [*recording.joint_names]}
-            message |= {"position": one["q"], "velocity": [], "effort": one["tau"]}
-            print(json.dumps(message), file=file)
-    return path
-
-
-def cut(recording, folder):
-    """Cut the plain one as a logger that was killed leaves it."""
-    path = folder / "cut.csv"
-    path.write_text(plain(recording, folder).read_text()[:-50])
-    return path
-
-
-def shuffled(recording, folder):
-    """Shuffle the rows of the plain one, as several threads write them."""
-    path = folder / "shuffled.csv"
-    header, *rows = plain(recording, folder).read_text().splitlines()
-    order = np.random.default_rng(0).permutation(len(rows))
-    path.write_text("\n".join([header, *(rows[k] for k in order)]) + "\n")
-    return path
-
-
-def _in_amperes(recording, folder, name, kind, measured=np.asarray):
-    n = recording.nv
-    header = ["t", *_counted("q{}", n, 1), *_counted(f"{kind}{{}}", n, 1)]
-    currents = measured(recording.tau / np.array(GAINS[:n]))
-    rows = (
-        [f"{t:.6f}", *_cells(q), *_cells(i)]
-        for t, q, i in zip(recording.t, recording.q, currents)
-    )
-    return _write(folder / name, header, rows)
-
-
-def amperes(recording, folder):
-    """Currents in columns i1 ... i6."""
-    return _in_amperes(recording, folder, "currents.csv", "i")
-
-
-def amperes_as_torques(recording, folder):
-    """Currents in columns tau1 ... tau6, without a word."""
-    return _in_amperes(recording, folder, "amperes.csv", "tau")
-
-
-def unsigned(recording, folder):
-    """Sizes of currents in columns i1 ... i6."""
-    return _in_amperes(recording, folder, "unsigned.csv", "i", np.abs)
-
-
-# Logs that are read with a word, or with a command that a refusal prints.
-AS_THEY_LIE = {
-    "two files": two_files,
-    "a folder of two files": folder_of_two,
-    "five texts without names": five_texts,
-    "JSON": json_records,
-    "JSON lines (joint_states)": json_lines,
-    "last line cut": cut,
-    "rows out of order": shuffled,
-    "currents i1 ... i6": amperes,
-    "amperes without a word": amperes_as_torques,
-    "unsigned currents": unsigned,
-}
 KINDS = {
     "plain CSV": plain,
     "ROS joint_states as CSV (bagpy)": ros_csv,

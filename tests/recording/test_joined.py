@@ -77,14 +77,6 @@ def test_the_names_of_files_name_columns_that_have_none(five, made):
     assert any("t.txt (t), tau.txt (tau)" in x for x in notes)
 
 
-def test_a_file_may_have_all_joints_in_one_column(five, made):
-    for kind, values in (("q", made.q), ("tau", made.tau)):
-        written(five / f"{kind}.txt", values.ravel())
-    (five / "dq.txt").unlink()
-    (five / "ddq.txt").unlink()
-    assert_same(read(five, made)[0], made)
-
-
 def test_columns_called_after_joints_are_those_of_the_file(made, tmp_path):
     for name, values in (("positions", made.q), ("motor_currents", made.tau)):
         order = np.random.default_rng(0).permutation(DOF)

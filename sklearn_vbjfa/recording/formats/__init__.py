@@ -4,6 +4,7 @@ import bz2
 import contextlib
 import functools
 import gzip
+import importlib
 import lzma
 import shlex
 import sys
@@ -39,57 +40,30 @@ TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
 PACKAGES = _alternatives([x.needs[0] for x in FORMATS if x.needs])
 
 
-def _zstandard(source):
-    """Return the module of Zstandard, which Python has from 3.14 on."""
-    try:
-        from compression import zstd
-    except ImportError:
-        try:
-            from backports import zstd
-        except ImportError as error:
-            raise ImportError(
-                f"{source}: Zstandard comes with Python 3.14 or a package: "
-                "pip install backports.zstd; or unpack it first: zstd -d "
-                f"{shlex.quote(str(source))}"
-            ) from error
-    return zstd
-
-
-_OPEN = {
-    ".gz": gzip.open,
-    ".bz2": bz2.open,
-    ".xz": lzma.open,
-    ".lzma": lzma.open,
-}
-_OTHER_PACKERS = {
-    ".lz4": "lz4 -d",
-    ".zip": "unzip",
-    ".7z": "7z x",
-    ".rar": "unrar x",
-    ".tar": "tar xf",
-    ".tgz": "tar xf",
-}
-# How to make a recording of what is not read here.
-_ADVICE = {
-    **dict.fromkeys(
-        (".yaml", ".yml"),
-        "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
-    ),
-    **dict.fromkeys(
-        (".h5", ".hdf5", ".pkl", ".pickle"),
-        "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
-        "tau=tau)",
-    ),
-}
-_ZSTANDARD = (".zst", ".zstd")
+# What packed text is opened by, and what to say of a file that is not complete.
+_OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
+_OPEN |= {".zstd": None}
+_BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
+# What unpacks other files, and how to make a recording of what is not read here.
+_OTHER_PACKERS = {".zip": "unzip", ".7z": "7z x", ".rar": "unrar x", ".lz4": "lz4 -d"}
+_OTHER_PACKERS |= {".tar": "tar xf", ".tgz": "tar xf"}
+_ADVICE = dict.fromkeys(
+    (".yaml", ".yml"),
+    "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
+)
+_ADVICE |= dict.fromkeys(
+    (".h5", ".hdf5", ".pkl", ".pickle"),
+    "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
+    "tau=tau)",
+)
 # How files begin, and the ending that they would have.
-_MAGIC = (
+_PACKED = (
     (b"\x1f\x8b", ".gz"),
     (b"BZh", ".bz2"),
     (b"\xfd7zXZ\x00", ".xz"),
     (b"\x28\xb5\x2f\xfd", ".zst"),
-    *(begin for x in FORMATS for begin in x.begins),
 )
+_MAGIC = (*_PACKED, *(begin for x in FORMATS for begin in x.begins))
 _CHUNK = 1 << 20
 
 
@@ -146,11 +120,10 @@ def _is_one(path, marks):
 
 def _tables(path):
     """Return the files of a folder that have the ending of a format, in order."""
-    packed = (*_OPEN, *_ZSTANDARD)
     found = []
     for file in sorted(path.iterdir()):
         endings = [x.lower() for x in file.suffixes[-2:]]
-        if endings and endings[-1] in packed:
+        if endings and endings[-1] in _OPEN:
             endings.pop()
         known = _BY_ENDING.get(endings[-1]) if endings else None
         if known and file.is_file() and not file.name.startswith("."):
@@ -187,7 +160,12 @@ def _read_file(stack, path, wanted):
             f"{path}: no such file; expected a recording: {_KNOWN}."
         )
     ending = source.file.suffix.lower()
-    if ending in _OPEN or ending in _ZSTANDARD:
+    if ending in TEXT.endings:
+        # Packed text may have lost its ending.
+        begin = _begin(source.file)
+        packed = (own for mark, own in _PACKED if begin.startswith(mark))
+        ending = next(packed, ending)
+    if ending in _OPEN:
         source = _unpacked(stack, source, ending)
         ending = source.file.suffix.lower()
     if ending in _OTHER_PACKERS:
@@ -230,11 +208,15 @@ def _from_pipe(stack, path):
         stream = stack.enter_context(path.open("rb"))
     file = folder / "recording"
     _copy(stream, file, shown)
-    with file.open("rb") as opened:
-        begin = opened.read(64)
+    begin = _begin(file)
     if not begin:
         raise ValueError(f"{shown}: is empty; expected a recording: {_KNOWN}.")
     return Source(file.rename(file.with_suffix(_ending_of(file, begin))), shown)
+
+
+def _begin(file):
+    with file.open("rb") as opened:
+        return opened.read(64)
 
 
 def _ending_of(file, begin):
@@ -250,25 +232,35 @@ def _ending_of(file, begin):
 def _unpacked(stack, source, ending):
     """Unpack a file into one that is deleted afterwards."""
     folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    inner = Path(source.file.name).with_suffix("")
-    file = folder / (inner.name or "recording")
-    broken = (OSError, EOFError, lzma.LZMAError, zlib.error)
-    if ending in _ZSTANDARD:
+    name = source.file.name
+    file = folder / (name.removesuffix(source.file.suffix) or "recording")
+    if source.file.suffix.lower() in TEXT.endings:
+        file = folder / name
+    module, broken = _OPEN[ending], _BROKEN
+    if module is None:
         module = _zstandard(source)
-        opened, broken = module.open, (*broken, module.ZstdError)
-    else:
-        opened = _OPEN[ending]
+        broken = (*broken, module.ZstdError)
     try:
-        with opened(source.file, "rb") as stream:
+        with module.open(source.file, "rb") as stream:
             _copy(stream, file, source.shown)
     except broken as error:
         raise ValueError(
             f"{source}: is not a complete {ending[1:]} file ({error}); pack it again."
         ) from error
     if not file.suffix:
-        with file.open("rb") as opened:
-            file = file.rename(file.with_suffix(_ending_of(file, opened.read(64))))
+        file = file.rename(file.with_suffix(_ending_of(file, _begin(file))))
     return Source(file, source.shown)
+
+
+def _zstandard(source):
+    """Return the module of Zstandard, which Python has from 3.14 on."""
+    for name in ("compression.zstd", "backports.zstd"):
+        with contextlib.suppress(ImportError):
+            return importlib.import_module(name)
+    raise ImportError(
+        f"{source}: Zstandard comes with Python 3.14 or a package: pip install "
+        f"backports.zstd; or unpack it first: zstd -d {shlex.quote(str(source))}"
+    )
 
 
 def _copy(stream, file, shown):

@@ -113,7 +113,7 @@ def _check_begin(path):
     if found != begin:
         what = "is empty" if not found else "does not begin like one"
         raise ValueError(
-            f"{path}: is called {path.file.suffix} and {what}; record it anew, or "
+            f"{path}: is called {path.file.suffix} and {what}; record it again, or "
             "correct its ending."
         )
 

@@ -175,7 +175,7 @@ def check_rows(text: Text, start, names, separator):
             continue
         ended = not lines[-1]
         if any(b"#" in line for line in lines):
-            lines = _without_comments(text.path, lines, first)
+            lines = without_comments(text.path, lines, first)
         counts = [line.count(mark) + 1 if mark else len(line.split()) for line in lines]
         odd = np.array(counts) != width
         odd |= width == 1 or any(b'"' in line for line in lines)
@@ -184,7 +184,9 @@ def check_rows(text: Text, start, names, separator):
             data[k] = bool(lines[k].strip())
             wrong = _wrong(lines[k].decode(), names, separator) if data[k] else ""
             # The last line may be one that was cut.
-            if wrong and (k < len(lines) - 1 or k + sum(map(len, rows)) < _FEWEST):
+            if wrong and (
+                k < len(lines) - 1 or k + sum(x.size for x in rows) < _FEWEST
+            ):
                 raise ValueError(f"{text.path}: line {first + k + 1} {wrong}.")
         data = np.flatnonzero(data)
         rows.append(data + first + 1)
@@ -195,7 +197,7 @@ def check_rows(text: Text, start, names, separator):
     return numbers, False
 
 
-def _without_comments(path, lines, first):
+def without_comments(path, lines, first=0):
     """Return lines without comments; refuse errors of spreadsheets."""
     for k, line in enumerate(lines):
         error = _SHEET_ERROR.search(line) if b"#" in line else None
@@ -209,6 +211,8 @@ def _without_comments(path, lines, first):
 
 def _wrong(line, names, separator):
     """Say why a row has not one cell for each name, "" if it has."""
+    if line.count('"') % 2:
+        return "has a quotation mark without a second one; correct or remove that line"
     cells = cells_of(line, separator)
     while len(cells) > len(names) and not cells[-1]:
         cells.pop()

@@ -25,6 +25,7 @@ from sklearn_vbjfa.recording.formats._precheck import (
     is_number,
     separator_of,
     text_in_utf8,
+    without_comments,
 )
 
 # Other separators that a header in one piece may have.
@@ -75,6 +76,7 @@ def _content(line):
 def _read(text, lines):
     path, pandas = text.path, pandas_of(text.path)
     names, start, separator, units, notes = _head(path, lines)
+    without_comments(path, [line.encode() for line in lines[:start]])
     columns = names or _places(lines[start], separator)
     numbers, cut = check_rows(text, start, columns, separator)
     if not numbers.size:

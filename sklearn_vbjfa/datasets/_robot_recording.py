@@ -28,7 +28,7 @@ _RIPPLE_PERIOD = np.radians(20.0)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Misfit:
-    """In what a robot is another one than its description."""
+    """Differences between a robot and its description."""
 
     # roll and pitch by which gravity is turned in the frame of the base [rad]
     base_tilt: tuple = (0.0, 0.0)
@@ -96,7 +96,7 @@ class SimulatedRecording(Recording):
     undeclared : mapping of str to (int, float)
         Effects beside rigid bodies and friction: name -> joint (from zero) and size.
     misfit : Misfit
-        In what the robot is another one than its description.
+        Differences between the robot and its description.
     """
 
     states: np.ndarray

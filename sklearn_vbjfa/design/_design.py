@@ -1,4 +1,4 @@
-"""Design of the next motion: from what is known and asked to a motion to record."""
+"""Design of exciting trajectories."""
 
 from dataclasses import dataclass, replace
 
@@ -198,7 +198,7 @@ def pose(model, *, duration, dt, limits, effects, report, start, rng):
     band = robot.band(curve.highest, dt)
 
     def beside(candidates):
-        """Columns of the model and of candidates beside it."""
+        """Columns of the model and of further candidates."""
         return EquationModel(
             robot.features,
             robot.inertial,
@@ -291,7 +291,7 @@ def _reference(robot, limits, highest, rng):
 
 
 def _parted(robot, asked):
-    """Split effects into those of the model and candidates beside it."""
+    """Split effects into those of the model and further candidates."""
     # What a report found is a candidate again: the next recording may say otherwise.
     doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     own = [
@@ -314,7 +314,7 @@ def _parted(robot, asked):
 
 
 def _questions(equations, candidates, reference, noise):
-    """Ask for each candidate beside the model, and beside its rivals."""
+    """Return the questions: each candidate against the model and against its rivals."""
     rows = equations(reference)
     weight = np.broadcast_to(1.0 / (len(reference) * noise**2), rows.motion.q.shape)
     M = information_of(rows, equations.places, equations.n_columns, weight)

@@ -1,4 +1,4 @@
-"""What is known of a robot before the next motion: model, parameters and noise."""
+"""Properties of a robot before the design of a motion: model, parameters and noise."""
 
 import os
 import warnings
@@ -40,7 +40,7 @@ class KnownRobot:
 
     @classmethod
     def of(cls, model):
-        """Take what is known from a path, a model or an identified robot."""
+        """Take the properties from a path, a model or an identified robot."""
         if isinstance(model, cls):
             return model
         if hasattr(type(model), "robot_"):

@@ -238,7 +238,7 @@ class MotionLimits:
         return start
 
     def check_duration(self, duration, names):
-        """Refuse a duration in which the slowest joint can hardly move."""
+        """Refuse a duration that is too short for the slowest joint."""
         half = 0.5 * _LEAST_SHARE * np.ptp(self.position, axis=1)
         # half (1 - cos(2 pi t / T)) has the speed 2 pi half / T, and (2 pi / T)^2 half
         needed = (

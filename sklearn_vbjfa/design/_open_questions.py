@@ -152,7 +152,7 @@ def open_effects(data, names):
 
 
 def _check_joints(data, names):
-    """Refuse the report of another robot."""
+    """Refuse the report of a different robot."""
     told = list(data["joint_names"])
     if told != list(names):
         raise ValueError(

@@ -177,7 +177,7 @@ class ResidualDisplay(Display):
         joints : list of int, default=None
             Joints to show, from zero; None shows all.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them.
+            Recorded signals, for effects that vary with them.
 
         Returns
         -------
@@ -412,7 +412,7 @@ class TorqueDisplay(Display):
         joints : list of int, default=None
             Joints to show, from zero; None shows all.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them.
+            Recorded signals, for effects that vary with them.
 
         Returns
         -------

@@ -549,10 +549,7 @@ class OfTime(Effect):
     afterwards = ""
 
     def later(self, coef, t):
-        """Return what is left of the coefficients at a time [s], symbol -> value.
-
-        Empty for what stays as it is.
-        """
+        """Return the coefficients at a time [s], symbol -> value; empty if constant."""
         return {}
 
 

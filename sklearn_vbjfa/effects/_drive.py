@@ -134,7 +134,7 @@ class Coupling(Shaped):
 
     @property
     def own_share(self):
-        """What its own joint's speed counts in w, beside the other's."""
+        """Factor of the joint's own speed in w."""
         if self.of not in _OWN_SHARE:
             raise ValueError(f"of must be one of {list(_OWN_SHARE)}; got {self.of!r}.")
         return _OWN_SHARE[self.of]
@@ -297,7 +297,7 @@ class ChainJoint:
 
 
 class Follower(Effect):
-    """The body of a joint that follows another one.
+    """The body of a joint that follows another joint (mimic).
 
     A robot description that has such joints declares it by itself, see
     `RobotIdentifier`; it is not searched for.
@@ -320,7 +320,7 @@ class Follower(Effect):
     """
 
     name = "follower"
-    label = "body of a joint that follows another one"
+    label = "body of a joint that follows another joint"
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
     coefficients = (
         "m",

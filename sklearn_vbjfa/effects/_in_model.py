@@ -63,7 +63,7 @@ def turned_by(vector, change):
 
 
 def without_rounding(columns):
-    """Columns (n, nv, k) in which one of no size beside the others is zero."""
+    """Columns (n, nv, k); negligible ones are zero."""
     # About an axis along a joint before it a turn does nothing: its derivative is the
     # rounding of zero, which a regression in scaled columns would take for information.
     size = np.sqrt((columns**2).sum(axis=(0, 1)))
@@ -596,7 +596,7 @@ class CommandDelay(InModel):
         return np.array([-_LATE]), np.array([_LATE])
 
     def correct(self, robot):
-        """Correct nothing of the robot itself."""
+        """Leave the robot model unchanged."""
 
     def applies(self, motion):
         if motion.command is None:

@@ -61,7 +61,7 @@ def _at_turns(q, d, start):
 
 
 def play(q, width):
-    """Play operator: what follows q at a distance of at most half the width."""
+    """Play operator: the position follows q within half the width."""
     out = np.empty_like(q)
     half = 0.5 * width
     turns = _turning_points(q)

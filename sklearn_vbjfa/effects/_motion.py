@@ -20,7 +20,7 @@ _TINY = float(np.finfo(float).tiny)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Rest:
-    """What is known of the speed of joints that may be standing."""
+    """Speed of joints that may be at rest."""
 
     # The sign of a velocity is its mean over what the true velocity may be, s(v, a) =
     # E[sign(v + u + e)], u ~ U(-w, w), e ~ N(0, sigma^2), w = v_s / (1 + |a| T / v_s).
@@ -43,7 +43,7 @@ class Rest:
     span: float = 0.0  # time around a row over which its sign is averaged [s]
 
     def pick(self, *joints):
-        """Return what holds for a joint, or for the sum of the speeds of several."""
+        """Return the part of a joint, or of the sum of the speeds of several."""
         own = list(joints)
         return Rest(
             speed=self.speed[own].sum(keepdims=True),

@@ -1,4 +1,4 @@
-"""Effects that vary with time, or with what was recorded beside the motion."""
+"""Effects that vary with time or with a recorded signal."""
 
 import math
 
@@ -250,7 +250,7 @@ class Signal(_Varied):
     def applies(self, motion):
         if not self.signal:
             # A recording without signals is no reason to record some.
-            return "" if motion.signals else "no signals were recorded beside it"
+            return "" if motion.signals else "the recording has no signals"
         if self.signal in motion.signals:
             return ""
         return (

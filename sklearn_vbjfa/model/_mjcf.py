@@ -46,7 +46,7 @@ class Tendon:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FollowingJoint:
-    """A joint without a motor that follows another one, and its body."""
+    """A joint without a motor that follows another joint, and its body."""
 
     name: str
     # joint that carries it, which may follow as well; None for the base
@@ -63,7 +63,7 @@ class FollowingJoint:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointDynamics:
-    """What joints do by themselves, beside the bodies that they carry."""
+    """Joint torques of an MJCF file that are not due to bodies."""
 
     # (nv,): none negative
     damping: np.ndarray

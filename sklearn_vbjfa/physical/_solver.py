@@ -45,7 +45,7 @@ class ProjectionError(RuntimeError):
 
 @dataclass(frozen=True, kw_only=True)
 class CertifiedVector:
-    """A consistent vector and what is known of it."""
+    """A consistent vector with its certificate."""
 
     vector: np.ndarray  # (n_features,): consistent vector in scaled units
     # certified excess of the squared distance, relative, see `Programme.relative_gap`

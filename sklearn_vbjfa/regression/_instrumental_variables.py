@@ -46,7 +46,7 @@ class InstrumentalVariables(LinearRegressor):
     Notes
     -----
     The model is :math:`y = X \beta + \beta_0 + \epsilon`, where X may be
-    correlated with :math:`\epsilon`, as it is when X is measured with noise, and
+    correlated with :math:`\epsilon`, for example if X is measured with noise, and
     where the instruments Z are correlated with X but not with :math:`\epsilon`:
     a second measurement of X with independent noise, the reference trajectory, or
     the simulated response of the robot [2]_. Features known exactly have to be

@@ -294,7 +294,7 @@ class JFARegressor(BaseJointFactorRegressor):
     Parameters
     ----------
     input_noise : float or array-like of shape (n_features,), default=None
-        What is known of the input noise: its share of each input's variance, in
+        Input noise: its share of each input's variance, in
         [0, 1), or its variances [unit of X_j squared]. ``None`` estimates it.
     fit_intercept : bool, default=True
         Whether the means of X and y are free.
@@ -321,7 +321,7 @@ class JFARegressor(BaseJointFactorRegressor):
     coef_cov_ : ndarray of shape (n_features, n_features)
         Their covariance.
     intercept_ : float
-        Intercept that goes with `coef_`.
+        Intercept of `coef_`.
     input_noise_ : ndarray of shape (n_features,)
         Input-noise variances psi_x (eq. 16), unit of X_j squared.
     output_noise_ : float

@@ -176,7 +176,7 @@ def _found(model):
 
 
 def _abreast(joints, model):
-    """Whether no joint carries another one: joints of a chain have drives of a size."""
+    """Whether no joint carries another; drives of a chain differ in size."""
     return not any(
         j + 1 in list(model.supports[k + 1])[:-1] for j in joints for k in joints
     )
@@ -293,7 +293,7 @@ class _Problem:
         return precision
 
     def solved(self, sites):
-        """Mean and covariance of all values; None is a site that says nothing."""
+        """Mean and covariance of all values; None is a site without information."""
         told = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
         if not told:
             return self.y, self.S

@@ -202,7 +202,7 @@ def _along(description, A, b):
 
 @dataclass(frozen=True, eq=False)
 class _Problem:
-    """Normal equations A theta = b in units of the noise, beside a description."""
+    """Normal equations A theta = b in units of the noise, with a description."""
 
     # Bodies are seen in coordinates in which their prior is round. `sized`: their
     # common size is that of the description.

@@ -89,7 +89,7 @@ class Estimate:
 
     @property
     def from_description(self):
-        """Parameters (p,), bool, that the data tell little of beside a description."""
+        """Parameters (p,), bool, that the data determine less than the description."""
         return little_learned(self.std, self.prior_std)
 
     def of_moments(self, moments):

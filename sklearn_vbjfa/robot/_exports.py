@@ -25,9 +25,8 @@ class LeftOut:
     joint_name : str
         The joint's name.
     size : float
-        Root mean square of its torque over the fitted recording, behind the low-pass of
-        the fit and while the joint moved [N m or N]; of an effect on all joints, that
-        on the joint where it is largest. nan where it is not known.
+        RMS of its low-pass filtered torque over the fitted recording while the joint
+        moved [N m or N]; the largest one of an effect on all joints; nan if unknown.
     unit : {"N m", "N"}
         Unit of the size.
     reason : str
@@ -144,7 +143,7 @@ def _notes_of_mjcf(robot, dynamics, servo):
 
 
 def _notes_of_servo(robot, dynamics, servo):
-    """Say how motors that are told positions are to be used, a list of str."""
+    """Return notes on position-controlled motors, a list of str."""
     told = [
         "Controls of the motors, in the order of the recording, are commanded "
         "positions; these and positions are what the encoders read [rad or m]. With "
@@ -171,7 +170,7 @@ def _notes_of_servo(robot, dynamics, servo):
 
 
 class _Account:
-    """What of a robot, a `TorqueModel`, has found its place, and what is left out."""
+    """Parts of a `TorqueModel` that are written, and parts that are left out."""
 
     def __init__(self, robot, powers):
         self.robot, self.left = robot, []

@@ -391,7 +391,7 @@ def check_as_computed(X, tau, parameter_names=None, *, warn_only=False):
 
 
 def _impossible(X, nv, parameter_names):
-    """Say which column cannot be what its name says, or return an empty string."""
+    """Name the column that contradicts its name, or return an empty string."""
     if parameter_names is None:
         return ""
     blocks = X.reshape(X.shape[0], nv, -1)

@@ -431,7 +431,7 @@ def iterate_corrections(recipe, fit, source, relative):
 
 
 def _of_bodies(robot):
-    """Whether values in the model may stand for bodies that are not as described."""
+    """Whether values in the model may absorb wrong described bodies."""
     return any(effect.in_model and effect.of_bodies for effect in robot.effects_)
 
 

@@ -47,7 +47,7 @@ class RelativeGains:
 
     @property
     def held(self):
-        """Joints (nv,), bool, whose gain stays as it is."""
+        """Joints (nv,), bool, whose gain is fixed."""
         return self.reference == np.arange(self.reference.size)
 
     @property
@@ -309,7 +309,7 @@ def channel_gains(names, gain, std, relative, common):
 
 
 def check_gains(gains, joint_names):
-    """Refuse what says nothing of the gains of a robot's channels."""
+    """Refuse recordings without information on the gains of the channels."""
     if gains is None:
         return
     expected = "expected None, 'unknown', or names of joints whose channels are units"

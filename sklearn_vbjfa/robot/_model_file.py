@@ -62,7 +62,7 @@ def write(path, robot):
 
 
 def read(path, effects=()):
-    """Read an `IdentifiedRobot`; ValueError for what is missing or wrong."""
+    """Read an `IdentifiedRobot`; ValueError for missing or wrong keys."""
     # effects: classes of those that are not in the library.
     file = read_place(path)
     if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
@@ -177,7 +177,7 @@ def _check(file, robot):
 
 
 def _check_plan(place, plan):
-    """Refuse a sample period or a cut-off that is none."""
+    """Refuse an invalid sample period or cut-off."""
     if plan.dt is not None and not 0 < plan.dt < math.inf:
         raise place["dt"].wrong("must be greater than zero")
     try:

@@ -159,7 +159,7 @@ class _RecordingEffects:
         return weights
 
     def _groups(self, typical):
-        """Group of each parameter's effects, beside the others at typical scales."""
+        """Group of each parameter's effects, with the others at typical scales."""
         # in units of the scales, where no eigenvalue is below one
         both, one = np.outer(typical, typical), np.eye(typical.size)
         own = np.linalg.inv(self._inner * both + one) * both
@@ -187,7 +187,7 @@ class _RecordingEffects:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Marginal:
-    """What is known of a value by itself: a mixture of normals, cut off below."""
+    """Marginal distribution of a value: a mixture of normals, truncated below."""
 
     centre: float
     deviations: np.ndarray  # (m,)
@@ -501,7 +501,7 @@ class _Off:
         return int(at[0]) if at.size else None
 
     def again(self, rows, k, least, numbers):
-        """Draw the k-th parameter of some rows anew, at least so much."""
+        """Redraw the k-th parameter of some rows above a bound."""
         at = self.place(k)
         if at is None:
             return

@@ -202,7 +202,7 @@ def check_weight(sample_weight, shape):
 
 
 def check_drive(settings):
-    """Refuse a drive that is none, or beside what it cannot be combined with."""
+    """Refuse an invalid drive, or arguments that exclude a drive."""
     drive = settings.drive
     if drive is None:
         return

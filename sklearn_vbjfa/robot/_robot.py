@@ -169,7 +169,7 @@ class SimulatesTorques:
             Times of the rows [s], on the clock of the fit, at the sample period of the
             fit. None counts from the beginning of the fit.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them.
+            Recorded signals, for effects that vary with them.
 
         Returns
         -------
@@ -230,7 +230,7 @@ class SimulatesTorques:
             With the commands, channels of the drive in `signals`; its positions are
             only the start.
         drive : PDDrive, default=None
-            What it is told and with which law; None is the identifier's `drive`. The
+            Its commands and law; None is the identifier's `drive`. The
             delay is that of the fit, or of the drive.
         window : float, default=None
             Length [s] after which the simulation starts from the recorded state again;
@@ -298,7 +298,7 @@ class IdentifiedRobot(SimulatesTorques):
     """An identified robot without its data, for prediction, simulation and control.
 
     `RobotIdentifier.robot_` is one, and `load_identified` reads one from the file that
-    `save` wrote. Nothing of it changes; only `step` remembers the motion.
+    `save` wrote. It is immutable; only `step` keeps the state of the motion.
 
     Attributes
     ----------
@@ -488,7 +488,7 @@ class IdentifiedRobot(SimulatesTorques):
             Time [s] on the clock of the fit, for effects that vary with time. None: the
             motion begins when the first recording of the fit began.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them.
+            Recorded signals, for effects that vary with them.
         return_std : bool, default=False
             Whether to return the standard deviation of measured torques about the
             predicted ones as well; see `RobotIdentifier.predict`.
@@ -548,8 +548,7 @@ class IdentifiedRobot(SimulatesTorques):
         t : array-like of shape (n_samples,), default=None
             Time [s] on the clock of the fit, as for `predict`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, for effects that vary with them, as for
-            `fit`.
+            Recorded signals, as for `fit`.
 
         Returns
         -------
@@ -644,7 +643,7 @@ class IdentifiedRobot(SimulatesTorques):
         return found
 
     def measured(self, recording):
-        """Torques of a `Recording` behind the low-pass of the fit, none predicted."""
+        """Return filtered torques of a `Recording`, without predictions."""
         smoother = self.smoother(recording.inputs, recording.groups)
         states = RecordingStates.of(recording, smoother)
         plan = replace(self.plan, effects=())
@@ -669,7 +668,7 @@ class IdentifiedRobot(SimulatesTorques):
             where effects vary with time or have a lag. None counts `dt` from the start
             of the fit.
         signals : mapping of str to float, default=None
-            What is recorded beside the motion, for effects that vary with it.
+            Recorded signals, for effects that vary with them.
 
         Returns
         -------
@@ -747,8 +746,8 @@ class IdentifiedRobot(SimulatesTorques):
         level : float, default=0.9
             Probability of an interval.
         drive : PDDrive, default=None
-            Drive with gains that stand beside the ranges; a robot from a file has none
-            of its own.
+            Drive whose gains are listed with the ranges; a robot from a file has no
+            drive.
 
         Returns
         -------
@@ -1083,7 +1082,7 @@ class IdentifiedRobot(SimulatesTorques):
         )
 
     def corrected(self, effects):
-        """Return the robot corrected by effects, beside or in place of its own."""
+        """Return the robot corrected by effects, added to or replacing its own."""
         own = {effect.key(): effect for effect in (*self.effects_, *effects)}
         return replace(self, features_=self.features_.corrected(own.values()))
 

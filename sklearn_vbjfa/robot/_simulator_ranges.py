@@ -32,7 +32,7 @@ _BY_EFFECT = ("rotor_inertia", "viscous", "coulomb")
 _BY_COEFFICIENT = ("kp", "kd", "delay")
 # Why a value is left out of a file.
 _LEFT_OUT = {
-    "no": "no torque of the recordings depends on it, or hardly",
+    "no": "no torque of the recordings depends on it significantly",
     "from the description": "its value is that of the description more than a measured "
     "one",
 }
@@ -40,7 +40,7 @@ _LEFT_OUT = {
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRange:
-    """What is known of one parameter, for a robot's next recording.
+    """Range of one parameter in a robot's next recording.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class ParameterRange:
 
     @property
     def measured(self):
-        """Whether the recordings tell it, by itself or together with others."""
+        """Whether the recordings determine it, individually or in combination."""
         return self.known not in _LEFT_OUT
 
     @property

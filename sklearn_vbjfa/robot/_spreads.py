@@ -109,7 +109,7 @@ def effect_of_time(effect, coef, spread, motion, time):
 
 
 def beyond_text(found, time, names, prismatic):
-    """Say which effects of time are predicted outside the time of the fit."""
+    """Name the effects of time that are predicted outside the time of the fit."""
     # found: `EffectOfTime` of each; time: first and last time of the fit [s]. Returns a
     # list of str, empty if there is nothing to say.
     said = []
@@ -316,7 +316,7 @@ def body_masses(robot):
 
 
 def note_of_masses(robot):
-    """Say which bodies of an identified robot have no measured mass; empty for none."""
+    """Name the bodies of an identified robot whose mass is not identified."""
     names = [body.name for body in body_masses(robot) if body.known != "yes"]
     if not names:
         return ""
@@ -414,7 +414,7 @@ def ends(signals):
 
 
 def signals_outside_text(fitted, signals):
-    """Say which recorded signals leave what was fitted, a list of str."""
+    """Name the recorded signals that leave their fitted range, a list of str."""
     # fitted: `ends` of each in the fit; effects are straight lines in a signal.
     said = []
     for name, (low, high) in fitted.items():
@@ -451,7 +451,7 @@ def outside_text(found, names, prismatic):
 
 
 def held_text(found, label=str):
-    """Say which effects are held and which go on; empty for directions."""
+    """Name the effects that are held and those that are extrapolated."""
     # label: name of an effect -> what to call it.
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]

@@ -289,7 +289,7 @@ class _Family:
         )
 
     def deviation(self, scales, scale_spread, gap, gap_spread):
-        """Return the deviation behind the low-pass of what was measured, or nan."""
+        """Return the low-pass filtered deviation of the measured torque, or nan."""
         # scales (n_strides,): variances of differences, nan where not seen; gap
         # (n_bands,): power per row in the gap; the spreads are deviations of their
         # logarithms.

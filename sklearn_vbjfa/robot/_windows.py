@@ -61,7 +61,7 @@ class SimulatedWindows:
     simulated : ndarray of shape (n_windows, m, 3 * nv)
         Simulated states [q | v | a]; nan in windows that failed.
     failures : tuple of FailedWindow
-        What became of these.
+        Outcome of these.
     told : ndarray of shape (n_windows, m, nv) or None, default=None
         Commanded positions [rad or m], where these alone drove the robot under its
         drive; None where torques did.
@@ -259,7 +259,7 @@ def simulate_windows(
     window : float, default=1.0
         Length of a window [s].
     signals : mapping of str to array-like of shape (n_samples,), default=None
-        Columns recorded beside the motion, for effects that vary with them.
+        Recorded signals, for effects that vary with them.
     beside : SimulatedWindows, default=None
         The same rows simulated with another robot, to compare both: its windows, times
         and start states are taken over, and `window` and `t` are not used. Robots that
@@ -513,7 +513,7 @@ def unfollowed(effect):
 
 
 class Follower:
-    """A robot under its drive, told the commands of a recording and nothing else."""
+    """A robot under its drive, with the commands of a recording as its only input."""
 
     # robot: `IdentifiedRobot`.
 

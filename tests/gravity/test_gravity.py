@@ -1,0 +1,168 @@
+"""Correction of a description from poses, against Pinocchio's gravity torques."""
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from _posed_arms import Arm, gravity, record, visit  # noqa: E402
+
+from sklearn_vbjfa.gravity import (  # noqa: E402
+    correct_gravity,
+    gravity_poses,
+    static_samples,
+)
+
+FRICTION = np.array([0.3, 1.2, 0.8])
+ARM = Arm(
+    masses=np.array([4.0, 3.0, 1.5]),
+    centres=np.array([[0.01, 0.0, 0.1], [0.0, 0.02, 0.15], [0.0, 0.0, 0.1]]),
+    lengths=np.array([0.2, 0.3, 0.2]),
+)
+WRONG = replace(
+    ARM, masses=ARM.masses * [1.0, 0.7, 1.4], centres=ARM.centres * [[1], [1.2], [1]]
+)
+POSES = np.random.default_rng(0).uniform(-2.0, 2.0, (8, 3))
+OTHERS = np.random.default_rng(1).uniform(-2.0, 2.0, (200, 3))
+
+
+@pytest.fixture(scope="module")
+def world(tmp_path_factory):
+    """The true robot, its wrong description, and a recording of eight poses."""
+    folder = tmp_path_factory.mktemp("arm")
+    true = ARM.write(folder / "true.urdf")
+    described = folder / "described.urdf"
+    before = WRONG.write(described)
+    q = visit(POSES)
+    recording = record(true, q, FRICTION, np.random.default_rng(2))
+    return SimpleNamespace(
+        true=true, before=before, described=described, recording=recording
+    )
+
+
+@pytest.fixture(scope="module")
+def found(world):
+    """Correction by the eight poses."""
+    return correct_gravity(world.recording, world.described)
+
+
+def errors(model, world):
+    """Errors (200, 3) of the gravity torque of a model at other poses."""
+    return gravity(model, OTHERS) - gravity(world.true, OTHERS)
+
+
+def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
+    samples = static_samples(world.recording, world.described)
+    held = np.repeat(POSES, 2, axis=0)
+    at_pose = np.abs(samples.q[:, None] - held).max(axis=2).min(axis=1) < 1e-3
+    assert at_pose.sum() == 16
+    torque = samples.tau - gravity(world.true, samples.q)
+    sides = np.sign(samples.states[:, 3:6])
+    assert np.abs(torque - sides * FRICTION)[at_pose].max() < 0.05
+
+
+def test_gravity_of_the_exported_description_is_that_of_the_robot(
+    world, found, tmp_path
+):
+    import pinocchio as pin
+
+    found.identifier.to_urdf(tmp_path / "out.urdf")
+    after = errors(pin.buildModelFromUrdf(str(tmp_path / "out.urdf")), world)
+    before = errors(world.before, world)
+    assert np.sqrt((after**2).mean()) < 0.05 * np.sqrt((before**2).mean())
+    inside = np.abs(after)[:, 1:] <= 2 * found.interval_at(OTHERS)[:, 1:]
+    assert inside.mean() > 0.9
+
+
+def test_held_out_errors_tell_the_improvement(found):
+    gravity_joints = found.gravity > 0
+    assert gravity_joints.tolist() == [False, True, True]
+    ratio = found.error_after[gravity_joints] / found.error_before[gravity_joints]
+    assert (ratio < 0.3).all()
+    assert found.friction_known.all()
+    assert found.payload is None
+
+
+def test_each_further_pose_narrows_the_intervals(found):
+    widths = np.vstack([found.interval, found.next_interval])
+    assert (np.diff(widths, axis=0) <= 1e-12).all()
+    worst = widths.max(axis=1)
+    assert worst[-1] < worst[0]
+    assert (np.abs(found.next_poses) <= 2.5).all()
+
+
+def test_a_payload_that_the_description_lacks(world, tmp_path):
+    import pinocchio as pin
+
+    right = tmp_path / "right.urdf"
+    true = ARM.write(right)
+    true.inertias[3] += pin.Inertia(1.0, np.array([0.02, 0.0, 0.1]), 1e-3 * np.eye(3))
+    recording = record(true, visit(POSES), FRICTION, np.random.default_rng(3))
+    mass, std = correct_gravity(recording, right).payload
+    assert abs(mass - 1.0) < 0.1
+    assert std < 0.05
+
+
+def test_poses_from_one_side_leave_friction_unknown(world):
+    recording = record(
+        world.true, visit(POSES, False), FRICTION, np.random.default_rng(4)
+    )
+    found = correct_gravity(recording, world.described)
+    assert not found.friction_known.any()
+    left = np.sqrt((found.error_after**2).mean())
+    assert left < np.sqrt((found.error_before**2).mean())
+
+
+def test_torques_without_weight_are_refused(world):
+    weight = gravity(world.true, world.recording.q)
+    none = replace(world.recording, tau=world.recording.tau - weight)
+    with pytest.raises(ValueError, match="no weight"):
+        correct_gravity(none, world.described)
+
+
+def test_one_pose_is_refused(world):
+    q = visit(np.repeat(POSES[:1], 3, axis=0))
+    recording = record(world.true, q, FRICTION, np.random.default_rng(5))
+    with pytest.raises(ValueError, match="poses are the same"):
+        correct_gravity(recording, world.described)
+
+
+def test_fast_motion_alone_is_refused(world):
+    t = np.arange(0, 10, 0.01)[:, None]
+    q = np.sin(6.0 * t + np.arange(3))
+    recording = record(world.true, q, FRICTION, np.random.default_rng(6))
+    with pytest.raises(ValueError, match="neither poses nor slow motion"):
+        correct_gravity(recording, world.described)
+
+
+def test_designed_poses_are_reached_from_both_sides(world):
+    q, hold = gravity_poses(world.described, 6)
+    assert q.shape == (24, 3)
+    assert np.array_equal(q[1::4], q[3::4])
+    assert (q[0::4] < q[1::4]).all() and (q[2::4] > q[1::4]).all()
+    assert (np.abs(q) <= 2.5).all()
+    assert np.array_equal(hold > 0, np.tile([False, True], 12))
+
+
+def test_designed_poses_determine_more_than_random_ones(world):
+    designed, _ = gravity_poses(world.described, 6)
+    rng = np.random.default_rng(7)
+    widths = []
+    for poses in (designed[1::4], rng.uniform(-0.5, 0.5, (6, 3))):
+        recording = record(world.true, visit(poses), FRICTION, rng)
+        widths.append(correct_gravity(recording, world.described).interval.max())
+    assert widths[0] < widths[1]
+
+
+def test_a_description_without_masses_is_refused(world, tmp_path):
+    path = tmp_path / "empty.urdf"
+    text = world.described.read_text()
+    path.write_text(text.replace("<inertial>", "<!--").replace("</inertial>", "-->"))
+    with pytest.raises(ValueError, match="mass"):
+        correct_gravity(world.recording, path)

@@ -109,6 +109,7 @@ ROOMS = (
     "inspection",
     "diagnosis",
     "design",
+    "gravity",
     "datasets",
     "distributed",
     "top",

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import PERIOD, Refused, number, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
@@ -36,6 +36,8 @@ class _Robot:
 
 def design(arguments, folder):
     """Design a motion, print what it decides, and write it."""
+    if arguments.purpose == "gravity":
+        return _gravity.design_poses(arguments, folder)
     from sklearn_vbjfa.design import _summary
     from sklearn_vbjfa.design._open_questions import read_report
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import FRICTION, Refused
 from sklearn_vbjfa._cli._run import Done
 
@@ -23,6 +23,8 @@ _NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
 def identify(arguments, folder):
     """Identify a robot from a recording, search for effects, and write the files."""
+    if arguments.purpose == "gravity":
+        return _gravity.correct(arguments, folder)
     library = "all" if arguments.effects is None else arguments.effects
     if arguments.no_search and arguments.effects:
         raise Refused(
@@ -47,12 +49,12 @@ def identify(arguments, folder):
         )
 
     def write(folder, notes):
-        left_out = _left_out(_write_robot(loop.identifier_, folder))
+        lacking = left_out(write_robot(loop.identifier_, folder))
         provenance = {
             "file": files[0] if len(files) == 1 else files,
             "description": str(_input.expanded(arguments.urdf)),
             "held": loaded.held,
-            "warnings": (*notes, *left_out),
+            "warnings": (*notes, *lacking),
             "files": _FILES[1:],
         }
         report = _with_provenance(loop.report_, provenance)
@@ -60,7 +62,7 @@ def identify(arguments, folder):
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         lines = _next_motion(report.outcome, out)
-        if left_out:
+        if lacking:
             lines.append("only identified.json has every effect (page)")
         if ranges:
             loop.identifier_.ranges().save(ranges)
@@ -143,7 +145,7 @@ def _with_provenance(report, provenance):
     return Report(replace(report.outcome, provenance=Provenance(**provenance)))
 
 
-def _write_robot(robot, folder):
+def write_robot(robot, folder):
     """Write the robot; return the effects that its descriptions lack, by file."""
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
 
@@ -166,7 +168,7 @@ def _next_motion(outcome, out):
     return [f"The motion for it: {command}"] if is_open else []
 
 
-def _left_out(files):
+def left_out(files):
     """Return a line for each file with the effects that it lacks."""
     # files: dict of str to tuple of LeftOut, by the names of the files.
     lines = []

@@ -98,6 +98,16 @@ def _share(text):
     return float(text)
 
 
+def _count(text):
+    if not (text.isdecimal() and int(text) > 0):
+        raise ValueError(f"must be a positive integer; got {text}")
+    return int(text)
+
+
+def _purpose(text):
+    return _known(text, ("gravity",))[0]
+
+
 def _seed(text):
     if not (text.isdecimal() and int(text) < 2**32):
         raise ValueError(f"must be an integer from 0 to 2**32 - 1; got {text}")
@@ -230,6 +240,9 @@ _OPTIONS = {
     "--scale SHARE": "share of the limits of velocity and acceleration that may be "
     "used, such as 0.5 for a first run (default: 1)",
     "--seed N": "seed of the initial motions (default: 0)",
+    "--for PURPOSE": "gravity: correct the masses of the description by held poses and "
+    "slow motion alone (identify), or choose poses for that (design)",
+    "--poses N": "number of poses of --for gravity (default: 20)",
     "--ranges FILE": "JSON file for the ranges of identified armature, damping, "
     "friction and other values, for domain randomisation in MuJoCo, Isaac Lab or "
     "Genesis",
@@ -256,10 +269,12 @@ _READ_BY = {
     "--dt": _positive("seconds"),
     "--duration": _positive("seconds"),
     "--effects": _effects,
+    "--for": _purpose,
     "--friction": _friction,
     "--gain": _gains,
     "--joints": _distinct,
     "--known-mass": _mass,
+    "--poses": _count,
     "--scale": _share,
     "--seed": _seed,
     "--signals": _distinct,
@@ -271,6 +286,7 @@ _DEFAULTS = {
     "cutoff": "auto",
     "duration": DURATION,
     "friction": FRICTION,
+    "poses": 20,
     "scale": 1.0,
     "seed": 0,
     "shared_drives": "auto",
@@ -309,7 +325,7 @@ COMMANDS = {
         _ROBOT
         | _LOG
         | {
-            "identification": f"{_IDENTIFICATION['identification']} --no-search",
+            "identification": f"{_IDENTIFICATION['identification']} --no-search --for",
             "output": "--out=DIR --force --ranges --json --quiet",
         },
         "_identify:identify",
@@ -350,7 +366,7 @@ COMMANDS = {
         {
             "robot": f"{_ROBOT['robot']} --report",
             "motion": "--duration --dt --start --velocity --acceleration --torque "
-            "--scale --effects --seed",
+            "--scale --effects --seed --for --poses",
             "output": "--out=FILE --force --quiet",
         },
         "_design:design",
@@ -399,6 +415,7 @@ def _add_option(group, name, metavar=""):
         action="append" if name == "--known-mass" else None,
         type=_read_by(_READ_BY.get(name, str)),
         metavar=key.partition(" ")[2],
+        dest={"--for": "purpose"}.get(name),
         help=_OPTIONS[key],
     )
 
@@ -493,7 +510,8 @@ def parse(words):
 def spelled(name):
     """Return an option as it is typed, by the name of its value."""
     # `read_recording` calls some otherwise.
-    name = {"gains": "gain", "joint_names": "joints"}.get(name, name)
+    others = {"gains": "gain", "joint_names": "joints", "purpose": "for"}
+    name = others.get(name, name)
     return f"--{name.replace('_', '-')}"
 
 

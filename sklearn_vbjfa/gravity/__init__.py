@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.gravity._poses import gravity_poses
     from sklearn_vbjfa.gravity._samples import static_samples
 
-__all__ = ["GravityCorrection", "correct_gravity", "gravity_poses", "static_samples"]
+__all__ = ["GravityCorrection", "correct_gravity", "gravity_poses"]
 _MODULES = {
     "_correction": ("GravityCorrection", "correct_gravity"),
     "_poses": ("gravity_poses",),

@@ -18,7 +18,7 @@ from sklearn_vbjfa.robot import RigidBodyFeatures, RobotIdentifier
 # Folds of the cross-validation, contiguous in time.
 _FOLDS = 4
 # Positions of less than this range [rad or m] are one pose.
-_ONE_POSE = 0.05
+_ONE_POSE = 0.2
 # Torques whose weight is this share of the described one, at most, contain none.
 _NO_WEIGHT = 0.3
 # Deviations and nats that decide: of the weight, and of a payload as a rival.
@@ -38,7 +38,7 @@ class GravityCorrection:
     identifier : RobotIdentifier
         Fitted to all samples; exports the corrected description.
     samples : Recording
-        Poses and slow motion that were fitted, see `static_samples`.
+        Poses and slow motion that were fitted, one row each.
     error_before, error_after : ndarray of shape (nv,)
         Root mean square error of the torque at held-out samples [N m or N], friction
         fitted in both cases; nan for fewer than two poses.
@@ -121,7 +121,19 @@ def correct_gravity(recording, model):
     features = RigidBodyFeatures(model, friction=()).load()
     theta = described(features).vector(10 * features.n_joints_)
     samples = static_samples(recording, model)
-    _check(samples, gravity_rows(features, samples.q) @ theta)
+    if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
+        raise ValueError(
+            "All poses are the same to 0.2 rad: one pose does not determine masses. "
+            "Record poses over the range of the joints; "
+            "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes some."
+        )
+    factor, std = _weight(samples, gravity_rows(features, samples.q) @ theta)
+    if factor + _SURE * std < _NO_WEIGHT:
+        raise ValueError(
+            f"The torques contain no weight: {factor:.2f} ± {std:.2f} times the "
+            "described gravity torque. The controller has probably subtracted its "
+            "gravity model; record the torques before that."
+        )
     error_before = _held_out(samples, model, bodies="fixed")
     error_after = _held_out(samples, model, bodies="prior")
     identifier = _fitted(samples, model, np.ones(samples.n_samples, bool), "prior")
@@ -198,34 +210,21 @@ def _held_out(samples, model, bodies):
     return np.sqrt((samples.weight * squares).sum(0) / samples.weight.sum(0))
 
 
-def _check(samples, gravity):
-    """Refuse samples of one pose, and torques without weight."""
-    if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
-        raise ValueError(
-            "All poses are the same to 0.05 rad: one pose does not determine masses. "
-            "Record poses over the range of the joints; "
-            "`sklearn-vbjfa design --urdf ROBOT.urdf --for gravity` proposes some."
-        )
-    side = np.sign(samples.states[:, gravity.shape[1] : 2 * gravity.shape[1]])
-    A, b = 0.0, 0.0
+def _weight(samples, gravity):
+    """Factor of the described gravity torque in the torques, and its deviation."""
+    nv = gravity.shape[1]
     left = []
-    for j in range(gravity.shape[1]):
+    for j, side in enumerate(np.sign(samples.states[:, nv : 2 * nv]).T):
         rows = samples.weight[:, j] > 0
-        plain = np.column_stack([side[rows, j], np.ones(rows.sum())])
-        target = np.column_stack([gravity[rows, j], samples.tau[rows, j]])
-        target -= plain @ np.linalg.lstsq(plain, target)[0]
-        A += target[:, 0] @ target[:, 0]
-        b += target[:, 0] @ target[:, 1]
-        left.append(target)
-    factor = b / A if A > 0 else 1.0
-    residual = np.concatenate([y - factor * g for g, y in map(np.transpose, left)])
-    std = np.sqrt((residual**2).mean() / A) if A > 0 else np.inf
-    if factor + _SURE * std < _NO_WEIGHT:
-        raise ValueError(
-            f"The torques contain no weight: {factor:.2f} ± {std:.2f} times the "
-            "described gravity torque. The controller has probably subtracted its own "
-            "gravity model; record the torques before that."
-        )
+        plain = np.column_stack([side, np.ones(side.size)])[rows]
+        pair = np.column_stack([gravity[rows, j], samples.tau[rows, j]])
+        left.append(pair - plain @ np.linalg.lstsq(plain, pair)[0])
+    described, measured = np.concatenate(left).T
+    size = described @ described
+    if size == 0:
+        return 1.0, np.inf
+    factor = described @ measured / size
+    return factor, np.sqrt(((measured - factor * described) ** 2).mean() / size)
 
 
 def _payload(identifier, samples, features, theta):

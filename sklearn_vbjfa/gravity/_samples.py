@@ -6,7 +6,6 @@ import numpy as np
 
 from sklearn_vbjfa.effects._stops_tmp import stops
 from sklearn_vbjfa.model import nominal_parameters
-
 from sklearn_vbjfa.robot import RigidBodyFeatures, StateEstimator
 
 # Length [s] over which samples are averaged, and how much longer a pose must be held.
@@ -25,30 +24,10 @@ _DIRECTION = 1e-4
 
 
 def static_samples(recording, model):
-    """Select poses and slow motion of a recording, in which gravity dominates.
-
-    Parameters
-    ----------
-    recording : Recording
-        Positions [rad or m] and torques [N m or N] of one robot, with ``dt``, or states.
-    model : str, os.PathLike or pinocchio.Model
-        Description of the robot.
-
-    Returns
-    -------
-    Recording
-        One row for each held pose, and for each 0.2 s of slow motion. ``states`` holds
-        the mean position, the direction of the last motion of each joint in place of
-        the velocity (zero for a joint that came from one side only), and zero
-        acceleration, so that the Coulomb column of
-        `RobotIdentifier` is the friction with which the joint came to the pose.
-        ``weight`` is zero where that direction is unknown.
-
-    Raises
-    ------
-    ValueError
-        If the robot neither rests nor moves slowly.
-    """
+    """Return one row for each pose, and for each window of slow motion."""
+    # In place of the velocity `states` has the direction in which each joint came to
+    # its pose: the Coulomb column of the identifier is then the friction that holds it.
+    # Weights are zero where that direction is unknown.
     features = RigidBodyFeatures(model, friction=()).load()
     nv, inertial = features.n_joints_, nominal_parameters(features.model_)
     states = recording.states
@@ -60,7 +39,9 @@ def static_samples(recording, model):
     gravity = features.torques(q, 0 * v, 0 * a, inertial)
     dynamic = features.torques(q, v, a, inertial) - gravity
     size = np.sqrt((gravity**2).mean(axis=0))
-    slow = (np.abs(dynamic) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())).all(axis=1)
+    slow = (np.abs(dynamic) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())).all(
+        axis=1
+    )
     still = np.abs(v) <= _REST * np.percentile(np.abs(v), 99.5, axis=0)
     length = max(1, round(_WINDOW / recording.dt)) if recording.dt else 1
     spans = [
@@ -78,7 +59,8 @@ def static_samples(recording, model):
     way = np.maximum(_WAY * np.ptp(q, axis=0), np.finfo(float).tiny)
     came = np.concatenate([_came_from(q[part], way) for part in recording.segments])
     means = [
-        [x[a:b].mean(axis=0) for a, b in spans] for x in (q, recording.tau - dynamic, came)
+        [x[a:b].mean(axis=0) for a, b in spans]
+        for x in (q, recording.tau - dynamic, came)
     ]
     pose, tau, side = map(np.array, means)
     labels, numbers = np.unique(
@@ -120,6 +102,4 @@ def _spans(slow, still, start, length):
 
 def _came_from(q, way):
     """State of friction that opposes the last motion in full after a way, (n, nv)."""
-    return np.column_stack(
-        [stops(x, np.array([d]))[:, 0] for x, d in zip(q.T, way)]
-    )
+    return np.column_stack([stops(x, np.array([d]))[:, 0] for x, d in zip(q.T, way)])

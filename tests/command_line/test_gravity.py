@@ -1,0 +1,48 @@
+"""identify and design --for gravity, from a log to a corrected description."""
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from sklearn_vbjfa._cli import main
+
+pytest.importorskip("pinocchio")
+sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
+
+from _posed_arms import DT, Arm, gravity, pin, record, visit
+
+RNG = np.random.default_rng(0)
+ARM = Arm.drawn(3, RNG)
+
+
+def test_poses_are_designed_and_a_log_of_them_corrects_the_description(
+    tmp_path, capsys, monkeypatch
+):
+    monkeypatch.chdir(tmp_path)
+    true = ARM.write("true.urdf")
+    described = ARM.misdescribed(RNG).write("described.urdf")
+    assert main(["design", "--urdf", "described.urdf", "--for", "gravity"]) == 0
+    assert "identify LOG --urdf described.urdf --for gravity" in capsys.readouterr().out
+    table = pd.read_csv("poses.csv")
+    poses = table.loc[table["hold"] > 0, ["q_joint1", "q_joint2", "q_joint3"]]
+    assert len(poses) == 40
+    log = record(true, visit(poses.to_numpy()[::8]), np.ones(3), RNG)
+    columns = {"t": np.arange(len(log.q)) * DT}
+    columns |= {f"q{k + 1}": x for k, x in enumerate(log.q.T)}
+    columns |= {f"tau{k + 1}": x for k, x in enumerate(log.tau.T)}
+    pd.DataFrame(columns).to_csv("log.csv", index=False)
+    words = ["identify", "log.csv", "--urdf", "described.urdf", "--for", "gravity"]
+    assert main([*words, "-o", "out"]) == 0
+    printed = capsys.readouterr().out
+    assert "joint1               no gravity torque" in printed
+    assert "Use for: gravity compensation." in printed
+    joints = json.loads(Path("out/report.json").read_text())["joints"]
+    assert joints[1]["corrected"] < joints[1]["described"]
+    q = RNG.uniform(-2, 2, (50, 3))
+    after = gravity(pin.buildModelFromUrdf("out/identified.urdf"), q)
+    error, before = after - gravity(true, q), gravity(described, q) - gravity(true, q)
+    assert np.sqrt((error**2).mean()) < 0.2 * np.sqrt((before**2).mean())

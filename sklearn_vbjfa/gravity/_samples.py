@@ -39,9 +39,8 @@ def static_samples(recording, model):
     gravity = features.torques(q, 0 * v, 0 * a, inertial)
     dynamic = features.torques(q, v, a, inertial) - gravity
     size = np.sqrt((gravity**2).mean(axis=0))
-    slow = (np.abs(dynamic) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())).all(
-        axis=1
-    )
+    most = _DYNAMIC * np.maximum(size, 0.1 * size.max())
+    slow = (np.abs(dynamic) <= most).all(axis=1)
     still = np.abs(v) <= _REST * np.percentile(np.abs(v), 99.5, axis=0)
     length = max(1, round(_WINDOW / recording.dt)) if recording.dt else 1
     spans = [
@@ -58,11 +57,10 @@ def static_samples(recording, model):
         )
     way = np.maximum(_WAY * np.ptp(q, axis=0), np.finfo(float).tiny)
     came = np.concatenate([_came_from(q[part], way) for part in recording.segments])
-    means = [
-        [x[a:b].mean(axis=0) for a, b in spans]
+    pose, tau, side = (
+        np.array([x[a:b].mean(axis=0) for a, b in spans])
         for x in (q, recording.tau - dynamic, came)
-    ]
-    pose, tau, side = map(np.array, means)
+    )
     labels, numbers = np.unique(
         [recording.groups[a] for a, _ in spans], return_inverse=True
     )

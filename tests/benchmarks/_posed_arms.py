@@ -84,7 +84,7 @@ def visit(poses, both_sides=True):
 
 
 def record(model, q, friction, rng):
-    """Recording of a motion, with friction that slips after 2 mrad, and noise."""
+    """Record a motion, with friction that slips after 2 mrad, and noise."""
     v = np.gradient(q, DT, axis=0)
     data, states = model.createData(), zip(q, v, np.gradient(v, DT, axis=0))
     tau = np.array([pin.rnea(model, data, *state) for state in states])

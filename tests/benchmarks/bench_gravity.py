@@ -5,8 +5,8 @@ Run ``python tests/benchmarks/bench_gravity.py [--seeds FIRST LAST] [--write]``.
 Data: arms of five to seven joints, simulated by Pinocchio (`_posed_arms.py`); Coulomb
 friction of 5 to 30 % of the gravity torque, torque noise of 1 % and quantisation. Two
 bodies of the description are off by 20 to 50 %; in the row "tool" the description is
-right and carries 1 kg that it does not know. 20 poses, each held for a second, from both
-sides or from one. Judged at 200 other poses against Pinocchio's gravity torque.
+right and carries 1 kg that it does not know. 20 poses, each held for a second, from
+both sides or from one. Judged at 200 other poses against Pinocchio's gravity torque.
 """
 
 import tempfile

@@ -34,7 +34,7 @@ OTHERS = np.random.default_rng(1).uniform(-2.0, 2.0, (200, 3))
 
 @pytest.fixture(scope="module")
 def world(tmp_path_factory):
-    """The true robot, its wrong description, and a recording of eight poses."""
+    """Make the true robot, its wrong description, and a recording of eight poses."""
     folder = tmp_path_factory.mktemp("arm")
     true = ARM.write(folder / "true.urdf")
     described = folder / "described.urdf"
@@ -146,7 +146,8 @@ def test_designed_poses_are_reached_from_both_sides(world):
     q, hold = gravity_poses(world.described, 6)
     assert q.shape == (24, 3)
     assert np.array_equal(q[1::4], q[3::4])
-    assert (q[0::4] < q[1::4]).all() and (q[2::4] > q[1::4]).all()
+    assert (q[0::4] < q[1::4]).all()
+    assert (q[2::4] > q[1::4]).all()
     assert (np.abs(q) <= 2.5).all()
     assert np.array_equal(hold > 0, np.tile([False, True], 12))
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.effects._stops_tmp import stops
+from sklearn_vbjfa.effects import stops
 from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot import RigidBodyFeatures, StateEstimator
 

@@ -20,6 +20,7 @@ from sklearn_vbjfa import (
     diagnosis,
     distributed,
     effects,
+    gravity,
     inspection,
     physical,
     robot,
@@ -27,7 +28,15 @@ from sklearn_vbjfa import (
 )
 from tests.test_imports import APART, ROOMS
 
-PUBLIC_MODULES = (sklearn_vbjfa, datasets, design, diagnosis, distributed, effects)
+PUBLIC_MODULES = (
+    sklearn_vbjfa,
+    datasets,
+    design,
+    diagnosis,
+    distributed,
+    effects,
+    gravity,
+)
 PUBLIC_MODULES += (inspection, physical, robot, simulation)
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"

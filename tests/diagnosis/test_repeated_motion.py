@@ -6,6 +6,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
+from tests._quick import one_in  # noqa: E402
 from tests.diagnosis.report._pages import text_of  # noqa: E402
 
 PERIOD, DT, TIMES = 10.0, 0.01, 6
@@ -54,16 +55,9 @@ def closed(q, tau, groups=None):
 
 
 # With blocks of time in place of phases each of these has names.
-@pytest.mark.parametrize(
-    ("seed", "recordings"),
-    [
-        (9, 1),
-        pytest.param(12, 1, marks=pytest.mark.slow),
-        pytest.param(0, TIMES, marks=pytest.mark.slow),
-        (12, TIMES),
-    ],
-)
-def test_a_curve_of_the_phase_has_no_name(seed, recordings):
+@pytest.mark.parametrize("case", one_in(2, [(9, 1), (12, 1), (12, TIMES), (0, TIMES)]))
+def test_a_curve_of_the_phase_has_no_name(case):
+    seed, recordings = case
     q, tau = recorded(seed)
     groups = np.arange(len(q)) * recordings // len(q)
     loop = closed(q, tau, groups)

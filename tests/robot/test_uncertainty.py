@@ -10,6 +10,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.robot import BlockAssignment, _identifier
+from tests._quick import one_in
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 DT = 0.02
@@ -156,7 +157,7 @@ def by_time(recording, plan):
     return BlockAssignment.of([plan.lowpass.centres(n).size for n in rows])
 
 
-@pytest.mark.parametrize("period", [pytest.param(10.0, marks=pytest.mark.slow), 4.0])
+@pytest.mark.parametrize("period", one_in(2, [4.0, 10.0]))
 def test_ninety_per_cent_hold_the_truth_where_a_motion_repeats(monkeypatch, period):
     """What is locked to the phase; seeds 100 to 129, which nothing was tuned on."""
 
@@ -226,7 +227,7 @@ def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
     assert np.isinf(robot.predict(states, return_std=True)[1][:, 1]).all()
 
 
-@pytest.mark.parametrize("rho", [pytest.param(0.0, marks=pytest.mark.slow), 0.9])
+@pytest.mark.parametrize("rho", one_in(2, [0.9, 0.0]))
 def test_predicted_deviations_hold_another_motion(rho):
     """Noisy positions; measured and predicted torque behind the low-pass."""
     inside = []

@@ -255,6 +255,8 @@ def _tree(mujoco, model, names):
                 names["joint"][j],
                 *_limits(model, j),
             )
+            dof = made.idx_vs[at]
+            made.armature[dof] = model.dof_armature[model.jnt_dofadr[j]]
             frame = made.addJointFrame(at, frame)
             place = pin.SE3(np.eye(3), model.jnt_pos[j]).inverse()
         inertia = _inertia(model, k)

@@ -13,6 +13,7 @@ from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording, check_wait
 from sklearn_vbjfa.robot._alike import beside_each_other
+from sklearn_vbjfa.robot._armature import with_positive_rotors
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._equations import (
     accumulate,
@@ -228,6 +229,8 @@ class Recipe:
             found = beside_description(found, self.description, self.bodies)
         if self.alike:
             found = beside_each_other(found, self.alike, robot)
+        if self.description is not None:
+            found = with_positive_rotors(found, robot)
         with stage("consistent bodies"):
             found = project(found, self.projector, robot.features_, robot.effects_)
         return Fit.of(robot, found, self._shown(found), made)

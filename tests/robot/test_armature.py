@@ -1,0 +1,85 @@
+"""Rotor inertias near the one that is described, and never negative."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.optimize import minimize
+
+pin = pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.robot._armature import WIDTH, most_probable  # noqa: E402
+from tests.robot.test_drives import (  # noqa: E402
+    ARM,
+    ARMATURE,
+    DT,
+    EXACT,
+    KD,
+    KP,
+    PDDrive,
+    told,
+)
+
+
+def test_the_mode_is_that_of_the_log_normal_density():
+    """Found by minimising the negative logarithm of the product of the densities."""
+    y, S = np.array([-0.02, 0.3]), np.array([[4e-3, 1e-3], [1e-3, 2e-3]])
+    references = np.array([0.05, 0.2])
+    W = np.linalg.inv(S)
+
+    def cost(logs):
+        away = np.exp(logs) - y
+        prior = ((logs - np.log(references)) ** 2).sum() / WIDTH**2
+        return 0.5 * (away @ W @ away + prior)
+
+    exact = np.exp(minimize(cost, np.log(references), tol=1e-12).x)
+    mode, variance, centre = most_probable(y, S, references)
+    assert_allclose(mode, exact, rtol=1e-5)
+    # The normal prior that stands for it has the same mode.
+    together = np.linalg.solve(
+        W + np.diag(1 / variance), W @ y + np.diag(1 / variance) @ centre
+    )
+    assert_allclose(together, mode, rtol=1e-6)
+    sure, *_ = most_probable(np.array([0.3]), np.array([[1e-10]]), np.array([0.01]))
+    assert_allclose(sure, 0.3, rtol=1e-4)
+
+
+def described(armature):
+    """Return the arm with a description of its rotor inertias."""
+    model = ARM.copy()
+    model.armature = np.array(armature)
+    return model
+
+
+def rotors(model, recording, drive):
+    """Return the rotor inertias of a fit, and their deviations."""
+    robot = RobotIdentifier(model, drive=drive, dt=DT, **EXACT, alike=None)
+    robot.fit_recording(recording)
+    at = [robot.parameter_names_.index(f"joint_{k}:rotor_inertia") for k in (1, 2, 3)]
+    return robot.theta_unconstrained_[at], robot.theta_std_[at]
+
+
+@pytest.mark.parametrize("factor", [0.6, 1.5])
+def test_what_torques_do_not_tell_is_near_the_description(factor):
+    """Noise that hides a rotor: without the description it would be negative."""
+    drive = PDDrive(KP, KD)
+    recording = drive.driven(told(0.008))
+    a = recording.states[:, 6:]
+    # As if the rotors turned against the joints.
+    noise = np.random.default_rng(0).normal(size=a.shape)
+    wrong = replace(recording, tau=recording.tau - 1.5 * ARMATURE * a + 2.0 * noise)
+    plain, std = rotors(ARM, wrong, drive)
+    near, less = rotors(described(factor * ARMATURE), wrong, drive)
+    assert plain.min() < 0
+    assert (near > 0).all()
+    assert (less <= std * (1 + 1e-9)).all()
+
+
+def test_torques_that_tell_a_rotor_are_believed():
+    drive = PDDrive(KP, KD)
+    recording = drive.driven(told(0.008))
+    found, _ = rotors(described(3 * ARMATURE), recording, drive)
+    # That of the first joint is told only together with the inertia about its axis.
+    assert_allclose(found[1:], ARMATURE[1:], rtol=1e-3)

@@ -53,6 +53,7 @@ TIME_NAMES = (
 )
 # How the parts of a ROS stamp are called.
 _CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
+_DAY = 86400.0
 _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
 
 
@@ -577,7 +578,7 @@ def seconds_of_dates(table: Table, column: str):
         text = values.astype(str).str.replace(",", ".")
         dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
         if pandas.isna(dates.iloc[0]):
-            return None
+            return _seconds_of_day(pandas, text)
         wrong = np.flatnonzero(dates.isna())
         if wrong.size:
             raise ValueError(
@@ -587,3 +588,12 @@ def seconds_of_dates(table: Table, column: str):
             )
         values = dates
     return (values - values.iloc[0]).dt.total_seconds().to_numpy()
+
+
+def _seconds_of_day(pandas, text):
+    """Return times of day as seconds from the first, past midnight; None for others."""
+    if not text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
+        return None
+    seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
+    midnights = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
+    return seconds + _DAY * midnights - seconds[0]

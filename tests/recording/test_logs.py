@@ -357,6 +357,18 @@ def test_iso_time_stamps(tmp_path, mark, zone):
         read_recording(path)
 
 
+def test_times_of_day_go_on_past_midnight(tmp_path):
+    columns = table()
+    t = 86399.9 + columns["t"]
+    text = [
+        f"{int(x // 3600) % 24:02}:{int(x // 60) % 60:02}:{x % 60:07.4f}" for x in t
+    ]
+    recording, said = read(write(tmp_path / "arm.csv", {**columns, "t": text}))
+    np.testing.assert_allclose(recording.q[:, 0], columns["q1"], atol=1e-9)
+    assert recording.dt == pytest.approx(0.01)
+    assert not said
+
+
 def test_several_columns_of_time_ask_which(tmp_path):
     columns = table()
     new = {"time": columns["t"], "timestamp": 5 * columns["t"]}

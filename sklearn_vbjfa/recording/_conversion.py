@@ -1,11 +1,11 @@
 """The table of a file as a recording: order, units, signs of time, one time grid."""
 
-import functools
-from dataclasses import dataclass, replace
-from os import PathLike, fspath
+from dataclasses import replace
+from os import fspath
 
 import numpy as np
 
+from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
@@ -17,8 +17,10 @@ from sklearn_vbjfa.recording._names import (
     Joints,
     ReadOptions,
     channels_of,
+    checked_names,
     is_current,
     laid_out,
+    names_and_slides,
     refuse_two,
     unit_is_wrong,
     unit_of_steps,
@@ -54,63 +56,27 @@ _LARGEST = 1e12
 _TORQUES = ("N m", "N")
 
 
-@dataclass(frozen=True, kw_only=True)
-class Request:
-    """The checked arguments of `read_recording`."""
-
-    dt: float | None
-    urdf: str | PathLike | None
-    joint_names: tuple[str, ...] | None
-    options: ReadOptions
-    topic: str | None
-    gains: tuple[float, ...] | str | None
-    time_unit: str | None
-
-    @functools.cached_property
-    def names(self):
-        """Joints that the user names, tuple of str."""
-        return _strings(self.joint_names)
-
-    @functools.cached_property
-    def movable(self):
-        """Joints of the description that can move, empty without one."""
-        if self.urdf is None:
-            return ()
-        from sklearn_vbjfa.model import movable_joints
-
-        return movable_joints(self.urdf)
-
-    @functools.cached_property
-    def _model(self):
-        return _robot(self.urdf, self.names)
-
-    def joints(self):
-        """Return the robot's joints as far as they are known."""
-        return self.names or self.movable
-
-    def of_table(self, table):
-        """Return joints in the order of the columns, those of the model, and slides."""
-        names, model = self.names, self._model
-        if self.joint_names is None and "joint_names" in table.scalars:
-            own = np.atleast_1d(table.scalars["joint_names"])
-            names = _strings([str(x) for x in own])
-            model = _robot(self.urdf, names)
-        model_names, prismatic = model
-        # Columns with numbers are in the order of the file, which may name what a
-        # joint carries before the joint.
-        in_file = tuple(name for name in self.movable if name in model_names)
-        robot = Joints(names=names or in_file, chosen=bool(names))
-        return robot, model_names, prismatic
+def _of_robot(table, options):
+    """Return joints in the order of the columns, those of the model, and slides."""
+    names, model = options.names, options.model
+    if options.joint_names is None and "joint_names" in table.scalars:
+        own = np.atleast_1d(table.scalars["joint_names"])
+        names = checked_names([str(x) for x in own])
+        model = names_and_slides(options.urdf, names)
+    model_names, prismatic = model
+    # Columns with numbers are in the order of the file, which may name what a joint
+    # carries before the joint.
+    in_file = tuple(name for name in options.movable if name in model_names)
+    return Joints(names=names or in_file, chosen=bool(names)), model_names, prismatic
 
 
-def is_recording(table: Table, request: Request):
+def is_recording(table: Table, options: ReadOptions):
     """Whether a table has all channels, or would have with other options."""
     try:
-        robot, _, _ = request.of_table(table)
-        layout = laid_out(table, request.options, robot)
+        robot, _, _ = _of_robot(table, options)
+        layout = laid_out(table, options, robot)
         # Without time it is one, too, and refused for that.
-        timed = replace(request.options, timed=True)
-        channels_of(table, layout, timed, robot, [])
+        channels_of(table, layout, replace(options, dt=1.0), robot, [])
     except RecordingRefused as error:
         return bool(error.options)
     except ValueError:
@@ -118,22 +84,24 @@ def is_recording(table: Table, request: Request):
     return True
 
 
-def recording_of(table: Table, request: Request) -> ReadFile:
+def recording_of(table: Table, options: ReadOptions) -> ReadFile:
     """Return the recording in a table, complete, and what a user should know of it."""
     notes = list(table.notes)
-    robot, model_names, prismatic = request.of_table(table)
-    dt = _given_period(table, request.dt)
-    gains, time_unit = request.gains, request.time_unit
-    options = replace(request.options, timed=dt is not None)
+    robot, model_names, prismatic = _of_robot(table, options)
+    dt = _given_period(table, options.dt)
+    options = replace(options, dt=dt)
     layout = laid_out(table, options, robot)
     table = _without_odd_rows(table, layout, options, notes)
     found, robot = channels_of(table, layout, options, robot, notes)
     names = _check_joints(table, found, robot)
     channels, units = _in_units(table, layout, found, options, notes)
     slides = _check_units(table, found, units, names, model_names, prismatic)
-    given = units.get("tau", [None] * len(names))
-    recorded = _gained(table, channels, given, None, names, slides)
-    torque_units = _gained(table, channels, given, gains, names, slides)
+    own_units = ["N" if slide else "N m" for slide in slides]
+    recorded = [x or y for x, y in zip(units.get("tau", own_units), own_units)]
+    torque_units = recorded
+    if isinstance(options.gains, tuple):
+        torque_units = own_units
+        channels["tau"] = channels["tau"] * _factors(table, options.gains, names)
     # Of a drive the torques are made when all files are read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
     if model_names:
@@ -143,15 +111,14 @@ def recording_of(table: Table, request: Request) -> ReadFile:
             [x[j] for j in order] for x in (names, slides, torque_units, recorded)
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
-    t, time = _time(table, layout, dt, time_unit)
+    t, time = _time(table, layout, options)
     labels, segment = _segments(table, layout)
     taken = {role.column for own in layout.channels.values() for role in own.roles}
     taken |= {segment, *(() if time is None else time.columns), *layout.beside}
     taken |= {x for role in layout.times if layout.what for x in role.columns}
     signals, left_out = _signals(table, taken, notes)
-    own = torque_units[0] if len(set(torque_units)) == 1 else ""
-    _say_what_was_taken(table, layout, options, found, time, time_unit, own, notes)
-    notes += _unit_notes(table, layout, options, names, torque_units, gains)
+    said = _what_was_taken(table, layout, options, found, time, torque_units)
+    notes = [*said, *notes, *_unit_notes(table, layout, options, names, torque_units)]
     channels |= signals
     # What was read is held no longer than needed.
     table = table.with_frame(table.frame.iloc[:, :0])
@@ -163,7 +130,7 @@ def recording_of(table: Table, request: Request) -> ReadFile:
         joint_names=tuple(names),
         position_units=tuple("m" if slide else "rad" for slide in slides),
         torque_units=tuple(torque_units),
-        urdf=None if request.urdf is None else fspath(request.urdf),
+        urdf=None if options.urdf is None else fspath(options.urdf),
         description=f"Read from {table.path.name}.",
         left_out=left_out,
         **fields,
@@ -228,9 +195,9 @@ def _in_units(table, layout, found, options, notes):
     return channels, units
 
 
-def _unit_notes(table, layout, options, names, torque_units, gains):
+def _unit_notes(table, layout, options, names, torque_units):
     """Yield what a user should know of the unit of the torques."""
-    if gains is not None or options.drive is not None:
+    if options.gains is not None or options.drive is not None:
         return
     is_effort = bool(table.joints) or layout.what.startswith("/joint_states")
     maker = currents_as_efforts(names) if is_effort else ""
@@ -246,31 +213,6 @@ def _unit_notes(table, layout, options, names, torque_units, gains):
             f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
             "or identify them (gains='unknown'; command line: --gain unknown)."
         )
-
-
-def _strings(joint_names):
-    """Return joint names as a tuple of str, empty for None."""
-    if joint_names is None:
-        return ()
-    if isinstance(joint_names, str):
-        raise ValueError(
-            f"joint_names must be several names, one per column, got {joint_names!r}."
-        )
-    names = tuple(str(x) for x in joint_names)
-    if len(set(names)) < len(names):
-        raise ValueError(f"joint_names must differ from one another, got {names}.")
-    return names
-
-
-def _robot(urdf, names):
-    """Return joint names and which are prismatic, empty without a description."""
-    # Of the description's joints only those with `names` count, if there are any.
-    if urdf is None:
-        return (), ()
-    from sklearn_vbjfa.model import is_prismatic, joint_names, load_model, load_reduced
-
-    model = load_reduced(urdf, names) if names else load_model(urdf)
-    return joint_names(model), is_prismatic(model)
 
 
 def _values(table: Table, kind, roles):
@@ -398,21 +340,17 @@ _EXPECTED = {
 }
 
 
-def _gained(table: Table, channels, bases, gains, names, slides):
-    """Return the unit of each torque, list of str, after multiplying by the gains."""
-    own = ["N" if slide else "N m" for slide in slides]
-    if gains is None or isinstance(gains, str):
-        return [base or unit for base, unit in zip(bases, own)]
-    if len(gains) != len(names):
-        same = len(gains) == 1
-        raise RecordingRefused(
-            f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-            f"({listed(names)}); expected one for each, in this order"
-            f"{'' if same else ', or unknown, to have them identified'}.",
-            {"gains": gains * len(names) if same else "unknown"},
-        )
-    channels["tau"] = channels["tau"] * np.array(gains)
-    return own
+def _factors(table: Table, gains, names):
+    """Return the gains, one for each joint."""
+    if len(gains) == len(names):
+        return np.array(gains)
+    same = len(gains) == 1
+    raise RecordingRefused(
+        f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
+        f"({listed(names)}); expected one for each, in this order"
+        f"{'' if same else ', or unknown, to have them identified'}.",
+        {"gains": gains * len(names) if same else "unknown"},
+    )
 
 
 def _segments(table: Table, layout):
@@ -443,51 +381,40 @@ def _signals(table: Table, taken, notes):
     return signals, left_out
 
 
-def _say_what_was_taken(
-    table, layout, options, found, time, time_unit, torque_unit, notes
-):
-    """Note, in one line, which columns were taken where the names do not say it."""
-    stamped = ""
-    if time is not None:
-        unit = time_unit or time.unit or "s"
-        stamped = f"t = {_with_unit('+'.join(time.columns), unit)}"
-    if layout.what:
-        said = []
-        for kind in [x for x in ("q", *options.told) if found[x]]:
-            unit = found[kind][0].unit or (torque_unit if kind == "tau" else "")
-            said.append(f"{kind} = {_with_unit(_ends(found[kind]), unit)}")
-        said = ", ".join(x for x in (*said, stamped) if x)
-        notes.insert(0, f"taken as {layout.what}: {said}.")
-        return
-    said = []
-    if not options.mapping:
-        if time is not None and time.column not in ("t", "T"):
-            said.append(stamped)
-        kinds = () if options.drive is None else (*options.told, "v")
-        said += [
-            f"{kind} = {_ends(found[kind])}"
-            for kind in kinds
-            if found[kind] and not found[kind][0].column.lower().startswith(kind)
-        ]
-        own = found["tau"] if options.drive is None else []
-        if own and own[0].column.lower().startswith(ESTIMATES):
-            said.append(f"tau = {_ends(own)}, which the motors estimate")
+def _what_was_taken(table, layout, options, found, time, torque_units):
+    """Yield which columns were taken where their names do not tell it, in one line."""
+    said, tool = [], bool(layout.what)
+    spelled = not tool and bool(options.mapping)
+    told = () if options.drive is None and not tool else ("q", *options.told)
+    for kind in [x for x in (*told, "v") if found[x] and not spelled]:
+        first, last = found[kind][0].column, found[kind][-1].column
+        unit = found[kind][0].unit if tool else ""
+        if tool and kind == "tau" and len(set(torque_units)) == 1:
+            unit = unit or torque_units[0]
+        own = first.lower().startswith(_layout.spellings(kind, None)[:1])
+        if kind != "v" if tool else not own:
+            ends = first if first == last else f"{first} ... {last}"
+            said.append(f"{kind} = {_with_unit(ends, unit)}")
+    tau = found["tau"] if options.drive is None and not tool and not spelled else []
+    if tau and tau[0].column.lower().startswith(ESTIMATES):
+        ends = f"{tau[0].column} ... {tau[-1].column}"
+        said.append(f"tau = {ends}, which the motors estimate")
+    if time is not None and (tool or not (spelled or time.column in ("t", "T"))):
+        unit = options.time_unit or time.unit or "s"
+        said.append(f"t = {_with_unit('+'.join(time.columns), unit)}")
     converted = {
         role.unit
         for kind, roles in found.items()
         for role in roles
         if role.unit and channel_unit(table, kind, role).factor != 1
     }
+    if tool:
+        yield f"taken as {layout.what}: {', '.join(said)}."
+        return
     if converted:
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said:
-        notes.insert(0, f"{'; '.join(said)}.")
-
-
-def _ends(roles):
-    """Return the first and the last of some columns."""
-    first, last = roles[0].column, roles[-1].column
-    return first if len(roles) == 1 else f"{first} ... {last}"
+        yield f"{'; '.join(said)}."
 
 
 def _with_unit(columns, unit):
@@ -500,11 +427,11 @@ def _with_unit(columns, unit):
 # -- time ------------------------------------------------------------------------------
 
 
-def _time(table: Table, layout, dt, time_unit):
+def _time(table: Table, layout, options):
     """Return stamps [s] or None, and the role of their column."""
     times = layout.times
     own = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
-    if dt is not None and not (layout.certain or own):
+    if options.dt is not None and not (layout.certain or own):
         # What else is called time may be anything; the period is given.
         return None, None
     if len(times) > 1 and not layout.what:
@@ -516,25 +443,22 @@ def _time(table: Table, layout, dt, time_unit):
             {"columns": f"t={times[0].column}"},
         )
     for role in times:
-        t = None
-        if not role.nanoseconds:
-            t = seconds_of_dates(table, role.column)
-        if t is not None:
-            return t, replace(role, unit="s")
-        values = [_numbers(table, part) for part in role.columns]
-        t = values[0] - values[0][0]
+        dates = None if role.nanoseconds else seconds_of_dates(table, role.column)
+        if dates is not None:
+            return dates, replace(role, unit="s")
+        seconds = _numbers(table, role.column)
         unit = channel_unit(table, "t", role)
         factor = 1.0 if unit is None else unit.factor
-        if time_unit is not None and not role.nanoseconds:
-            factor = TIME_UNITS[time_unit]
-        t = t * factor
+        if options.time_unit is not None and not role.nanoseconds:
+            factor = TIME_UNITS[options.time_unit]
+        # Without a unit stamps stay as they are, for messages that quote them.
+        t = seconds if factor == 1.0 else factor * (seconds - seconds[0])
         if role.nanoseconds:
-            t = t + 1e-9 * (values[1] - values[1][0])
+            rest = _numbers(table, role.nanoseconds)
+            t = seconds - seconds[0] + 1e-9 * (rest - rest[0])
         if np.ptp(t) > 0 or role is times[-1]:
-            _check_unit(table, role, values[0], usual_step(t), time_unit)
-            # Without a unit stamps stay as they are, for messages that quote them.
-            exact = values[0] if factor == 1.0 and not role.nanoseconds else t
-            return exact, role
+            _check_unit(table, role, seconds, usual_step(t), options.time_unit)
+            return t, role
     return None, None
 
 

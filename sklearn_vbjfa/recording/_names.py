@@ -1,14 +1,16 @@
 """The columns of a file as channels of the robot's joints, in their order."""
 
 import difflib
+import functools
 import itertools
 import re
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
 
 from sklearn_vbjfa.recording import _layout
-from sklearn_vbjfa.recording._drives import COMMANDS
+from sklearn_vbjfa.recording._drives import COMMANDS, Drive
 from sklearn_vbjfa.recording._layout import Layout, by_mapping, by_names, by_preset
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
@@ -48,13 +50,40 @@ UNSIGNED = "current signed=no"
 
 @dataclass(frozen=True, kw_only=True)
 class ReadOptions:
-    """What the user says of the columns, and whether of the period and the gains."""
+    """The checked arguments of `read_recording`."""
 
     mapping: dict
     preset: str | None
-    timed: bool
-    gained: bool
-    drive: object = None  # `Drive` whose channels stand in place of torques
+    dt: float | None
+    urdf: str | PathLike | None
+    joint_names: tuple[str, ...] | None
+    topic: str | None
+    gains: tuple[float, ...] | str | None
+    time_unit: str | None
+    drive: Drive | None  # its channels stand in place of torques
+
+    @functools.cached_property
+    def names(self):
+        """Joints that the user names, tuple of str."""
+        return checked_names(self.joint_names)
+
+    @functools.cached_property
+    def movable(self):
+        """Joints of the description that can move, empty without one."""
+        if self.urdf is None:
+            return ()
+        from sklearn_vbjfa.model import movable_joints
+
+        return movable_joints(self.urdf)
+
+    @functools.cached_property
+    def model(self):
+        """Joints of the description that are used, and which of them slide."""
+        return names_and_slides(self.urdf, self.names)
+
+    def joints(self):
+        """Return the robot's joints as far as they are known."""
+        return self.names or self.movable
 
     @property
     def told(self):
@@ -81,6 +110,31 @@ class Joints:
 
     names: tuple[str, ...] = ()
     chosen: bool = False
+
+
+def checked_names(joint_names):
+    """Return joint names as a tuple of str, empty for None."""
+    if joint_names is None:
+        return ()
+    if isinstance(joint_names, str):
+        raise ValueError(
+            f"joint_names must be several names, one per column, got {joint_names!r}."
+        )
+    names = tuple(str(x) for x in joint_names)
+    if len(set(names)) < len(names):
+        raise ValueError(f"joint_names must differ from one another, got {names}.")
+    return names
+
+
+def names_and_slides(urdf, names):
+    """Return joint names and which are prismatic, empty without a description."""
+    # Of the description's joints only those with `names` count, if there are any.
+    if urdf is None:
+        return (), ()
+    from sklearn_vbjfa.model import is_prismatic, joint_names, load_model, load_reduced
+
+    model = load_reduced(urdf, names) if names else load_model(urdf)
+    return joint_names(model), is_prismatic(model)
 
 
 def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
@@ -146,7 +200,7 @@ def channels_of(table: Table, layout, options, robot, notes):
     # Refuses, all at once, what is missing.
     robot = replace(robot, names=robot.names or layout.own_joints)
     missing = [kind for kind in options.needed if kind not in layout.channels]
-    no_time = not (options.timed or layout.times)
+    no_time = not (options.dt or layout.times)
     channels = {x: layout.channels[x] for x in options.kinds if x in layout.channels}
     for kind, own in channels.items():
         # Certain names of joints that the robot lacks are no channels of it.
@@ -275,7 +329,7 @@ def _offered(table, options, robot, near):
         if "t" in near and not split_unit(mapping["t"])[1]:
             unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
             more = {} if unit in ("", "s") else {"time_unit": unit}
-        if "tau" in near and not options.gained:
+        if "tau" in near and options.gains is None:
             more |= _of_currents(table, mapping["tau"], robot)
         tried = replace(options, mapping=mapping, preset=None)
         if _works(table, tried, robot):

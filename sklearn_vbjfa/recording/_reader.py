@@ -12,7 +12,7 @@ import numpy as np
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import formats
-from sklearn_vbjfa.recording._conversion import Request, is_recording, recording_of
+from sklearn_vbjfa.recording._conversion import is_recording, recording_of
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
 from sklearn_vbjfa.recording._layout import parse_mapping
 from sklearn_vbjfa.recording._names import ReadOptions
@@ -154,8 +154,12 @@ def read_recording(
     options = ReadOptions(
         mapping={} if columns is None else parse_mapping(columns),
         preset=_checked_preset(preset),
-        timed=dt is not None,
-        gained=gains is not None,
+        dt=dt,
+        urdf=urdf,
+        joint_names=joint_names,
+        topic=topic,
+        gains=_checked_gains(gains),
+        time_unit=time_unit,
         drive=parse_drive(drive) if isinstance(drive, str) else drive,
     )
     if options.drive is not None and gains is not None:
@@ -168,24 +172,15 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
-    request = Request(
-        dt=dt,
-        urdf=urdf,
-        joint_names=joint_names,
-        options=options,
-        topic=topic,
-        gains=_checked_gains(gains),
-        time_unit=time_unit,
-    )
     is_one = isinstance(path, (str, PathLike))
     paths = list(dict.fromkeys([path] if is_one else map(Path, path)))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        files = [_side_by_side(paths, request)]
+        files = [_side_by_side(paths, options)]
     else:
-        files = _read(paths, request, notes)
+        files = _read(paths, options, notes)
     if len(files) == 1 and (join or is_one):
         recording, more = files[0].recording, notes_of(files)
         recording = replace(recording, name=name) if name else recording
@@ -205,17 +200,17 @@ if read_recording.__doc__:  # not if Python leaves docstrings out
     ).replace("PACKAGES", formats.PACKAGES)
 
 
-def _read(paths, request, notes):
+def _read(paths, options, notes):
     """Read files and folders, each a recording or several."""
     files = []
     for path in counted(paths, "reading", "files"):
         try:
             inside = tables_in(path)
             if len(inside) > 1:
-                files += _of_folder(expanded(path), inside, request, notes)
+                files += _of_folder(expanded(path), inside, options, notes)
             else:
                 (path,) = inside or [path]
-                files.append(recording_of(_table(path, request), request))
+                files.append(recording_of(_table(path, options), options))
         except RecordingRefused as error:
             if not files:
                 raise
@@ -224,14 +219,14 @@ def _read(paths, request, notes):
     return files
 
 
-def _of_folder(folder, paths, request, notes):
+def _of_folder(folder, paths, options, notes):
     """Read the tables of a folder: recordings of their own, or one side by side."""
     others = [x.name for x in sorted(folder.iterdir()) if x.is_file()]
     others = [x for x in others if not x.startswith(".") and folder / x not in paths]
     files, parts, whole = [], [], 0
     for path in paths:
         try:
-            table = _table(path, request)
+            table = _table(path, options)
             if not table.has_numbers:
                 raise NotATable(path, f"{path}: has no column of numbers.")
         except NotATable as error:
@@ -239,9 +234,9 @@ def _of_folder(folder, paths, request, notes):
             reason = error
             continue
         parts.append(table)
-        whole += is_recording(table, request)
+        whole += is_recording(table, options)
         if whole > 1:
-            files += [recording_of(one, request) for one in parts]
+            files += [recording_of(one, options) for one in parts]
             parts = []
     if not (files or parts):
         raise reason
@@ -251,36 +246,36 @@ def _of_folder(folder, paths, request, notes):
         notes.append(
             f"{folder} is taken as a folder of {len(files)} recordings, one a file."
         )
-    return files or [_joined(parts, request)]
+    return files or [_joined(parts, options)]
 
 
-def _side_by_side(paths, request):
+def _side_by_side(paths, options):
     """Read files that are one recording."""
     files = [one for path in paths for one in tables_in(path) or [Path(path)]]
-    return _joined([_table(one, request) for one in files], request)
+    return _joined([_table(one, options) for one in files], options)
 
 
-def _joined(tables, request):
+def _joined(tables, options):
     """Return the recording of tables side by side."""
     if len(tables) == 1:
-        return recording_of(tables[0], request)
+        return recording_of(tables[0], options)
     first, *others = [table.path for table in tables]
     shown = f"{first.name}+{others[0].name}"
     if len(others) > 1:
         shown = f"{first.name} and {len(others)} more"
-    table = joined(tables, request.joints(), first.parent / shown)
-    read = recording_of(table, request)
+    table = joined(tables, options.joints(), first.parent / shown)
+    read = recording_of(table, options)
     name = common_folder([one.path for one in tables])
     if not name:
         return read
     return replace(read, recording=replace(read.recording, name=name))
 
 
-def _table(path, request):
+def _table(path, options):
     """Read the table of a file that nobody writes to meanwhile."""
-    commanded = "q_desired" in request.options.told
+    commanded = "q_desired" in options.told
     with _finished(path):
-        return read_table(path, request.topic, request.joints, commanded)
+        return read_table(path, options.topic, options.joints, commanded)
 
 
 @contextlib.contextmanager

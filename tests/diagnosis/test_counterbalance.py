@@ -72,6 +72,7 @@ def test_a_gas_spring_is_a_linkage():
         assert low < value < high
 
 
+@pytest.mark.slow
 def test_it_is_known_beyond_the_angles_of_the_fit():
     reach = [np.ptp(r.q[:, 1]) for r in (FITTED, WIDER)]
     assert reach[1] > 1.3 * reach[0]

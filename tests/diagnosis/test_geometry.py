@@ -142,6 +142,7 @@ def test_two_faults_and_friction_are_told_apart():
         assert_allclose(own.values, effect.values, atol=0.01)
 
 
+@pytest.mark.slow
 def test_a_declared_tilt_is_found_by_the_identifier():
     """And what the search adds comes beside it."""
     truth = [BaseTilt(0, 0.07, -0.04), JointZero(1, 0.06)]

@@ -111,6 +111,7 @@ def test_the_motion_after_the_recording_is_predicted(warming):
     assert np.abs(later - whole)[moves, 0].max() > 1.0
 
 
+@pytest.mark.slow
 def test_a_payload_stays():
     from tests.effects._arms import inverse_dynamics, with_changed_body
 

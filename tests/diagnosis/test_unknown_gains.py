@@ -69,6 +69,7 @@ def test_effects_are_found_beside_unknown_gains(recording):
     assert loop.report_.outcome.gains is loop.identifier_.gains_
 
 
+@pytest.mark.slow
 def test_a_payload_that_is_found_fixes_the_common_gain(recording):
     loop = close(recording, {"payload": MASS}, ["payload", "spring"], ())
     assert {(e.name, e.joint) for e in loop.effects_} == {("spring", 1), ("payload", 2)}

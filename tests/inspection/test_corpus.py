@@ -86,7 +86,7 @@ def graves(findings):
     return {f.kind for f in findings if f.severity in {"error", "doubt"}}
 
 
-@pytest.mark.parametrize("name", one_in(2, FAULTS))
+@pytest.mark.parametrize("name", one_in(3, FAULTS))
 def test_every_fault_is_noticed(name):
     fault = FAULTS[name]
     seen, named, can = 0, 0, 0

@@ -547,7 +547,7 @@ def assert_same_motion(found, expected):
 def test_mujoco_follows_commands_as_the_package_does(tmp_path, limit):
     """Gains, delay, an offset, and a limit that acts on the law and not on it."""
     pytest.importorskip("mujoco")
-    recording = told(0.0113)
+    recording = told(0.0113, duration=6.0)
     drive = PDDrive(KP, KD, period=2.5e-4)
     robot = real(recording, drive, friction=(*FRICTION, "offset"))
     if limit is not None:

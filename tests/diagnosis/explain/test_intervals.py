@@ -275,6 +275,7 @@ def test_centres_are_those_of_the_completed_model():
             assert 0.5 * (low + high) == pytest.approx(effect.parameters[key])
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_the_seed(springy):
     other = EffectDiscovery(SPRINGY.robot(), effects=SPRINGY.library, random_state=1)
     other.fit(SPRINGY.position, SPRINGY.torque)

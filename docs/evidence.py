@@ -547,6 +547,24 @@ def ranges():
     return question, verdict, data, data.table(names=names), limitation
 
 
+def gravity():
+    """Show gravity compensation from poses."""
+    data = Tables("gravity")
+    held = data.column("inside 90 % intervals [%]")
+    largest = data.column("largest")
+    verdict = (
+        "Poses reached from both sides reduce the error of the gravity torque at other "
+        f"poses to at most {largest['both sides']:.2f} of the described model's error; "
+        f"90 % intervals contain the true torque in {span(held.values())} % of the "
+        "cases."
+    )
+    limitation = (
+        "The arms are simulated, with dry friction that does not vary with the pose."
+    )
+    question = "Do poses correct a description for gravity compensation?"
+    return question, verdict, data, data.table(), limitation
+
+
 def known_noise():
     """Show a regression with known input noise."""
     data = Tables("known_noise")
@@ -630,6 +648,7 @@ SECTIONS = (
     quadruped,
     commands,
     ranges,
+    gravity,
     known_noise,
     paper,
     long_recordings,

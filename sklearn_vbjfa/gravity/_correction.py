@@ -141,6 +141,8 @@ def correct_gravity(recording, model):
     inertial = np.arange(identifier.theta_.size).reshape(features.n_joints_, -1)[:, :10]
     inertial = inertial.ravel()
     covariance = robot.prediction_covariance.covariance[np.ix_(inertial, inertial)]
+    # What neither torques nor description tell moves no gravity torque.
+    covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     poses = random_poses(model)
     rows = gravity_rows(features, poses)
     gravity = np.sqrt(((rows @ identifier.theta_[inertial]) ** 2).mean(axis=0))

@@ -324,10 +324,15 @@ def _expression(pattern):
     return re.compile(_EVERY.sub(stand_in, re.escape(pattern)))
 
 
+def _kind_of_key(key):
+    """Return the kind of channel of a key of a mapping."""
+    match = _KEY.fullmatch(key)
+    return (match[1] or key).lower() if match else key
+
+
 def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    parsed = {key: _KEY.fullmatch(key) for key in mapping}
-    kinds = {key: match and match[1] for key, match in parsed.items()}
+    kinds = {key: _kind_of_key(key) for key in mapping}
     found = {
         key: matches(pattern, table, kinds[key]) for key, pattern in mapping.items()
     }
@@ -338,18 +343,18 @@ def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
             f"{listed(table.names)}"
         )
     claimed = _claimed(mapping, found)
-    channels = {}
+    channels: dict[str, Channel] = {}
     times, segments = plain.times, plain.segments
     for key, own in found.items():
         own = [match for match in own if claimed[match.column] == key]
-        roles = [Role(column=match.column, unit=match.unit) for match in own]
-        if kinds[key] is None:
-            times = tuple(roles) if key.lower() == "t" else times
-            segments = (
-                tuple(x.column for x in roles) if key.lower() != "t" else segments
-            )
+        roles = tuple(Role(column=match.column, unit=match.unit) for match in own)
+        if kinds[key] == "t":
+            times = roles
             continue
-        channel = channels.setdefault(kinds[key].lower(), Channel())
+        if kinds[key] == "segment":
+            segments = tuple(role.column for role in roles)
+            continue
+        channel = channels.setdefault(kinds[key], Channel())
         suffix = key[len(kinds[key]) :].strip("_.[]()")
         for match, role in zip(own, roles):
             name = suffix or match.key or "1"

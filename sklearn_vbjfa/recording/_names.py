@@ -22,7 +22,7 @@ _FASTEST, _SLOWEST = 2e-5, 1.0
 _STRAIGHT = 0.02
 # Words in names that are not recognised, for the offer of a refusal alone.
 _CURRENT = ("current", "curr", "amp", "ampere", "i")
-COMMAND_WORDS = (
+COMMAND_WORDS: tuple[str, ...] = (
     "target",
     "cmd",
     "command",
@@ -289,9 +289,11 @@ def _all_missing(table, layout, options, robot, missing, no_time):
     if missing == ["tau"] and options.drive is None and not near["tau"]:
         _refuse_commands(table, layout, options, robot)
     parts = []
-    if missing and layout.own_joints and layout.own_joints != robot.names:
+    known = list(by_preset(table, options.preset, (), options.told).values())
+    own = (known or [layout])[0]
+    if missing and own.own_joints and own.own_joints != robot.names:
         parts.append(
-            f"its joints {listed(layout.own_joints)} are not those of the robot, "
+            f"its joints {listed(own.own_joints)} are not those of the robot, "
             f"{listed(robot.names)}"
         )
     nearest = {kind: f" (nearest: {x[0]})" if x else "" for kind, x in near.items()}
@@ -307,7 +309,9 @@ def _all_missing(table, layout, options, robot, missing, no_time):
             f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
             "give the sample period dt in seconds (command line: --dt 0.002)"
         )
-    offered = _offered(table, options, robot, near)
+    offered = _offered(table, options, robot, near) or _by_place(
+        table, own, options, robot
+    )
     found = f"; found {listed(table.names)}" if missing else ""
     if missing and not offered:
         second = options.needed[1]
@@ -336,6 +340,24 @@ def _offered(table, options, robot, near):
             columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
             return {"columns": columns, **more}
     return {}
+
+
+def _by_place(table, layout, options, robot):
+    """Return the mapping of a known log whose joints have other names, tried, or {}."""
+    mapping = {
+        f"{kind}{j + 1}": role.column
+        for kind in options.needed
+        if kind in layout.channels
+        for j, role in enumerate(layout.channels[kind].roles)
+    }
+    if layout.times:
+        mapping["t"] = layout.times[0].column
+    tried = replace(options, mapping=mapping, preset=None)
+    if any("," in x or "=" in x for x in mapping.values()) or not (
+        layout.own_joints and _works(table, tried, robot)
+    ):
+        return {}
+    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
 
 
 def _works(table, options, robot):

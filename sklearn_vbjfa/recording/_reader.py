@@ -173,7 +173,8 @@ def read_recording(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
     is_one = isinstance(path, (str, PathLike))
-    paths = list(dict.fromkeys([path] if is_one else map(Path, path)))
+    given = [path] if isinstance(path, (str, PathLike)) else [Path(x) for x in path]
+    paths = list(dict.fromkeys(given))
     if not paths:
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []

@@ -110,6 +110,14 @@ def test_joints_that_were_not_recorded_are_held(made, tmp_path):
         read(path, urdf=made.urdf, joint_names=["joint_4", "joint_5"])
 
 
+def test_joints_of_other_names_are_offered_in_their_order(made, tmp_path):
+    path = KINDS["PlotJuggler"](made, tmp_path)
+    path.write_text(path.read_text().replace("joint_", "axis_"))
+    said, recording = follow(path, urdf=made.urdf)
+    assert "its joints axis_1, axis_2" in said
+    np.testing.assert_allclose(recording.q, made.q, atol=2e-9)
+
+
 def test_names_that_change_are_refused(made, tmp_path):
     path = KINDS["rostopic echo -p"](made, tmp_path)
     head, tail = path.read_text().rsplit("joint_6,joint_5", 1)

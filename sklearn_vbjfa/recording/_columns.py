@@ -1,4 +1,4 @@
-"""Columns that a caller gives: those of the joints, and signals beside them."""
+"""Columns that a caller gives: those of the joints, and signals."""
 
 import re
 from collections.abc import Mapping
@@ -14,7 +14,7 @@ from sklearn_vbjfa.recording._table import quoted
 # channel's, but for a factor and an offset: the rest is noise and quantisation.
 _COPY = 0.95
 # One that nobody asked for is left out at this share already: references and currents
-# follow the motion, with a lag and an error of their own. (A slow signal has half of a
+# follow the motion, with a lag and an error. (A slow signal has half of a
 # slow position by chance, in a short recording.)
 _FOLLOWS = 0.8
 # What the first is called.
@@ -186,8 +186,8 @@ def survey(given, offered, recording, effects):
 
 def fault(values, recording, share=_COPY):
     """Say why a column (n_samples,) is not a condition of the robot, if it is none."""
-    # recording: what it was recorded beside; share: of its variance that makes it
-    # another channel.
+    # recording: motion and torques of the same rows; share: of the variance of the
+    # column, from which on it is another channel.
     if np.ptp(values) <= _ROUNDING * np.abs(values).max():
         return f"is constant ({values[0]:.6g} in all rows), so that nothing varies"
     if _is_clock(values, recording):
@@ -311,7 +311,7 @@ def positions_in_order(X, names):
 
 
 def columns_beside(X, names):
-    """Return the columns of a data frame X beside the positions, `OfferedSignals`."""
+    """Return the other columns of a data frame X, `OfferedSignals`."""
     # Time, labels of recordings and other channels of joints are no signals; they are
     # among those left out. Empty for what has no names.
     columns = _columns_of(X)

@@ -5,7 +5,6 @@ from os import fspath
 
 import numpy as np
 
-from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
@@ -114,7 +113,7 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
     t, time = _time(table, layout, options)
     labels, segment = _segments(table, layout)
     taken = {role.column for own in layout.channels.values() for role in own.roles}
-    taken |= {segment, *(() if time is None else time.columns), *layout.beside}
+    taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}
     taken |= {x for role in layout.times if layout.what for x in role.columns}
     signals, left_out = _signals(table, taken, notes)
     said = _what_was_taken(table, layout, options, found, time, torque_units)
@@ -161,8 +160,10 @@ def _without_odd_rows(table, layout, options, notes):
     if options.drive is None:
         table = without_blank_rows(table, [*q, *tau], notes)
         return without_second_source(table, q, tau, notes)
-    told = [x for kind in options.told if kind != "tau" for x in roles.get(kind, [])]
-    table = with_commands_held(table, told, notes)
+    commands = [
+        x for kind in options.recorded if kind != "tau" for x in roles.get(kind, [])
+    ]
+    table = with_commands_held(table, commands, notes)
     return without_blank_rows(table, q, notes)
 
 
@@ -170,7 +171,7 @@ def _in_units(table, layout, found, options, notes):
     """Return channels in the package's units, and the bases of the units they had."""
     for kind, measured in MEASURED.items():
         own, of = found.get(kind, []), found.get(measured, [])
-        if kind in options.told and len(own) == len(of):
+        if kind in options.recorded and len(own) == len(of):
             # Commands without a unit have that of what they command.
             found[kind] = [
                 role if role.unit else replace(role, unit=other.unit)
@@ -260,9 +261,9 @@ def _numbers(table: Table, column: str):
 
 
 def _constant_channels(table: Table, options, channels, notes):
-    """Return gains that stand beside the columns, and note what a drive lacks."""
+    """Return gains without a column, and note what a drive lacks."""
     found, shape = {}, channels["q"].shape
-    for kind in options.told:
+    for kind in options.recorded:
         once = table.scalars.get(kind)
         if kind not in channels and once is not None and once.dtype.kind in "iuf":
             if once.shape not in {(), (1,), shape[1:]}:
@@ -271,7 +272,7 @@ def _constant_channels(table: Table, options, channels, notes):
                     f"number for each of {shape[1]} joints, or one in every row."
                 )
             found[kind] = np.broadcast_to(once.astype(float), shape).copy()
-    rate = "v_desired" in options.told and "v_desired" not in channels
+    rate = "v_desired" in options.recorded and "v_desired" not in channels
     if rate and not getattr(options.drive, "feedforward", False):
         notes.append(
             "no desired velocities (v_desired): taken as zero, so that kd damps all "
@@ -383,34 +384,37 @@ def _signals(table: Table, taken, notes):
 
 def _what_was_taken(table, layout, options, found, time, torque_units):
     """Yield which columns were taken where their names do not tell it, in one line."""
-    said, tool = [], bool(layout.what)
-    spelled = not tool and bool(options.mapping)
-    told = () if options.drive is None and not tool else ("q", *options.told)
-    for kind in [x for x in (*told, "v") if found[x] and not spelled]:
+
+    def columns(kind, unit=""):
         first, last = found[kind][0].column, found[kind][-1].column
-        unit = found[kind][0].unit if tool else ""
-        if tool and kind == "tau" and len(set(torque_units)) == 1:
-            unit = unit or torque_units[0]
-        own = first.lower().startswith(_layout.spellings(kind, None)[:1])
-        if kind != "v" if tool else not own:
-            ends = first if first == last else f"{first} ... {last}"
-            said.append(f"{kind} = {_with_unit(ends, unit)}")
-    tau = found["tau"] if options.drive is None and not tool and not spelled else []
-    if tau and tau[0].column.lower().startswith(ESTIMATES):
-        ends = f"{tau[0].column} ... {tau[-1].column}"
-        said.append(f"tau = {ends}, which the motors estimate")
-    if time is not None and (tool or not (spelled or time.column in ("t", "T"))):
+        ends = first if first == last else f"{first} ... {last}"
+        return f"{kind} = {_with_unit(ends, unit)}"
+
+    stamps = []
+    if time is not None:
         unit = options.time_unit or time.unit or "s"
-        said.append(f"t = {_with_unit('+'.join(time.columns), unit)}")
+        stamps.append(f"t = {_with_unit('+'.join(time.columns), unit)}")
+    if layout.what:
+        units = {"tau": torque_units[0]} if len(set(torque_units)) == 1 else {}
+        kinds = [kind for kind in ("q", *options.recorded) if found[kind]]
+        said = [columns(x, found[x][0].unit or units.get(x, "")) for x in kinds]
+        yield f"taken as {layout.what}: {', '.join([*said, *stamps])}."
+        return
+    said = []
+    if not options.mapping:
+        said += stamps if time is not None and time.column not in ("t", "T") else []
+        first = {kind: x[0].column.lower() for kind, x in found.items() if x}
+        if options.drive is not None:
+            kinds = [kind for kind in (*options.recorded, "v") if kind in first]
+            said += [columns(x) for x in kinds if not first[x].startswith(x)]
+        elif first["tau"].startswith(ESTIMATES):
+            said.append(f"{columns('tau')}, which the motors estimate")
     converted = {
         role.unit
         for kind, roles in found.items()
         for role in roles
         if role.unit and channel_unit(table, kind, role).factor != 1
     }
-    if tool:
-        yield f"taken as {layout.what}: {', '.join(said)}."
-        return
     if converted:
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said:
@@ -418,7 +422,7 @@ def _what_was_taken(table, layout, options, found, time, torque_units):
 
 
 def _with_unit(columns, unit):
-    """Return columns with the unit behind them, unless their names have it there."""
+    """Return columns with the unit, unless their names end with it."""
     if not unit or split_unit(columns)[1] == unit:
         return columns
     return f"{columns} [{unit}]"

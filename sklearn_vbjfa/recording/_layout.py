@@ -101,7 +101,7 @@ class Layout:
     times: tuple[Role, ...] = ()  # the best first
     segments: tuple[str, ...] = ()  # columns of labels
     # columns that are known not to be conditions of the robot
-    beside: frozenset = frozenset()
+    no_signals: frozenset = frozenset()
     what: str = ""  # the kind of log that was recognised
     # whether a mapping, a preset or the format says which columns are channels
     certain: bool = False
@@ -376,7 +376,7 @@ def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
         times=tuple(x for x in times if "t" in mapping or x.column not in claimed),
         segments=segments,
         # What nobody has named is no signal.
-        beside=frozenset(table.names if table.nameless else plain.beside),
+        no_signals=frozenset(table.names if table.nameless else plain.no_signals),
         certain=True,
     )
 
@@ -463,13 +463,13 @@ def _fitted(table, log: KnownLog, joints, kinds, chosen):
     beside = {
         name
         for name in table.names
-        if any(re.fullmatch(pattern, name) for pattern in log.beside)
+        if any(re.fullmatch(pattern, name) for pattern in log.no_signals)
     }
     return Layout(
         channels=channels,
         times=tuple(times),
         segments=(log.segment,) if log.segment in table.frame else (),
-        beside=frozenset(beside),
+        no_signals=frozenset(beside),
         what=log.what,
         certain=True,
         question=log.question if kinds[0] in log.commands else "",
@@ -478,7 +478,7 @@ def _fitted(table, log: KnownLog, joints, kinds, chosen):
 
 
 def _with_prefix_of_state(found, log):
-    """Give commands, a message of their own name, the prefix of the only state."""
+    """Give commands, a message of another name, the prefix of the only state."""
     states = {match.prefix for match in found["q"]}
     if len(states) != 1:
         return found

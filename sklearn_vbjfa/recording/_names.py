@@ -86,7 +86,7 @@ class ReadOptions:
         return self.names or self.movable
 
     @property
-    def told(self):
+    def recorded(self):
         """Channels of torques or of the drive, the one that must be there first."""
         drive = self.drive
         if drive is None:
@@ -96,12 +96,12 @@ class ReadOptions:
     @property
     def needed(self):
         """Kinds without which there is no recording."""
-        return "q", self.told[0]
+        return "q", self.recorded[0]
 
     @property
     def kinds(self):
         """All kinds of channels, in order."""
-        return "q", *self.told, "v", "a"
+        return "q", *self.recorded, "v", "a"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -147,7 +147,7 @@ def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
             {"preset": None},
         )
     plain = by_names(table, names, kinds, options.drive)
-    known = robot.names, options.told, robot.chosen
+    known = robot.names, options.recorded, robot.chosen
     if options.mapping:
         if options.drive is not None:
             rest = list(by_preset(table, None, *known).values())
@@ -175,8 +175,8 @@ def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
         return next(iter(fitted.values()))
     if preset is None:
         return plain
-    told = options.told[0]
-    expected = [f"{x.q} and {x.commands.get(told, x.tau)}" for x in PRESETS[preset]]
+    first = options.recorded[0]
+    expected = [f"{x.q} and {x.commands.get(first, x.tau)}" for x in PRESETS[preset]]
     raise RecordingRefused(
         f"{table.path}: does not fit the preset {preset!r}, which expects columns "
         f"{' or '.join(expected)}; found {listed(table.names)}.",
@@ -237,7 +237,7 @@ def _held(layout, robot, channels, notes):
 
 
 def _refuse_both(table, channel, names):
-    """Refuse several columns for one joint, and numbers beside names."""
+    """Refuse several columns for one joint, or numbers and names."""
     for roles in (*channel.by_joint.values(), *channel.by_number.values()):
         for other in roles[1:]:
             refuse_two(table, roles[0].column, other.column)
@@ -258,9 +258,9 @@ def _in_order(table: Table, kind, channel, names):
         key = names[k] if channel.by_joint else str(first + k)
         if key not in found:
             missing = f"{kind}_{names[k]}" if channel.by_joint else f"{kind}{key}"
-            beside = listed([role.column for (role, *_) in found.values()])
+            others = listed([role.column for (role, *_) in found.values()])
             raise ValueError(
-                f"{table.path}: column {missing!r} is missing beside {beside}; every "
+                f"{table.path}: column {missing!r} is missing beside {others}; every "
                 "joint needs one, in order."
             )
         roles.append(found[key][0])
@@ -289,7 +289,7 @@ def _all_missing(table, layout, options, robot, missing, no_time):
     if missing == ["tau"] and options.drive is None and not near["tau"]:
         _refuse_commands(table, layout, options, robot)
     parts = []
-    known = list(by_preset(table, options.preset, (), options.told).values())
+    known = list(by_preset(table, options.preset, (), options.recorded).values())
     own = (known or [layout])[0]
     if missing and own.own_joints and own.own_joints != robot.names:
         parts.append(
@@ -394,7 +394,6 @@ def _of_currents(table, pattern, robot):
     if not bases and is_current(pattern):
         bases = {"A"}
         if not any((table.values(x.column) < 0).any() for x in found):
-            # A drive has gains of its own.
             return {"drive": UNSIGNED}
     motor = bases - {"N m", "N"} and len(found) > 1
     return {"gains": "unknown"} if motor else {}

@@ -15,8 +15,8 @@ class KnownLog:
     q: str
     tau: str
     v: str = ""
-    # patterns of what a drive is told, by the names of its channels; they may stand
-    # behind another prefix
+    # patterns of commands, by the names of the channels of a drive; they may have
+    # another prefix
     commands: Mapping[str, str] = field(default_factory=dict)
     # columns, the best first; two with a plus between are seconds and nanoseconds
     times: tuple[str, ...]
@@ -32,7 +32,7 @@ class KnownLog:
     question: str = ""
     # regular expressions of columns that are no conditions of the robot: counters,
     # references, commands, frames, what follows from the rest
-    beside: tuple[str, ...] = ()
+    no_signals: tuple[str, ...] = ()
 
 
 _PLOTJUGGLER = (
@@ -48,7 +48,7 @@ _RTDE = (
     "outputs of the RTDE guide of universal-robots.com; numbers as in "
     "rtde/csv_writer.py of github.com/UniversalRobots/RTDE_Python_Client_Library"
 )
-_RTDE_BESIDE = (
+_RTDE_OTHERS = (
     r"(target|actual|output|input|standard|tool|ft|runtime|joint|safety|robot|speed|"
     r"safety|script|elbow|payload|wrench|collision)_.*",
 )
@@ -110,7 +110,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             times=("field.header.stamp", "%time"),
             time_unit="ns",
             joints="field.name{i}",
-            beside=(r"%time", r"field\.(header|name).*"),
+            no_signals=(r"%time", r"field\.(header|name).*"),
         ),
         KnownLog(
             what="/joint_states, converted from a bag",
@@ -120,7 +120,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             tau="effort_{i}",
             times=("header.stamp.secs+header.stamp.nsecs", "Time"),
             joints="name",
-            beside=(r"Time", r"header\..*", r"name"),
+            no_signals=(r"Time", r"header\..*", r"name"),
         ),
         KnownLog(
             what="/joint_states, written by ros2 topic echo --csv",
@@ -131,7 +131,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             tau="effort_{i}",
             times=("header.stamp.sec+header.stamp.nanosec",),
             joints="name_{i}",
-            beside=(r"header\..*", r"name_\d+"),
+            no_signals=(r"header\..*", r"name_\d+"),
         ),
         KnownLog(
             what="/joint_states as JSON",
@@ -145,7 +145,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
                 "header.stamp.secs+header.stamp.nsecs",
             ),
             joints="name{i}",
-            beside=(r"header\..*", r"name\d+"),
+            no_signals=(r"header\..*", r"name\d+"),
         ),
         KnownLog(
             what="/joint_states, exported from PlotJuggler",
@@ -154,7 +154,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             v="*/{joint}/velocity",
             tau="*/{joint}/effort",
             times=("*/header/stamp", "__time"),
-            beside=(r"__time", r".*/header/.*"),
+            no_signals=(r"__time", r".*/header/.*"),
         ),
         KnownLog(
             what="/joint_states without names, exported from PlotJuggler",
@@ -163,7 +163,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             v="*/velocity[{i}]",
             tau="*/effort[{i}]",
             times=("*/header/stamp", "__time"),
-            beside=(r"__time", r".*/header/.*"),
+            no_signals=(r"__time", r".*/header/.*"),
         ),
     ),
     "ur": (
@@ -174,7 +174,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             v="actual_qd_{i}",
             tau="actual_current_as_torque_{i}",
             times=("timestamp",),
-            beside=_RTDE_BESIDE,
+            no_signals=_RTDE_OTHERS,
         ),
         KnownLog(
             what="RTDE of a Universal Robots controller, its motor currents",
@@ -184,7 +184,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             tau="actual_current_{i}",
             times=("timestamp",),
             motor_unit="A",
-            beside=_RTDE_BESIDE,
+            no_signals=_RTDE_OTHERS,
         ),
     ),
     "franka": (
@@ -196,7 +196,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             tau="state.tau_J[{i}]",
             times=("time",),
             time_unit="ms",
-            beside=(r"success_rate", r"(state|cmd)\..*"),
+            no_signals=(r"success_rate", r"(state|cmd)\..*"),
         ),
         KnownLog(
             what="franka_states, written by rostopic echo -p",
@@ -207,13 +207,13 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             tau="field.tau_J{i}",
             times=("field.header.stamp", "%time"),
             time_unit="ns",
-            beside=(r"%time", r"field\..*"),
+            no_signals=(r"%time", r"field\..*"),
         ),
     ),
     "lerobot": tuple(
         KnownLog(
             what="a LeRobot data set",
-            # The library names no channel of torque of its own accord; these three
+            # The library names no channel of torque by itself; these three
             # are what it made of the ALOHA recordings.
             source="lerobot/common/datasets/push_dataset_to_hub/aloha_hdf5_format.py "
             "of github.com/huggingface/lerobot, commit 01942cb; names of the motors in "
@@ -229,7 +229,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             "otherwise -100 to 100 of the range of each joint's calibration ([%]), for "
             "which the robot's calibration file (range_min and range_max of each "
             "motor) has to lie in the data set as meta/calibration.json",
-            beside=(
+            no_signals=(
                 r"(frame_|task_)?index",
                 r"next\..*",
                 r"action.*",
@@ -257,7 +257,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             },
             times=("t", "time", "timestamp", "__time", "*tick [ms]"),
             motors=_QUADRUPED,
-            beside=(r".*motor_?([sS]tate|[cC]md).*", r".*tick", r".*crc"),
+            no_signals=(r".*motor_?([sS]tate|[cC]md).*", r".*tick", r".*crc"),
         )
         for state, tau, command, kp, kd in _unitree()
     ),

@@ -221,7 +221,7 @@ def _read(paths, options, notes):
 
 
 def _of_folder(folder, paths, options, notes):
-    """Read the tables of a folder: recordings of their own, or one side by side."""
+    """Read the tables of a folder: one recording each, or one in all."""
     others = [x.name for x in sorted(folder.iterdir()) if x.is_file()]
     others = [x for x in others if not x.startswith(".") and folder / x not in paths]
     files, parts, whole = [], [], 0
@@ -274,7 +274,7 @@ def _joined(tables, options):
 
 def _table(path, options):
     """Read the table of a file that nobody writes to meanwhile."""
-    commanded = "q_desired" in options.told
+    commanded = "q_desired" in options.recorded
     with _finished(path):
         return read_table(path, options.topic, options.joints, commanded)
 

@@ -32,9 +32,9 @@ def without_blank_rows(table: Table, used, notes) -> Table:
     return table.take(np.flatnonzero(~blank))
 
 
-def with_commands_held(table: Table, told, notes) -> Table:
-    """Let commands that have rows of their own hold until the next one comes."""
-    known = table.frame[[role.column for role in told]]
+def with_commands_held(table: Table, commands, notes) -> Table:
+    """Hold commands that have separate rows until the next one comes."""
+    known = table.frame[[role.column for role in commands]]
     known = known.select_dtypes("number").dropna(axis=1, how="all")
     known = known.loc[:, known.isna().any()]
     if known.empty:

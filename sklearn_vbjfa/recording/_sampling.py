@@ -209,7 +209,7 @@ def _resolution(t, dt):
     return 0.0
 
 
-def check_given(own, dt, told="time steps by", tolerance=_DT_TOLERANCE):
+def check_given(own, dt, what="time steps by", tolerance=_DT_TOLERANCE):
     """Refuse a period that contradicts the stamps, or what else tells it."""
     if dt is None or abs(own - dt) <= tolerance * dt:
         return
@@ -219,7 +219,7 @@ def check_given(own, dt, told="time steps by", tolerance=_DT_TOLERANCE):
     elif abs(dt / 1e3 - own) <= _DT_TOLERANCE * own:
         meant = f" ({dt:.6g} ms are {dt / 1e3:.6g} s)"
     raise ValueError(
-        f"{told} {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
+        f"{what} {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
         "or leave out dt."
     )
 
@@ -233,12 +233,12 @@ def _followed_slots(t, dt, whole):
     start = 1 if whole else min(_WINDOW, t.size)
     phase = float(np.median(t[:start] - dt * np.arange(start)))
     slots = np.empty(t.size, dtype=int)
-    slot, behind = -1, 0.0
+    slot, delay = -1, 0.0
     for row, stamp in enumerate(t.tolist()):
         found = (stamp - phase) / dt
-        slot = max(slot + 1, round(found - behind))
+        slot = max(slot + 1, round(found - delay))
         # The clock of the stamps against that of the rows, averaged.
-        behind += 0.1 * (found - slot - behind)
+        delay += 0.1 * (found - slot - delay)
         slots[row] = slot
     return slots - slots[0]
 
@@ -313,8 +313,8 @@ def _roughness(times, pieces, positions):
 
 def prediction_errors(t, values):
     """Return how far values (n, k) are from cubics through their neighbours, (m, k)."""
-    # In units of their standard deviation for unit white noise; rows beside equal times
-    # t (n,) [s], which must not fall, are left out.
+    # In units of their standard deviation for unit white noise; rows next to equal
+    # times t (n,) [s], which must not fall, are left out.
     near = (-2, -1, 1, 2)
     n = t.size - 4
     if n < 1:
@@ -335,7 +335,7 @@ def prediction_errors(t, values):
     return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
 
 
-# -- stamps beside a period that is taken ----------------------------------------------
+# -- stamps against a known period ----------------------------------------------------
 
 
 def check_time_stamps(t, dt, parts):
@@ -426,7 +426,7 @@ _QUARTILE = 0.3186
 
 @dataclass(frozen=True)
 class _Piece:
-    """A part of a recording on a time axis of its own: name, stamps [s], channels."""
+    """A part of a recording with its own time axis: name, stamps [s], channels."""
 
     name: str
     t: np.ndarray
@@ -497,7 +497,7 @@ def interpolate(
         if key == "q" and t.size > 2:
             rows = cubic(t, rows)(query)
         elif key in COMMANDS:
-            # A stamp that rounding puts behind the grid has come.
+            # Stamps that rounding moves past the grid point count.
             rows = rows[np.searchsorted(t, query + STEADY * dt, side="right") - 1]
         else:
             rows = np.column_stack([np.interp(query, t, x) for x in rows.T])
@@ -650,7 +650,7 @@ class _Tally:
 
 def in_order(table: Table, t, channels, notes):
     """Sort rows that are out of order in time, where that makes one smooth motion."""
-    # Two recordings, one behind the other, would be mixed: they stay as they are, to be
+    # Two recordings, one after the other, would be mixed: they stay as they are, to be
     # refused.
     back = int((np.diff(t) < 0).sum())
     if not back:
@@ -783,7 +783,7 @@ def _segments(labels, n_rows):
 
 
 def distinct(names):
-    """Return names of which those that are there already have a number behind them."""
+    """Return names, repeated ones with a number."""
     found, seen = [], {}
     for name in names:
         seen[name] = seen.get(name, 0) + 1

@@ -33,13 +33,13 @@ _COMMANDS = {"q": "q_desired", "v": "v_desired"}
 # Relative difference between the periods of two files that is refused: accelerations
 # go with its square.
 _DT_TOLERANCE = 0.01
-# Files of which a note is told that are named; more are counted.
+# Files that a note names; more are counted.
 _NAMED = 3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Part:
-    """A file that is to stand beside others."""
+    """A file that is joined with others."""
 
     table: Table
     time: Role | None = None  # of its stamps
@@ -66,8 +66,8 @@ def joined(tables, joints, path) -> Table:
     keep = np.arange(base.table.n_rows)
     rows, notes = {}, []
     for part in others:
-        rows[part.name], told = _rows(part, base)
-        notes += told
+        rows[part.name], said = _rows(part, base)
+        notes += said
         keep = keep[np.isfinite(rows[part.name][keep])]
     if not keep.size:
         raise ValueError(f"{path}: the files have no time in common.")
@@ -93,7 +93,7 @@ def joined(tables, joints, path) -> Table:
     what = sorted(x.name + (f" ({x.kind})" if x.kind else "") for x in parts)
     notes.insert(0, f"{len(parts)} files of one recording, {how}: {listed(what)}.")
     if left_out:
-        notes.insert(1, f"{listed(left_out)}: not needed beside the others, left out.")
+        notes.insert(1, f"{listed(left_out)}: not needed, left out.")
     tables = [part.table for part in (base, *others)]
     return Table(
         path=path,
@@ -140,7 +140,7 @@ def _parts(tables, joints, path):
             "positions, velocities, torques, currents or time."
         )
     if any(x.time is not None and x.kind != "t" for x in parts):
-        # The others have stamps of their own.
+        # The others have stamps.
         left_out += [x.name for x in parts if x.kind == "t"]
         parts = [x for x in parts if x.kind != "t"]
     if len(parts) < 2:
@@ -226,7 +226,7 @@ def _rows(part, base):
         if n != n_base:
             raise ValueError(
                 f"{part.table.path}: has {n} rows and {base.name} has {n_base}; files "
-                "without time stamps of their own stand side by side row by row: cut "
+                "without time stamps are joined row by row: cut "
                 "both to the same rows, or give each a column t."
             )
         return np.arange(float(n)), []
@@ -241,7 +241,7 @@ def _rows(part, base):
     if (np.diff(t) <= 0).any():
         raise ValueError(
             f"{part.table.path}: time does not rise in each row, so that its rows "
-            f"cannot be put beside those of {base.name}; sort it, and leave out what "
+            f"cannot be joined with those of {base.name}; sort it, and leave out what "
             "is there twice."
         )
     period = np.median(np.diff(t))
@@ -381,7 +381,7 @@ def _check_agreement(files):
             if one != two:
                 raise ValueError(
                     f"{first.path} has {one} and {other.path} has {two}; expected "
-                    "files with the same joints and channels: mend one of them, or "
+                    "files with the same joints and channels: correct one of them, or "
                     "take them one by one."
                 )
     fast = min(files, key=lambda x: x.recording.dt)
@@ -436,7 +436,7 @@ def _group_names(files):
         stem = file.recording.name
         label = stem if stems[stem] == 1 else str(file.path)
         own = file.recording.group_names
-        # What a file calls "recording" has no name of its own.
+        # What a file calls "recording" has no name.
         suffixes = [x.removeprefix("recording").strip() for x in own]
         names += (
             [label] if len(own) == 1 else [f"{label} {x}".strip() for x in suffixes]

@@ -80,7 +80,7 @@ class Table:
     place: str = "row {}"  # a row in messages
     # single values, and arrays of another length
     scalars: Mapping[str, np.ndarray] = field(default_factory=dict)
-    units: Mapping[str, str] = field(default_factory=dict)  # of a row of their own
+    units: Mapping[str, str] = field(default_factory=dict)  # from a row of units
     # joints whose columns are called q_<joint> and tau_<joint> for certain
     joints: tuple[str, ...] = ()
     nameless: bool = False  # columns are called by their places, from "1" on
@@ -315,7 +315,7 @@ def _number_of_rows(path, arrays):
 
 
 def _with_names_beside(path, arrays):
-    """Make columns of the only matrix if a list beside it has their names; notes."""
+    """Make columns of the only matrix if a list has their names; notes."""
     # As data frames are split, and as loggers write a matrix and its names.
     matrices = [name for name, x in arrays.items() if x.ndim == 2 and len(x) > 1]
     if len(matrices) != 1 or _is_channel(matrices[0]):

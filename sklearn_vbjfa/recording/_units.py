@@ -8,7 +8,7 @@ import numpy as np
 # Channels of joints, and which of them a command has the unit of.
 KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
-# Positions beyond two turns are hardly those of a robot in radians.
+# Positions beyond two turns are no radians of a robot.
 TURNS = 4 * np.pi
 # How shares of a motor's range are written.
 SHARE = ("%", "percent")

@@ -218,7 +218,7 @@ def test_files_that_were_not_recorded_alike(kind, here):
     message = f"runs/a.csv {message.format('runs/odd.csv')}; expected "
     line = refused(paths, message, **options)
     assert line.startswith(message)
-    assert "mend one of them" in line
+    assert "correct one of them" in line
 
 
 # -- copies ----------------------------------------------------------------------------

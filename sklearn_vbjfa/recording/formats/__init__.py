@@ -33,7 +33,7 @@ def _alternatives(words):
 _BY_ENDING = {ending: x for x in FORMATS for ending in x.endings}
 _KNOWN = (
     f"{_alternatives([x for y in FORMATS for x in y.shown or y.endings[:1]])} (text "
-    "also with .gz, .bz2, .xz or .zst behind)"
+    "also with .gz, .bz2, .xz or .zst)"
 )
 # What a file may be, and what reads it, for docstrings and the help of commands.
 TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
@@ -71,7 +71,7 @@ def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     # topic: topic of a bag; joints: function that returns the robot's joints;
-    # commanded: whether positions that joints are told are needed.
+    # commanded: whether commanded positions are needed.
     wanted = Wanted(topic=topic, joints=joints, commanded=commanded)
     path = expanded(path)
     with contextlib.ExitStack() as stack:

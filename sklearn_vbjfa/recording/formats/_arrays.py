@@ -82,7 +82,7 @@ def read_npy(path: Source, wanted) -> Table:
     return table_of_arrays(path, {name: array[name] for name in array.dtype.names})
 
 
-# Zip archives without an ending are told from spreadsheets where they are opened.
+# Zip archives without an ending are distinguished from spreadsheets when opened.
 NPZ = Format(name="npz", endings=(".npz",), read=read_npz)
 NPY = Format(
     name="npy with named fields",
@@ -96,7 +96,7 @@ NPY = Format(
 
 # Type of a packed variable, as its tag has it, and the bytes that are unpacked at once.
 _PACKED, _CHUNK = 15, 1 << 20
-# What SciPy's parser raises on damage, besides errors of its own.
+# What SciPy's parser raises on damage, besides its own errors.
 _DAMAGED = (*_BROKEN, ArithmeticError, AttributeError, LookupError, TypeError)
 
 

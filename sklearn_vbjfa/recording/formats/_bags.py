@@ -20,12 +20,12 @@ from sklearn_vbjfa.recording._table import (
 )
 
 _TYPE = "sensor_msgs/msg/JointState"
-# Of controllers of ROS: what joints were told and where they were, in one message.
+# Of controllers of ROS: commanded and measured positions in one message.
 _CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 # Topics of joint states that are commands, by words in their names.
 _TELLING = re.compile("command|desired|target|goal|reference|cmd", re.IGNORECASE)
-# What mends a bag that was cut, and what unpacks one, by its ending.
-_MEND = {
+# What repairs a bag that was cut, and what unpacks one, by its ending.
+_REPAIR = {
     ".bag": "rosbag reindex {}",
     ".db3": "sqlite3 {} .recover | sqlite3 whole.db3",
     ".mcap": "mcap recover {} -o whole.mcap",
@@ -95,7 +95,7 @@ def _read(paths: Sequence[Source], shown: Path, wanted) -> Table:
     except (_Refused, MemoryError):
         raise
     except Exception as error:
-        # The parsers of three formats fail on damage in many ways of their own.
+        # The parsers of three formats fail on damage in many ways.
         raise _broken(shown, paths, error) from error
 
 
@@ -119,20 +119,20 @@ def _check_begin(path):
 
 
 def _broken(shown, paths, error):
-    """Return the refusal of a bag that cannot be read, with what may mend it."""
+    """Return the refusal of a bag that cannot be read, with what may repair it."""
     # rosbags quotes what an error held as a tuple.
     reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))
     reason = reason.rstrip(".") or type(error).__name__
     first = paths[0].file
     ending = first.suffix.lower()
-    # What was unpacked for reading is where no one can mend it.
+    # Temporary copy: do not suggest repairing it.
     at = first if first.is_relative_to(shown) else shown
     if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
         unpack = _UNPACK.get(ending, _UNPACK[".db3"]).format(shlex.quote(str(at)))
         remedy = f"unpack it by the tool that has packed it: {unpack}"
     else:
-        mend = _MEND.get(ending, "ros2 bag reindex {}").format(shlex.quote(str(at)))
-        remedy = f"it may be cut in the middle, what is left may be saved: {mend}"
+        repair = _REPAIR.get(ending, "ros2 bag reindex {}").format(shlex.quote(str(at)))
+        remedy = f"it may be cut in the middle, what is left may be saved: {repair}"
     return ValueError(f"{shown}: is not a complete bag ({reason}); {remedy}")
 
 
@@ -307,11 +307,11 @@ def _commanded(bag, shown, topic, wanted):
     found = found or _states_and_commands(bag, shown, topic)
     topics = sorted({x.topic for x in found})
     frame, clock, _ = _messages(bag, shown, found, _command)
-    told, read = (
+    commanded, read = (
         set(frame[x].dropna(axis=1, how="all")) if x in frame else set()
         for x in ("q_desired", "q")
     )
-    joints = sorted(told & read & set(wanted) or told & read)
+    joints = sorted(commanded & read & set(wanted) or commanded & read)
     if not joints:
         raise _Refused(
             f"{shown}: no joint of {listed(topics)} has both a position and a "
@@ -347,10 +347,10 @@ def _command(connection, message):
     """Return the joints of a message and its channels, commanded ones among them."""
     if connection.msgtype == _CONTROLLER:
         # ROS 2 has other names for them since 2023.
-        told = getattr(message, "reference", None) or message.desired
+        commanded = getattr(message, "reference", None) or message.desired
         read = getattr(message, "feedback", None) or message.actual
         names = tuple(message.joint_names)
-        channels = {"q_desired": told.positions, "v_desired": told.velocities}
+        channels = {"q_desired": commanded.positions, "v_desired": commanded.velocities}
         channels |= {"q": read.positions, "v": read.velocities}
     else:
         after = "_desired" if _TELLING.search(connection.topic) else ""
@@ -403,7 +403,7 @@ def _connections(bag, shown, topic, wanted):
 
 
 def _nearest_topic(topic, topics):
-    """Return the option of the topic that was meant, {} if it cannot be told."""
+    """Return the option of the topic that was meant, {} if none is near."""
     meant = topics if len(topics) == 1 else difflib.get_close_matches(topic, topics, 1)
     return {"topic": meant[0]} if meant else {}
 

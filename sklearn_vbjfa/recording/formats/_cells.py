@@ -34,7 +34,7 @@ def names_and_start(lines):
         return 0, 1 + bool(units), units
     data = rows[-1]
     if len(rows) == 1:
-        # Data frames without names count them in a header of their own.
+        # Data frames without names have a header that counts them.
         counts = data == [str(k) for k in range(len(data))] and len(data) > 2
         return None, int(counts), ()
     names = 0

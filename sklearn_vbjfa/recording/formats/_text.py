@@ -31,7 +31,7 @@ from sklearn_vbjfa.recording.formats._precheck import (
 # Other separators that a header in one piece may have.
 _OTHER_MARKS = ("|", ":", "/")
 _ANY = re.compile(r"[;,\s]+")
-# By this line Excel is told the separator.
+# This line is the separator for Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
 _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
@@ -134,7 +134,7 @@ def _head(path, lines):
         return echo, first, ",", (), []
     rows = (cells_of(x, separator_of(x)) for _, x in content)
     at, start, units = names_and_start(rows)
-    # Of a file with a header alone the data begin behind it.
+    # Of a file with a header alone the data begin after it.
     content.append((len(lines), ""))
     start = content[start][0]
     if at is None:

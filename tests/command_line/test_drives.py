@@ -211,9 +211,7 @@ def test_a_known_delay_is_said_and_saturated_samples_are_counted(run, told):
     code, out, err = run("identify", *FEW, drive=f"{LAW} delay=0.008 {limit}")
     assert code in (0, 3), err
     assert "Commands act 8 ms after they are logged, as given." in out
-    found = re.search(
-        r"At its limit of torque is \S+ \S+ \(shoulder\) in ([\d.]+) %", out
-    )
+    found = re.search(r"Torque saturates: \S+ \S+ \(shoulder\) in ([\d.]+) %", out)
     assert float(found[1]) == pytest.approx(10.0, abs=0.5)
 
 
@@ -246,7 +244,7 @@ def test_currents_are_a_drive(command, signed, run, told, currents):
     assert code in (0, 3), err
     if command == "identify":
         page = Path("arm-report/report.html").read_text(encoding="utf-8")
-        assert "torques are computed from what the motor was given" in page
+        assert "torques are computed from the input of the motor" in page
         with open("arm-report/report.json") as file:
             spread = json.load(file)["spread"]
         sizes = [currents[f"current_{x}"].std() * CONSTANTS[x] for x in CONSTANTS]

@@ -441,7 +441,7 @@ def test_an_effect_of_ones_own():
     for text in (str(report), text_of(report)):
         assert "stiffening cable" in text
         # Names are for code, and for the parameters as files have them.
-        told = text.split("Identified parameters")[0].split("Looked for")[0]
+        told = text.split("Identified parameters")[0].split("Searched for")[0]
         assert "cubic" not in told
     assert effect.name in {e["name"] for e in report.to_dict()["effects"]}
 

@@ -135,7 +135,7 @@ def test_signals_that_go_together_are_rivals(both):
     assert low < -FRICTION * FALL / 20 / factor < high
     assert slope < 0
     said = " ".join(str(both.report_).split())
-    assert f"this data cannot tell it from signal: {other}" in said
+    assert f"indistinguishable from signal: {other}" in said
     assert f"signal: {other}" in text_of(both.report_)
 
 

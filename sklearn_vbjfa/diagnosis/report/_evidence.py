@@ -1,4 +1,4 @@
-"""What findings rest on: pictures, parameters, settings, provenance."""
+"""Pictures, parameters, settings and provenance of a report."""
 
 import importlib.metadata
 import inspect
@@ -26,7 +26,7 @@ from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 _KNOWN = {
     "yes": "yes",
-    "in combination": "only with others",
+    "in combination": "in combination",
     "from the description": "as described",
     "no": "no",
 }
@@ -35,12 +35,12 @@ _PARAMETER_HEADS: tuple[str, ...] = (
     "identified (90 %)",
     "robot description (90 %)",
 )
-_PARAMETER_HEADS += ("unit", "measured?", "learned")
+_PARAMETER_HEADS += ("unit", "identifiable", "learned")
 # Units of errors of positions, with factors to them.
 _FINE = {"rad": (1e3, "mrad"), "m": (1e3, "mm")}
 _MODELS = {
     "before": "declared model",
-    "plain": "model with the four plain terms",
+    "plain": "model with the four friction terms",
     "after": "completed model",
 }
 # Share of the largest value of a body that rounding leaves of a zero.
@@ -54,9 +54,9 @@ def effect_pictures(outcome, verdict):
     """Draw the effects."""
     return Section(
         heading="Effects in the torque",
-        note="What the rest of the completed model leaves of the torque, without and "
-        "with the effect, on all rows in which the joint moves; the parameters are "
-        "those of the files. The errors above are of the held-out part instead.",
+        note="Partial residual of the completed model, without and with the effect, "
+        "on all rows in which the joint moves, with the exported parameters. The "
+        "errors above are on held-out data.",
         template="figures",
         drawn=effect_figures(outcome),
     )
@@ -171,10 +171,10 @@ def commands_alone(outcome, verdict):
     if one is None:
         return Section(heading=heading)
     names = outcome.joint_names
-    errors = {"declared model": one.before, "with the four plain terms": one.plain}
-    errors |= {"completed model": one.after, "as told": one.told}
+    errors = {"declared model": one.before, "with the four friction terms": one.plain}
+    errors |= {"completed model": one.after, "at commands": one.told}
     if not outcome.added:
-        del errors["with the four plain terms"]
+        del errors["with the four friction terms"]
     fine = [_FINE[unit] for unit in one.units]
     rows = [
         (words.joint_label(names, j), fine[j][1])
@@ -194,8 +194,8 @@ def commands_alone(outcome, verdict):
     sentence = (
         f"From the commands of {words.number(one.seconds)} s of held-out motion alone, "
         f"positions of the declared model are off by {before}, those of the completed "
-        f"one by {after} (mean of the joints); a robot that is where it is told to be "
-        f"is off by {told}."
+        f"one by {after} (mean of the joints); a robot at its commanded positions is "
+        f"off by {told}."
     )
     short = f"From commands alone, positions are off by {before} before, "
     return Section(
@@ -283,12 +283,12 @@ def torque_figures(outcome):
 
 
 def friction(outcome, verdict):
-    """Draw what is left of each torque without the bodies, over speed."""
+    """Draw the friction of each joint over speed."""
     return Section(
         heading="Friction of each joint",
-        note="Measured: the torque less what the completed model says of bodies and "
-        "everything else that is not friction, behind the same low-pass. Lines are "
-        "means at a speed; friction that varies with load or time spreads about them.",
+        note="Measured: the torque minus the rigid bodies and all other terms of the "
+        "completed model, low-pass filtered. Lines are means at a speed; friction that "
+        "varies with load or time scatters about them.",
         template="figures",
         drawn=_small(outcome, "friction", friction_figure, "friction"),
     )
@@ -322,22 +322,21 @@ def _small(outcome, key, draw, what):
 
 
 def parameters(outcome, verdict):
-    """Tabulate the parameters beside the robot description."""
+    """Tabulate the parameters and the robot description."""
     return Section(
         heading="Identified parameters",
-        note="Of the model in the files, fitted to all data. Only with others: torques "
-        "depend on it, but not on it alone; the value agrees with them and with the "
-        "robot description, and but for those is one of many. As "
-        "described: the torques say little beyond the description, whose masses and "
-        "inertias are expected to be off by a fifth or so; learned is the share of "
-        "that variance which the torques took away.",
+        note="Of the exported model, fitted to all data. In combination: the torques "
+        "depend on a combination with other parameters; the value is one of many. As "
+        "described: the torques add little to the description, whose masses and "
+        "inertias are assumed to be wrong by about a fifth; learned is the share of "
+        "that variance that the torques removed.",
         template="parameters",
         drawn=parameter_groups(outcome),
     )
 
 
 def parameter_groups(outcome):
-    """Parameters of each joint beside the robot description; None without any."""
+    """Return the parameters of each joint with the description; None without any."""
     by_joint = {}
     for one in outcome.parameters:
         joint = _joint_of(one.name, outcome.joint_names)
@@ -430,7 +429,7 @@ def provenance_rows(outcome):
 
 
 def method(outcome, verdict):
-    """Say what was asked for, how it was done, and what the figures hold for."""
+    """Describe the settings, the method, and the band of the figures."""
     given = outcome.settings
     sentences = (_short(outcome), *band_sentences(outcome, verdict), _split(given))
     sentences += (_named(given), _errors(given))
@@ -441,7 +440,7 @@ def method(outcome, verdict):
     seed = given.get("random_state")
     rows = (
         ("Declared model", _declared(outcome.declared)),
-        ("Looked for", effects),
+        ("Searched for", effects),
         ("Signals", ", ".join(given.get("signals", ()))),
         ("Seed", "" if seed is None else str(seed)),
         ("Versions", ", ".join(versions)),
@@ -466,8 +465,8 @@ def _short(outcome):
         up_to = "up to " if len(times) > 1 else ""
         stays = f"stays correlated for {up_to}{words.number(max(times), 2)} s"
     return (
-        f"Too short for the residual of {where}, which {stays}: slow effects cannot be "
-        "told from it."
+        f"Too short for the residual of {where}, which {stays}: slow effects are not "
+        "distinguishable from it."
     )
 
 
@@ -481,7 +480,7 @@ def _split(settings):
         text += f" ({count} {'stretch' if count == 1 else 'stretches'}"
         text += f", {words.number(settings['untouched_seconds'])} s)"
         if settings.get("undecided_stretches"):
-            text += ", without what a change of payload falls into"
+            text += ", without those with a change of payload"
     if "n_blocks" in settings:
         seconds = words.number(settings.get("block_seconds", math.nan))
         text += f". Search: {settings['n_blocks']} blocks of {seconds} s in "
@@ -503,10 +502,10 @@ def _named(settings):
     worth = words.whole_percent(own["worth"])
     candidates = words.plural(settings["n_candidates"], "candidate")
     return (
-        f"An effect is named if its probability is at least {sure} ({candidates}, of "
-        f"which {words.number(own['expected'])} is expected before looking) and it "
-        f"saves at least {worth} of the squared error on data that was not fitted, "
-        "beyond chance. A joint is unexplained above "
+        f"An effect is reported if its probability is at least {sure} ({candidates}, "
+        f"of which {words.number(own['expected'])} is expected a priori) and it "
+        f"removes at least {worth} of the squared error on data that was not fitted, "
+        "significantly. A joint is unexplained above "
         f"{ABOVE_FLOOR[0]} times its noise floor."
     )
 
@@ -516,8 +515,8 @@ def _errors(settings):
     if "error_seconds" not in settings:
         return ""
     return (
-        "The model in the files was fitted to all data, in the same band, after the "
-        "errors were taken."
+        "The exported model was fitted to all data, in the same band, after the errors "
+        "were measured."
     )
 
 

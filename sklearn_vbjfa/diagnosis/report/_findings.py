@@ -1,4 +1,4 @@
-"""What was found, what it asks for, and what is still open."""
+"""Effects that were found, remedies, and open questions."""
 
 import math
 import re
@@ -131,17 +131,17 @@ def remedies(outcome):
         for one in own:
             joint = words.joint_label(outcome.joint_names, one.joint)
             told.append(Remedy(name=name, joint=one.joint, text=text(one, joint)))
-    # Nobody mends a robot on a possible, nor on what may as well be nothing.
+    # Recommend corrections for reported effects only, and not for insignificant ones.
     open_ = {(one.name, one.joint) for one in outcome.possible}
     return tuple(
         one
         for one in told
-        if (one.name, one.joint) not in open_ and not _may_be_nothing(outcome, one)
+        if (one.name, one.joint) not in open_ and not _is_insignificant(outcome, one)
     )
 
 
-def _may_be_nothing(outcome, remedy):
-    """Whether every interval of what a remedy is for holds the value of no fault."""
+def _is_insignificant(outcome, remedy):
+    """Whether all intervals of the values of a remedy contain no fault."""
     joint = outcome.joint_names[remedy.joint] if outcome.joint_names else ""
     begins = f"{joint}:{remedy.name}:", f"{remedy.name}:"
     known = [one for one in outcome.parameters if one.name.startswith(begins)]
@@ -166,7 +166,7 @@ def _level(tilt):
 def _subtract(zero, joint):
     """Say what to do about a zero."""
     off = f"{_hundredths(zero.plain)} {zero.plain_unit}"
-    return f"subtract {off} from what the encoder of {joint} reads"
+    return f"subtract {off} from the encoder reading of {joint}"
 
 
 def _turn(axis, joint):
@@ -221,12 +221,12 @@ def effects(outcome, verdict):
         gain, odds = words.whole_percent(e.evidence.gain), words.odds_text(e.log_odds)
         told = [f"- {first}", f"saves {gain}, odds {odds}"]
         if rivals:
-            told.append(f"this data cannot tell it from {words.join(rivals, 2, 'or')}")
+            told.append(f"indistinguishable from {words.join(rivals, 2, 'or')}")
         known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
         told += known
         sentences.append("; ".join(told))
         evidence = f"saves {gain}, odds {odds.removesuffix(' : 1')}"
-        evidence += ", or another" if rivals else ""
+        evidence += ", has rivals" if rivals else ""
         short.append((f"- {joint}", _short_label(label), evidence))
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
@@ -236,7 +236,7 @@ def effects(outcome, verdict):
     links = tuple(f"#{anchor}" if anchor else "" for anchor in shown)
     return Section(
         heading="Effects that were missing",
-        table=table_of((*heads, "cannot be told from"), rows, links=links),
+        table=table_of((*heads, "indistinguishable from"), rows, links=links),
         terminal=listed(sentences, short),
     )
 
@@ -248,7 +248,7 @@ def _short_label(label):
 
 
 def _called(outcome, effect):
-    """Return where an effect is, what to call it, and what cannot be told from it."""
+    """Return the place, the label and the rivals of an effect."""
     return (
         words.place_label(outcome, effect.name, effect.joint),
         words.effect_label(outcome, effect.name, effect.parameters),
@@ -269,11 +269,11 @@ def possible(outcome, verdict):
         told.append(f"{_short_label(label)}{at} ({probability})")
     # The page has the others.
     short = f"- possible: {words.first_of(told)}" if told else ""
-    heads = ("joint", "effect", "parameters (90 %)", "probability", "why not named")
+    heads = ("joint", "effect", "parameters (90 %)", "probability", "reason")
     return Section(
         heading="Possible effects",
-        table=table_of((*heads, "cannot be told from"), rows),
-        note="Part of the completed model: leaving them out would predict no better."
+        table=table_of((*heads, "indistinguishable from"), rows),
+        note="Part of the completed model; excluding them would not improve it."
         if rows
         else "",
         terminal=tuple(filter(None, [short])),
@@ -281,7 +281,7 @@ def possible(outcome, verdict):
 
 
 def to_do(outcome, verdict):
-    """Say what to mend, what to record, and what to expect; what matters most first."""
+    """State what to correct, what to record, and what to expect, in this order."""
     own = [e for e in outcome.effects if in_model(outcome, e)]
     to_mend = {(one.name, one.joint): one.text for one in remedies(outcome)}
     mend = words.join(to_mend.values(), len(to_mend))
@@ -315,16 +315,16 @@ def to_do(outcome, verdict):
     if record:
         shown.append(f"Record next: {words.first_of(_recordings(outcome, most=0))}.")
     return Section(
-        heading="What to do next",
+        heading="Next steps",
         sentences=(
             *(f"Channel: {message}" for message in channels),
             *(f"{text}." for text in told),
             *(f"Record {text}." for text in record),
             *expected,
         ),
-        table=table_of(("where", "what", "value (90 %)", "in SI units"), rows),
-        note="The completed model has all of it: it takes positions and torques as "
-        "they were recorded."
+        table=table_of(("joint", "effect", "value (90 %)", "in SI units"), rows),
+        note="The completed model includes these corrections and takes positions and "
+        "torques as recorded."
         if own
         else "",
         # What is assumed is no finding of this recording: the page has it.
@@ -370,7 +370,7 @@ def _range_text(outcome, joint, quantity, pair):
 
 
 def _one_way(known):
-    """Say which way a joint moved; empty if both ways."""
+    """Return the direction in which a joint moved; empty if both."""
     low, high = known.direction
     if low >= 0:
         return "forward motion only"
@@ -430,7 +430,7 @@ def _afterwards(effect):
 
 
 def unexplained(outcome, verdict):
-    """Say what remains on joints above their noise floor."""
+    """List residuals above the noise floor."""
     names = outcome.joint_names
     order = sorted(outcome.unexplained, key=lambda u: (not u.floor > 0, -u.of_torque))
     sentences = []
@@ -450,7 +450,7 @@ def unexplained(outcome, verdict):
 
 
 def _of_the_rest(outcome, group):
-    """Say what is known of the rest of some joints."""
+    """List the signals that residuals depend on."""
     first = group[0]
     signals = [
         f"{words.signal_label(s.signal, outcome.joint_names, first.joint)} "
@@ -513,12 +513,12 @@ def _own_joint(outcome, effect):
 
 
 def hidden(outcome, verdict):
-    """Say what could not be looked for, in a sentence for each reason."""
+    """List effects that are not identifiable, in a sentence for each reason."""
     sentences = list(_model_sentences(outcome))
     rest = [h for h in outcome.hidden if not _is_of_model(outcome, h)]
     for reason, title, because in (
-        ("excitation", "This recording cannot show", ""),
-        ("signal", "Not looked for:", "; {}"),
+        ("excitation", "Not excited in this recording:", ""),
+        ("signal", "Not searched for:", "; {}"),
         ("span", "Not identifiable by any motion:", " (absorbed by other parameters)"),
     ):
         own = [h for h in rest if h.reason == reason]
@@ -538,7 +538,7 @@ def hidden(outcome, verdict):
         sentences.append(f"{title} {words.join(parts, len(parts))}{because}.")
     sentences += _together_sentences(outcome, rest)
     return Section(
-        heading="What this recording does not show", sentences=tuple(sentences)
+        heading="Not identifiable from this recording", sentences=tuple(sentences)
     )
 
 
@@ -549,7 +549,7 @@ def _is_of_model(outcome, hidden):
 
 
 def _model_sentences(outcome):
-    """Say which effects of the robot model could not be seen, a tuple of sentences."""
+    """List effects of the robot model that are not identifiable, tuple of str."""
     # Those that no motion can show are reported elsewhere: `_model_parts`.
     groups = {}
     for one in outcome.hidden:
@@ -573,20 +573,20 @@ def _model_parts(outcome, reason):
 
 
 def _unseen(outcome, reason, name, why, own):
-    """Say why one effect could not be seen on some joints."""
+    """State why an effect is not identifiable on some joints."""
     what = words.capital(_what(outcome, name, own))
     if reason == "signal":
-        return f"{what} could not be looked for: {why}."
+        return f"{what} was not searched for: {why}."
     if reason == "together":
         partners = dict.fromkeys(
             words.other_label(outcome, one.remedy, name) for one in own
         )
         return (
-            f"{what} can be seen only together with {words.join(partners, 4)}: only "
-            "their sum is identifiable."
+            f"{what} is indistinguishable from {words.join(partners, 4)}: only the sum "
+            "is identifiable."
         )
-    needed = f": that takes {why}" if why else ""
-    return f"{what} cannot be seen in this recording{needed}."
+    needed = f": it needs {why}" if why else ""
+    return f"{what} is not identifiable from this recording{needed}."
 
 
 def _what(outcome, name, own):
@@ -603,7 +603,7 @@ def _what(outcome, name, own):
 
 
 def _together_sentences(outcome, hidden):
-    """Say which other effects show only together with another one; a list."""
+    """List other effects that are identifiable in combination only."""
     found = {}
     for one in hidden:
         if one.reason == "together":

@@ -1,4 +1,4 @@
-"""What the figures of a report hold for: their band, and what cannot be known."""
+"""Limits of the figures of a report: their band, and identifiability."""
 
 from dataclasses import replace
 
@@ -18,8 +18,8 @@ _PAYLOAD = (
     "of them, can (--known-mass payload=KG)"
 )
 _NOT_SHOWN = (
-    "This recording does not show the gains of the torque channels relative to one "
-    "another: no two of them feel enough of the same bodies."
+    "The relative gains of the torque channels are not identifiable from this "
+    "recording: no two channels feel enough of the same bodies."
 )
 
 # -- the band ---------------------------------------------------------------------
@@ -47,11 +47,11 @@ def _reason(outcome, band):
     if np.isfinite(band.smoothed_at):
         given += f"; its position is smoothed at {words.number(band.smoothed_at, 2)} Hz"
         given += ", where the motion falls below the encoder noise"
-    asked = f"; the motion asks for {words.number(band.automatic, 2)} Hz"
+    asked = f"; the motion needs {words.number(band.automatic, 2)} Hz"
     if np.isnan(band.automatic):
         asked = ""
     elif np.isinf(band.automatic):
-        asked = "; the motion asks for no low-pass"
+        asked = "; the motion needs no low-pass"
     first = f"Errors are for 0 to {cutoff} Hz"
     whole = "errors are for all frequencies of the recording"
     return {
@@ -60,8 +60,8 @@ def _reason(outcome, band):
         f"lower: {given}).",
         "drive": f"{first}: above it positions are smoothed, and commanded torques "
         f"have their noise ({motion} would be higher: {given}).",
-        "given": f"{first}, as was asked for{asked}.",
-        "none": f"Nothing is filtered, as was asked for{asked}; {whole}.",
+        "given": f"{first}, as requested{asked}.",
+        "none": f"Nothing is filtered, as requested{asked}; {whole}.",
         "states": f"States were given, which are not filtered; {whole}.",
         "sample rate": f"Nothing is filtered: {motion} is too close to half the sample "
         f"rate ({given}); {whole}.",
@@ -80,8 +80,8 @@ def _content(band):
     if len(shares) < 2:
         return ""
     return (
-        f"This band has {shares[0]} of the power of the speeds and {shares[1]} of the "
-        "power of the torques."
+        f"This band contains {shares[0]} of the power of the speeds and {shares[1]} of "
+        "the power of the torques."
     )
 
 
@@ -109,7 +109,7 @@ def _above(outcome, errors):
         return f"At {rate} samples a second there is no wider band."
     wide = words.number(outcome.wide_cutoff, 2)
     if not (np.isfinite(errors.wide) and np.isfinite(errors.after)):
-        return f"Up to {wide} Hz the error is not known."
+        return f"Up to {wide} Hz the error is unknown."
     return (
         f"Up to {wide} Hz the error is {words.percent(errors.wide)} "
         f"({words.percent(errors.after)} in the fitted band)."
@@ -138,7 +138,7 @@ def projection_sentences(outcome, verdict):
         f"{words.percent(cost.held[j])}"
         for j in np.flatnonzero(cost.costs)
     ]
-    text = "Requiring physically possible masses raises the error of "
+    text = "Physical consistency raises the error of "
     text += words.join(costs, 6)
     pushed = [_pushed(one, names) for one in cost.pushed]
     if pushed:
@@ -159,7 +159,7 @@ def _pushed(one, names):
     """Say what is held back of a body or of a joint's friction."""
     joint = words.joint_label(names, one.joint)
     if one.kind == "body":
-        text = f"{one.name} (the body of {joint}) is held at the border"
+        text = f"{one.name} (the body of {joint}) is at the boundary"
     else:
         text = f"the friction of {joint} is held at zero"
     if not one.parameter:
@@ -174,7 +174,7 @@ def _pushed(one, names):
 
 
 def mass_sentences(outcome, verdict):
-    """Say which masses are not measured, and which are not those of the description."""
+    """Name masses that are not identifiable or differ from the description."""
     bodies, gains = outcome.bodies, outcome.gains
     if gains is not None and not gains.absolute:
         # In another unit than those of the description.
@@ -189,28 +189,27 @@ def _common_size(factor):
     if _alike(factor, 1.0):
         return ""
     return (
-        f"All bodies together weigh {words.number(factor)} times what the robot "
-        "description has: the unit of its masses, or that of the torques, may be "
-        "another one."
+        f"All bodies: {words.number(factor)} times the described masses; the unit of "
+        "the masses or of the torques may differ."
     )
 
 
 def _departure(one, common):
-    """Say which body is not as described, or of which bodies one is not."""
+    """Name the body that differs from the description, or the candidates."""
     found = [f"{name} ({times})" for name, times in _factors(one)]
-    than = "as much as in the robot description"
+    what = "described mass"
     if not _alike(common, 1.0):
-        than = "as much as the other bodies would have it"
+        what = "mass expected from the other bodies"
     if len(found) == 1:
-        return f"The body of {found[0]} weighs not {than}."
+        return f"Body of {found[0]}: differs from the {what}."
     return (
-        f"A body weighs not {than}: that of {words.join(found, 6, 'or')}; the torques "
-        "do not tell them apart."
+        f"One body differs from the {what}: that of {words.join(found, 6, 'or')}; the "
+        "torques do not distinguish them."
     )
 
 
 def alike(outcome, verdict):
-    """Tabulate what alike joints share, and say which of them are not alike."""
+    """Tabulate parameters of joints with the same drive, and name exceptions."""
     rows, others = [], []
     for one in outcome.alike:
         label = words.effect_label(outcome, one.parameter.partition(":")[0])
@@ -224,22 +223,22 @@ def alike(outcome, verdict):
             count = str(len(one.joints))
             rows.append((one.group, label, value, one.unit, scatter, count))
         others += [_not_alike(other, label, one.group) for other in one.apart]
-    heads = ("joints", "parameter", "mean (90 %)", "unit", "scatter between them")
+    heads = ("joints", "parameter", "mean (90 %)", "unit", "scatter")
     return Section(
-        heading="Alike joints",
+        heading="Joints with the same drive",
         sentences=tuple(others),
-        table=table_of((*heads, "how many"), rows),
+        table=table_of((*heads, "number of joints"), rows),
     )
 
 
 def _not_alike(one, label, group):
-    """Say which joint's value is not that of the joints that are like it."""
+    """Name the joint that differs from those with the same drive."""
     found = [f"{name} ({times})" for name, times in _factors(one)]
     if len(found) == 1:
-        return f"The {label} of {found[0]} is not that of the other {group} joints."
+        return f"The {label} of {found[0]} differs from the other {group} joints."
     return (
-        f"The {label} of one of the {group} joints is not that of the others: of "
-        f"{words.join(found, 6, 'or')}; the torques do not tell them apart."
+        f"The {label} of one of the {group} joints differs from the others: of "
+        f"{words.join(found, 6, 'or')}; the torques do not distinguish them."
     )
 
 
@@ -261,16 +260,15 @@ def _unknown(bodies):
     if alone:
         parts.append(f"{_names(alone, bodies)} (not at all)")
     if together:
-        parts.append(f"{_names(together, bodies)} (only together with others)")
+        parts.append(f"{_names(together, bodies)} (in combination only)")
     if described:
         parts.append(f"{_names(described, bodies)} (near the description)")
-    text = f"Masses that this recording does not determine: {'; '.join(parts)}."
-    text += " The files hold values that agree with the torques, not measured ones"
+    text = f"Masses that are not identifiable: {'; '.join(parts)}."
+    text += " The exported values reproduce the torques"
     odd = [b for b in bodies if b.known != "yes" and not _alike(b.mass, b.nominal)]
     odd.sort(key=lambda b: min(b.mass, b.nominal) / max(b.mass, b.nominal))
     values = [
-        f"{b.name} {words.number(b.mass)} kg, where the robot description has "
-        f"{words.number(b.nominal)} kg"
+        f"{b.name} {words.number(b.mass)} kg (described: {words.number(b.nominal)} kg)"
         for b in odd
     ]
     return f"{text}: {words.join(values)}." if values else f"{text}."
@@ -320,28 +318,29 @@ def recording_sentences(outcome, verdict):
 
 
 def looked_at_sentences(outcome):
-    """Say how much of a long recording the search looked at."""
+    """State how much of a long recording the search used."""
     one = outcome.recorded
     if one is None or not one.looked_at:
         return ()
     return (
-        f"The search looked at {one.looked_at:,} of {one.samples:,} samples; fits and "
+        f"The search used {one.looked_at:,} of {one.samples:,} samples; fits and "
         "errors use all.",
     )
 
 
 def next_sentences(outcome):
-    """Say which error to expect on the next recording, and what that rests on."""
+    """State the predicted error on the next recording, and its basis."""
     one = outcome.next_recording
     if one is None or not np.isfinite(one.mean):
         return ()
     low, high = map(words.bare_percent, one.mean_interval)
-    text = f"Next recording: expect an error of {words.percent(one.mean)} "
+    text = f"Predicted error on the next recording: {words.percent(one.mean)} "
     text += f"[{low}, {high}]"
     if one.source == "assumed":
-        return (f"{text}, assumed from other robots; record another motion to know.",)
+        return (f"{text}, from other robots; record another motion to measure it.",)
     also = ", and other robots" if one.source == "mixed" else ""
-    return (f"{text} ({one.recordings} left out in turn{also}).",)
+    basis = f"from {one.recordings} recordings, each left out once{also}"
+    return (f"{text} ({basis}).",)
 
 
 def is_measured(outcome):
@@ -351,14 +350,14 @@ def is_measured(outcome):
 
 
 def repeated_sentences(outcome):
-    """Say what repeats, and what therefore cannot be told from the model's lack."""
+    """State which motion repeats, and the consequences."""
     if not outcome.repeated:
         return ()
-    told = [_repeated(one, outcome.recordings) for one in outcome.repeated]
+    texts = [_repeated(one, outcome.recordings) for one in outcome.repeated]
     return (
-        f"Motion that repeats: {words.join(told, 4)}. What the model lacks repeats "
-        "with it, in the held-out part as well: effects are judged between the phases "
-        "of the motion, and the errors hold for this motion alone.",
+        f"Repeated motion: {words.join(texts, 4)}. Model errors repeat with it, also "
+        "in the held-out data: effects are judged between the phases of the motion, "
+        "and the errors apply to this motion only.",
     )
 
 
@@ -373,7 +372,7 @@ def _repeated(one, names):
 
 
 def motion_sentences(outcome):
-    """Say what cannot be known as joints do not do it in any recording."""
+    """State what is not identifiable for lack of motion."""
     by_kind = {}
     for limit in outcome.motion_limits:
         by_kind.setdefault((limit.kind, limit.recordings), []).append(limit)
@@ -384,7 +383,7 @@ def motion_sentences(outcome):
 
 
 def _motion(outcome, kind, recordings, limits):
-    """Say what joints do not do, in which recordings, and what follows."""
+    """State what a motion lacks, in which recordings, and the consequences."""
     names = outcome.joint_names
     one = len(limits) == 1
     joints = words.capital(words.joint_list(names, [x.joint for x in limits]))
@@ -392,21 +391,21 @@ def _motion(outcome, kind, recordings, limits):
     if kind == "one way":
         return (
             f"{joints} never {'reverses' if one else 'reverse'}{where}: Coulomb "
-            "friction and an offset cannot be told apart, and hysteresis, backlash and "
-            "friction that depends on the direction cannot be seen."
+            "friction and an offset are indistinguishable, and hysteresis, backlash "
+            "and asymmetric friction are not identifiable."
         )
     ranges = words.join([_range_of(outcome, x) for x in limits], 3)
     verb = "keeps" if one else "keep"
     if kind == "one speed":
         return (
             f"{joints} {verb} to one speed{where} ({ranges}): viscous and Coulomb "
-            "friction can hardly be told apart, and what friction is at other speeds "
-            "is a guess."
+            "friction are nearly indistinguishable, and friction at other speeds is "
+            "extrapolated."
         )
     what = "the weight of its link and an offset" if one else "weight and offsets"
     return (
-        f"{joints} {verb} to one pose{where} ({ranges}): {what} cannot be told apart, "
-        "and springs and ripple cannot be seen."
+        f"{joints} {verb} to one pose{where} ({ranges}): {what} are indistinguishable, "
+        "and springs and ripple are not identifiable."
     )
 
 
@@ -439,7 +438,7 @@ def _recordings(outcome, numbers):
 
 
 def contradiction(outcome):
-    """Say which recordings contradict which, without a full stop; empty for none."""
+    """Name recordings that contradict each other, without a full stop."""
     found = outcome.contradictions.found
     if not found:
         return ""
@@ -457,7 +456,7 @@ def contradiction(outcome):
 
 
 def contradiction_sentences(outcome):
-    """Say which recordings are not of one robot, and what is another in them."""
+    """Name recordings inconsistent with the others, and the differing parameter."""
     found = outcome.contradictions.found
     if not found:
         return ()
@@ -473,31 +472,34 @@ def contradiction_sentences(outcome):
     causes = outcome.contradictions.deviations
     share = "it" if len(causes) == 1 else "part of it"
     causes = (_cause(outcome, one, share) for one in causes)
-    last = "No one robot has these torques: mend the recording, or identify them apart."
+    last = (
+        "No single robot has these torques: correct the recording, or identify the "
+        "recordings separately."
+    )
     return (first, *causes, last)
 
 
-# What else would say the same.
+# Alternative causes.
 _KINDS = {
     Offset.name: "an offset",
     "gain": "a gain",
-    "friction": "other friction",
-    Payload.name: "another load",
-    "model": "another robot",
+    "friction": "different friction",
+    Payload.name: "a different load",
+    "model": "a different robot",
 }
 
 
 def _cause(outcome, cause, share):
-    """Write what is another in one of the recordings, or in each, as a sentence."""
+    """State the difference of one recording, or of each, as a sentence."""
     joints = words.joint_list(outcome.joint_names, cause.joints)
     known = np.isfinite(cause.value)
     unit = outcome.torque_units[cause.joints[0]]
     if cause.name == "model":
-        what = "more than a gain, an offset, friction or the load is another"
+        what = "more than a gain, an offset, friction or the load differs"
     elif cause.name == Payload.name:
-        what = "another load"
+        what = "a different load"
     elif cause.name == "friction":
-        what = f"another friction of {joints}"
+        what = f"different friction of {joints}"
     elif cause.name == Offset.name and cause.scatters:
         what = (
             f"an offset of {joints} that scatters by {words.number(cause.value)} {unit}"
@@ -510,16 +512,16 @@ def _cause(outcome, cause, share):
         times = words.number(cause.value)
         what = f"a torque of {joints} that is {times} times as large"
     else:
-        what = f"another gain of the torques of {joints}"
+        what = f"a different gain of the torques of {joints}"
     what = f"{what} {_where_another(outcome, cause)}"
     rivals = words.join([_KINDS[name] for name in cause.rivals], word="or")
-    rivals = f"; {rivals} would say nearly the same" if cause.rivals else ""
+    rivals = f"; {rivals} would explain nearly as much" if cause.rivals else ""
     odds = words.odds_text(cause.log_odds)
     return f"{words.capital(what)} accounts for {share} (odds {odds}{rivals})."
 
 
 def _where_another(outcome, cause):
-    """Write in which recording, or in which of two it may be."""
+    """Write the recording, or the candidates."""
     if cause.scatters:
         return "from recording to recording"
     first, *others = cause.recordings
@@ -540,7 +542,7 @@ def channel_warnings(outcome):
 
 
 def drive_sentences(outcome, verdict):
-    """Say that torques are commanded, how late, and where they are not known."""
+    """State how torques were computed, the delay, and saturation."""
     drive = outcome.declared.get("drive")
     if drive is None:
         return ()
@@ -549,32 +551,32 @@ def drive_sentences(outcome, verdict):
 
 
 def drive_found(outcome, verdict):
-    """Say how late commands act, and where they ask for more than there is."""
+    """State the delay of commands, and saturation."""
     drive = outcome.declared.get("drive")
     if drive is None:
         return ()
-    own = [one for one in outcome.parameters if one.name == "drive:delay"]
+    delays = [one for one in outcome.parameters if one.name == "drive:delay"]
     known = drive.get(CommandDelay.model_parameters[0])
-    told = [delay_sentence(one.value, one.interval) for one in own]
+    texts = [delay_sentence(one.value, one.interval) for one in delays]
     if known is not None:
-        told = [f"{delay_sentence(known)[:-1]}, as given."]
-    return (*told, *_saturated(outcome, drive.get("saturated", ())))
+        texts = [f"{delay_sentence(known)[:-1]}, as given."]
+    return (*texts, *_saturated(outcome, drive.get("saturated", ())))
 
 
 _COMMANDED = (
-    "No torque was measured: torques are computed from the commands by the law of the "
-    "drive, and all values are as right as its gains."
+    "No torque was measured: torques are computed from the commands by the control "
+    "law, and all values depend on its gains."
 )
 
 
 _OF_THE_MOTOR = (
-    "No torque was measured: torques are computed from what the motor was given, and "
-    "all values are as right as its constants."
+    "No torque was measured: torques are computed from the input of the motor, and "
+    "all values depend on its constants."
 )
 
 
 def delay_sentence(value, interval=None):
-    """Say how late commands act; value [s], ends of its 90 % interval [s]."""
+    """State the delay of commands; value [s], ends of its 90 % interval [s]."""
     way = "after" if value >= 0 else "before"
     ends = None if interval is None else tuple(1e3 * x for x in interval)
     late = words.with_error(1e3 * abs(value), ends, "ms")
@@ -582,7 +584,7 @@ def delay_sentence(value, interval=None):
 
 
 def _saturated(outcome, shares):
-    """Name the joints that are at their limit of torque, and how often."""
+    """Name the joints that saturate, and how often."""
     full = [
         f"{words.joint_label(outcome.joint_names, j)} in {words.percent(share)}"
         for j, share in enumerate(shares)
@@ -590,7 +592,7 @@ def _saturated(outcome, shares):
     ]
     if not full:
         return ()
-    return (f"At its limit of torque is {words.join(full)} of the samples, left out.",)
+    return (f"Torque saturates: {words.join(full)} of the samples (excluded).",)
 
 
 def channel_gains(outcome, verdict):
@@ -619,9 +621,9 @@ def _gains_text(outcome):
             channel = words.joint_list(names, gains.references)
             told = [f"Gains are relative to {channel}"]
         if gains.hidden:
-            told.append(f"not shown: {words.joint_list(names, gains.hidden)}")
+            told.append(f"not identifiable: {words.joint_list(names, gains.hidden)}")
         if gains.doubtful:
-            told.append(f"hardly credible: {words.joint_list(names, gains.doubtful)}")
+            told.append(f"implausible: {words.joint_list(names, gains.doubtful)}")
         told = [f"{'; '.join(told)} (page)."]
     told += filter(None, [_unused(gains, known) for known in gains.common.masses])
     return " ".join(filter(None, [*told, _disagreement(gains.common)]))
@@ -638,7 +640,7 @@ def gain_sentences(outcome):
 
 
 def gain_warnings(outcome):
-    """Say which gains are unknown or hardly credible, and which masses do not help."""
+    """Name gains that are unknown or implausible, and masses that do not help."""
     gains = outcome.gains
     if gains is None:
         return ()
@@ -657,7 +659,7 @@ def gain_rows(outcome):
         value = words.with_error(gain, tuple(gains.intervals[:, j]))
         relative = words.joint_label(names, gains.reference[j])
         if j in gains.hidden:
-            cells = ("not shown", "")
+            cells = ("not identifiable", "")
         elif gains.absolute:
             cells = (value, f"per {outcome.torque_units[j]}")
         elif j in gains.references:
@@ -680,16 +682,15 @@ def _unit_of_gains(outcome, gains):
         ]
         share = words.percent(HALF_WIDTH * common.std / common.factor)
         return (
-            f"The common gain rests on {words.join(masses, 4)} (to {share}, 90 %): "
+            f"The common gain follows from {words.join(masses, 4)} (to {share}, 90 %): "
             "masses are in kg, and torques and friction in N m or N. A channel reads "
             "its gain times the torque."
         )
     several = len(gains.references) > 1
     return (
-        f"Gains are relative to the channel{'s' * several} of {channel}, from which "
-        "those of the other joints that move the same bodies are known best. The gain "
-        "that all have in common is in every parameter and in no recording without a "
-        "known mass: torques, masses and friction are in units of "
+        f"Gains are relative to the channel{'s' * several} of {channel}. The common "
+        "gain is identifiable with a known mass only: torques, masses and friction are "
+        "in units of "
         f"{'these channels' if several else 'that channel'}."
     )
 

@@ -1,4 +1,4 @@
-"""What an outcome amounts to: the verdict, on the robot and on each joint; errors."""
+"""The verdict on the robot and on each joint, and the errors."""
 
 from dataclasses import dataclass, replace
 
@@ -37,7 +37,7 @@ _JOINT_COLOURS = {"floor": "good", "worse": "bad", "failed": "bad", "no data": "
 
 @dataclass(frozen=True, kw_only=True)
 class JointVerdict:
-    """What was found out about a joint."""
+    """The verdict on a joint."""
 
     # status: "floor" (only noise is left), "unexplained", "above" (above the floor on
     # the held-out part only), "unknown" (no floor), "worse", "failed" (an error of 100
@@ -221,7 +221,7 @@ def _errors_sentence(outcome, errors):
     if completed or outcome.added:
         text += " before"
         if outcome.added:
-            text += f", {words.percent(errors.plain)} with the four plain terms"
+            text += f", {words.percent(errors.plain)} with the four friction terms"
         if completed:
             text += f", {words.percent(errors.after)} after"
     if np.isfinite(errors.wide):
@@ -247,8 +247,8 @@ def _headline(outcome, joints, status):
             more = f"{words.capital(plain_words(outcome))} were added; beyond these n"
         if outcome.possible:
             return (
-                f"{more or 'N'}o effect is sure to be missing, possibly "
-                f"{_named(outcome, outcome.possible)}; what remains is {near} the "
+                f"{more or 'N'}o effect is certainly missing, possibly "
+                f"{_named(outcome, outcome.possible)}; the residual is {near} the "
                 f"noise floor.{silent}"
             )
         return (
@@ -256,7 +256,7 @@ def _headline(outcome, joints, status):
             f"floor.{silent}"
         )
     if status == "complete":
-        text = f"what remains is {near} the noise floor.{silent}"
+        text = f"the residual is now {near} the noise floor.{silent}"
         return f"{found} {_missing(outcome)}; {text}"
     which, one = _where(outcome, joints, "unexplained")
     first = "No known effect is missing, but"
@@ -286,18 +286,17 @@ def _unjudged(outcome, joints, status):
         first, *more = channel_warnings(outcome)
         others = f" ({words.plural(len(more), 'more warning')} below.)" if more else ""
         return (
-            f"Fix the recording first. {first}{others} Until then nothing below can "
-            "be trusted."
+            f"Fix the recording first. {first}{others} Until then the results below "
+            "are not reliable."
         )
     if status == "no data":
         return (
-            "No verdict: no joint moves for long enough in the held-out part; record "
+            "No verdict: no joint moves for long enough in the held-out data; record "
             "more motion of each joint."
         )
     which, _ = _where(outcome, joints, "unsearched")
     return (
-        f"Nothing was searched: the channels of {which} show too little to tell what "
-        "is missing."
+        f"Nothing was searched: the channels of {which} carry too little information."
     )
 
 
@@ -308,35 +307,35 @@ def _unsure(outcome, joints, status):
         which, one = _where(outcome, joints, "failed")
         text = (
             f"{which} {'is' if one else 'are'} predicted worse than by "
-            f"{'its' if one else 'their'} mean torque: do not trust the model there, "
-            "check the recording."
+            f"{'its' if one else 'their'} mean torque: do not use the model there, "
+            "and check the recording."
         )
         return f"{found} added, but {text}" if count else words.capital(text)
     if status == "worse":
         which, one = _where(outcome, joints, "worse")
-        what = found if count else "What is possibly missing was"
+        what = found if count else "Possible effects were"
         if not count and outcome.added:
             what = f"{words.capital(plain_words(outcome))} were"
         declared = any(
             next(_is_worse(outcome, v.joint)) for v in joints if v.status == "worse"
         )
-        than = "before" if declared else "with the plain terms alone"
+        than = "before" if declared else "with the friction terms alone"
         return (
             f"{what} added, but {which} {'predicts' if one else 'predict'} held-out "
-            f"data worse than {than}: do not trust what was added there."
+            f"data worse than {than}: do not use the added effects there."
         )
     if status == "unsettled":
         which, _ = _where(outcome, joints, "above")
         return (
             f"{found if count else 'No effect was found to be'} {_missing(outcome)}; "
             f"{which} reached the noise floor in the search but not on "
-            "held-out data: record more, or look for what changed."
+            "held-out data: record more, or check what changed."
         )
     first = "No effect of the library was found; whether one is missing"
     if count:
         first = f"{found} {_missing(outcome)}; whether more is missing"
     which, _ = _where(outcome, joints, "unknown")
-    return f"{first} cannot be said, as the noise floor of {which} is unknown."
+    return f"{first} is unknown, because the noise floor of {which} is unknown."
 
 
 def _silent(outcome, joints):
@@ -394,7 +393,7 @@ def headline(outcome, verdict):
     band = words.number(outcome.wide_cutoff, 2)
     totals = [(errors.before, "mean error before")]
     if outcome.added:
-        totals.append((errors.plain, "with the four plain terms"))
+        totals.append((errors.plain, "with the four friction terms"))
     totals.append((errors.after, "after, on held-out data"))
     for value, name in (
         (errors.wide, f"after, up to {band} Hz"),
@@ -407,13 +406,12 @@ def headline(outcome, verdict):
         causes = (
             "Likely causes of an error of 100 % or more: wrong sign, order or unit of "
             "the columns; a coupling between joints that is not in the model; motion "
-            "too slow or too small, so that noise outweighs the torques, or that ends "
-            "at rest."
+            "too slow or too small compared with the noise, or that ends at rest."
         )
     robot = outcome.declared.get("robot") or "the robot"
     sentences = tuple(filter(None, (verdict.text, causes)))
     return Section(
-        heading=f"What the declared model of {robot} lacks",
+        heading=f"Effects missing from the model of {robot}",
         sentences=sentences,
         terminal=sentences,
         template="headline",
@@ -452,7 +450,7 @@ def joints(outcome, verdict):
         fit = words.number(outcome.declared.get("cutoff", np.nan))
         note = (
             f" Errors are those in the band of the fit, up to {fit} Hz; those up to "
-            f"{band} Hz hold frequencies that were not fitted."
+            f"{band} Hz include frequencies that were not fitted."
         )
 
     def table(left_out):
@@ -553,7 +551,6 @@ def added(outcome):
         return ""
     # Not "found": they are fitted on every robot, and nothing was tested.
     return (
-        f"Added on every joint, as not declared: {plain_words(outcome)}. With "
-        "these the model has the four plain terms that hardly any drive is without; "
-        "they were fitted, not searched for. "
+        f"Added on every joint: {plain_words(outcome)}. With these the model has the "
+        "four friction terms of most drives; they were fitted, not searched for. "
     )

@@ -13,13 +13,13 @@ _RECORD_SIGNAL = {
     "time": "the same motion cold and warm",
 }
 _TINY = 1e-12
-# What a reader may not know, as a pattern and what it is; told where it comes first.
+# Glossary: pattern, term, explanation; shown at the first occurrence.
 TERMS = (
     (
         "[Dd]eclared model",
         "Declared model",
-        "the robot description with the friction terms that were declared; the "
-        "completed model has what was added as well.",
+        "the robot description with the declared friction terms; the completed model "
+        "also has the added effects.",
     ),
     (
         "[Ee]rror",
@@ -36,18 +36,18 @@ TERMS = (
     (
         "[Hh]eld-out",
         "Held-out data",
-        "the part of the recording that was used neither to fit nor to search.",
+        "the part of the recording that is used neither by the fit nor by the search.",
     ),
     (
         "[Nn]oise( floor|:|$)",
         "Noise floor",
-        "the error that an exact model would have, from the noise of the measured "
-        "torques and positions alone.",
+        "the error of an exact model, due to the noise of the measured torques and "
+        "positions.",
     ),
     (
         r"\b[Bb]ands?\b",
         "Band",
-        "the frequencies in which model and measurement are compared; what is above is "
+        "the frequencies in which model and measurement are compared; higher ones are "
         "filtered out of both.",
     ),
     (
@@ -58,7 +58,8 @@ TERMS = (
     (
         "odds",
         "Odds",
-        "how much more probable it is that the effect is there than that it is not.",
+        "probability that the robot has the effect over the probability that it has "
+        "not.",
     ),
     (
         r"\b[Ll]oads?\b|load-dependent",
@@ -73,8 +74,8 @@ TERMS = (
     (
         r"\bblocks?\b",
         "Block",
-        "time that is left out and judged as one, longer than residuals stay "
-        "correlated.",
+        "a stretch of time for cross-validation, longer than the correlation time of "
+        "the residual.",
     ),
 )
 
@@ -111,7 +112,7 @@ def joint_list(names, joints, most=3):
 
 
 def signal_label(signal, names, joint):
-    """Return what to call a signal such as "speed of joint2" beside a joint."""
+    """Return the label of a signal such as "speed of joint2" for a joint."""
     kind, _, name = signal.partition(" of ")
     if not name or name not in names:
         return signal
@@ -144,7 +145,7 @@ def effect_at(outcome, name, joint, shape=None):
 
 
 def other_label(outcome, other, name):
-    """Name an effect that stands beside another, with its joint if that differs."""
+    """Name a rival of an effect, with its joint if that differs."""
     joint = _joint_of(outcome, other)
     if joint is not None:
         return effect_at(outcome, _name_of(outcome, other), joint)

@@ -116,7 +116,7 @@ def test_masses_that_are_measured_and_that_are_not():
             body("same", 5.0, 5.1, "yes", std=0.1),
         ),
     )
-    assert_said(text, "base (not at all)", "upper and fore (only together with others)")
+    assert_said(text, "base (not at all)", "upper and fore (in combination only)")
     assert_said(text, "fore 902 kg", "339 kg")
     assert_said(text, "3.00 +- 0.16 kg instead of 2 kg", "94.3 +- 0.3 kg instead of")
     assert "same" not in text
@@ -150,10 +150,10 @@ def test_alike_joints_share_values():
 
     one = Departure(bodies=("j2",), factors=(1.98,), stds=(0.03,), log_odds=9.0)
     given = (shared("rotor_inertia", (one,)), shared("my_own:k", scatter=np.nan))
-    text = shown("Alike joints", alike=given)
+    text = shown("Joints with the same drive", alike=given)
     assert_said(text, "hip rotor inertia 0.0105 +- 0.0003 kg m² 4 % 3")
     assert_said(text, "hip my own 0.0105", "j2 (1.98 +- 0.05 times)")
-    assert shown("Alike joints") == ""
+    assert shown("Joints with the same drive") == ""
 
 
 # -- recordings
@@ -210,7 +210,11 @@ def test_sound_recordings_need_no_words():
 
 @pytest.mark.parametrize(
     ("source", "said"),
-    [("assumed", "assumed from"), ("mixed", "other robots"), ("measured", "4 left")],
+    [
+        ("assumed", "from other"),
+        ("mixed", "other robots"),
+        ("measured", "4 recordings"),
+    ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):
     one = NextRecording(
@@ -222,7 +226,7 @@ def test_the_next_recording_says_what_it_rests_on(source, said):
         source=source,
     )
     report = Report(make_outcome(next_recording=one))
-    text = section_of(report, "What to do next")
+    text = section_of(report, "Next steps")
     assert_said(text, "5.0 % [3.0, 9.0]", said)
     # What is only assumed is on the page.
     assert ("5.0 % [3.0, 9.0]" in str(report)) == (source != "assumed")
@@ -257,7 +261,7 @@ def test_gains_are_relative_to_a_channel():
     assert "more than five times" not in text
     assert_said(text_of(gains_of(first=0.19)), "more than five times")
     hidden = gains_of((1, 1, 2))
-    assert_said(text_of(hidden), "joint 3 not shown")
+    assert_said(text_of(hidden), "joint 3 not identifiable")
     (line,) = (x for x in str(hidden).splitlines() if "relative to" in x)
     assert "joint 3" in line
     assert len(line) <= 80

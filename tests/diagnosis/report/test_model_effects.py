@@ -136,10 +136,10 @@ def test_effects_have_values_and_remedies(effect, values, remedy):
     for value in (*values, remedy):
         assert value in terminal
         assert value in text_of(report)
-    assert remedy in section_of(report, "What to do next")
+    assert remedy in section_of(report, "Next steps")
     # One that was declared is to be corrected as well, and is not missing.
     declared = report_of(effects=(), corrections=report.outcome.corrections)
-    assert remedy in section_of(declared, "What to do next")
+    assert remedy in section_of(declared, "Next steps")
     assert section_of(declared, MISSING) == ""
     # One that is only possible is not corrected.
     known = {"effects": (), "possible": (replace(effect, warning="undecided"),)}
@@ -196,7 +196,7 @@ def test_values_below_and_of_sliders():
 
 def test_values_in_both_units():
     report = report_of(TILT, ZERO, AXIS, GAIN)
-    shown = section_of(report, "What to do next")
+    shown = section_of(report, "Next steps")
     assert "roll 4.00 +- 0.02 degrees" in shown
     assert "roll = 0.0698 +- 0.0003 rad" in shown
     data = report.to_dict()
@@ -248,6 +248,6 @@ def hidden(name, joints, reason, remedy=""):
     ],
 )
 def test_what_is_hidden_is_named(given, facts):
-    shown = section_of(report_of(hidden=given), "What this recording does not show")
+    shown = section_of(report_of(hidden=given), "Not identifiable from this recording")
     for fact in facts:
         assert fact in shown

@@ -344,7 +344,7 @@ def test_parameters_stand_beside_those_of_the_description():
     cells = [re.findall("<td>(.*?)</td>", row) for row in rows][:2]
     assert cells[0] == ["m", "1.5 ± 0.2", "1.25", "kg", "yes", ""]
     # One of many values has no interval.
-    assert cells[1] == ["viscous", "1.5", "", "kg", "only with others", ""]
+    assert cells[1] == ["viscous", "1.5", "", "kg", "in combination", ""]
 
 
 def test_positions_from_commands_alone():

@@ -79,7 +79,7 @@ def test_status(status):
     for text in (str(report), report.headline, text_of(report)):
         text = " ".join(text.split())
         assert good or "othing is missing" not in text
-        assert good or "what remains is" not in text
+        assert good or "the residual is" not in text
 
 
 def test_what_is_no_change_of_status():
@@ -187,7 +187,7 @@ def test_an_effect_has_value_gain_odds_and_rivals(shown):
         "mu = 0.112 +- 0.011",
         "46 %",
         "3600 : 1",
-        "hysteresis after reversals",
+        "friction with memory",
     ):
         assert said in text
 

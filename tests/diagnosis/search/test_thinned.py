@@ -128,7 +128,7 @@ def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded
     assert looked_at < 0.6 * recorded.n_samples
     seen = thinned.report_.outcome.recorded.looked_at
     assert 0 < seen <= looked_at
-    said = f"The search looked at {seen:,} of {recorded.n_samples:,} samples;"
+    said = f"The search used {seen:,} of {recorded.n_samples:,} samples;"
     assert said in text_of(thinned.report_)
     assert said in thinned.report_.to_html()
     # Parameters are those of all rows.

@@ -126,7 +126,7 @@ def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     ]
     told_here = re.search(
         r"alone, positions of the declared model are off by (.*?), those of the "
-        r"completed one by (.*?) \(mean.* told to be is off by (.*?)\.",
+        r"completed one by (.*?) \(mean.* commanded positions is off by (.*?)\.",
         page := (tmp_path / "arm-report/report.html").read_text(),
     ).groups()
     assert [" ".join(x.split()) for x in told_here] == sizes

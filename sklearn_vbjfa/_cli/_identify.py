@@ -91,9 +91,7 @@ def identify_demo(arguments, folder):
     return Done(text=f"{recording}\n{loop.report_}", doubts=_doubts(loop.report_))
 
 
-def search(
-    recording, urdf, *, effects="all", signals=None, t=None, several=False, **settings
-):
+def search(recording, urdf, *, effects="all", signals=None, several=False, **settings):
     """Return the `EffectDiscovery` of a recording, fitted."""
     # several: whether recordings have names, which the report uses.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
@@ -108,7 +106,7 @@ def search(
     loop = EffectDiscovery(identifier, effects=effects)
     if several or identifier.drive is not None:
         return loop.fit_recording(recording, signals)
-    return loop.fit(recording.q, recording.tau, recording.groups, t=t, signals=signals)
+    return loop.fit(recording.q, recording.tau, recording.groups, signals=signals)
 
 
 def _doubts(report):

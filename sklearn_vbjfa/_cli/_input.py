@@ -335,8 +335,6 @@ def _default_folder(arguments, what):
     """Return a folder named after the recording, or after the folder of several."""
     from sklearn_vbjfa.recording import common_folder
 
-    if not arguments.recording:
-        return Path(f"demo-{what}")
     files = paths(arguments)
     folder = common_folder(files) if len(files) > 1 else ""
     if folder:

@@ -248,7 +248,8 @@ _OPTIONS = {
     "Genesis",
     "--out DIR": "output folder (default: the name of LOG plus -report or -simulation)",
     "--out FILE": "file for the motion (default: motion.csv)",
-    "--effects NAMES": "effects to look for, or all, or none; see the command effects",
+    "--effects NAMES": "effects to look for, or all (default of identify), or none; see "
+    "the command effects",
 }
 # Options without one.
 _FLAGS = {
@@ -298,10 +299,7 @@ _LOG = {
     "torques": "--gain --drive",
 }
 _ROBOT = {"robot": "--urdf --joints --base-orientation"}
-_IDENTIFICATION = {
-    "identification": "--friction --bodies --shared-drives --known-mass --cutoff "
-    "--effects"
-}
+_MODEL = {"model": "--friction --bodies --shared-drives --known-mass --cutoff"}
 
 
 class _Command(NamedTuple):
@@ -324,8 +322,9 @@ COMMANDS = {
         "MuJoCo, and identified.json, which the command simulate reads.",
         _ROBOT
         | _LOG
+        | _MODEL
         | {
-            "identification": f"{_IDENTIFICATION['identification']} --no-search --for",
+            "search": "--effects --no-search --for",
             "output": "--out=DIR --force --ranges --json --quiet",
         },
         "_identify:identify",
@@ -347,15 +346,14 @@ COMMANDS = {
         "measured states, and print the deviation from the measured motion. With "
         "--drive, simulate it from recorded commands alone, in windows and over whole "
         "recordings. The first 70 % of every recording are identified and the rest is "
-        "simulated; with --model, the whole recording. Without LOG, the recording that "
-        "comes with the package. Writes simulation.csv.",
+        "simulated; with --model, the whole recording. Writes simulation.csv.",
         {"robot": f"{_ROBOT['robot']} --model"}
         | _LOG
-        | _IDENTIFICATION
+        | _MODEL
         | {"output": "--window --out=DIR --force --quiet"},
         "_simulate:simulate",
-        "[LOG --urdf FILE | LOG --model FILE] [options]",
-        "*",
+        "LOG (--urdf FILE | --model FILE) [options]",
+        "+",
     ),
     "design": _Command(
         "design an exciting trajectory",
@@ -370,7 +368,7 @@ COMMANDS = {
             "output": "--out=FILE --force --quiet",
         },
         "_design:design",
-        "[--urdf FILE | --report FOLDER] [options]",
+        "(--urdf FILE | --report FOLDER) [options]",
     ),
     "effects": _Command(
         "list the library of effects",

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from sklearn_vbjfa._cli import _identify, _input
+from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import Refused, spelled
 from sklearn_vbjfa._cli._run import Done
 
@@ -17,26 +17,25 @@ _TABLE = "simulation.csv"
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "effects")
-_OF_IDENTIFICATION += ("cutoff", "known_mass", "shared_drives")
-_OF_LOG = ("join", "joints", "dt", "columns", "preset", "topic", "time_unit", "gain")
-_OF_LOG += ("drive", "signals", "urdf", "base_orientation", "model")
-# Label of the robot whose bodies are those of the description.
-_DESCRIBED = "as described"
+_OF_IDENTIFICATION = ("urdf", "base_orientation", "friction", "bodies", "cutoff")
+_OF_IDENTIFICATION += ("known_mass", "shared_drives")
+# The robot, and the one whose bodies are those of the description.
+_ROBOT, _DESCRIBED = "simulated", "as described"
 _WIDTH = 80  # characters of a line
 
 
 @dataclass(kw_only=True, eq=False)
 class _Simulation:
-    """Windows of a recording, simulated by one or several robots."""
+    """Windows of a recording, simulated."""
 
     recording: object
     rows: np.ndarray  # of the recording, that the windows are cut from
-    robots: dict  # by their labels
+    times: np.ndarray | None  # of these rows; None counts from the fit of the robot
+    robot: object
     signals: object  # of these rows
     summary: str
-    drive: object = None  # that the robots follow commands by; None for torques
-    windows: dict = field(default_factory=dict)  # simulated windows, by label
+    drive: object = None  # that the robot follows commands by; None for torques
+    windows: dict = field(default_factory=dict)  # simulated windows, by robot
     whole: list = field(default_factory=list)  # the same of each whole recording
     note: str = ""  # why the described robot is not simulated
 
@@ -45,12 +44,11 @@ def simulate(arguments, folder):
     """Simulate windows of a recording, print their errors and write them."""
     _check(arguments)
     out = _input.output_folder(arguments, "simulation")
-    source = _input.named(arguments) if arguments.recording else "demo"
     prepare = _identified if arguments.model is None else _saved
-    task = prepare(arguments, source, folder)
-    with _input.blaming(source):
-        # Saved models count time from their own fit.
-        _run(task, arguments.window, timed=arguments.model is None)
+    task = prepare(arguments, folder)
+    with _input.blaming(_input.named(arguments)):
+        run = _drive if task.drive is None else _follow
+        run(task, arguments.window)
 
     def write(folder, notes):
         path = folder / _TABLE
@@ -68,18 +66,7 @@ def simulate(arguments, folder):
 
 def _check(arguments):
     """Refuse options that exclude one another."""
-
-    def refuse(names, reason):
-        for name in names:
-            if name in arguments.typed:
-                raise ValueError(f"{spelled(name)} {reason}.")
-
-    if not arguments.recording:
-        refuse(
-            _OF_LOG,
-            "needs a LOG; without one, the recording of the package is simulated",
-        )
-    elif arguments.model is None and arguments.urdf is None:
+    if arguments.model is None and arguments.urdf is None:
         raise ValueError(
             "give --urdf FILE, the description of the robot, or --model FILE, an "
             "identified robot."
@@ -90,23 +77,23 @@ def _check(arguments):
             "--join if they are one",
             join=True,
         )
-    if arguments.model is not None:
-        refuse(
-            _OF_IDENTIFICATION,
-            "belongs to an identification, and the robot of --model is identified; "
-            "give one of the two",
-        )
+    for name in _OF_IDENTIFICATION if arguments.model else ():
+        if name in arguments.typed:
+            raise ValueError(
+                f"{spelled(name)} belongs to an identification, and the robot of "
+                "--model is identified; give one of the two."
+            )
 
 
 # -- robots ----------------------------------------------------------------------------
 
 
-def _saved(arguments, source, folder):
+def _saved(arguments, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
     robot, joints = load_identified(_input.expanded(arguments.model)), arguments.joints
-    names = robot.joint_names_
+    names, source = robot.joint_names_, _input.named(arguments)
     if joints and set(joints) != set(names):
         raise ValueError(
             f"--joints must name the joints of {arguments.model} ({', '.join(names)}) "
@@ -143,7 +130,8 @@ def _saved(arguments, source, folder):
     return _Simulation(
         recording=recording,
         rows=np.arange(recording.n_samples),
-        robots={"simulated": robot},
+        times=None,
+        robot=robot,
         signals=loaded.signals(arguments.signals),
         summary=summary,
         drive=drive,
@@ -152,19 +140,18 @@ def _saved(arguments, source, folder):
 
 def _saved_gains(arguments, robot):
     """Return the gains of a recording for a saved robot, "unknown" for its own."""
-    if robot.gains_ is None:
-        if arguments.gain == "unknown":
-            raise ValueError(
-                f"--gain unknown belongs to an identification, and {arguments.model} "
-                "was identified from torques in N m or N; give the factors to them."
-            )
-        return arguments.gain
-    if arguments.gain not in (None, "unknown"):
+    relative = robot.gains_ is not None
+    if relative and arguments.gain not in (None, "unknown"):
         raise ValueError(
             f"{arguments.model} was identified with unknown gains, so that its torques "
             "are what the channels read; leave --gain out."
         )
-    return "unknown"
+    if arguments.gain == "unknown" and not relative:
+        raise ValueError(
+            f"--gain unknown belongs to an identification, and {arguments.model} was "
+            "identified from torques in N m or N; give the factors to them."
+        )
+    return "unknown" if relative else arguments.gain
 
 
 def _check_channels(loaded):
@@ -182,71 +169,44 @@ def _check_channels(loaded):
         warnings.warn(f"{loaded.source}: {message}", DoubtWarning, stacklevel=2)
 
 
-def _identified(arguments, source, folder):
+def _identified(arguments, folder):
     """Identify the first part of every recording, for the rest."""
-    from sklearn_vbjfa.datasets import load_demo_recording
+    from sklearn_vbjfa import RobotIdentifier
 
-    settings, signals = _input.settings(arguments), None
-    if arguments.recording:
-        loaded = _input.load(arguments, folder)
-        _check_channels(loaded)
-        signals = loaded.signals(arguments.signals)
-    else:
-        demo = load_demo_recording()
-        loaded = _input.LoadedRecording(recording=demo, urdf=demo.urdf, source=source)
-    recording = loaded.recording
+    settings, loaded = _input.settings(arguments), _input.load(arguments, folder)
+    _check_channels(loaded)
+    signals, recording = loaded.signals(arguments.signals), loaded.recording
     first, rest = _parts(recording)
-    with _input.blaming(source, loaded.gains):
-        robots = _robots(
-            _rows_of(recording, first),
-            str(loaded.urdf),
-            arguments.effects,
-            t=recording.clock()[first],
-            signals=_at(signals, first),
-            settings=settings,
-        )
-    friction = ", ".join(settings["friction"]) or "none"
-    lines = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
-    drive = arguments.drive
-    if drive is not None:
-        last = list(robots.values())[-1]
-        recording, drive = _commanded(drive, last, recording)
-        said = _said_delay(last)
-        lines += [f"no torque was measured: {said}"] if said else []
-    lines.append(
-        f"first {100 * _SHARE:g} % of every recording identified, the rest simulated"
+    noise, drive = recording.torque_noise, arguments.drive
+    robot = RobotIdentifier(
+        str(loaded.urdf), dt=recording.dt, torque_noise=noise, **settings
     )
-    lines.append(f"friction: {friction}")
-    if "completed" in robots:
-        names = recording.joint_names
-        found = [f"{x.name} on {names[x.joint]}" for x in robots["completed"].effects_]
-        lines[-1] += f"; completed by: {', '.join(found) or 'nothing'}"
+    part = _rows_of(recording, first)
+    if drive is None:
+        part = replace(part, t=recording.clock()[first])
+    with _input.blaming(loaded.source, loaded.gains):
+        robot.fit_inspected(part)
+    lines = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
+    if drive is not None:
+        recording, drive = _commanded(drive, robot, recording)
+        said = _said_delay(robot)
+        lines += [f"no torque was measured: {said}"] if said else []
     return _Simulation(
         recording=recording,
         rows=rest,
-        robots=robots,
+        times=recording.clock()[rest],
+        robot=robot,
         signals=_at(signals, rest),
-        summary="\n".join(lines),
+        summary="\n".join(
+            [
+                *lines,
+                f"first {100 * _SHARE:g} % of every recording identified, the rest "
+                "simulated",
+                f"friction: {', '.join(settings['friction']) or 'none'}",
+            ]
+        ),
         drive=drive,
     )
-
-
-def _robots(recording, urdf, library, *, t, signals, settings):
-    """Identify the declared robot, and complete it if effects are to be searched."""
-    from sklearn_vbjfa import RobotIdentifier
-
-    if not library:
-        robot = RobotIdentifier(
-            urdf, dt=recording.dt, torque_noise=recording.torque_noise, **settings
-        )
-        if robot.drive is None:
-            recording = replace(recording, t=t)
-        return {"simulated": robot.fit_inspected(recording)}
-    loop = _identify.search(
-        recording, urdf, effects=library, t=t, signals=signals, **settings
-    )
-    baseline = {"four plain terms": loop.baseline_} if loop.added_ else {}
-    return {"declared": loop.declared_, **baseline, "completed": loop.identifier_}
 
 
 def _parts(recording):
@@ -318,53 +278,54 @@ def _said_delay(robot):
 # -- simulation ------------------------------------------------------------------------
 
 
-def _run(task, seconds, *, timed):
-    """Simulate the same windows of the rows with each robot."""
+def _drive(task, seconds):
+    """Simulate windows of the rows from torques."""
     from sklearn_vbjfa.diagnosis import simulate_windows
 
     part = _rows_of(task.recording, task.rows)
-    times = task.recording.clock()[task.rows] if timed else None
-    if task.drive is not None:
-        _follow(task, part, times, seconds)
-        return
-    motion = part.q, part.tau, part.groups, times
-    options = {"window": seconds, "signals": task.signals}
-    task.windows = _by_all(task.robots, simulate_windows, *motion, **options)
+    task.windows[_ROBOT] = simulate_windows(
+        task.robot,
+        part.q,
+        part.tau,
+        part.groups,
+        task.times,
+        window=seconds,
+        signals=task.signals,
+    )
 
 
-def _by_all(robots, simulate, *arguments, beside=None, **options):
-    """Simulate the same windows with several robots; return them by label."""
-    from sklearn_vbjfa._core._progress import counted
-
-    found = {}
-    for label in counted(robots, "simulating", "robots"):
-        found[label] = simulate(robots[label], *arguments, beside=beside, **options)
-        beside = beside or found[label]
-    return found
-
-
-def _follow(task, part, times, seconds):
+def _follow(task, seconds):
     """Simulate whole recordings and windows from commands alone."""
+    from sklearn_vbjfa._core._progress import counted
     from sklearn_vbjfa.robot import follow_windows
 
-    robot = next(iter(task.robots.values())).robot_
-    if times is None:
-        times = robot.clock(None, part.n_samples)
-
-    def run(robots, rows, window, beside=None):
-        cut = task.drive, _rows_of(part, rows), times[rows]
-        options = {"window": window, "signals": _at(task.signals, rows)}
-        return _by_all(robots, follow_windows, *cut, beside=beside, **options)
-
+    robot, part = task.robot.robot_, _rows_of(task.recording, task.rows)
+    times = robot.clock(None, part.n_samples) if task.times is None else task.times
     cuts = [(np.arange(rows.start, rows.stop), None) for rows in part.segments]
     cuts.append((np.arange(part.n_samples), seconds))
-    found = [run(task.robots, *cut) for cut in cuts]
+
+    def run(robot, cut, beside=None):
+        rows, window = cut
+        signals = _at(task.signals, rows)
+        return follow_windows(
+            robot,
+            task.drive,
+            _rows_of(part, rows),
+            times[rows],
+            window=window,
+            signals=signals,
+            beside=beside,
+        )
+
+    found = [
+        {_ROBOT: run(task.robot, cut)} for cut in counted(cuts, "simulating", "parts")
+    ]
     # Torques in units of their channel are not those of a description.
-    if len(task.robots) == 1 and robot.gains_ is None:
+    if robot.gains_ is None:
         try:
-            described = {_DESCRIBED: robot.described()}
+            described = robot.described()
             both = [
-                run(described, *cut, next(iter(one.values()))) | one
+                {_DESCRIBED: run(described, cut, one[_ROBOT]), **one}
                 for cut, one in zip(cuts, found)
             ]
             failed = [one[_DESCRIBED].failures for one in both]
@@ -393,7 +354,7 @@ def _text(task, seconds):
         errors = result.errors[complete] * scale
         columns[label] = _cells(np.sqrt(_mean(errors**2)))
         if label in windows:
-            # Heads differ in blanks where two models are simulated.
+            # Heads differ in blanks where two robots are simulated.
             columns[f"median{' ' * len(columns)}"] = _cells(_mean(errors, np.median))
     count = "all" if complete.all() else f"{complete.sum()} of"
     lines = [
@@ -412,10 +373,7 @@ def _text(task, seconds):
     ]
     for text in _failed_recordings(task):
         lines += _wrapped(f"whole recordings: {text}")
-    for label, result in windows.items():
-        if label != _DESCRIBED:
-            who = f"{label}: " if len(windows) > 1 else ""
-            lines += ["", *_verdict(task, who, result)]
+    lines += ["", *_verdict(task, windows[_ROBOT])]
     return "\n".join(lines)
 
 
@@ -476,17 +434,17 @@ def _cells(numbers):
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in numbers]
 
 
-def _verdict(task, who, windows):
+def _verdict(task, windows):
     """Return lines on whether a model was needed, and on windows that went wrong."""
-    text = f"{who}{windows.verdict()} (windows compared one by one, mean of their "
-    text += "errors, Student's t at 5 %"
+    text = f"{windows.verdict()} (windows compared one by one, mean of their errors, "
+    text += "Student's t at 5 %"
     if windows.failed.any():
         text += "; a window that failed counts as the worst error of these"
     lines = _wrapped(f"{text})")
     if windows.failures:
         first = windows.failures[0]
         lines += _wrapped(
-            f"{who}{_failed_count(windows)} failed (see {_TABLE}), the first at "
+            f"{_failed_count(windows)} failed (see {_TABLE}), the first at "
             f"{_placed(task, windows, first.window)}: {first.message}"
         )
     away = windows.run_away
@@ -494,7 +452,7 @@ def _verdict(task, who, windows):
         k = np.flatnonzero(away.any(axis=1))[0]
         joints = ", ".join(np.array(windows.joint_names)[away[k]])
         lines += _wrapped(
-            f"{who}{_away_count(windows)} joints ran away, farther off than "
+            f"{_away_count(windows)} joints ran away, farther off than "
             f"{' and '.join(windows.rivals)} in any, first {joints} at "
             f"{_placed(task, windows, k)}"
         )
@@ -503,16 +461,12 @@ def _verdict(task, who, windows):
 
 def _doubts(task):
     """Return the warnings that forbid a use."""
-    # Of two models the last one is handed on; a window that fails is left out of the
-    # errors of both.
-    last = list(task.windows.values())[-1]
-    doubts = [
-        f"{_failed_count(one)} failed" for one in task.windows.values() if one.failures
-    ]
+    windows = task.windows[_ROBOT]
+    doubts = [f"{_failed_count(windows)} failed"] if windows.failures else []
     doubts += _failed_recordings(task)
-    if last.run_away.any():
-        doubts.append(f"{_away_count(last)} joints ran away")
-    return doubts if last.clearly_better.all() else [*doubts, last.verdict()]
+    if windows.run_away.any():
+        doubts.append(f"{_away_count(windows)} joints ran away")
+    return doubts if windows.clearly_better.all() else [*doubts, windows.verdict()]
 
 
 def _failed_recordings(task):

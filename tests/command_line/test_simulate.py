@@ -130,19 +130,6 @@ def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     )
 
 
-@pytest.mark.slow
-def test_effects_are_found_and_compared(good, urdf, capsys):
-    options = "--effects", "spring", "--window", "0.5"
-    text = run(capsys, good, "--urdf", urdf, *options)
-    assert "completed by: spring on shoulder" in text
-    positions = table(text)
-    declared, _, completed, *_ = positions["shoulder"]
-    assert completed < 0.7 * declared
-    with open("arm-simulation/simulation.csv", newline="", encoding="utf-8") as file:
-        models = [row["model"] for row in csv.DictReader(file)]
-    assert set(models) == {"declared", "completed"}
-
-
 def test_a_saved_robot_is_simulated_over_all_rows(
     good, saved, recording, capsys, monkeypatch
 ):
@@ -188,20 +175,6 @@ def test_windows_that_fail_are_named(good, saved, capsys, monkeypatch):
     assert all(row["stays"] for row in failed)
 
 
-@pytest.mark.slow
-def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    text = run(capsys, "--window", "0.5")
-    assert text.startswith("Recording 'demo': 8000 samples, 6 joints")
-    positions = table(text)
-    assert len(positions) == 6
-    for name in positions:
-        simulated, median, stays, goes_on = positions[name]
-        assert simulated < 0.3 * min(stays, goes_on)
-        assert median < simulated
-    assert (tmp_path / "demo-simulation" / "simulation.csv").is_file()
-
-
 # -- refusals --------------------------------------------------------------------------
 
 
@@ -211,22 +184,19 @@ def test_the_demo_needs_no_arguments(tmp_path, monkeypatch, capsys):
         ("arm.csv", "give --urdf FILE, the description of the robot, or --model"),
         ("arm.csv --urdf U --model M", "--urdf belongs to an identification"),
         ("arm.csv --model M --friction none", "--friction belongs to an identif"),
-        ("arm.csv --model M --effects all", "--effects belongs to an identif"),
         ("arm.csv --model M --known-mass upper=1", "--known-mass belongs to an id"),
         ("arm.csv --model none.json", "none.json"),
         ("arm.csv --model arm.csv", "arm.csv"),
         ("arm.csv --urdf none.urdf", "none.urdf: no such robot description"),
         ("none.csv --urdf U", "none.csv: no such file"),
         ("none.csv --model M", "none.csv: no such file"),
-        ("--urdf U", "--urdf needs a LOG"),
-        ("--model M", "--model needs a LOG"),
-        ("--joints a,b", "--joints needs a LOG"),
+        ("--urdf U", "required: LOG"),
         ("arm.csv --urdf U --window 0", "--window must be a positive number of sec"),
         ("arm.csv --urdf U --window nan", "--window must be a positive number of sec"),
         ("arm.csv --model M --window 60", "No recording is as long as a window of 60"),
         ("arm.csv --model M --window 0.001", "at least the sample period 0.01 s"),
         ("arm.csv --urdf U --friction sticky", "--friction does not know 'sticky'"),
-        ("arm.csv --urdf U --effects rust", "--effects does not know 'rust'"),
+        ("arm.csv --urdf U --effects spring", "unrecognized arguments: --effects"),
         (
             "arm.csv --urdf U --cutoff 60",
             "cutoff must lie below the Nyquist frequency 50 Hz",

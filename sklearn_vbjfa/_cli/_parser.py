@@ -248,7 +248,7 @@ _OPTIONS = {
     "Genesis",
     "--out DIR": "output folder (default: the name of LOG plus -report or -simulation)",
     "--out FILE": "file for the motion (default: motion.csv)",
-    "--effects NAMES": "effects to look for, or all (default of identify), or none; see "
+    "--effects NAMES": "effects to look for, all (default of identify) or none; see "
     "the command effects",
 }
 # Options without one.

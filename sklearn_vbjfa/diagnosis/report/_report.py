@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.report import (
     _findings,
     _limits,
     _render,
+    _uses,
     _verdict,
 )
 from sklearn_vbjfa.diagnosis.report import _words as words
@@ -83,6 +84,9 @@ class Report:
         channel of the recording is wrong.
     headline, verdict : str
         The same in words, without and with the mean errors.
+    uses : tuple of Use
+        Feedforward, simulation, collision detection and link masses, each with `name`,
+        `allowed` and `reason`.
 
     See Also
     --------
@@ -96,6 +100,7 @@ class Report:
         self.status = self._verdict.status
         self.headline = self._verdict.headline
         self.verdict = self._verdict.text
+        self.uses = _uses.uses(outcome, self._verdict)
 
     def __repr__(self):
         errors = self._verdict.errors
@@ -133,6 +138,7 @@ class Report:
             "headline": self.headline,
             "verdict": self.verdict,
             "joints": _json(self.joints),
+            "uses": _json(self.uses),
         }
         for field in dataclasses.fields(self.outcome):
             if field.name not in _NOT_DATA:

@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis.report._limits import (
     interval_text,
 )
 from sklearn_vbjfa.diagnosis.report._render import Section, Table
+from sklearn_vbjfa.diagnosis.report._uses import use_lines, uses
 
 # A refit moves the errors of all joints; a rise below this factor is no harm.
 _WORSE = 1.05
@@ -409,7 +410,8 @@ def headline(outcome, verdict):
             "too slow or too small compared with the noise, or that ends at rest."
         )
     robot = outcome.declared.get("robot") or "the robot"
-    sentences = tuple(filter(None, (verdict.text, causes)))
+    use = use_lines(uses(outcome, verdict))
+    sentences = tuple(filter(None, (verdict.text, causes, *use)))
     return Section(
         heading=f"Effects missing from the model of {robot}",
         sentences=sentences,
@@ -420,6 +422,7 @@ def headline(outcome, verdict):
             text=verdict.headline,
             totals=tuple((words.percent(value), name) for value, name in totals),
             causes=causes,
+            uses=use,
             files=outcome.provenance.files if outcome.provenance else (),
         ),
     )

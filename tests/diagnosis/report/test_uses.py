@@ -1,0 +1,78 @@
+"""What a result can be used for agrees with the verdicts on the joints."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis import Report
+from tests.diagnosis.report._outcomes import finding, make_outcome
+
+
+def of(report):
+    return {one.name: one.allowed for one in report.uses}
+
+
+def bodies(*known):
+    return tuple(
+        SimpleNamespace(
+            name=f"link{k + 1}", mass=1.0, nominal=1.0, std=0.1, known=value
+        )
+        for k, value in enumerate(known)
+    )
+
+
+def test_at_the_noise_floor_torques_can_be_used_for_everything():
+    report = Report(make_outcome(channels=()))
+    assert set(of(report).values()) == {True}
+    printed = str(report)
+    assert "Use for: feedforward, simulation, collision detection." in printed
+    assert "Do not use for" not in printed
+
+
+def test_a_residual_above_the_noise_forbids_collision_detection_alone():
+    report = Report(make_outcome(unexplained=(2,), channels=()))
+    assert of(report) == {
+        "feedforward": True,
+        "simulation": True,
+        "collision detection": False,
+    }
+    assert "joint 3" in report.uses[2].reason
+
+
+def test_a_joint_that_got_worse_forbids_feedforward():
+    outcome = make_outcome(channels=())
+    outcome.error_after[1] = 3 * outcome.error_before[1]
+    outcome.intervals.clear()
+    report = Report(outcome)
+    assert report.joints[1].status == "worse"
+    assert not of(report)["feedforward"]
+    assert "held-out error rose" in report.uses[0].reason
+
+
+def test_a_faulty_channel_forbids_every_use():
+    report = Report(make_outcome(channels=(finding("Wrong sign.", "doubt"),)))
+    assert report.status == "faulty"
+    assert set(of(report).values()) == {False}
+
+
+def test_masses_are_split_by_what_the_motion_determines():
+    outcome = make_outcome(
+        channels=(), bodies=bodies("yes", "yes", "in combination", "no")
+    )
+    report = Report(outcome)
+    found = {one.name: one for one in report.uses}
+    assert found["link masses of link1 and link2"].allowed
+    other = found["link masses of link3 and link4"]
+    assert not other.allowed
+    assert "not identifiable" in other.reason
+    assert report.to_dict()["uses"][-1]["allowed"] is False
+    assert "not identifiable from this motion" in report.to_html()
+
+
+def test_uses_do_not_depend_on_the_size_of_errors():
+    small, large = make_outcome(channels=()), make_outcome(channels=())
+    for values in (large.error_before, large.error_after, large.floor):
+        values *= 3.0
+    large.intervals.clear()
+    assert of(Report(small)) == of(Report(large))
+    assert np.isfinite(large.floor).all()

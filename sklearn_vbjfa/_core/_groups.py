@@ -105,6 +105,15 @@ class Groups:
             positive=self.positive,
         )
 
+    def part(self, at):
+        """Return some of the groups, a slice."""
+        values = {"H": self.H[at], "q": self.q[at], "own": self.own[at]}
+        values |= {"unit": self.unit[at], "positive": self.positive}
+        found = Groups(**values, freedom=self.freedom)
+        # What is known of all is known of some.
+        found.__dict__["_spectral"] = tuple(x[at] for x in self._spectral)
+        return found
+
     def integrated(self, scale, own):
         """Log evidence (c,) over that with the prior deviation `own` alone."""
         value, rest, _ = self._spectral

@@ -124,7 +124,7 @@ class _Group:
     joints: tuple
     recordings: tuple
     whole_robot: bool
-    in_model = slow = trend = False
+    in_model = slow = bank = False
     jumping = ()
 
     @property

@@ -319,7 +319,9 @@ def _effects(search, final, names, prismatic, seconds):
         }
         told = (named_beside(r, finding.effect, names) for r in finding.rivals)
         known = search.settings.known
-        why = finding.warning or _unknown(effect, values, deviations, intervals, known)
+        why = finding.warning or _unknown(
+            effect, estimate.coef, values, deviations, intervals, known
+        )
         yield DiscoveredEffect(
             name=effect.name,
             joint=effect.joint,
@@ -341,7 +343,7 @@ def _effects(search, final, names, prismatic, seconds):
         )
 
 
-def _unknown(effect, values, deviations, intervals, known):
+def _unknown(effect, coef, values, deviations, intervals, known):
     """Say why the values of an effect give it no name; "" if they do."""
     idle = dict.fromkeys(values, 0.0)
     if effect.in_model:
@@ -354,6 +356,8 @@ def _unknown(effect, values, deviations, intervals, known):
         return "" if any(sure) else _UNSURE
     # A shape alone is no sign that the effect is there.
     own = [key for key in intervals if key not in effect.shape()] or list(intervals)
+    if not any(coef):
+        return _UNKNOWN
     away = (intervals[k][0] > idle[k] or intervals[k][1] < idle[k] for k in own)
     return "" if not own or any(away) else _UNKNOWN
 

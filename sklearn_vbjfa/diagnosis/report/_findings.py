@@ -225,9 +225,9 @@ def effects(outcome, verdict):
         known = tuple(filter(None, [_known_for(outcome, e), _afterwards(e)]))
         told += known
         sentences.append("; ".join(told))
-        evidence = f"saves {gain}, odds {odds.removesuffix(' : 1')}"
-        evidence += ", has rivals" if rivals else ""
-        short.append((f"- {joint}", _short_label(label), evidence))
+        short.append(
+            (joint, _short_label(label), gain, odds.removesuffix(" : 1"), rivals)
+        )
         gain += f" +- {words.whole_percent(e.evidence.gain_std)}"
         cannot = words.join(rivals, len(rivals), "or")
         rows.append((joint, label, (*parameters, *known), gain, odds, cannot))
@@ -237,8 +237,21 @@ def effects(outcome, verdict):
     return Section(
         heading="Effects that were missing",
         table=table_of((*heads, "indistinguishable from"), rows, links=links),
-        terminal=listed(sentences, short),
+        terminal=listed(sentences, [*_by_label(short)]),
     )
+
+
+def _by_label(effects):
+    """Yield cells of a terminal, the same effect on several joints in one line."""
+    found = {}
+    for joint, label, *evidence in effects:
+        found.setdefault(label, []).append((joint, *evidence))
+    for label, same in found.items():
+        joints, gains, odds, rivals = zip(*same)
+        evidence = f"saves {words.join(gains)}"
+        evidence += f", odds {odds[0]}" if len(same) == 1 else ""
+        evidence += ", has rivals" if any(rivals) else ""
+        yield f"- {words.join(joints, len(joints))}", label, evidence
 
 
 def _short_label(label):

@@ -7,7 +7,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from scipy import linalg
 
-from sklearn_vbjfa.diagnosis.search._problem import Declared, Moments
+from sklearn_vbjfa.diagnosis.search._problem import Declared, Moments, products
 
 # Folds of a single recording, stretches one after the other.
 _FOLDS = 8
@@ -124,17 +124,20 @@ class HeldOutFit:
         out[:, :, :r, :r] = declared.gram[held.used_joints].swapaxes(0, 1)
         out[:, :, :r, p] = declared.right[held.used_joints].swapaxes(0, 1)
         out[:, :, p, p] = declared.power[held.used_joints].T
-        for a, (place, own) in enumerate(zip(self._places, self._members)):
+        acting = {i: [] for i in range(held.used_joints.size)}
+        for place, own in zip(self._places, self._members):
             cross, right = own.declared(declared), own.right(declared)
             for i, j in enumerate(held.used_joints):
                 if j in own.joints:
-                    out[:, i, :r, place] = cross[own.joints.index(j)]
-                    out[:, i, place, p] = right[own.joints.index(j)]
-            for other_place, other in zip(self._places[a:], self._members[a:]):
-                between = own.between(other)
-                for i, j in enumerate(held.used_joints):
-                    if j in between:
-                        out[:, i, place, other_place] = between[j]
+                    k = own.joints.index(j)
+                    out[:, i, :r, place] = cross[k]
+                    out[:, i, place, p] = right[k]
+                    acting[i].append((np.r_[place], own.columns[k, :, 0]))
+        for i, found in acting.items():
+            if found:
+                at = np.concatenate([x[0] for x in found])
+                X = np.hstack([x[1] for x in found])
+                out[:, i, at[:, None], at] = products(declared.edges, X, X)
         # What is below the diagonal stands above it.
         return np.triu(out) + np.triu(out, 1).swapaxes(2, 3)
 
@@ -161,21 +164,30 @@ class HeldOutFit:
         own = np.searchsorted(self.held.used_joints, joint)
         return float(self.squares[:, own].sum())
 
-    def gain_of(self, i):
-        """Return what a member saves."""
-        place, member = self._places[i], self.fit.members[i]
-        without = np.empty_like(self.squares)
-        unit = np.eye(self._done.size)[:, place]
+    def of_member(self, member, squares):
+        """Errors of blocks (n_blocks,) of a member's joint; in noise, of the robot."""
+        if member.effect.whole_robot or member.effect.in_model:
+            return squares @ self.weight
+        return squares[:, np.searchsorted(self.held.used_joints, member.effect.joint)]
+
+    def without(self, *numbers):
+        """Squared errors (n_blocks, nj) without members, the others fitted anew."""
+        if not numbers:
+            return self.squares
+        place = np.concatenate([np.r_[self._places[i]] for i in numbers])
+        found, unit = np.empty_like(self.squares), np.eye(self._done.size)[:, place]
         for blocks, factor, theta in self._folds:
             inverse = linalg.cho_solve(factor, unit)
             # What leaving columns out does to the others, by the block inverse.
             away = np.linalg.solve(inverse[place], theta[place] + self._done[place])
-            without[blocks] = self._squares(blocks, theta - inverse @ away)
-        if member.effect.whole_robot or member.effect.in_model:
-            both = without @ self.weight, self.squares @ self.weight
-            return CrossValidatedGain.of(*both)
-        own = int(np.searchsorted(self.held.used_joints, member.effect.joint))
-        return CrossValidatedGain.of(without[:, own], self.squares[:, own])
+            found[blocks] = self._squares(blocks, theta - inverse @ away)
+        return found
+
+    def gain_of(self, i, absent=()):
+        """Return what a member saves, others being absent."""
+        both = self.without(*absent, i), self.without(*absent)
+        member = self.fit.members[i]
+        return CrossValidatedGain.of(*(self.of_member(member, x) for x in both))
 
     @property
     def residual(self):

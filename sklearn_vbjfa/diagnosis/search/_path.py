@@ -15,10 +15,18 @@ from sklearn_vbjfa.diagnosis.search._problem import (
     declared_alone,
     rescaled,
     spectrum_of,
+    stacked,
     together,
     weighed,
 )
-from sklearn_vbjfa.diagnosis.search._refine import refined, starts
+from sklearn_vbjfa.diagnosis.search._refine import (
+    MOST_STEPS,
+    SHARES,
+    WORTH,
+    Place,
+    refined,
+    starts,
+)
 from sklearn_vbjfa.diagnosis.search._view import variants
 from sklearn_vbjfa.effects import Shaped, closure
 
@@ -33,6 +41,8 @@ _MIRROR = 0.5
 _MOTION = 0.9
 # Instants of a jump that are looked at more closely.
 _JUMPS = 3
+# Log odds below which nothing is a candidate.
+_NO_CHANCE = -20.0
 # Nats within which the first in precedence gives its name to equal columns.
 _EQUAL = 0.5
 
@@ -55,6 +65,29 @@ class Candidate:
     def effect(self):
         """Effect with the best shape."""
         return self.family.effects[self.best]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Trials:
+    """Shapes of an effect beside a fit, see `refined`."""
+
+    path: object
+    fit: Fit
+
+    def evidence(self, effects):
+        """Log evidence (c,) of several shapes."""
+        family, scale = self.path._shaped(effects), self.path.settings.scale
+        return self.fit.groups(family).evidence(scale)
+
+    def climbed(self, place, evidence):
+        """Follow the derivatives of columns: the best effect and its evidence."""
+        family, scale = self.path._shaped([place.effect]), self.path.settings.scale
+        best = float(self.fit.groups(family).best_scale(scale)[0])
+        fit, last = self.fit.beside(family.member(0, best)), len(self.fit.members)
+        fit = self.path._stepped(fit, [last])
+        found = fit.members[last].effect
+        now = float(self.evidence([found])[0])
+        return (found, now) if now > evidence else (place.effect, evidence)
 
 
 class Path:
@@ -84,22 +117,24 @@ class Path:
             family = self.problem.family(one, self.motion)
             if family is not None:
                 found[j] += family.split()
-        self.families = found
+        self.families = {j: stacked(own) for j, own in found.items()}
         count = sum(map(len, found.values()))
         self.n_candidates = count
         self.log_prior = np.log(self.settings.expected / max(count, 1))
 
     def _candidate(self, fit, family, taken, excess=None):
         """Return the best shape of a family beside a fit as an `Candidate`, or None."""
+        scale = self.settings.scale
+        if excess is None:
+            evidence = fit.evidence(family, scale)
+            if not evidence.max() + self.log_prior > _NO_CHANCE:
+                return None
         groups = fit.groups(family)
         if excess is not None:
             groups = groups.discounted(excess)
-        free = np.array([e.key() not in taken for e in family.effects])
-        free &= groups.shown()
-        if not free.any():
-            return None
-        evidence = groups.evidence(self.settings.scale)
-        if not evidence[free].max() + self.log_prior > -20:
+            evidence = groups.evidence(scale)
+        free = groups.shown() & [key not in taken for key in family.keys]
+        if not free.any() or evidence[free].max() + self.log_prior <= _NO_CHANCE:
             return None
         coefs = groups.coefficients()
         for c in np.flatnonzero(free):
@@ -107,7 +142,7 @@ class Path:
             free[c] = effect.plausible(coefs[c, : len(effect.coefficients)])
         if not free.any():
             return None
-        if family.effects[0].opposite() is not None:
+        if family.opposite_keys:
             free &= self._one_sided(family, groups.gain(), free)
             if not free.any():
                 return None
@@ -160,14 +195,15 @@ class Path:
     def _one_sided(self, family, gain, free):
         """Which shapes are of a direction that their mirror image does not share."""
         best = {}
-        for effect, own, allowed in zip(family.effects, gain, free):
+        for key, own, allowed in zip(family.keys, gain, free):
             if allowed:
-                best[effect.key()] = max(best.get(effect.key(), 0.0), own)
-        kept = []
-        for effect in family.effects:
-            own = best.get(effect.key(), 0.0)
-            kept.append(best.get(effect.opposite().key(), 0.0) <= _MIRROR * own)
-        return np.array(kept)
+                best[key] = max(best.get(key, 0.0), own)
+        return np.array(
+            [
+                best.get(opposite, 0.0) <= _MIRROR * best.get(key, 0.0)
+                for key, opposite in zip(family.keys, family.opposite_keys)
+            ]
+        )
 
     def _taken(self, fit):
         """Keys of effects that do not come beside a fit, a set."""
@@ -264,7 +300,7 @@ class Path:
                 self._cached.pop(joint, None)
             self._outdated = set(self._cached)
 
-    def _scaled(self, fit):
+    def scaled(self, fit):
         """Return a fit with the most probable scale of each member."""
         return self._trimmed(rescaled(fit, self.settings.scale))
 
@@ -298,11 +334,11 @@ class Path:
         effect, family = candidate.effect, candidate.family
         if effect.bank:
             return self._bank(fit, effect)
-        if not (isinstance(effect, Shaped) and effect.continuous):
+        if not _searched_on(effect):
             return effect
         if effect.jumping:
             return self._refined(fit, [effect, *self._instants(fit, effect, family)])
-        evidence = fit.groups(family).evidence(self.settings.scale)
+        evidence = fit.evidence(family, self.settings.scale)
         return self._refined(fit, starts(family.effects, evidence, effect))
 
     def _instants(self, fit, effect, family):
@@ -343,59 +379,92 @@ class Path:
 
     def _single(self, effect):
         """Family of one shape."""
-        columns = self.view.columns([effect], self.motion)
-        return Family.of(self.problem, (effect,), columns)
+        return self._shaped([effect])
+
+    def _shaped(self, effects):
+        """Family of some shapes of an effect."""
+        columns = self.view.columns(effects, self.motion)
+        return Family.of(self.problem, effects, columns)
 
     def _refined(self, fit, effects):
         """Search the shape of an effect beside a fit, from one or several."""
-
-        def evidence(one):
-            groups = fit.groups(self._single(one))
-            return float(groups.evidence(self.settings.scale)[0])
-
-        return refined(effects, evidence, self.motion)
+        return refined(effects, Trials(path=self, fit=fit), self.motion)
 
     def refined(self, fit, joint=None):
         """Search the shapes of members again, of all joints or one."""
-        for i, member in enumerate(fit.members):
-            elsewhere = joint is not None and member.effect.joint != joint
-            shaped = isinstance(member.effect, Shaped) and member.effect.continuous
-            if elsewhere or not (shaped or member.effect.bank):
+        shaped = [
+            i
+            for i, member in enumerate(fit.members)
+            if (member.effect.bank or _searched_on(member.effect))
+            and joint in (None, member.effect.joint)
+        ]
+        fit = self._stepped(fit, shaped)
+        for i in shaped:
+            effect = fit.members[i].effect
+            if effect.bank:
+                fit = self._reshaped(fit, {i: self._bank(fit.without(i), effect)})
+                continue
+            if not (effect.jumping or effect.neutral):
                 continue
             rest = fit.without(i)
-            if member.effect.bank:
-                found = self._bank(rest, member.effect)
-            else:
-                found = self._refined(rest, [member.effect])
+            found = self._refined(rest, [effect])
             if found.jumping:
                 again = self._instants(rest, found, self._family(found))
                 found = self._refined(rest, [found, *again])
-            members = list(fit.members)
-            members[i] = self._single(found).member(0, member.scale)
-            fit = Fit(fit.base, members)
+            fit = self._reshaped(fit, {i: found})
         self._moved()
-        return self._scaled(fit)
+        return self.scaled(fit)
 
-    def _excess(self, fit, i, noise):
-        """How much the evidence for a member scatters in time; see `Fit.excess`."""
-        member = fit.members[i]
-        family = Family(
-            effects=(member.effect,),
-            moments=member.moments,
-            unit=member.unit[None],
-        )
-        coef = fit.coefficients(i) + member.done
-        return fit.without(i).excess(family, 0, coef, noise)
+    def _reshaped(self, fit, effects):
+        """Return a fit with other shapes of some members, by their numbers."""
+        members = list(fit.members)
+        for i, effect in effects.items():
+            members[i] = self._single(effect).member(0, members[i].scale)
+        return Fit(fit.base, members)
+
+    def _stepped(self, fit, numbers):
+        """Search the shapes of members, which trade against each other, at once."""
+        places = {
+            i: Place.of(fit.members[i].effect, self.motion)
+            for i in numbers
+            if not (fit.members[i].effect.jumping or fit.members[i].effect.bank)
+        }
+        places = {i: place for i, place in places.items() if place is not None}
+        evidence = fit.log_evidence()
+        for _ in range(MOST_STEPS if places else 0):
+            members = list(fit.members)
+            for i, place in places.items():
+                family = self._shaped(place.around())
+                members[i] = place.with_derivatives(
+                    members[i], family, fit.coefficients(i)
+                )
+            linear = Fit(fit.base, members)
+            if linear.explained - fit.explained < WORTH:
+                break
+            k = {i: fit.members[i].width for i in places}
+            steps = {i: linear.coefficients(i)[k[i] :] for i in places}
+            for share in SHARES:
+                moved = {
+                    i: place.moved(share * steps[i]) for i, place in places.items()
+                }
+                new = self._reshaped(fit, {i: x.effect for i, x in moved.items()})
+                if new.log_evidence() > evidence:
+                    break
+            else:
+                break
+            fit, places, evidence = new, moved, new.log_evidence()
+        return fit
 
     def log_odds(self, fit, usual=False):
         """Posterior log odds of each member beside the others."""
         # As `usual` those by which they compare, see `Overdispersion.as_usual`.
         found = []
-        for i, groups in enumerate(fit.own_groups()):
-            excess = self._excess(fit, i, self._noise)
+        for member, groups, excess in zip(
+            fit.members, fit.own_groups(), fit.excesses(self._noise)
+        ):
             tempered = groups.discounted(excess.as_usual() if usual else excess)
             evidence = float(tempered.evidence(self.settings.scale)[0])
-            found.append(evidence - np.log(self._shapes(fit.members[i])))
+            found.append(evidence - np.log(self._shapes(member)))
         return np.array(found) + self.log_prior
 
     def own_odds(self, fit):
@@ -403,11 +472,11 @@ class Path:
         # What is slow may be noise: without an effect the spectrum takes its place.
         fit = spectrum_of(fit, self.settings)
         whole, share, found = fit.log_evidence(), fit.base.share, []
-        for i, (member, groups) in enumerate(zip(fit.members, fit.own_groups())):
+        both = zip(fit.members, fit.own_groups(), fit.excesses(fit))
+        for i, (member, groups, excess) in enumerate(both):
             rest = spectrum_of(fit.without(i), self.settings, share=share)
             scale = self.settings.scale
             more = float(groups.integrated(scale, member.scale)[0])
-            excess = self._excess(fit, i, fit)
             evidence = min(
                 float(groups.discounted(excess).evidence(scale)[0]),
                 excess.discounted(whole + more - rest.log_evidence(), member.width),
@@ -436,7 +505,7 @@ class Path:
     def dropped(self, fit, i):
         """Return a fit without a member."""
         effect = fit.members[i].effect
-        fit = self._scaled(fit.without(i))
+        fit = self.scaled(fit.without(i))
         # The robot is not corrected by it any more.
         return self._anew(fit) if effect.in_model else fit
 
@@ -490,7 +559,7 @@ class Path:
     def _added(self, fit, candidate):
         """Return a fit with a candidate, without what becomes improbable by that."""
         member = self._member(fit, candidate)
-        new = self._scaled(fit.beside(member))
+        new = self.scaled(fit.beside(member))
         if not self.held_out(new).gain_of(len(fit.members)).helps:
             # What predicts other motion no better is refused beside this model.
             return fit
@@ -520,7 +589,7 @@ class Path:
             if candidate is not None
         ]
         for candidate in candidates:
-            alone = self._scaled(base.beside(self._member(base, candidate)))
+            alone = self.scaled(base.beside(self._member(base, candidate)))
             own, both, none = (
                 self.held_out(one).error_of(joint) for one in (alone, fit, base)
             )
@@ -594,7 +663,7 @@ class Path:
             ]
             for candidate in near[:3]:
                 other = self._member(base, candidate)
-                new = self._scaled(base.beside(other))
+                new = self.scaled(base.beside(other))
                 own = self.log_odds(new, usual=True)[-1]
                 if own < odds[i] + _EQUAL or keys_of(new) in been:
                     continue
@@ -644,17 +713,16 @@ class Path:
                 continue
             if first.name in within:
                 continue
-            groups = fit.groups(family)
-            free = groups.shown() & [e.key() not in taken for e in family.effects]
+            free = fit.groups(family).shown() & [k not in taken for k in family.keys]
             if free.any():
-                evidence = np.where(free, groups.evidence(scale), -np.inf)
+                evidence = np.where(free, fit.evidence(family, scale), -np.inf)
                 members.append(family.member(int(np.argmax(evidence)), scale))
         others = [m for m in fit.members if m.joints != (joint,)]
         members += [m for m in fit.members if m.joints == (joint,)]
         rest = Fit(fit.base, others)
         odds = self.log_prior - np.log([self._shapes(m) for m in members])
         kept = together(rest, members, odds - self.least, scale)
-        return self._scaled(Fit(fit.base, [*others, *kept]))
+        return self.scaled(Fit(fit.base, [*others, *kept]))
 
     def _excluded(self, fit):
         """Whether a member of a fit excludes another."""
@@ -687,7 +755,7 @@ class Path:
             if not added:
                 break
             fit = Fit(fit.base, [*fit.members, *added])
-            fit = spectrum_of(self._scaled(fit), self.settings)
+            fit = spectrum_of(self.scaled(fit), self.settings)
         self._noise = fit
         return fit.base
 
@@ -703,9 +771,9 @@ class Path:
         fit = self.begin()
         for _ in range(_TURNS):
             members = [self._single(e).member(0, self.settings.scale) for e in effects]
-            fit = self._anew(self._scaled(weighed(Fit(fit.base, members))))
+            fit = self._anew(self.scaled(weighed(Fit(fit.base, members))))
             effects = [m.effect for m in fit.members]
-        return self._scaled(weighed(fit))
+        return self.scaled(weighed(fit))
 
     def _say(self, fit, joint):
         """Tell which joint is looked at, beside how many effects."""
@@ -725,7 +793,7 @@ class Path:
                 self._make_families()
             start = [self._again(m) for m in fit.members]
             base = self._spectrum(Fit(fit.base, start))
-            fit = self._climb(self._scaled(Fit(base, start)))
+            fit = self._climb(self.scaled(Fit(base, start)))
             names = keys_of(fit)
             if names == seen or not fit.members:
                 break
@@ -780,6 +848,11 @@ def tuned_on(view, effects, settings):
             break
         before = now
     return tuple(member.effect.completed(path.motion) for member in fit.members)
+
+
+def _searched_on(effect):
+    """Whether an effect has shapes between those of its grid."""
+    return isinstance(effect, Shaped) and bool(effect.continuous)
 
 
 def keys_of(fit):

@@ -45,7 +45,8 @@ class SearchSettings:
         lower the error of stretches of time that were not fitted, and weights by the
         spectrum may not lead farther from least squares.
     worth : float, default=0.02
-        Share of the squared error on stretches that were not fitted that a name saves.
+        Share of the squared error of the plain terms, on stretches that were not
+        fitted, that a name saves beside the other names.
     known : float, default=3.0
         Deviations that a correction (a zero, a tilt, a gain) must be away from none to
         be told as "to correct".
@@ -152,6 +153,7 @@ class Found:
         return tuple(f for f in self.findings if not f.warning)
 
 
+_TINY = np.finfo(float).tiny
 # Why an effect that is probable has no name; what its values say is in `explain`.
 UNDECIDED = "undecided"
 CHANCE = "lowers no error on other stretches of time beyond chance"
@@ -164,9 +166,11 @@ def search(view, library, settings, alpha, max_effects=None):
     path = Path(view, library, settings, max_effects)
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())
+    worths = worths | (worthwhile := _worthwhile(path.held_out(fit), settings.worth))
     usual = path.log_odds(fit, usual=True)
     findings = []
-    for i, (member, own, worth) in enumerate(zip(fit.members, odds, worths)):
+    for i, (member, own) in enumerate(zip(fit.members, odds)):
+        worth = worths[i]
         evidence = Evidence(log_odds=float(own), **vars(worth))
         rivals = tuple(
             o.effect
@@ -174,7 +178,9 @@ def search(view, library, settings, alpha, max_effects=None):
             if (o.effect.in_model or o.order > usual[i] - settings.rivals)
             and o.effect.key() != member.effect.key()
         )
-        warning = _warning(member, evidence, settings, needed, path)
+        warning = _warning(member, evidence, needed, path)
+        if not warning and i not in worthwhile:
+            warning = SMALL
         findings.append(
             Finding(
                 effect=member.effect.completed(path.motion),
@@ -210,7 +216,7 @@ def _settled(path, fit):
     # motion worse, and what has a sign or size that it cannot have.
     while True:
         odds, left_out = path.own_odds(fit), path.held_out(fit)
-        worths = [left_out.gain_of(i) for i in range(odds.size)]
+        worths = {i: left_out.gain_of(i) for i in range(odds.size)}
         if not worths:
             return fit, odds, worths
         worst = int(np.argmin(odds))
@@ -221,7 +227,7 @@ def _settled(path, fit):
                 # In most blocks as well, or nobody would call it probable.
                 and ndtr(own.errors) >= path.settings.undecided
                 else -np.inf
-                for i, (member, own) in enumerate(zip(fit.members, worths))
+                for i, (member, own) in enumerate(zip(fit.members, worths.values()))
             ]
             worst = int(np.argmin(gains))
             if gains[worst] > 0:
@@ -229,14 +235,32 @@ def _settled(path, fit):
         fit = path.dropped(fit, worst)
 
 
-def _warning(member, evidence, settings, needed, path):
-    """Say why an effect is not named; "" for one that is."""
+def _worthwhile(left_out, worth):
+    """Gains of members that each save enough beside the other ones, by number."""
+    # The one that saves least goes, and the others are fitted without it, until each
+    # saves a share of the error that the plain terms leave.
+    members = left_out.fit.members
+    kept, absent = list(range(len(members))), []
+    plain = left_out.without(*kept)
+    while kept:
+        own, shares = left_out.without(*absent), []
+        for i in kept:
+            errors = plain, left_out.without(*absent, i), own
+            errors = [left_out.of_member(members[i], one).sum() for one in errors]
+            shares.append((errors[1] - errors[2]) / max(*errors[:2], _TINY))
+        worst = int(np.argmin(shares))
+        if shares[worst] > worth:
+            break
+        absent.append(kept.pop(worst))
+    return {i: left_out.gain_of(i, absent) for i in kept}
+
+
+def _warning(member, evidence, needed, path):
+    """Say why an effect is not named, whatever it saves; "" if nothing is."""
     if evidence.log_odds < needed:
         return UNDECIDED
-    if not evidence.errors > max(settings.chance, ndtri(expit(needed))):
+    if not evidence.errors > max(path.settings.chance, ndtri(expit(needed))):
         return CHANCE
-    if not evidence.gain > settings.worth:
-        return SMALL
     filters = isinstance(member.effect, OfChannel) and member.effect.corner is not None
     if filters and not path.above_motion(member.effect):
         return SLOW_FILTER

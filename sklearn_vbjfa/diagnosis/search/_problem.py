@@ -72,7 +72,6 @@ class Moments:
     def __init__(self, joints, columns, edges):
         self.joints, self.columns, self.edges = joints, columns, edges
         self._declared, self._right = WeakKeyDictionary(), WeakKeyDictionary()
-        self._others = WeakKeyDictionary()
 
     def of(self, columns):
         """Return those of other columns of the same joints."""
@@ -81,16 +80,17 @@ class Moments:
     @functools.cached_property
     def gram(self):
         """With themselves, group by group, (nj, n_bands, c, k, k)."""
-        turned = self.columns.transpose(0, 2, 3, 1)
-        return np.array(
-            [
-                [
-                    F[:, :, a:b] @ F[:, :, a:b].transpose(0, 2, 1)
-                    for a, b in itertools.pairwise(self.edges)
-                ]
-                for F in turned
-            ]
-        )
+        k = self.columns.shape[3]
+        found = np.empty((len(self.joints), self.edges.size - 1, *self.shape, k))
+        for a, b in itertools.product(range(k), repeat=2):
+            square = self.columns[..., a] * self.columns[..., b]
+            found[..., a, b] = np.add.reduceat(square, self.edges[:-1], axis=1)
+        return found
+
+    @property
+    def shape(self):
+        """Number of groups, and of columns in each, (c, k)."""
+        return self.columns.shape[2:]
 
     def declared(self, of):
         """With the `Declared` columns of their joints, (nj, n_bands, r, c * k)."""
@@ -110,19 +110,10 @@ class Moments:
             )
         return self._right[of]
 
-    def between(self, other):
-        """With those of another, (n_bands, p, q) by joint that both act on, a dict."""
-        if other not in self._others:
-            self._others[other] = {
-                j: products(self.edges, own, other.columns[other.joints.index(j)])
-                for j, own in zip(self.joints, self.columns)
-                if j in other.joints
-            }
-        return self._others[other]
-
 
 # One in so many cosines of the scores is slow; and the slowest of them.
 _SLOW, _SLOWEST = 4, 4
+_TINY = np.finfo(float).tiny
 # Ridge of the rigid bodies and plain terms, over the square sum of a column: rounding.
 _RIDGE = 1e-9
 
@@ -198,6 +189,21 @@ class Family(Columns):
     """An effect with the shapes of its grid, in frequency."""
 
     effects: tuple  # one for each shape
+    # beside other families of the same joints, at these places of their shapes
+    stack: "Family | None" = None
+    at: slice | None = None
+
+    @functools.cached_property
+    def keys(self):
+        """Keys of the effects."""
+        return tuple(effect.key() for effect in self.effects)
+
+    @functools.cached_property
+    def opposite_keys(self):
+        """Keys of their opposites, empty where they have none."""
+        if self.effects[0].opposite() is None:
+            return ()
+        return tuple(effect.opposite().key() for effect in self.effects)
 
     @classmethod
     def of(cls, problem, effects, columns):
@@ -250,6 +256,31 @@ class Family(Columns):
             unit=self.unit[c, :k],
             scale=scale,
         )
+
+
+def stacked(families):
+    """Return the same families with the columns of all side by side."""
+    # Moments beside a model are then made at once.
+    kinds = {}
+    for i, family in enumerate(families):
+        kind = family.joints, family.unit.shape[1], family.effects[0].bank
+        kinds.setdefault(kind, []).append(i)
+    found = list(families)
+    for (joints, *_), places in kinds.items():
+        own = [families[i] for i in places]
+        columns = np.concatenate([family.columns for family in own], axis=2)
+        stack = Family(
+            effects=tuple(itertools.chain(*(family.effects for family in own))),
+            moments=Moments(joints, columns, own[0].moments.edges),
+            unit=np.concatenate([family.unit for family in own]),
+        )
+        ends = np.cumsum([len(family.effects) for family in own]).tolist()
+        for i, end in zip(places, ends):
+            at = slice(end - len(families[i].effects), end)
+            moments = stack.moments.of(columns[:, :, at])
+            known = {"moments": moments, "stack": stack, "at": at}
+            found[i] = replace(families[i], **known)
+    return found
 
 
 def _lower(L, right, turned=False):
@@ -328,20 +359,11 @@ class Base:
         """Sum products by joint and band (nj, n_bands, ...) with their weights."""
         return np.tensordot(self.density[list(joints)], products, 2)
 
-    def between(self, one, other):
-        """Weighted products of two `Moments`, (p, q)."""
-        found = one.between(other)
-        width = [m.columns.shape[2] * m.columns.shape[3] for m in (one, other)]
-        return sum(
-            (np.tensordot(self.density[j], own, 1) for j, own in found.items()),
-            np.zeros(width),
-        )
-
     def beside(self, moments):
         """Moments of groups of columns beside the declared ones, `Beside`."""
         if moments not in self._known:
             own, problem = moments.joints, self.problem
-            _, _, c, k = moments.columns.shape
+            c, k = moments.shape
             T = self.solved(self.over(own, moments.declared(problem)))
             right = self.over(own, moments.right(problem))
             gram = self.over(own, moments.gram)
@@ -371,6 +393,12 @@ def _blocks(T, c, k):
     return by_group @ by_group.transpose(0, 2, 1)
 
 
+def _score_powers(scores):
+    """Powers of the changes of scores in time, from the slowest, and the slow ones."""
+    power = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size
+    return power, power[: max(power.size // _SLOW, 1)]
+
+
 class Fit:
     """A model of all joints' torques with some members, under given weights."""
 
@@ -382,13 +410,8 @@ class Fit:
         self.base, self.members = base, tuple(members)
         edges = np.cumsum([0, *(m.width for m in self.members)])
         self.places = [slice(int(a), int(b)) for a, b in itertools.pairwise(edges)]
-        p = int(edges[-1])
-        self._B, S, right = (
-            np.zeros((base.L.shape[0], p)),
-            np.zeros((p, p)),
-            np.zeros(p),
-        )
-        self.prior = np.zeros(p)
+        p, r = int(edges[-1]), base.L.shape[0]
+        self._B, right, self.prior = np.zeros((r, p)), np.zeros(p), np.zeros(p)
         for place, member in zip(self.places, self.members):
             own = base.beside(member.moments)
             self._B[:, place] = own.T
@@ -396,21 +419,38 @@ class Fit:
             deviation = np.where(used, member.scale * member.unit, 1.0)
             self.prior[place] = 1.0 / deviation**2
             right[place] = own.q[0] - self.prior[place] * member.done
-            S[place, place] = own.gram[0]
-        for a, b in itertools.combinations(range(len(self.members)), 2):
-            product = base.between(self.members[a].moments, self.members[b].moments)
-            S[self.places[a], self.places[b]] = product
-            S[self.places[b], self.places[a]] = product.T
-        S += np.diag(self.prior) - self._B.T @ self._B
+        S = np.diag(self.prior) - self._B.T @ self._B
+        for j, (at, X) in self._acting.items():
+            S[np.ix_(at, at)] += (X * base.weights[j][:, None]).T @ X
         self._factor = linalg.cholesky(S, lower=True) if p else S
         self._t = self._reduced(right)
         self._coef = _lower(self._factor, self._t, turned=True) if p else right
         self.theta = _lower(base.L, base.t - self._B @ self._coef, turned=True)
+        self._beside, self._evidence = WeakKeyDictionary(), WeakKeyDictionary()
+
+    @functools.cached_property
+    def _acting(self):
+        """Coefficients that act on each joint, and their columns (n, p_j), a dict."""
+        found = {}
+        for place, member in zip(self.places, self.members):
+            for j, own in zip(member.joints, member.columns[:, :, 0]):
+                found.setdefault(j, []).append(
+                    (np.arange(place.start, place.stop), own)
+                )
+        return {
+            j: (np.concatenate([x[0] for x in own]), np.hstack([x[1] for x in own]))
+            for j, own in found.items()
+        }
 
     @property
     def problem(self):
         """Equations."""
         return self.base.problem
+
+    @property
+    def explained(self):
+        """What the members take off the error, priors included [nats]."""
+        return 0.5 * float(self._t @ self._t)
 
     @property
     def n_coefficients(self):
@@ -419,26 +459,27 @@ class Fit:
 
     def _reduced(self, right):
         """Solve the members' factor for a right-hand side (p, ...)."""
-        if not self.members:
-            return right
-        return _lower(self._factor, right)
+        return _lower(self._factor, right) if self.members else right
 
     @functools.cached_property
     def residual(self):
         """Residuals of the cosines, (nv, n)."""
-        out = self.problem.y - self.problem.Z @ self.theta
-        for place, member in zip(self.places, self.members):
-            for i, j in enumerate(member.joints):
-                out[j] -= member.columns[i, :, 0] @ self._coef[place]
+        return self.problem.y - self._sum(self.theta, self._coef)
+
+    def _sum(self, theta, coef):
+        """Sum of the columns with coefficients (r, ...) and (p, ...), (nv, n, ...)."""
+        out = self.problem.Z @ theta
+        for j, (at, X) in self._acting.items():
+            out[j] += X @ coef[at]
         return out
 
     def rows_of(self, j):
         """Columns of the members in a joint's equations, (n, p)."""
-        X = np.zeros((self.problem.y.shape[1], self._coef.size))
-        for place, member in zip(self.places, self.members):
-            if j in member.joints:
-                X[:, place] = member.columns[member.joints.index(j), :, 0]
-        return X
+        found = np.zeros((self.problem.y.shape[1], self._coef.size))
+        if j in self._acting:
+            at, X = self._acting[j]
+            found[:, at] = X
+        return found
 
     @property
     def done(self):
@@ -460,13 +501,9 @@ class Fit:
         else:
             whole = base.inverse
         taken = np.tensordot(problem.gram, whole, 2)
-        for place, member in zip(self.places, self.members):
-            own = member.moments.declared(problem)
-            taken[list(member.joints)] -= 2.0 * np.tensordot(own, cross[:, place], 2)
-        pairs = itertools.product(zip(self.places, self.members), repeat=2)
-        for (a, one), (b, other) in pairs:
-            for j, own in one.moments.between(other.moments).items():
-                taken[j] += np.tensordot(own, covariance[a, b], 2)
+        for j, (at, X) in self._acting.items():
+            rows = X @ covariance[np.ix_(at, at)] - 2.0 * (problem.Z[j] @ cross[:, at])
+            taken[j] += np.add.reduceat((rows * X).sum(axis=1), edges[:-1])
         taken *= base.density
         # What comes again with each phase is known no better for it.
         fill = fill / problem.view.repeats
@@ -474,24 +511,38 @@ class Fit:
 
     def groups(self, family):
         """Second moments of a family's shapes beside this model, `Groups`."""
-        _, _, c, k = family.columns.shape
-        own = self.base.beside(family.moments)
-        H, q = own.H, own.q
-        if self.members:
-            cross = -self._B.T @ own.T
-            for place, member in zip(self.places, self.members):
-                cross[place] += self.base.between(member.moments, family.moments)
-            D = self._reduced(cross)
-            H = H - _blocks(D, c, k)
-            q = q - (self._t @ D).reshape(c, k)
-        diagonal = np.diagonal(own.gram, axis1=1, axis2=2)
-        return Groups(
-            H=H,
-            q=q,
-            own=diagonal,
-            unit=family.unit,
-            positive=family.effects[0].bank,
-        )
+        if family.stack is not None:
+            return self.groups(family.stack).part(family.at)
+        if family.moments not in self._beside:
+            own, (c, k) = self.base.beside(family.moments), family.moments.shape
+            H, q, D = own.H, own.q, np.zeros((0, c * k))
+            if self.members:
+                D = self._reduced(self._products(family.moments) - self._B.T @ own.T)
+                H = H - _blocks(D, c, k)
+                q = q - (self._t @ D).reshape(c, k)
+            diagonal = np.diagonal(own.gram, axis1=1, axis2=2)
+            positive = family.effects[0].bank
+            groups = Groups(H=H, q=q, own=diagonal, unit=family.unit, positive=positive)
+            self._beside[family.moments] = groups, D
+        return self._beside[family.moments][0]
+
+    def evidence(self, family, scale):
+        """Log evidence of a family's shapes beside this model, (c,)."""
+        if family.stack is not None:
+            return self.evidence(family.stack, scale)[family.at]
+        if family.moments not in self._evidence:
+            self._evidence[family.moments] = self.groups(family).evidence(scale)
+        return self._evidence[family.moments]
+
+    def _products(self, moments):
+        """Weighted products of the members' columns with others, (p, c * k)."""
+        found = np.zeros((self._coef.size, np.prod(moments.shape)))
+        for j, columns in zip(moments.joints, moments.columns):
+            if j in self._acting:
+                at, X = self._acting[j]
+                weighted = X * self.base.weights[j][:, None]
+                found[at] += weighted.T @ columns.reshape(len(columns), -1)
+        return found
 
     @functools.cached_property
     def scores(self):
@@ -511,58 +562,78 @@ class Fit:
         return np.where(used.reshape(*used.shape, *(1,) * (found.ndim - 2)), found, 0.0)
 
     def excess(self, family, c, coef, noise):
-        """How much more than by its noise the evidence for a group scatters in time."""
-        # That is, the variance of its score between blocks of time over that which its
-        # second moments promise (the sandwich over the Hessian), at least one, with the
+        """Overdispersion of one shape's score beside this model.
+
+        `coef` (k,) is the direction of its coefficients that counts, `noise` the fit
+        under the same weights that leaves the noise.
+        """
+        if family.stack is not None:
+            return self.excess(family.stack, family.at.start + c, coef, noise)
+        self.groups(family)
+        k = family.moments.shape[1]
+        columns = slice(c * k, (c + 1) * k)
+        T = self.base.beside(family.moments).T[:, columns] @ coef
+        D = self._beside[family.moments][1][:, columns] @ coef
+        members = _lower(self._factor, D, turned=True) if self.members else D
+        declared = _lower(self.base.L, T - self._B @ members, turned=True)
+        left = -self._sum(declared, members)
+        left[list(family.joints)] += family.columns[:, :, c] @ coef
+        return self._scattered(left[:, :, None], [family.effects[c]], noise)[0]
+
+    def excesses(self, noise):
+        """Overdispersion of each member's score beside the others, a list."""
+        if not self.members:
+            return []
+        # Their columns, less what the others explain of them, by the block inverse.
+        C, directions = self._covariance, np.zeros((self._coef.size, len(self.members)))
+        for i, (place, member) in enumerate(zip(self.places, self.members)):
+            coef = self._coef[place] + member.done
+            directions[:, i] = C[:, place] @ np.linalg.solve(C[place, place], coef)
+        theta = -_lower(self.base.L, self._B @ directions, turned=True)
+        left = self._sum(theta, directions)
+        return self._scattered(left, [m.effect for m in self.members], noise)
+
+    def _scattered(self, left, effects, noise):
+        """Overdispersion of scores by columns (nv, n, c) beside everything else."""
+        # The variance of a score between blocks of time over that which its second
+        # moments promise (the sandwich over the Hessian), at least one, with the
         # degrees of freedom that it is known with. The variance of slow changes of the
         # score counts where it is larger: that of independent blocks is as large at all
         # frequencies.
-        # family, c, coef: group, its shape, direction (k,) of its coefficients that
-        # counts; noise: fit under the same weights that leaves the noise.
-        problem, base = self.problem, self.base
-        direction = family.columns[:, :, c] @ coef
-        cross = np.zeros(base.L.shape[0])
-        own = np.zeros(self._coef.size)
-        for i, j in enumerate(family.joints):
-            weighted = base.weights[j] * direction[i]
-            cross += problem.Z[j].T @ weighted
-            own += self.rows_of(j).T @ weighted
-        T = base.solved(cross)
-        D = self._reduced(own - self._B.T @ T)
-        members = D
-        if self.members:
-            members = _lower(self._factor, D, turned=True)
-        declared = _lower(base.L, T - self._B @ members, turned=True)
-        left = -(problem.Z @ declared)
-        for place, member in zip(self.places, self.members):
-            for i, j in enumerate(member.joints):
-                left[j] -= member.columns[i, :, 0] @ members[place]
-        for i, j in enumerate(family.joints):
-            left[j] += direction[i]
-        rows = self._rows(left * np.sqrt(base.weights))
-        promised = (rows**2).sum()
-        if not promised > 0:
-            return Overdispersion()
-        # What the group itself explains of them is no noise.
-        rest = noise.scores - rows * ((rows * noise.scores).sum() / promised)
-        view, products = problem.view, (rows * rest).sum(axis=0)
+        rows = self._rows(left * np.sqrt(self.base.weights)[:, :, None])
+        promised = (rows**2).sum(axis=(0, 1))
+        # What the column itself explains of the noise is none.
+        own = np.einsum("jmc,jm->c", rows, noise.scores) / np.maximum(promised, _TINY)
+        products = np.einsum("jmc,jm->mc", rows, noise.scores)
+        products -= own * (rows**2).sum(axis=0)
+        view = self.problem.view
+        spans = view.spans.sums(products)[view.span_order]
+        phases = view.blocks.sums(products) if view.repetition else None
+        found = []
+        for c, effect in enumerate(effects):
+            if not promised[c] > 0:
+                found.append(Overdispersion())
+                continue
+            least = max(1.0, self.base.promised_less(left[:, :, c]))
+            again = None if phases is None else phases[:, c] / np.sqrt(promised[c])
+            scores = spans[:, c] / np.sqrt(promised[c])
+            found.append(self._dispersion(scores, again, effect, noise, least))
+        return found
 
-        def powers(scores):
-            own = fft.dct(scores, norm="ortho")[1:] ** 2 * scores.size / promised
-            return own, own[: max(own.size // _SLOW, 1)]
-
-        power, slow = powers(view.spans.sums(products)[view.span_order])
-        usual, freedom = max(1.0, slow.mean(), power.mean()), np.inf
-        usual = float(max(usual, base.promised_less(left)))
-        if view.repetition:
+    def _dispersion(self, scores, again, effect, noise, least):
+        """Overdispersion of scores of blocks, and of phases `again` if any."""
+        power, slow = _score_powers(scores)
+        usual, freedom = max(least, slow.mean(), power.mean()), np.inf
+        if again is not None:
             # What is not modelled comes again with each phase, and there are few, of
             # which the fit that leaves the noise has taken as many as its parameters.
-            again, late = powers(view.blocks.sums(products))
-            taken = (base.L.shape[0] + noise.n_coefficients) / problem.used_joints.sum()
+            again, late = _score_powers(again)
+            used = self.problem.used_joints.sum()
+            taken = (self.base.L.shape[0] + noise.n_coefficients) / used
             freedom = float(max(again.size - taken, 1.0))
             fewer = again.size / freedom
-            usual = float(max(usual, fewer * late.mean(), fewer * again.mean()))
-        effect = family.effects[c]
+            usual = max(usual, fewer * late.mean(), fewer * again.mean())
+        usual = float(usual)
         if not effect.slow:
             return Overdispersion(ratio=usual, freedom=freedom, usual=usual)
         # What changes with time is told by slow changes alone, and there are few.

@@ -1,29 +1,30 @@
 """Shape parameters of effects between the points of their grid."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import optimize
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.search._view import variants
+from sklearn_vbjfa.effects import Effect
 
-# The search of shape parameters ends where the evidence rises by less [nats], or after
-# this many trials.
-_WORTH, _MOST_TRIALS = 0.01, 100
-# Sizes of the simplex, in shares of the way to the neighbours: it is begun once more,
-# as it may have become flat.
-_SIMPLEX = 0.25, 0.05
+# A search ends where a step promises less [nats], or after this many steps.
+WORTH, MOST_STEPS = 0.01, 8
+# Shares of a step that are taken until one leads up.
+SHARES = (1.0, 0.5, 0.25)
+# Step of the derivatives in shares of the way between the grid's next points.
+_DERIVATIVE = 0.01
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3
-# Instants from the best of which a jump is searched, in this share of the way to the
-# grid's next ones on both sides.
-_INSTANTS, _AROUND = 9, 0.1
+# Instants at which a jump is tried, twice, in this share of the way to the grid's next
+# ones on both sides.
+_INSTANTS, _AROUND = 17, 0.1
 # Rows left out: so many times as long as between two rows.
 _GAP = 1.5
 # A parameter that does nothing at a value stays there unless so much is gained [nats].
 _NEUTRAL = 2.0
+# Prior deviation of a step, over the way between the grid's points: none.
+_FREE = 1e3
 
 
 @dataclass(frozen=True)
@@ -45,8 +46,7 @@ class Bracket:
     def of(cls, effect, name, motion):
         """Return the bounds of a parameter; None where the grid has no neighbours."""
         value = getattr(effect, name)
-        same = [v for v in variants(effect, motion) if v.key() == effect.key()]
-        values = np.unique([getattr(v, name) for v in same])
+        values = np.unique([s.get(name, value) for s in _same_use(effect, motion)])
         if name in effect.cyclic and values.size > 1:
             turn = 2 * np.pi
             around = np.concatenate([values - turn, values, values + turn])
@@ -105,13 +105,26 @@ def _between(motion):
     return [(row, *found[row]) for row in sorted(found)]
 
 
-def refined(candidates, evidence, motion):
+def _same_use(effect, motion):
+    """Shapes of the grid of an effect that differ in what is searched alone."""
+    for shape in effect.shapes(motion):
+        fixed = shape.keys() - set(effect.continuous)
+        if all(shape[name] == getattr(effect, name) for name in fixed):
+            yield shape
+
+
+def refined(candidates, trials, motion):
     """Search shape parameters on between the points of the grid."""
-    found = max((_searched(one, evidence, motion) for one in candidates), key=evidence)
-    for values, least in _plainer(found, motion):
-        plain = clone(found).set_params(**values)
-        if evidence(found) - evidence(plain) < least:
-            return plain
+    # `trials.evidence(effects)` are the log evidences of several shapes (c,), and
+    # `trials.climbed(place, evidence)` follows the derivatives of columns from a place.
+    searched = [_searched(one, trials, motion) for one in candidates]
+    found, evidence = max(searched, key=lambda one: one[1])
+    plain = _plainer(found, motion)
+    if plain:
+        others = [clone(found).set_params(**values) for values, _ in plain]
+        for other, (_, least), own in zip(others, plain, trials.evidence(others)):
+            if evidence - own < least:
+                return other
     return found
 
 
@@ -130,62 +143,98 @@ def _plainer(effect, motion):
     return found
 
 
-def _searched(effect, evidence, motion):
-    """Search from one shape."""
-    brackets = {n: Bracket.of(effect, n, motion) for n in effect.continuous}
-    brackets = {n: bracket for n, bracket in brackets.items() if bracket is not None}
-    if not brackets:
-        return effect
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """An effect among its shapes, and how far a step may lead."""
 
-    def at(places):
-        values = {n: b.value(u) for (n, b), u in zip(brackets.items(), places)}
-        return clone(effect).set_params(**values)
+    effect: Effect
+    brackets: dict  # by the names of what is searched
+    values: np.ndarray  # (d,): places in these
 
-    search = _along if len(brackets) == 1 else _downhill
-    start = [b.place(getattr(effect, n)) for n, b in brackets.items()]
-    own = list(brackets.values())
-    place, value = search(lambda u: -evidence(at(u)), start, own)
-    return at(place) if -value > evidence(effect) else effect
+    @classmethod
+    def of(cls, effect, motion):
+        """Return that of an effect; None where its grid has no neighbours."""
+        brackets = {n: Bracket.of(effect, n, motion) for n in effect.continuous}
+        brackets = {
+            n: bracket for n, bracket in brackets.items() if bracket is not None
+        }
+        if not brackets:
+            return None
+        values = [b.place(getattr(effect, n)) for n, b in brackets.items()]
+        return cls(effect=effect, brackets=brackets, values=np.array(values))
 
+    @property
+    def width(self):
+        """Way between the grid's next points, (d,)."""
+        return np.array([b.high - b.low for b in self.brackets.values()])
 
-def _along(cost, start, brackets):
-    """Search one parameter between its bounds: where, and the cost there."""
-    (bracket,) = brackets
-    low, high = bracket.low, bracket.high
-    if bracket.instants:
-        at = np.linspace(low, high, _INSTANTS)
-        best = int(np.argmin([cost([u]) for u in at]))
-        low, high = at[max(best - 1, 0)], at[min(best + 1, _INSTANTS - 1)]
-    found = optimize.minimize_scalar(
-        lambda u: cost([u]),
-        bounds=(low, high),
-        method="bounded",
-        options={"xatol": 3e-3 * (high - low)},
-    )
-    return [found.x], found.fun
+    @property
+    def steps(self):
+        """Steps of the derivatives, (d,)."""
+        highest = np.array([b.highest for b in self.brackets.values()])
+        step = _DERIVATIVE * self.width
+        return np.where(self.values + step > highest, -step, step)
 
+    def at(self, values):
+        """Return the effect elsewhere."""
+        both = zip(self.brackets.items(), values)
+        return clone(self.effect).set_params(**{n: b.value(u) for (n, b), u in both})
 
-def _downhill(cost, start, brackets):
-    """Search several parameters, which may trade against each other, as `_along`."""
-    # Nelder and Mead's simplex follows a narrow valley; it may leave the neighbours
-    # of the start behind, but not what the parameter can be.
-    width = np.array([b.high - b.low for b in brackets])
-    for share in _SIMPLEX:
-        simplex = np.vstack([start, start + share * np.diag(width)])
-        found = optimize.minimize(
-            cost,
-            start,
-            method="Nelder-Mead",
-            bounds=[(b.lowest, b.highest) for b in brackets],
-            options={
-                "initial_simplex": simplex,
-                "xatol": 1e-3 * width.min(),
-                "fatol": _WORTH,
-                "maxfev": _MOST_TRIALS,
-            },
+    def around(self):
+        """Return the effect, and with each parameter changed a little."""
+        return [self.effect, *map(self.at, self.values + np.diag(self.steps))]
+
+    def moved(self, step):
+        """Return the place after a step (d,), as far as that may lead."""
+        # A single parameter stays between its neighbours; one of several, which may
+        # trade against each other, may leave them behind.
+        alone, own = len(self.brackets) == 1, self.brackets.values()
+        low = [b.low if alone else b.lowest for b in own]
+        high = [b.high if alone else b.highest for b in own]
+        step = np.clip(step, -self.width / 2, self.width / 2)
+        values = np.clip(self.values + step, low, high)
+        return replace(self, effect=self.at(values), values=values)
+
+    def with_derivatives(self, member, family, coef):
+        """Return a member whose columns (k,) the derivatives (d,) by its shape follow.
+
+        `family` has the shapes of `around`.
+        """
+        change = family.columns[:, :, 1:] - family.columns[:, :, :1]
+        slopes = change @ coef / self.steps
+        columns = np.concatenate([family.columns[:, :, 0], slopes], axis=2)
+        free = np.full(self.values.size, _FREE / member.scale) * self.width
+        return replace(
+            member,
+            moments=family.moments.of(columns[:, :, None]),
+            unit=np.concatenate([member.unit, free]),
         )
-        start = found.x
-    return found.x, found.fun
+
+
+def _searched(effect, trials, motion):
+    """Search from one shape; returns the best one and its evidence."""
+    place = Place.of(effect, motion)
+    before = float(trials.evidence([effect])[0])
+    if place is None:
+        return effect, before
+    if effect.jumping:
+        (bracket,) = place.brackets.values()
+        found, evidence = _narrowed(
+            bracket, lambda u: trials.evidence([*map(place.at, u)])
+        )
+        return (place.at(found), evidence) if evidence > before else (effect, before)
+    return trials.climbed(place, before)
+
+
+def _narrowed(bracket, evidence):
+    """Try a parameter at places between its bounds, and again around the best."""
+    low, high = bracket.low, bracket.high
+    for _ in range(2):
+        places = np.linspace(low, high, _INSTANTS)
+        found = evidence(places[:, None])
+        best = int(np.argmax(found))
+        low, high = places[max(best - 1, 0)], places[min(best + 1, _INSTANTS - 1)]
+    return places[[best]], float(found[best])
 
 
 def starts(effects, evidence, best):

@@ -24,11 +24,28 @@ def test_brackets_reach_to_the_next_points_of_the_grid():
     assert last.value(last.high) == pytest.approx(GRID[-1])
 
 
-def test_the_best_place_between_two_points_is_found():
-    truth = (GRID[1] * GRID[2] ** 2) ** (1 / 3)
-    start = effects.Stribeck(1, vs=GRID[2])
-    best = refined([start], lambda e: -((e.vs / truth - 1) ** 2), MOTION)
-    assert best.vs == pytest.approx(truth, rel=0.01)
+class Peaks:
+    """What stands for shapes beside a fit, with an evidence that is known."""
+
+    def __init__(self, evidence):
+        self.one = evidence
+
+    def evidence(self, shapes):
+        return np.array([self.one(effect) for effect in shapes])
+
+
+@pytest.mark.parametrize("name", ["stribeck", "ripple"])
+def test_the_best_place_between_two_points_is_found(name):
+    """One parameter, and two of which one is an angle's period, beside a fit."""
+    kind = {"stribeck": effects.Stribeck, "ripple": effects.Ripple}[name]
+    (shape, value) = {"stribeck": ("vs", 0.31), "ripple": ("period", 0.23)}[name]
+    truth = kind(1, **{shape: value})
+    added = truth.columns(MOTION) @ np.full(len(truth.coefficients), 3.0)
+    torque = CLEAN.torque()
+    torque[:, 1] += added
+    path = search(torque, [name]).path()
+    found = path.run().members[0].effect
+    assert getattr(found, shape) == pytest.approx(value, rel=0.01)
 
 
 def two_recordings():
@@ -48,7 +65,7 @@ def test_an_instant_is_found_among_several_peaks():
         return 1e3 * np.exp(-away) + 50 * np.cos(60 * away)
 
     start = effects.Payload(1, instant=truth + 0.08)
-    best = refined([start], evidence, motion)
+    best = refined([start], Peaks(evidence), motion)
     assert best.instant == pytest.approx(truth, abs=0.05)
     assert best.instant in motion.t
 
@@ -61,7 +78,7 @@ def test_an_instant_between_two_recordings_is_the_start_of_the_second():
     def shared(effect):
         return 100.0 * (begin - 5.0 < effect.instant <= begin)
 
-    assert refined([start], shared, motion).instant == begin
+    assert refined([start], Peaks(shared), motion).instant == begin
 
 
 @pytest.mark.parametrize(("worth", "left"), [(4.0, False), (20.0, True)])
@@ -73,7 +90,7 @@ def test_rows_within_a_recording_say_more_than_how_many_there_are(worth, left):
         return worth * (effect.instant > begin)
 
     start = effects.Payload(1, instant=begin + 2.0)
-    assert (refined([start], later, motion).instant > begin) == left
+    assert (refined([start], Peaks(later), motion).instant > begin) == left
 
 
 def test_the_instant_of_a_jump_is_found_wherever_it_is():

@@ -98,15 +98,17 @@ def _notes(caught):
 
 def _write(done, arguments, notes):
     """Write all files or none, each complete; return their folder and lines."""
-    from sklearn_vbjfa._cli._input import free
     from sklearn_vbjfa._core._progress import stage
 
-    folder, lines = done.folder, []
-    if not arguments.force and any((folder / name).exists() for name in done.files):
-        folder = free(folder)
-        lines = [f"{done.folder} has files of another run (--force replaces them)"]
+    folder = done.folder
     with stage("writing"), _reserved(folder) as part:
-        lines += done.write(part, notes)
+        there = [name for name in done.files if (folder / name).exists()]
+        if there and not arguments.force:
+            raise Refused(
+                f"another run has written {folder / there[0]}; give another --out, or "
+                "--force to replace it"
+            )
+        lines = done.write(part, notes)
         for name in done.files:
             (part / name).replace(folder / name)
     paths = [str(folder / name) for name in done.files]
@@ -119,6 +121,7 @@ def _write(done, arguments, notes):
 @contextlib.contextmanager
 def _reserved(folder):
     """Reserve a folder for one run; gives a folder in it for incomplete files."""
+    is_new = not folder.exists()
     folder.mkdir(parents=True, exist_ok=True)
     part = folder / ".writing"
     if part.is_dir() and time.time() - part.stat().st_mtime > _ABANDONED:
@@ -133,7 +136,7 @@ def _reserved(folder):
         yield part
     finally:
         shutil.rmtree(part)
-        if not any(folder.iterdir()):
+        if is_new and not any(folder.iterdir()):
             folder.rmdir()
 
 

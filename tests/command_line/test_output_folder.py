@@ -1,5 +1,7 @@
 """Where files go: folders that take none are told first, earlier reports stay."""
 
+import json
+import os
 import sys
 from pathlib import Path
 
@@ -44,6 +46,29 @@ def test_a_second_run_does_not_replace_the_report_of_the_first(here, capsys):
     assert "written: arm-report-2" in told.out
     assert first == {x.name: x.read_bytes() for x in Path("arm-report").iterdir()}
     assert {x.name for x in Path("arm-report-2").iterdir()} == set(first)
+
+
+def test_one_of_two_runs_at_once_is_refused(here, capsys):
+    part = Path("arm-report/.writing")
+    part.mkdir(parents=True)
+    assert run() == 2
+    last = capsys.readouterr().err.splitlines()[-1]
+    assert "another run writes to arm-report" in last
+    # What a killed run left an hour and more ago is cleaned up.
+    os.utime(part, (0, 0))
+    assert run("--json") == 0
+    assert not part.exists()
+    printed = json.loads(capsys.readouterr().out)
+    assert printed == json.loads(Path("arm-report/report.json").read_text("utf-8"))
+    assert printed["headline"]
+
+
+def test_inspection_is_printed_as_data(here, capsys):
+    assert main(["inspect", "arm.csv", "--urdf", "arm.urdf", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["joint_names"] == ["shoulder", "elbow"]
+    assert found["findings"] == found["faults"] == []
+    assert set(found["identifiable"]) == {"shoulder", "elbow"}
 
 
 def test_a_folder_that_is_named_is_not_written_over(here, capsys, nothing_read):

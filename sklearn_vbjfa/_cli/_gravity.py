@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._run import Done
 
-_FILES = ("report.json", "parameters.csv")
+_FILES: tuple[str, ...] = ("report.json", "parameters.csv")
 _FILES += ("identified.urdf", "identified.xml", "identified.json")
 
 

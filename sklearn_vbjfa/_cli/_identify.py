@@ -13,9 +13,16 @@ from sklearn_vbjfa._cli._run import Done
 
 # The report as a page and as data, the parameters, and the robot: as a description, for
 # MuJoCo, and with everything that was identified.
-_FILES = ("report.html", "report.json", "parameters.csv")
+_FILES: tuple[str, ...] = ("report.html", "report.json", "parameters.csv")
 _FILES += ("identified.urdf", "identified.xml", "identified.json")
-_COLUMNS = ("parameter", "value", "unit", "std", "identifiable", "known")
+_COLUMNS: tuple[str, ...] = (
+    "parameter",
+    "value",
+    "unit",
+    "std",
+    "identifiable",
+    "known",
+)
 _COLUMNS += ("description", "description_std", "learned", "scatter")
 # Verdicts on a joint that forbid a use.
 _NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")

@@ -282,8 +282,7 @@ def square_root(S, xy, yy):
 
 
 # Where rounding of S_tt / s2 stays below this share of the prior precision, the
-# Cholesky factor of the posterior precision is safe; beyond, it is made from the square
-# root by orthogonal steps, while rounding of that stays below the same share.
+# Cholesky factor of the posterior precision is safe.
 _SAFE_ROUNDING = 1e-8
 _HALF_DIGITS = np.sqrt(np.finfo(float).eps)
 
@@ -305,9 +304,7 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
     prior = 1.0 / np.sqrt(alpha)
     d = prior.size
     largest = (np.diagonal(S_tt) / alpha).max() / s2
-    rounding = np.finfo(float).eps * d * np.array([largest, np.sqrt(largest)])
-    safe = (rounding < _SAFE_ROUNDING) & (not always)
-    if safe[0]:
+    if np.finfo(float).eps * d * largest < _SAFE_ROUNDING and not always:
         A = S_tt * np.outer(prior, prior) / s2
         A[np.diag_indices_from(A)] += 1.0
         factor, failed = lapack.dpotrf(A)
@@ -319,20 +316,6 @@ def posterior_beta(S_tt, S_ty, yy, s2, alpha, square_root, *, always=False):
         logdet = -2 * np.log(np.diagonal(factor)).sum() - np.log(alpha).sum()
         squares = yy - 2 * mean @ S_ty + mean @ S_tt @ mean
         squares += np.einsum("ij,ij->", cov, S_tt)  # [C11]
-    elif safe[1]:
-        # The same factor from the rows of S_tt = R'R and of the prior.
-        root = square_root()
-        rows = np.eye(root.z.size + d, d + 1, -root.z.size)
-        rows[: root.z.size, :d] = root.R * (prior / np.sqrt(s2))
-        rows[: root.z.size, d] = root.z / np.sqrt(s2)
-        factor = linalg.qr(rows, mode="r", check_finite=False)[0][:d]
-        factor, z = factor[:, :d], factor[:, d]
-        scaled = prior[:, None] * lapack.dtrtri(factor)[0]
-        cov = scaled @ scaled.T  # [C8]
-        mean = scaled @ z  # [C9]
-        logdet = -2 * np.log(np.abs(np.diagonal(factor))).sum() - np.log(alpha).sum()
-        squares = root.rest + np.sum((root.z - root.R @ mean) ** 2)
-        squares += np.sum((root.R @ scaled) ** 2)  # [C11]
     else:
         # The same in the singular coordinates of R, where nothing cancels.
         root = square_root()

@@ -65,9 +65,7 @@ _MODULES = {
     "_synthetic": ("NoisyRegression", "make_noisy_regression"),
 }
 __all__ = [
-    "NoisyRegression",
     "Recording",
-    "SimulatedRecording",
     "fetch_bam_xl330",
     "fetch_dfki_double_pendulum",
     "fetch_emps",

@@ -3,9 +3,9 @@
 import functools
 import hashlib
 import importlib.metadata
-import inspect
 import io
 import json
+import os
 import sys
 import textwrap
 import tomllib
@@ -178,25 +178,15 @@ resample : bool, default=True
 
 def _loader(name, read) -> Callable[..., Recording]:
     """Make the public loader of a set of the function that reads its files."""
-    entry = SETS[name]
-    _, *options = inspect.signature(read).parameters.values()
-    given = [("data_home", None), ("download_if_missing", True)]
-    given += [(one.name, one.default) for one in options]
-    given += [("resample", True)] * entry.get("irregular", False)
 
-    keyword = inspect.Parameter.KEYWORD_ONLY
-    signature = inspect.Signature(
-        [inspect.Parameter(key, keyword, default=value) for key, value in given],
-        return_annotation=Recording,
-    )
+    def fetch(
+        *,
+        data_home: str | os.PathLike | None = None,
+        download_if_missing: bool = True,
+        **options,
+    ) -> Recording:
+        return _load(name, read, data_home, download_if_missing, **options)
 
-    def fetch(**arguments):
-        bound = signature.bind(**arguments)
-        bound.apply_defaults()
-        return _load(name, read, **bound.arguments)
-
-    fetch.__dict__["__signature__"] = signature
-    fetch.__annotations__ = {"return": Recording}
     fetch.__name__ = fetch.__qualname__ = f"fetch_{name}"
     fetch.__doc__ = _documentation(name)
     return fetch
@@ -215,7 +205,6 @@ def _load(name, read, data_home, download_if_missing, resample=True, **options):
         resample=resample,
         drop_repeated=entry.get("drop_repeated", False),
     )
-    which = f"description_{options.get('which')}"
     return Recording(
         name=name,
         **columns,
@@ -226,7 +215,7 @@ def _load(name, read, data_home, download_if_missing, resample=True, **options):
         source=source or _repository(name),
         licence=entry["licence"],
         citation=entry["citation"],
-        description=entry.get(which) or entry["description"],
+        description=entry["description"],
     )
 
 

@@ -89,18 +89,18 @@ def _lazily(package, modules, rooms=()):
     # package if it begins with a dot; rooms: modules that are names themselves. The
     # faces of rooms are made of it as well.
     where = {name: module for module, names in modules.items() for name in names}
-    own = vars(sys.modules[package])
+    known = vars(sys.modules[package])
 
     def get(name):
         if name in where:
             module = importlib.import_module(f".{where[name]}", package)
-            found = own[name] = getattr(module, name)
+            found = known[name] = getattr(module, name)
             return found
         if name in rooms:
             return importlib.import_module(f".{name}", package)
         raise AttributeError(f"module {package!r} has no attribute {name!r}")
 
-    return get, lambda: sorted({*own, *where, *rooms})
+    return get, lambda: sorted({*known, *where, *rooms})
 
 
 __getattr__, __dir__ = _lazily(__name__, _MODULES, _ROOMS)

@@ -410,8 +410,8 @@ class CorrelatedProblem:
         """E-step over T, [C21]."""
         if not self.direct.any():
             return expect_latent(self.moments, self.latent, state)
-        own = replace(state, beta_mean=state.beta_mean - self.direct)
-        found = expect_latent(self.rest, self.latent, own)
+        beyond = replace(state, beta_mean=state.beta_mean - self.direct)
+        found = expect_latent(self.rest, self.latent, beyond)
         S_ty = found.S_ty + found.S_tt @ self.direct  # [C21]
         return replace(found, S_ty=S_ty, yy=self._yy(found.S_tt, S_ty))
 

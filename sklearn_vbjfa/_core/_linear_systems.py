@@ -404,8 +404,8 @@ def block_variance(grams, scores, place, noise=1.0):
     d = s @ L.T
     through = K @ L.T
     # Variance of each block without the fit, and what the fit leaves of it.
-    own = np.einsum("ir,bri->bi", L, through)
-    left = own - (through**2).sum(axis=1)
+    alone = np.einsum("ir,bri->bi", L, through)
+    left = alone - (through**2).sum(axis=1)
     white, expected = (L**2).sum(axis=1), noise * np.maximum(left, 0.0).sum(axis=0)
     seen = expected > _OWN * noise * white
     reach = max(1.0 + 2.0 * neighbours, _LEAST_REACH)

@@ -119,15 +119,15 @@ class BlockFilter:
         step, some = self._lowpass.step, max(_FEWEST, self._lowpass.half // 4)
         some = step * -(-some // step)
         for at in range(0, rows.shape[0], some):
-            own = rows[at : at + some]
-            before, matrix = _tap_matrix(self._taps, step, own.shape[0])
+            part = rows[at : at + some]
+            before, matrix = _tap_matrix(self._taps, step, part.shape[0])
             low = (first + at) // step - before
             high = min(low + matrix.shape[0], self.outputs.shape[0])
             if high <= max(low, 0):
                 # Rows behind the window of the last output, which decimation leaves.
                 return
             matrix = matrix[max(-low, 0) : high - low]
-            self.outputs[max(low, 0) : high] += matrix @ own
+            self.outputs[max(low, 0) : high] += matrix @ part
 
 
 def decimate(lowpass, x):

@@ -76,18 +76,18 @@ def worth(information, questions):
     inverse = cho_solve(factor, np.eye(n)) / np.outer(size, size)
     by = np.zeros_like(M)
     by[a, a] = 0.5 * inverse
-    told, by_model = _balance(A)
-    value += n * BALANCE * told
+    balance, by_model = _balance(A)
+    value += n * BALANCE * balance
     by[a, a] += n * BALANCE * by_model
     alone, beside = np.zeros(0), np.zeros((0, 0))
     if questions.effects:
         C = M[n:, :n]
         S = M[n:, n:] - C @ inverse @ C.T
-        told, by_left, alone, beside = _decisions(S, questions)
+        decided, by_left, alone, beside = _decisions(S, questions)
         if questions.weight > 0:
             # Together they count as much as the parameters of the model.
             share = n / questions.weight
-            value += share * told
+            value += share * decided
             L = np.hstack([-C @ inverse, np.eye(len(S))])
             by += share * (L.T @ by_left @ L)
     return Worth(value, by * np.outer(D, D), alone, beside)
@@ -111,26 +111,26 @@ def _balance(A):
 def _decisions(S, questions):
     """Value of all decisions, its derivative by S, and the evidence in each."""
     n, m = questions.n_model, len(questions.effects)
-    spans = [slice(own.start - n, own.stop - n) for own in questions.effects]
+    spans = [slice(block.start - n, block.stop - n) for block in questions.effects]
     # Mean over the columns of each effect, (m, n_columns).
     mean = np.zeros((m, len(S)))
     for row, span in zip(mean, spans):
         row[span] = 1.0 / (span.stop - span.start)
     alone = mean @ np.diag(S)
-    value, slope = _told(alone)
+    value, slope = _value_of(alone)
     total = float(questions.alone @ value)
     by = np.diag((questions.alone * slope) @ mean)
     beside = np.zeros((m, m))
     for k, span in enumerate(spans):
-        own = S[span, span]
-        ridge = _RIDGE * np.trace(own) / len(own) + np.finfo(float).tiny
-        W = np.linalg.solve(own + ridge * np.eye(len(own)), S[span])
+        block = S[span, span]
+        ridge = _RIDGE * np.trace(block) / len(block) + np.finfo(float).tiny
+        W = np.linalg.solve(block + ridge * np.eye(len(block)), S[span])
         left = np.diag(S) - np.einsum("kc,kc->c", S[span], W)
         beside[:, k] = mean @ np.maximum(left, 0.0)
         weight = questions.beside[:, k]
         if not weight.any():
             continue
-        value, slope = _told(beside[:, k])
+        value, slope = _value_of(beside[:, k])
         total += float(weight @ value)
         each = (weight * slope) @ mean
         by += np.diag(each)
@@ -141,7 +141,7 @@ def _decisions(S, questions):
     return total, by, alone, beside
 
 
-def _told(evidence):
+def _value_of(evidence):
     """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative."""
     # Nearly all is gained once the evidence is larger than what decides, and where it
     # is small a doubling is worth the same everywhere.
@@ -164,8 +164,8 @@ class Visible:
     name: str
     joint: int  # from zero
     joint_name: str
-    # smallest root mean square of its torque, in the most active conditions, that is
-    # told from the model and from its nearest rival [N m or N]
+    # smallest root mean square of its torque, in the most active conditions, that
+    # is distinguishable from the model and its nearest rival [N m or N]
     least: float
     rival: str  # empty if there is none
 
@@ -178,7 +178,7 @@ class Parted:
     joint: int  # from zero
     joint_name: str
     # smallest root mean square of the torque of either, in the most active conditions,
-    # at which it is told from the other [N m or N]
+    # at which it is distinguishable from the other [N m or N]
     least: float
 
 
@@ -222,13 +222,13 @@ def promise(problem, robot, states, step, noise):
     asked_for = questions.beside >= 1
     shows, invisible = [], []
     for k, effect in enumerate(effects):
-        told = {
+        where = {
             "name": effect.name,
             "joint": effect.joint,
             "joint_name": robot.joint_names[effect.joint],
         }
         if not questions.alone[k] > 0:
-            invisible.append(Invisible(reason=SAME_COLUMNS, **told))
+            invisible.append(Invisible(reason=SAME_COLUMNS, **where))
             continue
         evidence, rival = judged.alone[k], ""
         if asked[k].any():
@@ -237,7 +237,7 @@ def promise(problem, robot, states, step, noise):
             if beside[nearest] < evidence:
                 evidence, rival = beside[nearest], effects[nearest].name
         least = _least(noise[effect.joint], evidence)
-        shows.append(Visible(least=least, rival=rival, **told))
+        shows.append(Visible(least=least, rival=rival, **where))
     parts = []
     for k, i in zip(*np.nonzero(np.triu(np.minimum(asked_for, asked_for.T)))):
         weakest = min(judged.beside[k, i], judged.beside[i, k])

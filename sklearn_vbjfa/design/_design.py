@@ -25,7 +25,6 @@ from sklearn_vbjfa.design._limits import (
 from sklearn_vbjfa.design._motion import DesignedMotion, FourierCurve
 from sklearn_vbjfa.design._open_questions import (
     asked_effects,
-    common_effects,
     is_steered,
     open_effects,
     read_report,
@@ -167,7 +166,6 @@ class DesignTask:
     """A motion that is asked for."""
 
     problem: Problem
-    told: Problem  # with what it is told to show, if nobody asked for anything
     robot: KnownRobot
     noise: np.ndarray  # (nv,): deviation in the band of the fit
     dt: float
@@ -194,45 +192,33 @@ def pose(model, *, duration, dt, limits, effects, report, start, rng):
     asked = asked_effects(effects, robot.n_joints)
     if report is not None:
         asked += open_effects(read_report(report), names)
-    own, candidates = _parted(robot, asked)
+    members, candidates = _parted(robot, asked)
     band = robot.band(curve.highest, dt)
 
-    def beside(candidates):
-        """Columns of the model and of further candidates."""
-        return EquationModel(
-            robot.features,
-            robot.inertial,
-            [effect for effect, _ in own] + [one.effect for one in candidates],
-            n_own=len(own),
-            still=robot.still(limits),
-            reference=reference,
-            bandwidth=band,
-        )
-
-    equations = beside(candidates)
+    equations = EquationModel(
+        robot.features,
+        robot.inertial,
+        [effect for effect, _ in members] + [one.effect for one in candidates],
+        n_own=len(members),
+        still=robot.still(limits),
+        reference=reference,
+        bandwidth=band,
+    )
     clearance, no_clearance = _clearance(robot)
     problem = Problem(
         curve=curve,
         model=equations,
         questions=_questions(equations, candidates, reference, noise),
         limits=limits,
-        coefficients=_coefficients(robot, equations, own, reference),
+        coefficients=_coefficients(robot, equations, members, reference),
         precision=2 * band / noise**2,
         still=robot.still(limits),
         clearance=clearance,
         room=ROOM,
     )
     _check_held(problem, names, rng)
-    told = problem
-    if not candidates:
-        # Nobody asked, and it is told all the same what the motion shows.
-        _, candidates = _parted(robot, common_effects(robot.n_joints))
-        model = beside(candidates)
-        questions = _questions(model, candidates, reference, noise)
-        told = replace(problem, model=model, questions=questions)
     return DesignTask(
         problem=problem,
-        told=told,
         robot=robot,
         noise=noise,
         dt=dt,
@@ -294,12 +280,12 @@ def _parted(robot, asked):
     """Split effects into those of the model and further candidates."""
     # What a report found is a candidate again: the next recording may say otherwise.
     doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
-    own = [
+    members = [
         (effect, coef)
         for effect, coef in zip(robot.effects, robot.coefficients)
         if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
-    taken = {effect.key() for effect, _ in own}
+    taken = {effect.key() for effect, _ in members}
     found = {(effect.name, effect.joint): effect for effect in robot.effects}
     candidates = []
     for one in asked:
@@ -310,7 +296,7 @@ def _parted(robot, asked):
         if one.effect.key() not in taken:
             taken.add(one.effect.key())
             candidates.append(one)
-    return own, candidates
+    return members, candidates
 
 
 def _questions(equations, candidates, reference, noise):
@@ -333,7 +319,7 @@ def _questions(equations, candidates, reference, noise):
     return replace(blank, alone=weight * shown, beside=np.outer(weight, weight) * apart)
 
 
-def _coefficients(robot, equations, own, reference):
+def _coefficients(robot, equations, members, reference):
     """Coefficients of all columns (n_columns,), which give the robot's torques."""
     # Zero are those of effects that it may have; those that it has count, also where
     # they are in doubt.
@@ -341,7 +327,7 @@ def _coefficients(robot, equations, own, reference):
     n = equations.n_model
     A, y = [], []
     load = rows.motion.load
-    coefs = [np.atleast_1d(coef) for _, coef in own]
+    coefs = [np.atleast_1d(coef) for _, coef in members]
     effects = np.concatenate([np.zeros(len(equations.base)), *coefs])
     for j, (part, place) in enumerate(zip(rows.rows, equations.places)):
         full = np.zeros((part.shape[1], n))
@@ -358,7 +344,9 @@ def _coefficients(robot, equations, own, reference):
         effect.key(): np.atleast_1d(coef)
         for effect, coef in zip(robot.effects, robot.coefficients)
     }
-    for span, one in zip(equations.spans[len(own) :], equations.effects[len(own) :]):
+    for span, one in zip(
+        equations.spans[len(members) :], equations.effects[len(members) :]
+    ):
         found[span] = known.get(one.effect.key(), 0.0)
     return found
 
@@ -535,7 +523,7 @@ def _made(task, z, first, fine):
         no_clearance=task.no_clearance,
         noise=task.noise,
         band=robot.band(curve.highest, dt),
-        **promise(task.told, robot, design, samples[1], task.noise),
+        **promise(problem, robot, design, samples[1], task.noise),
         curve=curve,
         coordinates=z,
     )

@@ -110,15 +110,17 @@ class EquationModel:
     def _choose_base(self, entries, motion):
         """Keep the bodies' columns that add to those of the effects of the model."""
         n, nv = motion.q.shape
-        own = [self._everywhere(one, motion) for one in self.effects[: self.n_own]]
-        own = np.concatenate(own, axis=2) if own else np.zeros((n, nv, 0))
+        friction = [self._everywhere(one, motion) for one in self.effects[: self.n_own]]
+        friction = (
+            np.concatenate(friction, axis=2) if friction else np.zeros((n, nv, 0))
+        )
         bodies = np.zeros((n, nv, self._theta.size))
         bodies[:, self._of_joint, self._of_parameter] = entries.T
         # Torques and forces have units of their own: rows are over the joint's load.
         unit = np.sqrt((motion.load**2).mean(axis=0))
         unit[unit == 0] = 1.0
-        own, bodies = own / unit[:, None], bodies / unit[:, None]
-        A, B = own.reshape(n * nv, -1), bodies.reshape(n * nv, -1)
+        friction, bodies = friction / unit[:, None], bodies / unit[:, None]
+        A, B = friction.reshape(n * nv, -1), bodies.reshape(n * nv, -1)
         size = np.linalg.norm(B, axis=0)
         seen = np.flatnonzero(size > 1e-9 * size.max(initial=0.0))
         B = B[:, seen] / size[seen]
@@ -149,7 +151,7 @@ class EquationModel:
         if self.n_own == 0:
             self.n_model = rank
         self.n_columns = first
-        self.places = tuple(np.array(own, dtype=int) for own in places)
+        self.places = tuple(np.array(friction, dtype=int) for friction in places)
 
     def _everywhere(self, one, motion):
         """Columns of an effect on all joints, (n, nv, k)."""
@@ -217,16 +219,16 @@ class EquationModel:
         for one in self.effects:
             effect, width = one.effect, len(one.effect.coefficients)
             joints = range(self.nv) if effect.whole_robot else [effect.joint]
-            own = np.array([by_rows[j][row[j] : row[j] + width] for j in joints])
+            slopes = np.array([by_rows[j][row[j] : row[j] + width] for j in joints])
             for j in joints:
                 row[j] += width
-            if not own.any():
+            if not slopes.any():
                 continue
             if one.remembers:
                 if z is not None:
-                    by_z = by_z + self._along(one, own, motion, curve, z, basis)
+                    by_z = by_z + self._along(one, slopes, motion, curve, z, basis)
                 continue
-            self._add_by_signals(one, own, motion, by_states, by_load)
+            self._add_by_signals(one, slopes, motion, by_states, by_load)
         by_entries = np.zeros((self._of_joint.size, len(motion.q)))
         for j, kept in enumerate(self._kept_of):
             by_entries[kept] = by_rows[j][: len(kept)]
@@ -236,15 +238,15 @@ class EquationModel:
         self._add_by_bodies(equations.states, by_entries, by_states)
         return by_states, by_z
 
-    def _add_by_signals(self, one, own, motion, by_states, by_load):
+    def _add_by_signals(self, one, slopes, motion, by_states, by_load):
         """Add derivatives of an effect's columns, differences in each signal."""
         places = {"q": 0, "v": 1, "a": 2}
         for name, joint in one.inputs:
             values = getattr(motion, name)[:, joint]
             h = _RELATIVE_STEP * max(np.ptp(values), _STEP)
             change = _contracted(
-                one.effect.columns(_moved(motion, name, joint, h)), own
-            ) - _contracted(one.effect.columns(_moved(motion, name, joint, -h)), own)
+                one.effect.columns(_moved(motion, name, joint, h)), slopes
+            ) - _contracted(one.effect.columns(_moved(motion, name, joint, -h)), slopes)
             change /= 2 * h
             if name in ("load", "torque"):
                 # Effects see the torque of the bodies as that of the whole model.
@@ -252,11 +254,11 @@ class EquationModel:
             else:
                 by_states[:, places[name] * self.nv + joint] += change
 
-    def _along(self, one, own, motion, curve, z, basis):
+    def _along(self, one, slopes, motion, curve, z, basis):
         """Differentiate columns with a memory by the coordinates of their joint."""
         j = one.effect.joint
         by_z = np.zeros_like(z)
-        now = _contracted(one.effect.columns(motion), own).sum()
+        now = _contracted(one.effect.columns(motion), slopes).sum()
         h = _RELATIVE_STEP * max(np.abs(z[j]).max(), 1e-3)
         for i in range(curve.size):
             moved = {}
@@ -265,7 +267,7 @@ class EquationModel:
                 values[:, j] += h * part[:, i]
                 moved[name] = values
             made = one.effect.columns(replace(motion, **moved, _speeds={}))
-            by_z[j, i] = (_contracted(made, own).sum() - now) / h
+            by_z[j, i] = (_contracted(made, slopes).sum() - now) / h
         return by_z
 
     def _add_by_bodies(self, states, by_entries, by_states):
@@ -289,8 +291,8 @@ class EquationModel:
             by_states[:, i] += np.einsum("en,en->n", change, by_entries)
 
 
-def _contracted(columns, own):
+def _contracted(columns, slopes):
     """Sum of columns times derivatives by rows (n_joints, k, n), an ndarray (n,)."""
     if columns.ndim == 2:
         columns = columns[:, None]
-    return np.einsum("njk,jkn->n", columns, own)
+    return np.einsum("njk,jkn->n", columns, slopes)

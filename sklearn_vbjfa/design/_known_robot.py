@@ -73,12 +73,12 @@ class KnownRobot:
         effects = _on_all_joints(full.friction_, nv)
         coefficients = [bodies[:, 10 + k] for k in range(len(full.friction_))]
         coefficients = list(np.concatenate([np.zeros(0), *coefficients])[:, None])
-        for effect, own in zip(robot.effects_, robot.split(robot.theta_)):
+        for effect, values in zip(robot.effects_, robot.split(robot.theta_)):
             if effect.in_model:
                 # the model itself holds it
                 continue
             effects += (effect,)
-            coefficients.append(own)
+            coefficients.append(values)
         features = RigidBodyFeatures(full.model_, friction=()).load()
         estimator = robot.plan.state_estimator
         variance = getattr(estimator, "noise_variance_", np.zeros(nv))
@@ -148,9 +148,9 @@ class KnownRobot:
         inertial = np.ascontiguousarray(self.inertial)
         at_rest = self.features.torques(q, still, still, inertial)
         rotor = np.zeros(nv)
-        for effect, own in zip(self.effects, self.coefficients):
+        for effect, values in zip(self.effects, self.coefficients):
             if isinstance(effect, RotorInertia):
-                rotor[effect.joint] += own[0]
+                rotor[effect.joint] += values[0]
         columns = []
         for k in range(nv):
             unit = still.copy()

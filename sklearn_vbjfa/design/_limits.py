@@ -178,13 +178,13 @@ class MotionLimits:
         velocity = _given(velocity, _known(model.velocityLimit))
         if np.isinf(velocity).any():
             half = 0.5 * (high - low)
-            told = ", ".join(
+            listed = ", ".join(
                 f"{names[j]} ({half[j]:.3g} {'m' if sliding[j] else 'rad'}/s)"
                 for j in np.flatnonzero(np.isinf(velocity))
             )
             raise MotionRefused(
-                f"The description gives no velocity limit of {told}: in brackets, what "
-                "it takes through half of the range in one second.",
+                f"The description gives no velocity limit of {listed}: in brackets, "
+                "what it takes through half of the range in one second.",
                 {"velocity": rounded_up(np.where(np.isinf(velocity), half, velocity))},
                 lacks="velocity",
                 advice="Give limits=MotionLimits(...) with velocities.",
@@ -194,13 +194,13 @@ class MotionLimits:
         if (np.isinf(acceleration) & np.isinf(effort)).any():
             lacking = np.flatnonzero(np.isinf(acceleration) & np.isinf(effort))
             weight = _holding(model, low, high)
-            told = ", ".join(
+            listed = ", ".join(
                 f"{names[j]} ({weight[j]:.3g} {'N' if sliding[j] else 'N m'})"
                 for j in lacking
             )
             wanted = np.maximum(_TO_MOVE * weight, 0.1 * _TO_MOVE * weight.max())
             raise MotionRefused(
-                f"The description gives no torque limit of {told}: in brackets, what "
+                f"The description gives no torque limit of {listed}: in brackets, what "
                 "it takes to hold the robot still in any pose.",
                 {"torque": rounded_up(np.where(np.isinf(effort), wanted, effort))},
                 lacks="torque",

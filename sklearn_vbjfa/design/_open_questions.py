@@ -12,7 +12,7 @@ from sklearn_vbjfa.effects import resolve
 # How much what the report names counts, and all else that a joint might have.
 _ASKED, _POSSIBLE = 1.0, 0.2
 # Effects whose columns follow the robot's geometry or what lies in time: the motion is
-# not bent for them, and what it shows of them is told afterwards.
+# not bent for them, and what it shows of them is reported afterwards.
 _NOT_STEERED: tuple[str, ...] = (
     "base_tilt",
     "joint_zero",
@@ -108,18 +108,9 @@ def asked_effects(effects, nv):
                     f"{effect.name} is on joint {joint}, counted from zero; the robot "
                     f"has {nv} joints."
                 )
-            own = clone(effect).set_params(joint=joint)
-            found.append(OpenEffect(own, _ASKED, "caller"))
+            placed = clone(effect).set_params(joint=joint)
+            found.append(OpenEffect(placed, _ASKED, "caller"))
     return found
-
-
-def common_effects(nv):
-    """Return as `OpenEffect`s what any of the joints may have."""
-    return [
-        OpenEffect(_made(name, joint, {}), _POSSIBLE, "library")
-        for joint in range(nv)
-        for name in _COMMON
-    ]
 
 
 def open_effects(data, names):
@@ -153,10 +144,10 @@ def open_effects(data, names):
 
 def _check_joints(data, names):
     """Refuse the report of a different robot."""
-    told = list(data["joint_names"])
-    if told != list(names):
+    reported = list(data["joint_names"])
+    if reported != list(names):
         raise ValueError(
-            f"The report is of joints {', '.join(told)}; the robot has "
+            f"The report is of joints {', '.join(reported)}; the robot has "
             f"{', '.join(names)}. Give the robot that the report was made with."
         )
 
@@ -182,5 +173,7 @@ def _made(name, joint, shape):
         (effect,) = resolve((name,))
     except ValueError:
         return None
-    own = {k: v for k, v in shape.items() if k in effect.get_params() and v is not None}
-    return clone(effect).set_params(joint=joint, **own)
+    known = {
+        k: v for k, v in shape.items() if k in effect.get_params() and v is not None
+    }
+    return clone(effect).set_params(joint=joint, **known)

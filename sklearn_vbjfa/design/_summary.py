@@ -154,10 +154,10 @@ def _decides(motion, found):
         "It shows effects that exceed these torques",
         *(
             f"- {words.joint_label(motion.joint_names, j)}: "
-            f"{words.plural(len(own), 'effect')}, the clearest from "
-            f"{_newtons(motion, min(own), j)}, half of them from "
-            f"{_newtons(motion, float(np.median(own)), j)}"
-            for j, own in by_joint.items()
+            f"{words.plural(len(torques), 'effect')}, the clearest from "
+            f"{_newtons(motion, min(torques), j)}, half of them from "
+            f"{_newtons(motion, float(np.median(torques)), j)}"
+            for j, torques in by_joint.items()
         ),
     ]
 

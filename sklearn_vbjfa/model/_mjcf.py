@@ -103,13 +103,13 @@ class Servo:
 
     def attributes(self, j, step):
         """Attributes of joint j's actuator; step [s] is that of the file."""
-        own = {"gainprm": number(self.kp[j] or 1.0)}
+        found = {"gainprm": number(self.kp[j] or 1.0)}
         if self.delay > 0:
             # Commands between two steps go straight.
             kept = int(np.ceil(self.delay / step)) + 2
-            own |= {"delay": number(self.delay), "nsample": str(kept)}
-            own["interp"] = "linear"
-        return own
+            found |= {"delay": number(self.delay), "nsample": str(kept)}
+            found["interp"] = "linear"
+        return found
 
 
 def write_mjcf(
@@ -210,11 +210,13 @@ class _Tree:
         self._slides = is_prismatic(model)
         self._shape = describe(model)
         check_kinds(model, self._shape)
-        own = body_names(model)
+        bodies_named = body_names(model)
         # Names of bodies must differ.
         self._body_names = [
-            body if body and own.count(body) == 1 and body != "world" else joint
-            for body, joint in zip(own, self._names)
+            body
+            if body and bodies_named.count(body) == 1 and body != "world"
+            else joint
+            for body, joint in zip(bodies_named, self._names)
         ]
 
     def add_bodies(self, world):

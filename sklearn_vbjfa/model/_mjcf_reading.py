@@ -354,8 +354,10 @@ def _equalities(mujoco, model, names):
     for k in np.flatnonzero(model.eq_active0):
         kind = mujoco.mjtEq(int(model.eq_type[k])).name[5:].lower()
         ends = [int(model.eq_obj1id[k]), int(model.eq_obj2id[k])]
-        own = model.eq(k).name
-        called = f"<{kind}> {own!r} of <equality>" if own else f"<{kind}> of <equality>"
+        name = model.eq(k).name
+        called = (
+            f"<{kind}> {name!r} of <equality>" if name else f"<{kind}> of <equality>"
+        )
         if kind in ("connect", "weld"):
             if model.eq_objtype[k] == mujoco.mjtObj.mjOBJ_SITE:
                 ends = [int(model.site_bodyid[at]) for at in ends]
@@ -368,11 +370,11 @@ def _equalities(mujoco, model, names):
             offset, rate, *bent = model.eq_data[k, :5]
             if len(ends) == 2 and rate != 0 and not any(bent):
                 # Both count from where the file puts them.
-                own, leader = model.qpos0[model.jnt_qposadr[ends]]
+                here, leader = model.qpos0[model.jnt_qposadr[ends]]
                 links[tied[0]] = Link(
                     leader=tied[1],
                     multiplier=float(rate),
-                    offset=float(offset + own - rate * leader),
+                    offset=float(offset + here - rate * leader),
                 )
                 continue
             why = (

@@ -143,8 +143,8 @@ def _forces_and_moments(links):
     moments[:, :, 1:4] = cross(p, tips) + cross(axes, field)
     # A moment of inertia sums the squares of the other two coordinates, a product of
     # inertia is a mixed second moment times minus one.
-    own = cross(axes, tips)
-    moments[:, :, (4, 6, 9)] = 0.5 * own.sum(axis=2, keepdims=True) - own
+    squares = cross(axes, tips)
+    moments[:, :, (4, 6, 9)] = 0.5 * squares.sum(axis=2, keepdims=True) - squares
     first, second = (0, 0, 1), (1, 2, 2)
     moments[:, :, (5, 7, 8)] = cross(tips[:, :, first], axes[:, :, second])
     moments[:, :, (5, 7, 8)] += cross(tips[:, :, second], axes[:, :, first])

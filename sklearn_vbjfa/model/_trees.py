@@ -82,8 +82,8 @@ def joint_origin(model, joint):
     name = model.names[joint + 1]
     if not model.existFrame(name, pin.FrameType.JOINT):
         return placed.copy()
-    own = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
-    link = model.frames[own.parentFrame]
+    frame = model.frames[model.getFrameId(name, pin.FrameType.JOINT)]
+    link = model.frames[frame.parentFrame]
     carried = link.parentJoint == model.parents[joint + 1]
     if link.type != pin.FrameType.BODY or not carried:
         return placed.copy()
@@ -184,13 +184,13 @@ def check_kinds(model, tree):
 def in_order(model, names):
     """Return a model with its joints in another order, parents before children."""
     # Readers of URDF put branches of a tree in an order of their own.
-    own = joint_names(model)
-    if tuple(names) == own:
+    current = joint_names(model)
+    if tuple(names) == current:
         return model
-    if sorted(names) != sorted(own):
+    if sorted(names) != sorted(current):
         raise ValueError(
             f"the joints {', '.join(names)} are not those of the robot description, "
-            f"{', '.join(own)}"
+            f"{', '.join(current)}"
         )
     made = import_pinocchio().Model()
     made.name, made.gravity = model.name, model.gravity
@@ -553,13 +553,13 @@ def led_by(moving, carriers, links, called):
     while True:
         # What is held is one body with the joint that carries it, and leads nothing.
         left = {*moving, *follow}
-        own = {name: links[name] for name in follow if links[name].leader in left}
-        if len(own) == len(follow):
+        kept = {name: links[name] for name in follow if links[name].leader in left}
+        if len(kept) == len(follow):
             above = {name: _next(carriers, name, left) for name in left}
-            own = foldable(above, own, called)
-        if len(own) == len(follow):
+            kept = foldable(above, kept, called)
+        if len(kept) == len(follow):
             return follow
-        follow = set(own)
+        follow = set(kept)
 
 
 def _next(carriers, name, joints):

@@ -1,7 +1,7 @@
 """URDF: what a file says of a tree of joints, and identified robots written as one.
 
-A URDF is a tree by its own rules. Loops are told in extensions of simulators, which
-readers leave out in silence, or against the rules, which they refuse without a reason.
+A URDF is a tree by its own rules. Loops are written in extensions of simulators,
+which readers ignore, or against the rules, which they refuse without a reason.
 """
 
 import os

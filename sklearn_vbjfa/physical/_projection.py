@@ -276,8 +276,8 @@ class Projection:
         bodies, kept = self.layout.body_columns, self.layout.nonnegative
         enough = self._eigenvalues(theta) >= self.margin
         if np.all(enough) and np.all(theta[kept] >= 0):
-            told = {"status": "unchanged", "message": "already consistent"}
-            return self._outcome(theta, theta.copy(), relative_gap=0.0, **told)
+            outcome = {"status": "unchanged", "message": "already consistent"}
+            return self._outcome(theta, theta.copy(), relative_gap=0.0, **outcome)
         units, scaled_root = self._scale(theta)
         # One common factor brings bodies far from their scales back near one.
         common = np.abs((theta / units)[bodies]).max(initial=0.0)

@@ -112,7 +112,7 @@ class PhysicalProjector(OneToOneFeatureMixin, TransformerMixin, BaseEstimator):
     >>> projected[0, [4, 6, 9, 10]].round(4) + 0.0
     array([1.3333, 1.3333, 2.6667, 0.    ])
 
-    With names, an offset is told from friction.
+    With names, an offset is distinguished from friction.
 
     >>> columns = "m mc_x mc_y mc_z I_xx I_xy I_yy I_xz I_yz I_zz viscous offset"
     >>> names = [f"elbow:{column}" for column in columns.split()]

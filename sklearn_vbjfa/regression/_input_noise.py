@@ -80,16 +80,16 @@ def resolve_cross_noise(cross, noise, data):
             "input_noise as variances or a covariance."
         )
     psi = standard_noise(noise, data)
-    own = value[data.active] / (data.x_scale * (data.y_scale or 1.0))
-    off = np.abs(psi @ direct_share(psi, own) - own)
-    bad = np.flatnonzero(off > _OF_RANGE * np.abs(own).max(initial=0.0))
+    cross = value[data.active] / (data.x_scale * (data.y_scale or 1.0))
+    off = np.abs(psi @ direct_share(psi, cross) - cross)
+    bad = np.flatnonzero(off > _OF_RANGE * np.abs(cross).max(initial=0.0))
     if bad.size:
         raise ValueError(
             "input_output_noise must be a covariance with noise that the inputs have; "
             f"for input {np.flatnonzero(data.active)[bad[0]]} input_noise says that "
             "there is none. Give its variance in input_noise, or zero here."
         )
-    return own
+    return cross
 
 
 def noise_shares(noise, data, names):

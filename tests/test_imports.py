@@ -104,9 +104,9 @@ ROOMS = (
     "regression",
     "model",
     "recording",
+    "inspection",
     "simulation",
     "robot",
-    "inspection",
     "diagnosis",
     "design",
     "gravity",
@@ -122,6 +122,7 @@ APART = {
     "regression": {"_core"},
     "model": {"_core", "physical"},
     "recording": {"_core", "model"},
+    "inspection": {"_core", "model", "recording"},
     "simulation": {"_core", "effects", "physical", "model"},
     # Of inspection the name alone, beside read_recording: what is read is looked at.
     "datasets": {"physical", "model", "recording", "inspection"},

@@ -14,6 +14,7 @@ import numpy as np
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import counted, show_progress
 from sklearn_vbjfa.diagnosis import EffectDiscovery
+from sklearn_vbjfa.inspection import levels
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
@@ -21,7 +22,6 @@ from sklearn_vbjfa.recording import (
     as_one,
     check_dt,
     expanded,
-    levels,
     read_recording,
     recordings_in,
 )

@@ -1,14 +1,28 @@
-"""Channels that contradict the robot: signs, orders, units, delays, zeros."""
+"""Logs that contradict the robot: one table of hypotheses, and what a motion shows."""
 
 from sklearn_vbjfa import _lazily
-from sklearn_vbjfa.inspection._inspect import (
-    ChannelFinding,
-    JointMotion,
-    inspect_channels,
-    inspect_recording,
-    motion_of,
-)
 
+# For other rooms, and for the tests.
+_MODULES = {
+    "_inspect": (
+        "ChannelFinding",
+        "OF_SIZE",
+        "inspect_channels",
+        "inspect_recording",
+        "refusal",
+    ),
+    "_motion": ("JointMotion", "motion_of", "one_speed"),
+    "_samples": (
+        "at_rest",
+        "levels",
+        "nothing_moves",
+        "position_jumps",
+        "shuffled_rows",
+        "two_values",
+    ),
+    "_torques": ("size_message",),
+    "_units": ("most_explaining", "signed_columns"),
+}
 __all__ = [
     "ChannelFinding",
     "JointMotion",
@@ -16,11 +30,4 @@ __all__ = [
     "inspect_recording",
     "motion_of",
 ]
-
-# For other rooms, and for the tests.
-_MODULES = {
-    "_inspect": ("one_speed", "refusal"),
-    "_units": ("OF_SIZE",),
-    "_rivals": ("ChannelEquations", "channel_signals", "fits_of"),
-}
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

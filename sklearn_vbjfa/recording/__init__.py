@@ -7,7 +7,7 @@ from sklearn_vbjfa import _lazily
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
     from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
-    from sklearn_vbjfa.recording._faults import ChannelFinding
+    from sklearn_vbjfa.recording._findings import ChannelFinding
     from sklearn_vbjfa.recording._reader import read_recording
     from sklearn_vbjfa.recording._recording import Recording
 
@@ -34,18 +34,7 @@ _MODULES = {
         "check_wait",
         "parse_drive",
     ),
-    "_faults": (
-        "ChannelFinding",
-        "at_rest",
-        "in_order",
-        "inspect_samples",
-        "levels",
-        "listed_joints",
-        "nothing_moves",
-        "position_jumps",
-        "shuffled_rows",
-        "two_values",
-    ),
+    "_findings": ("ChannelFinding", "in_order", "listed_joints"),
     "_names": ("UNSIGNED",),
     "_presets": ("PRESETS",),
     "_reader": ("read_recording",),

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from sklearn_vbjfa.recording._drives import COMMANDS, OF_MOTORS
-from sklearn_vbjfa.recording._faults import ChannelFinding
+from sklearn_vbjfa.recording._findings import ChannelFinding
 from sklearn_vbjfa.recording._table import quoted
 
 # A column is another channel under a new name if this share of its variance is that

@@ -1,6 +1,5 @@
 """Bodies around their description: a prior whose scale is found body by body."""
 
-import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -9,7 +8,7 @@ from scipy.special import softmax
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.model import DoubtWarning, nominal_parameters, solid_bodies
+from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
 # How far a description is expected to be off: a body's distance from it in each of ten
@@ -25,13 +24,6 @@ RIVALS = 3.0
 SCALES, _LEAST = np.geomspace(1e-4, 1.0, 81), 1e-4
 # Deviations by which the common size of the bodies is another than one.
 _FAR_OFF = 3.0
-# Torques that are, of all joints together, below this share of what the description
-# asks for are asked for their unit. Midway, by factors, between masses that are all
-# wrong by half and motor currents that pass for N m: the torque constant of a geared
-# motor is 5 to 20 N m/A. Loads and rotors that a description lacks make torques larger.
-TOO_LIGHT = np.sqrt(0.5 / 5.0)
-# Share of what friction and drive leave of a torque that the bodies must explain.
-_TELLING = 0.5
 # Passes over all bodies, and the change of a mean in deviations that ends them.
 _PASSES, _STAYS = 100, 1e-3
 # Directions of the Gram matrix below this are never used.
@@ -135,6 +127,7 @@ class BodyPosterior:
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
+    common_error: float = np.inf  # relative standard error of that size
 
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
@@ -435,36 +428,8 @@ def around(description, A, b):
         centre=common * description.vector(b.size),
         departures=asked.departures(),
         common=common,
+        common_error=common_std / abs(common),
     )
-
-
-def of_another_unit(factor, each, n_joints):
-    """Ask for the unit of torques that are a small share of the description's."""
-    # each: shares of single joints, where they are known.
-    low, high = (f"{end:.2g}" for end in (min(each), max(each)))
-    apart = f" ({low} to {high} on single joints)" if low != high else ""
-    unknown = ', or have them identified (--gain unknown; Python: gains="unknown")'
-    return (
-        f"The torques are {factor:.2g} times what the masses of the robot description "
-        f"ask for{apart}: are they motor currents, or in another unit than N m? Give "
-        f"the factors to N m (--gain){unknown if n_joints > 1 else ''}. If they are N "
-        "m, the described masses are wrong: give --bodies free (Python: "
-        'bodies="free").'
-    )
-
-
-def warn_of_unit(description, moments):
-    """Warn of torques that are too small for N m and N, joint by joint."""
-    # moments: `JointMoments` of the fit. What friction and drive leave of a joint's
-    # torque must be the described bodies for the most part, or it tells nothing.
-    found = []
-    for G, g, squares in zip(moments.G, moments.g, moments.yy):
-        own, product, others = _along(description, G, g)
-        if own > 0 and product**2 > _TELLING * own * (squares - others):
-            found.append(product / own)
-    if found and np.median(found) < TOO_LIGHT:
-        message = of_another_unit(np.median(found), found, len(moments.n))
-        warnings.warn(message, DoubtWarning, stacklevel=4)
 
 
 def as_described(description, A, b):

@@ -1,5 +1,6 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -7,6 +8,9 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import show_progress
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection import levels, size_message
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
     OfferedSignals,
@@ -16,13 +20,12 @@ from sklearn_vbjfa.recording import (
     check_useful,
     columns_beside,
     contiguous_groups,
-    levels,
     positions_in_order,
     signals_for,
     torques_in_order,
 )
 from sklearn_vbjfa.robot._alike import alike_joints
-from sklearn_vbjfa.robot._bodies import described_bodies, warn_of_unit
+from sklearn_vbjfa.robot._bodies import described_bodies
 from sklearn_vbjfa.robot._equations import numbered
 from sklearn_vbjfa.robot._features import (
     RigidBodyFeatures,
@@ -490,9 +493,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return self._set(fit)
 
     def _of_a_size(self):
-        """Return the fitted estimator, with a warning if its torques are too small."""
-        if self._description is not None and self.drive is None:
-            warn_of_unit(self._description, self.estimator_.statistics_)
+        """Return the fitted estimator; warn if its torques have another size."""
+        bodies = self._bodies
+        if bodies is None or self.bodies != "prior" or self.drive is not None:
+            return self
+        size, error = bodies.common, bodies.common_error
+        far = not 1 / number.SCALE < size < number.SCALE
+        if far and abs(np.log(size)) > number.DECISIVE * error:
+            message = size_message(size, error, self.features_.n_joints_)
+            warnings.warn(message, DoubtWarning, stacklevel=3)
         return self
 
     # Robot whose load the next fit begins with, in place of a first pass.

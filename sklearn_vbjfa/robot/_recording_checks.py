@@ -4,15 +4,15 @@ import warnings
 
 import numpy as np
 
-from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import (
-    Drive,
+from sklearn_vbjfa.inspection import (
     at_rest,
     nothing_moves,
     position_jumps,
     shuffled_rows,
     two_values,
 )
+from sklearn_vbjfa.model import DoubtWarning
+from sklearn_vbjfa.recording import Drive
 
 # A sample period [s] too long for any robot; one too long if the fastest joint is
 # slower than this [rad/s or m/s], as it appears if time is not in seconds.

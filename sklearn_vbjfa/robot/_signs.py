@@ -3,19 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import nnls
 
+from sklearn_vbjfa.inspection import most_explaining, signed_columns
 from sklearn_vbjfa.model import nominal_parameters
 from sklearn_vbjfa.robot._equations import derivative
 from sklearn_vbjfa.robot._fit import fit_robot
 
-# Rows of a joint with which its first signs are looked for.
-_LOOKED_AT = 20_000
-# Dry friction to begin with, in root mean squares of the rigid bodies' torque.
-_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
-# Rounds of one joint, and of the whole robot; they end when less than this share of
-# the torque moves.
-_ROUNDS, _PASSES, _SETTLED = 50, 30, 1e-4
+# Rounds of the whole robot; they end when less than this share of the torque moves.
+_PASSES, _SETTLED = 30, 1e-4
 # Signs of a joint are doubtful where more than this share of its power is left.
 _DOUBTFUL = 0.05
 # A variance below this share of the largest squared torque is rounding.
@@ -81,43 +76,3 @@ def _first(features, source, bodies):
     left = ((sizes - np.abs(predicted)) ** 2).sum(axis=0)
     doubtful = left > _DOUBTFUL * (sizes**2).sum(axis=0)
     return np.where(predicted < 0, -sizes, sizes), doubtful
-
-
-def signed_columns(features, states, bodies=None):
-    """Make the columns that torques may consist of, nv arrays (n, 5)."""
-    # Rigid bodies (nv, 10), by default as described, dry and viscous friction, inertia,
-    # and an offset.
-    bodies = nominal_parameters(features.model_) if bodies is None else bodies
-    q, v, a = np.split(states, 3, axis=1)
-    rigid = features.torques(q, v, a, np.ascontiguousarray(bodies))
-    one = np.ones_like(v)
-    columns = rigid, np.sign(v), v, a, one
-    return [np.column_stack([x[:, j] for x in columns]) for j in range(v.shape[1])]
-
-
-def most_explaining(columns, sizes):
-    """Coefficients of columns with which signs explain most of sizes (n,), by EM."""
-    # columns: see `signed_columns`. A few thousand rows tell as much as all.
-    some = slice(None, None, max(len(sizes) // _LOOKED_AT, 1))
-    columns, sizes = columns[some], sizes[some]
-    # All of them but the offset are positive by nature: with the other sign of all,
-    # a torque has the same size.
-    unit = np.sqrt((columns[:, 0] ** 2).mean()) or 1.0
-    both = np.column_stack([columns, -columns[:, -1]])
-    size = np.sqrt((both**2).sum(axis=0))
-    both = both / np.where(size > 0, size, 1.0)
-    found = []
-    for share in _STARTS:
-        start = columns[:, 1] if np.isinf(share) else columns[:, 0]
-        if 0 < share < np.inf:
-            start = start + share * unit * columns[:, 1]
-        signs = np.where(start < 0, -1.0, 1.0)
-        for _ in range(_ROUNDS):
-            coef = nnls(both, signs * sizes)[0] / np.where(size > 0, size, 1.0)
-            coef = np.append(coef[:-2], coef[-2] - coef[-1])
-            new = np.where(columns @ coef < 0, -1.0, 1.0)
-            if (new == signs).all():
-                break
-            signs = new
-        found.append((((signs * sizes - columns @ coef) ** 2).sum(), len(found), coef))
-    return min(found)[2]

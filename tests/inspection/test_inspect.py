@@ -117,7 +117,8 @@ def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name)
         data_home=measured_data_home, download_if_missing=False
     )
     findings = inspect_recording(recording)
-    assert found(findings) == TRUE_FINDINGS.get(name, set())
+    told = found(one for one in findings if one.kind != "unverified")
+    assert told == TRUE_FINDINGS.get(name, set())
     assert all(finding.severity == "warning" for finding in findings)
 
 
@@ -128,13 +129,11 @@ def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
     q, tau = arm[0].q.copy(), -arm[0].tau
     # The last joint has no friction and moves nothing: its sign cannot show.
     tau[:, 5] = np.random.default_rng(0).normal(size=len(tau))
-    findings = inspect(arm, q=q, tau=tau)
-    assert {f.kind for f in findings} == {"torque_sign"}
-    told = {f.joints: f.message for f in findings}
-    assert "cannot be seen in this motion" in told[(5,)]
+    message = only(inspect(arm, q=q, tau=tau), "torque_sign", tuple(range(6)), "error")
+    assert "The sign of joint_6 cannot be seen in this motion" in message
     # One torque that is right says that not all are turned.
     tau[:, 1] *= -1
-    assert (5,) not in {f.joints for f in inspect(arm, q=q, tau=tau)}
+    assert not {1, 5} & {j for f in inspect(arm, q=q, tau=tau) for j in f.joints}
 
 
 def test_motor_torques_are_told_by_their_size(arm):

@@ -1,124 +1,9 @@
-"""Faults visible in the samples of a recording alone, without a robot model."""
-
-from dataclasses import dataclass
+"""Faults visible in the samples of a log alone, without a robot model."""
 
 import numpy as np
 
-# From worst to least.
-SEVERITIES = ("error", "doubt", "warning")
-# Rows in time order resemble the row before; the mean squared step of shuffled rows is
-# twice the variance. Seven tenths of that is a correlation of 0.3.
-_SHUFFLED = 0.7
-# ... of a joint that moves at least this much [rad or m]: noise has no order either.
-_LEAST_MOTION = 0.01
-# Shuffled labels: at least this many runs per label, and runs on average this short.
-_RUNS_PER_LABEL = 4
-_SHORT_RUN = 16
-# A jump is a full turn to within this fraction of one.
-_TURN_LEFT = 0.15
-# Duplicated rows that are reported; above the last share they are a doubt.
-_FEWEST_REPEATED = 3
-_REPEATED_SHARE = 0.002
-_MANY_REPEATED = 0.1
-# The logger was frozen if this many rows are equal while a joint moves at this share
-# of its speed over this many samples right before and right after them.
-_FROZEN_ROWS = 5
-_HELD_SPEED = 0.1
-_FROZEN_BESIDE = 3
-# Steps of this multiple of the channel's resolution are not rounding; the rate of a
-# channel takes at least this many of them, and this share of all, ...
-_STEP = 4.0
-_FEWEST_STEPS = 20
-_STEP_SHARE = 0.3
-# ... most of which must come equally often.
-_SAME_RATE = 0.8
-# A joint whose travel is below this many standard deviations of its noise is at rest.
-_STILL_TRAVEL = 12.0
-# A torque is coarse if its quantisation error exceeds this share of its spread.
-_COARSE = 0.05
-# Clipping: samples within this share of the channel's range of an extreme value, ...
-_PLATEAU = 1e-3
-# ... in runs of at least this length, in at least this many places, ...
-_PLATEAU_RUN = 5
-_PLATEAU_RUNS = 3
-# (or one run of this length, in a channel that does not repeat itself)
-_LONG_PLATEAU = 12
-# ... and denser by this factor than the torques next to the extreme value. For a sine
-# without noise, whose extremes are flat, the factor is 3.4.
-_PLATEAU_DENSITY = 8.0
-# A torque of zero is a dropout if it lasts for this many samples, and the value before
-# or after is this many times the usual step and this share of the spread; ...
-_DROPOUT_RUN = 3
-_DROPOUT_STEP, _LEAST_DROPOUT = 4.0, 0.05
-# ... in at least this many places both are.
-_DROPOUT_RUNS = 3
-# A torque is stuck if it keeps a value for this many samples, and repeats itself no
-# more often than this in the others.
-_STUCK_RUN, _STUCK_REPEATS = 50, 0.1
-# Clipped samples are a doubt from this share of a torque's: on simulated arms, 0.3 % of
-# them raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %. A
-# tenth of a per cent of dropouts doubles an error.
-_MANY_CLIPPED = 0.005
-# Repeated positions are a dropout if the motion around them covers this many standard
-# deviations of the noise and the step after them is this many times the others (an
-# encoder's quantum at low speed is as large as the steps around it), ...
-_FROZEN_TRAVEL = 6.0
-_FROZEN_STEP = 2.5
-# ... in runs of at least this length, of a joint that moves at this share of its speed.
-_FROZEN_RUN = 3
-_FROZEN_SPEED = 0.02
-# Steps and spikes, in robust standard deviations of the prediction by the neighbours.
-_OUTLIER = 25.0
-# ... in recordings of at least this many samples, ...
-_FEWEST_AROUND = 16
-# ... and at least this share of the channel's range.
-_LEAST_JUMP = 0.003
-# A larger share of outliers is noise, not a fault of single samples.
-_MOST_OUTLIERS = 0.01
-
-
-# -- findings --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class ChannelFinding:
-    """A fault of some channels of a recording.
-
-    Attributes
-    ----------
-    kind : str
-        Name of the fault, such as "torque_sign"; see `inspect_channels`.
-    joints : tuple of int
-        Affected joints, counted from 0.
-    severity : {"error", "doubt", "warning"}
-        "error": a fit would be wrong and identify the fault. "doubt": a fit may be
-        wrong and supports no favourable verdict, but the evidence has another
-        explanation or the harm is limited. "warning": a fit would be needlessly
-        inaccurate.
-    message : str
-        One line: the channel by name, the evidence in numbers, the remedy.
-    value : float, default=nan
-        Size of the fault in SI units, where it has one: the lag [s] of a "delay".
-    """
-
-    kind: str
-    joints: tuple[int, ...]
-    severity: str
-    message: str
-    value: float = np.nan
-
-
-def in_order(findings):
-    """Return findings as a tuple, worst first."""
-    return tuple(sorted(findings, key=lambda f: SEVERITIES.index(f.severity)))
-
-
-def listed_joints(names, joints):
-    """List joints by name, or as "all joints"."""
-    if len(joints) == len(names) > 1:
-        return "all joints"
-    return ", ".join(names[j] for j in joints)
-
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
 # -- all of them -----------------------------------------------------------------------
 
@@ -206,8 +91,8 @@ def shuffled_rows(names, q, parts, labels=None):
     if labels is not None:
         runs_ = len(parts)
         different = {labels[part.start] for part in parts if part.stop > part.start}
-        if runs_ >= _RUNS_PER_LABEL * len(different) and (
-            q.shape[0] < _SHORT_RUN * runs_
+        if runs_ >= number.RUNS_PER_LABEL * len(different) and (
+            q.shape[0] < number.SHORT_RUN * runs_
         ):
             return [
                 _shuffled(
@@ -224,11 +109,11 @@ def shuffled_rows(names, q, parts, labels=None):
         spread += [x.var(axis=0)] if len(x) else []
     sizes = [part.stop - part.start for part in parts if part.stop > part.start]
     variance = np.average(spread, axis=0, weights=sizes)
-    moves = variance > _LEAST_MOTION**2
-    if n < _SHORT_RUN or not moves.any():
+    moves = variance > number.LEAST_MOTION**2
+    if n < number.SHORT_RUN or not moves.any():
         return []
     ratio = (square / n)[moves] / (2 * variance[moves])
-    if ratio.min() < _SHUFFLED:
+    if ratio.min() < number.SHUFFLED:
         return []
     return [
         _shuffled(
@@ -292,10 +177,10 @@ def _turns(x, turn, parts):
     first, count = 0, 0
     for part in parts:
         y = x[part]
-        if not (1 - _TURN_LEFT) * turn < np.ptp(y) < 1.1 * turn:
+        if not (1 - number.TURN_LEFT) * turn < np.ptp(y) < 1.1 * turn:
             continue
         step = np.diff(y)
-        over = np.flatnonzero(np.abs(step) > (1 - _TURN_LEFT) * turn)
+        over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
         # Steps as large as a turn everywhere are another fault.
         if not over.size or over.size > 0.05 * step.size:
             continue
@@ -324,7 +209,7 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
     same = same & moving & ~frozen
     count = np.count_nonzero(same)
     share = count / q.shape[0]
-    if count < max(_FEWEST_REPEATED, _REPEATED_SHARE * q.shape[0]):
+    if count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * q.shape[0]):
         return frozen, findings
     findings.append(
         ChannelFinding(
@@ -332,7 +217,7 @@ def repeated_rows(names, q, tau, dt, moving, parts, rows):
             tuple(range(q.shape[1])),
             # A few are recognisable from the motion around them; many make the speed
             # and the sample period wrong.
-            "doubt" if share > _MANY_REPEATED else "warning",
+            "doubt" if share > number.MANY_REPEATED else "warning",
             f"{count} rows ({100 * share:.2g} %) equal the row before them in "
             f"every position and torque, the first is row {rows[np.argmax(same)]}: the "
             "logger wrote old values again; drop them and resample on the time stamps.",
@@ -345,24 +230,24 @@ def _frozen_rows(names, q, dt, same, parts, rows):
     """Find intervals in which every channel is constant amid a motion."""
     frozen = np.zeros(q.shape[0], dtype=bool)
     steps = np.concatenate([np.abs(np.diff(q[part], axis=0)) for part in parts])
-    speed = _HELD_SPEED * np.quantile(steps, 0.995, axis=0)
+    speed = number.HELD_SPEED * np.quantile(steps, 0.995, axis=0)
     found, seconds = [], 0.0
     for part in parts:
         x = q[part]
         for a, b in zip(*runs(same[part])):
             # Samples a - 1 to b are equal.
-            before, behind = a - 1 - _FROZEN_BESIDE, b + 1 + _FROZEN_BESIDE
+            before, behind = a - 1 - number.FROZEN_BESIDE, b + 1 + number.FROZEN_BESIDE
             for_good = b + 1 == x.shape[0]
             if (
-                b - a + 2 < _FROZEN_ROWS
+                b - a + 2 < number.FROZEN_ROWS
                 or before < 0
                 or (behind >= x.shape[0] and not for_good)
             ):
                 continue
-            into = (x[a - 1] - x[before]) / _FROZEN_BESIDE
+            into = (x[a - 1] - x[before]) / number.FROZEN_BESIDE
             fast = np.abs(into) > speed
             if not for_good:
-                out = (x[behind] - x[b + 1]) / _FROZEN_BESIDE
+                out = (x[behind] - x[b + 1]) / number.FROZEN_BESIDE
                 fast &= (np.abs(out) > speed) & (into * out > 0)
             if fast.any():
                 found.append((part.start + a - 1, b - a + 2))
@@ -433,19 +318,19 @@ def _repetition(x, lost, parts):
 def _period(y):
     """Rows per new value of a single recording, None if every row has one."""
     change = np.flatnonzero(np.diff(y) != 0)
-    if change.size <= _FEWEST_STEPS:
+    if change.size <= number.FEWEST_STEPS:
         return None
     steps = np.abs(y[change + 1] - y[change])[1:]
     gaps = np.diff(change)
     # A quantised signal changes by its resolution and is constant where it is slow;
     # steps of several quanta within one row cannot follow rows without any.
-    fast = steps >= _STEP * np.quantile(steps, 0.02)
-    if fast.sum() < max(_FEWEST_STEPS, _STEP_SHARE * steps.size):
+    fast = steps >= number.STEP * np.quantile(steps, 0.02)
+    if fast.sum() < max(number.FEWEST_STEPS, number.STEP_SHARE * steps.size):
         return None
     k = np.median(gaps[fast])
     # If the rates have no integer ratio, some gaps are longer or shorter by a row.
     regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
-    return float(k) if np.mean(regular) >= _SAME_RATE else None
+    return float(k) if np.mean(regular) >= number.SAME_RATE else None
 
 
 # -- channels without information ------------------------------------------------------
@@ -464,7 +349,7 @@ def still_joints(q, parts):
     travel = np.array(
         [np.ptp(q[part], axis=0) for part in parts if part.stop - part.start]
     ).max(axis=0)
-    return travel <= _STILL_TRAVEL * noise
+    return travel <= number.STILL_TRAVEL * noise
 
 
 def _still_joint(name, j, x):
@@ -481,7 +366,9 @@ def _still_joint(name, j, x):
 def at_rest(q, parts):
     """Whether nothing moves, in rows whose order nobody has looked at."""
     # Rows out of order look like noise as well, but like more of it.
-    return bool(still_joints(q, parts).all() and q.std(axis=0).max() <= _LEAST_MOTION)
+    return bool(
+        still_joints(q, parts).all() and q.std(axis=0).max() <= number.LEAST_MOTION
+    )
 
 
 def nothing_moves(names, q):
@@ -562,7 +449,7 @@ def _coarse(name, j, x, moving, parts, held):
     typical = same >= 0.5 and not held
     size = np.median(changes) if typical else np.quantile(changes, 0.02)
     rounding = size / np.sqrt(12) / max(x[moving].std(), np.finfo(float).tiny)
-    if rounding < _COARSE:
+    if rounding < number.COARSE:
         return []
     return [
         ChannelFinding(
@@ -594,35 +481,36 @@ def _clipped(name, j, x, moving, parts):
         if level == 0:
             # No drive has that limit: these are sizes, or readings that were lost.
             continue
-        flags = (y >= level - _PLATEAU * spread) & moving
-        beside = (y < level - _PLATEAU * spread) & (y >= level - 6 * _PLATEAU * spread)
+        width = number.PLATEAU * spread
+        flags = (y >= level - width) & moving
+        beside = (y < level - width) & (y >= level - 6 * width)
         lengths = []
         found = np.zeros(x.shape, dtype=bool)
         for part in parts:
             first, last = runs(flags[part])
             for a, b in zip(first, last):
-                if b - a + 1 >= _PLATEAU_RUN:
+                if b - a + 1 >= number.PLATEAU_RUN:
                     lengths.append(b - a + 1)
                     found[part.start + a : part.start + b + 1] = True
         density = flags.sum() / max((beside & moving).sum() / 5, 0.5)
         exact = (x == sign * level)[found].all() and max(lengths, default=0) >= (
-            _LONG_PLATEAU
+            number.LONG_PLATEAU
         )
-        enough = len(lengths) >= _PLATEAU_RUNS or (rare and exact)
-        if enough and density >= _PLATEAU_DENSITY:
+        enough = len(lengths) >= number.PLATEAU_RUNS or (rare and exact)
+        if enough and density >= number.DENSITY:
             ends.append((sign * level, found.sum(), max(lengths)))
             bad |= found
     if not ends:
         return [], bad
     levels_ = [level for level, _, _ in ends]
     where = " and ".join(f"{level:.4g}" for level in levels_)
-    if len(ends) == 2 and np.isclose(levels_[0], -levels_[1], rtol=_PLATEAU):
+    if len(ends) == 2 and np.isclose(levels_[0], -levels_[1], rtol=number.PLATEAU):
         where = f"+-{levels_[0]:.4g}"
     share = sum(n for _, n, _ in ends) / x.size
     finding = ChannelFinding(
         "clipped_torque",
         (int(j),),
-        "doubt" if share > _MANY_CLIPPED else "warning",
+        "doubt" if share > number.MANY_CLIPPED else "warning",
         f"The torque of {name} is clipped at {where}: {_percent(share)} of its samples "
         f"lie there, up to {max(n for _, _, n in ends)} in a row, and hide what the "
         "joint needed. Record with a wider range, or a slower motion.",
@@ -639,19 +527,19 @@ def _dropouts(name, j, x, dt, moving, parts, lost):
     # Torques that pass zero slowly stay there, but do not jump there and back.
     steps = np.concatenate([np.abs(np.diff(x[part])) for part in parts])
     usual = np.median(steps[steps > 0]) if steps.any() else 0.0
-    least = max(_DROPOUT_STEP * usual, _LEAST_DROPOUT * x.std())
+    least = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
     lengths, sure = [], 0
     for part in parts:
         y = x[part]
         for a, b in zip(*runs((y == 0) & moving[part] & ~lost[part])):
-            if b - a + 1 < _DROPOUT_RUN or a == 0 or b + 1 == y.size:
+            if b - a + 1 < number.DROPOUT_RUN or a == 0 or b + 1 == y.size:
                 continue
             far = sorted(np.abs([y[a - 1], y[b + 1]]) > least)
             if far[1]:
                 sure += far[0]
                 lengths.append(b - a + 1)
                 bad[part.start + a : part.start + b + 1] = True
-    if sure < _DROPOUT_RUNS:
+    if sure < number.DROPOUT_RUNS:
         return [], np.zeros(x.shape, dtype=bool)
     share = bad.sum() / x.size
     finding = ChannelFinding(
@@ -677,11 +565,11 @@ def _stuck(name, j, x, dt, moves, parts):
     for part in parts:
         for a, b in zip(*runs((repeats & moves)[part])):
             # The highest and the lowest value are those of a limit.
-            if b - a + 2 >= _STUCK_RUN and x[part.start + b] not in ends:
+            if b - a + 2 >= number.STUCK_RUN and x[part.start + b] not in ends:
                 bad[part.start + a - 1 : part.start + b + 1] = True
                 longest = max(longest, b - a + 2)
     # What repeats elsewhere as well is coarse.
-    if not bad.any() or repeats[~bad].mean() > _STUCK_REPEATS:
+    if not bad.any() or repeats[~bad].mean() > number.STUCK_REPEATS:
         return [], np.zeros(x.shape, dtype=bool)
     finding = ChannelFinding(
         "torque_dropouts",
@@ -705,7 +593,7 @@ def _frozen(name, j, x, dt, parts, lost, rows):
     first_row, longest, places = None, 0, 0
     # Slower motion is settling, which proceeds in steps.
     speeds = np.concatenate([np.abs(np.diff(x[part])) for part in parts])
-    creep = _FROZEN_SPEED * np.quantile(speeds, 0.995)
+    creep = number.FROZEN_SPEED * np.quantile(speeds, 0.995)
     for part in parts:
         y = x[part]
         step = np.diff(y)
@@ -715,7 +603,7 @@ def _frozen(name, j, x, dt, parts, lost, rows):
             length = b - a + 1  # steps without change; samples a .. b + 1 are equal
             width = max(length, 4)
             before, after = a - width, b + 2 + width
-            if length < _FROZEN_RUN or before < 0 or after >= y.size:
+            if length < number.FROZEN_RUN or before < 0 or after >= y.size:
                 continue
             if lost[part][a + 1 : b + 2].all():
                 bad[part.start + b + 1 : part.start + b + 3] = True
@@ -729,8 +617,8 @@ def _frozen(name, j, x, dt, parts, lost, rows):
             travel = min(abs(left), abs(right)) * length
             caught_up = np.sign(left) * step[b + 1]
             usual = np.abs(np.r_[step[before:a], step[b + 2 : after]]).max()
-            if travel > _FROZEN_TRAVEL * noise and caught_up > max(
-                0.5 * travel, _FROZEN_STEP * usual
+            if travel > number.FROZEN_TRAVEL * noise and caught_up > max(
+                0.5 * travel, number.FROZEN_STEP * usual
             ):
                 bad[part.start + a : part.start + b + 3] = True
                 places += 1
@@ -775,17 +663,17 @@ def _steps_off(q, parts):
             bends.append([np.abs(np.diff(own, 2)).max() for own in x.T])
     travel = np.max(high, axis=0) - np.min(low, axis=0)
     # Interpolated, a jump takes two steps.
-    return np.flatnonzero(np.max(bends, axis=0) > 0.4 * _LEAST_JUMP * travel)
+    return np.flatnonzero(np.max(bends, axis=0) > 0.4 * number.LEAST_JUMP * travel)
 
 
 def _outliers(name, j, what, x, parts, known, rows):
     """Find single samples, and position steps, inconsistent with their neighbours."""
     bad = np.zeros(x.shape, dtype=bool)
     # A torque may ring; a position is smooth.
-    least = (0.05 if what == "torque" else _LEAST_JUMP) * np.ptp(x)
+    least = (0.05 if what == "torque" else number.LEAST_JUMP) * np.ptp(x)
     spikes, jumps = [], []
     for part in parts:
-        if part.stop - part.start < _FEWEST_AROUND:
+        if part.stop - part.start < number.FEWEST_AROUND:
             continue
         lone = _spikes(x[part], least)
         spikes += list(part.start + np.flatnonzero(lone & ~known[part]))
@@ -795,7 +683,7 @@ def _outliers(name, j, what, x, parts, known, rows):
             wide = np.convolve(lone, np.ones(5), mode="same") > 0
             jumps += list(part.start + np.flatnonzero(behind & ~wide & ~known[part]))
     total = len(spikes) + len(jumps)
-    if total == 0 or total > _MOST_OUTLIERS * x.size:
+    if total == 0 or total > number.MOST_OUTLIERS * x.size:
         return [], bad
     for row in spikes:
         bad[max(row - 1, 0) : row + 2] = True
@@ -836,7 +724,7 @@ def _spikes(y, least):
     beside = np.maximum(np.abs(y[1:-3] - base), np.abs(y[3:-1] - base))
     size = np.abs(peak)
     lone[2:-2] = (
-        (size > _OUTLIER * _scale(peak)) & (beside < 0.25 * size) & (size > least)
+        (size > number.OUTLIER * _scale(peak)) & (beside < 0.25 * size) & (size > least)
     )
     return lone
 
@@ -850,7 +738,7 @@ def _jumps(y, least):
     usual = np.median(near, axis=0)
     over = step[3:-3] - usual
     behind[4:-3] = (
-        (np.abs(over) > _OUTLIER * _scale(over))
+        (np.abs(over) > number.OUTLIER * _scale(over))
         & (np.abs(over) > least)
         & (np.abs(over) > 2.5 * np.abs(usual))
     )
@@ -864,3 +752,113 @@ def _scale(x):
         np.quantile(np.abs(x), 0.9) / 1.645,
         np.finfo(float).tiny,
     )
+
+
+# -- channels that hold something else -------------------------------------------------
+
+
+def unlike_channels(names, q, tau, dt, parts):
+    """Find copies of channels, encoders that stop, and torques that are speeds."""
+    findings = _copies(names, q, "position") + _copies(names, tau, "torque")
+    findings += _never_written(names, tau)
+    for j in range(len(names)):
+        findings += _stuck_encoder(names, j, q, dt, parts)
+    return findings + _derivatives(names, q, tau, dt, parts)
+
+
+def _copies(names, values, kind):
+    """Find channels that equal another one in every row."""
+    moving = np.flatnonzero(np.ptp(values, axis=0) > 0)
+    found = []
+    for place, j in enumerate(moving):
+        same = [k for k in moving[:place] if np.array_equal(values[:, j], values[:, k])]
+        if same:
+            found.append(
+                ChannelFinding(
+                    f"copied_{kind}",
+                    (int(same[0]), int(j)),
+                    "error",
+                    f"The {kind} of {names[j]} equals that of {names[same[0]]} in "
+                    "every row: one channel was logged twice. Log the other one, or "
+                    "leave the joint out (--joints).",
+                )
+            )
+    return found
+
+
+def _never_written(names, tau):
+    """Find torques that are zero for all purposes."""
+    size = np.abs(tau).max(axis=0)
+    empty = tuple(np.flatnonzero((size > 0) & (size < number.NOTHING)).tolist())
+    if not empty:
+        return []
+    return [
+        ChannelFinding(
+            "constant_torque",
+            empty,
+            "error",
+            f"The torques of {listed_joints(names, empty)} are zero for all purposes "
+            f"(largest {size[list(empty)].max():.2g}): nothing was written there. Log "
+            "the measured torques or currents.",
+        )
+    ]
+
+
+def _stuck_encoder(names, j, q, dt, parts):
+    """Find a position that stops within one sample in the middle of a motion."""
+    steps = [np.diff(q[p, j]) for p in parts]
+    moves = [(x[1:] != 0) & (x[:-1] != 0) for x in steps]
+    change = np.concatenate([np.abs(np.diff(x))[m] for x, m in zip(steps, moves)])
+    speed = np.concatenate([np.abs(x[x != 0]) for x in steps])
+    if not change.size:
+        return []
+    fast = max(
+        number.SUDDEN * np.quantile(change, number.USUAL), 0.5 * np.median(speed)
+    )
+    found = []
+    for part in parts:
+        step = np.abs(np.diff(q[part, j]))
+        for first, last in zip(*runs(step == 0)):
+            around = np.r_[step[max(first - 2, 0) : first], step[last + 1 : last + 3]]
+            if last - first > number.LEAST_STOP and around.max(initial=0.0) > fast:
+                found.append((part.start + first, last - first + 2))
+    rows = sum(length for _, length in found)
+    if rows < number.STUCK_SHARE * len(q):
+        return []
+    first = found[0][0]
+    return [
+        ChannelFinding(
+            "stuck_position",
+            (j,),
+            "error",
+            f"The position of {names[j]} stays at {q[first, j]:.4g} from row {first} "
+            f"on, and stops or starts within one sample; {rows} rows "
+            f"({rows * dt:.3g} s) are like that: the encoder was stuck, or at the end "
+            "of its range. Leave these rows out.",
+        )
+    ]
+
+
+def _derivatives(names, q, tau, dt, parts):
+    """Find torques that are velocities."""
+    speed, torque = [], []
+    for part in parts:
+        if part.stop - part.start > 2:
+            speed.append(np.gradient(q[part], dt, axis=0)[1:-1])
+            torque.append(tau[part][1:-1])
+    if not speed:
+        return []
+    v, y = np.concatenate(speed), np.concatenate(torque)
+    moves = (np.ptp(v, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
+    left = np.sqrt(
+        ((y - v) ** 2).mean(axis=0) / np.maximum((v**2).mean(axis=0), 1e-300)
+    )
+    if not moves.any() or (left[moves] > number.SAME).any():
+        return []
+    every = tuple(range(len(names)))
+    message = (
+        "The torques are the velocities of the joints to "
+        f"{100 * left[moves].max():.1g} %: the wrong columns were taken. Give those of "
+        "the torques (--columns)."
+    )
+    return [ChannelFinding("velocity_as_torque", every, "error", message)]

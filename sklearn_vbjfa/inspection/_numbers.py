@@ -1,0 +1,189 @@
+"""The numbers that decide whether something is said of a log."""
+
+import numpy as np
+
+# -- hypotheses ------------------------------------------------------------------------
+
+# Prior log odds of a hypothesis against the log as it is, posterior log odds from which
+# it is reported, and log odds within which two are rivals.
+PRIOR = -np.log(100.0)
+DECISIVE = 5.0
+RIVAL = 3.0
+# Standard errors of a 90 % interval.
+INTERVAL = 1.645
+# Another reading must lower the squared errors of all joints by this factor [log], ...
+CLEAR = np.log(2.0)
+# ... and those of the joints that it changes by this, each.
+CLEAR_OF_JOINT = np.log(4.0)
+# Order, direction and zero are left alone if all joints have at most this relative
+# error. All orders of up to so many joints are tried if half of them have more than
+# the next one: single swaps help little before most joints are in place.
+GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
+# Places by which all columns may be shifted: columns that belong to no joint may stand
+# before the first one.
+ROLLED = 3
+# Zeros of one joint and of all that are tried, deviation of the prior of a step from
+# there, and the half step of derivatives [rad].
+OFFSETS = np.radians([-135, -90, -45, 45, 90, 135, 180])
+ANGLES = np.radians([-120, -80, -40, 40, 80, 120, 180])
+STEP_OF_ZERO, SLOPE = 0.5, 1e-4
+# With a larger relative error the sign of a torque is not judged, nor if friction says
+# the other by so many standard errors.
+WORST, SURE = 0.3, 5.0
+# Positions begin at zero within this share of their range, and a zero is another one
+# from this angle on [rad].
+AT_ZERO, MOVED = 1e-3, 0.05
+# Torques of all joints together are not this many times the described ones by chance,
+# nor is a single one this many times as large as it should be: the rotor of a gear may
+# be many times its link. Of commands one order of magnitude is asked for.
+SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
+# A torque is noise if it is less than this share of the described one, and its relative
+# error above this.
+SILENT, UNRELATED = 0.1, 0.9
+# Torques are computed if they agree with the description to this share.
+COMPUTED = 0.005
+# A factor of gravity below this is none.
+NO_WEIGHT = 0.3
+# A base is turned by more than this [rad], pulls as gravity does to this factor, and in
+# no direction is its pull less certain than this [g].
+TURNED, AS_HEAVY, UNSHOWN = np.radians(20.0), 1.5, 0.5
+# A scale with a larger error [log] is not shown.
+SHOWN = 1.0
+# Sample periods that are tried, as multiples.
+PERIODS = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3)
+# A joint without a speed limit does not move faster than this [rad/s, m/s], nor any
+# joint faster than its limit by this factor. Speeds are taken over so many samples,
+# lest encoder noise pass for motion.
+FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
+# A robot that is slower than its limits by this factor hardly moves, and motions are
+# seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
+TOO_SLOW, LONG_PERIOD = 0.01, 0.15
+# A lag is told from none if it is this many times its deviation, and raises the squared
+# error of no joint by more than this [log]; longer ones than the shifts of the signals
+# are followed by so many moves. Time constants of a low-pass, over the lag.
+LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
+# A contact pushes a joint by this many deviations of what is left elsewhere, and single
+# residuals count up to so many.
+CONTACT, CONTACT_CLIP = 3.0, 10.0
+
+# -- positions and torques without a likelihood ----------------------------------------
+
+# A joint without limits does not turn farther than this within a log, and positions in
+# degrees run beyond limits by more than this [rad].
+LARGEST_TURN, FAR_BEYOND = 25.0, 5.0
+# Encoder counts are whole numbers that span at least this range.
+FEWEST_COUNTS = 25.0
+# Integrated velocities stay within this multiple of a joint's range; where the model
+# has no limits, the range is taken to be this many radians or metres. Their means are
+# at most this share of their standard deviation.
+RANGE_MARGIN, RANGE_TURN, RANGE_SLIDE, LARGEST_MEAN = 1.25, 4 * np.pi, 5.0, 0.5
+# Signs must lower the squared error of a torque of one sign by this factor, and both
+# must be had by this share of the rows. A joint turns round between speeds of at least
+# this share of its fastest.
+SIGN_GAIN, RARE, STANDS = 2.0, 0.02, 0.05
+
+# -- likelihood ------------------------------------------------------------------------
+
+# Entries of all regressors together, and rows, at least and at most, for hypotheses
+# with one variant or many; more rows cost time without adding evidence.
+MOST_ENTRIES, LEAST, MOST_FITTED, MOST_TRIED = 2_000_000, 200, 1200, 400
+# Relative error of the described bodies.
+NOMINAL_ERROR = 0.5
+# Deviation of the prior of friction, rotor and offset, in units of the torque, and of
+# factors that are estimated.
+WIDE, FACTOR = 10.0, 1e3
+# What friction that feeds the motion costs a joint at most: controllers compensate it.
+FRICTION = 15.0
+# Iterations of the noise, the relative change that ends them, and passes of factors.
+ITERATIONS, CONVERGED, PASSES = 20, 1e-2, 6
+# Least variances, relative to a torque's and to the largest of all torques.
+LEAST_NOISE, LEAST_VARIANCE = 1e-6, 1e-12
+# Autocorrelation at which residuals count as independent.
+INDEPENDENT = 0.05
+
+# -- filter ----------------------------------------------------------------------------
+
+# Shorter recordings are skipped [samples], and with fewer moving rows a joint is not
+# judged.
+MIN_SAMPLES, FEWEST_ROWS, MOST_ROWS = 64, 60, 2500
+# ... nor with fewer rows than this many times the parameters of its torque, unless
+# there are enough.
+ROWS_PER_PARAMETER, ENOUGH_ROWS = 2, 120
+# The cut-off is this multiple of the frequency below which 90 % of the velocity's power
+# lies, but the filter remains short against the longest recording. That of the states
+# is this multiple of the frequency up to which the motion is so many times its noise,
+# in the mean over so many bins.
+CUTOFF_PER_BANDWIDTH, CUTOFF_PERIODS = 7.0, 36.0
+SMOOTH, ABOVE_NOISE, BINS = 3.0, 3.0, 15
+# Shifts between positions and torques that are tried, to either side [samples, s].
+N_SHIFTS, SHORTEST_SHIFT = 10, 0.002
+# A joint stands below this share of its speed.
+STANDSTILL = 0.02
+
+# -- samples ---------------------------------------------------------------------------
+
+# Rows in time order resemble the row before; the mean squared step of shuffled rows is
+# twice the variance. Seven tenths of that is a correlation of 0.3. Noise has no order
+# either: a joint moves at least this much [rad or m].
+SHUFFLED, LEAST_MOTION = 0.7, 0.01
+# Shuffled labels: at least this many runs per label, and runs on average this short.
+RUNS_PER_LABEL, SHORT_RUN = 4, 16
+# A jump is a full turn to within this fraction of one.
+TURN_LEFT = 0.15
+# Duplicated rows that are reported; above the last share they are a doubt.
+FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
+# The logger was frozen if this many rows are equal while a joint moves at this share of
+# its speed over this many samples right before and right after them.
+FROZEN_ROWS, HELD_SPEED, FROZEN_BESIDE = 5, 0.1, 3
+# Steps of this multiple of the channel's resolution are not rounding; the rate of a
+# channel takes at least this many of them, and this share of all, most of which must
+# come equally often.
+STEP, FEWEST_STEPS, STEP_SHARE, SAME_RATE = 4.0, 20, 0.3, 0.8
+# A joint whose travel is below this many standard deviations of its noise is at rest.
+STILL_TRAVEL = 12.0
+# A torque is coarse if its quantisation error exceeds this share of its spread, and
+# nothing if it is below this [N m or N].
+COARSE, NOTHING = 0.05, 1e-9
+# Clipping: samples within this share of the channel's range of an extreme value, in
+# runs of at least this length, in at least this many places (or one run of the long
+# length, in a channel that does not repeat itself), and denser by this factor than the
+# torques next to the extreme value: for a sine without noise the factor is 3.4.
+PLATEAU, PLATEAU_RUN, PLATEAU_RUNS, LONG_PLATEAU, DENSITY = 1e-3, 5, 3, 12, 8.0
+# Clipped samples are a doubt from this share of a torque's: on simulated arms, 0.3 % of
+# them raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %.
+MANY_CLIPPED = 0.005
+# A torque of zero is a dropout if it lasts for this many samples, and the value before
+# or after is this many times the usual step and this share of the spread; in at least
+# this many places both are.
+DROPOUT_RUN, DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 3, 4.0, 0.05, 3
+# A torque is stuck if it keeps a value for this many samples, and repeats itself no
+# more often than this in the others.
+STUCK_RUN, STUCK_REPEATS = 50, 0.1
+# Repeated positions are a dropout if the motion around them covers this many standard
+# deviations of the noise and the step after them is this many times the others, in runs
+# of at least this length, of a joint that moves at this share of its speed.
+FROZEN_TRAVEL, FROZEN_STEP, FROZEN_RUN, FROZEN_SPEED = 6.0, 2.5, 3, 0.02
+# A stop of a joint within one sample takes this many times its usual acceleration and
+# lasts this many samples; all of them are this share of the recording.
+SUDDEN, LEAST_STOP, STUCK_SHARE, USUAL = 3.5, 10, 0.03, 0.99
+# Steps and spikes, in robust standard deviations of the prediction by the neighbours,
+# in recordings of at least this many samples, and at least this share of the channel's
+# range. A larger share of outliers is noise, not a fault of single samples.
+OUTLIER, FEWEST_AROUND, LEAST_JUMP, MOST_OUTLIERS = 25.0, 16, 0.003, 0.01
+# A torque that is a derivative of the position agrees with it to this share.
+SAME = 0.02
+
+# -- what a motion shows ---------------------------------------------------------------
+
+# A joint has one speed if this share of its moving time, about the middle, lies in a
+# range of this share of the speed: speeds that are even in it deviate by a tenth of
+# their mean, and Coulomb friction, which is the line through them at no speed at all,
+# is ten times less certain than the friction at that speed.
+MIDDLE, ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
+# What saturates after a reversal must have done so in either direction several times.
+FEW_REVERSALS = 10
+# Range of positions below which what varies with them looks like a spring [rad].
+WIDE_RANGE = np.radians(60.0)
+# Loads that vary by less than this share of the torque cannot tell friction with the
+# load from friction without.
+SAME_LOAD = 0.1

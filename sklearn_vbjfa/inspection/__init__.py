@@ -20,6 +20,7 @@ _MODULES = {
         "shuffled_rows",
         "two_values",
     ),
+    "_reading": ("Reading", "score_of"),
     "_torques": ("size_message",),
     "_units": ("most_explaining", "signed_columns"),
 }

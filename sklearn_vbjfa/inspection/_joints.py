@@ -3,7 +3,7 @@
 from itertools import combinations, permutations
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
+import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._reading import (
@@ -98,7 +98,7 @@ def _torque_orders(reading):
     """Return the best order of torques."""
     joints, same = reading.few.joints, np.arange(reading.nv)
     left = np.log(reading.few.crossed())
-    rows, columns = linear_sum_assignment(left - np.diagonal(left))
+    rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
     order = same.copy()
     order[joints[rows]] = joints[columns]
     orders = [order, *(exchanged(same, pair) for pair in _pairs(reading))]
@@ -224,22 +224,25 @@ def _signs(reading):
         # A sign that friction contradicts is not a wrong one.
         return None if {*wrong} & {*against} else score_of(robot, fit)
 
+    judged = robot.joints[robot.errors() < number.WORST].tolist()
     scores, seen = {(): now, whole: tried(whole)}, {}
     for start in ((), whole):
         gains = {}
-        for j in robot.joints[robot.errors() < number.WORST].tolist():
+        for j in judged:
             which = tuple(sorted({*start} ^ {j}))
             scores[which] = tried(which)
             if scores[which] is not None and scores[start] is not None:
                 gains[j] = scores[which].evidence - scores[start].evidence
-        turned = {j for j, gain in gains.items() if gain > number.RIVAL}
-        which = tuple(sorted({*start} ^ turned))
+        turned = {j for j, gain in gains.items() if gain > number.DECISIVE}
+        # Of joints that are not judged, one that is right says nothing.
+        rest = {*start} & {*judged} if turned else {*start}
+        which = tuple(sorted(rest ^ turned))
         if which not in scores:
             scores[which] = tried(which)
-        seen[start] = {j for j, gain in gains.items() if abs(gain) > number.RIVAL}
+        seen[start] = {j for j, gain in gains.items() if abs(gain) > number.DECISIVE}
     scores = {which: score for which, score in scores.items() if score is not None}
     most = max(score.evidence for score in scores.values())
-    near = [x for x, score in scores.items() if score.evidence > most - number.RIVAL]
+    near = [x for x, score in scores.items() if score.evidence > most - number.DECISIVE]
     # That all signs are wrong is likelier than that those are right which do not show.
     best = whole if whole in near else min(near, key=len)
     if not best:

@@ -4,7 +4,7 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.special import log_ndtr
+import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._signals import Change
@@ -316,7 +316,7 @@ def _solve(parts, prior, n_factors):
         shared = covariance[blocks[i]]
         power.append(_power(M[k, k : k + 2], phi, H, solved[:2, :k], shared))
     # Friction takes power out of a motion; what feeds it is unlikely.
-    friction = np.maximum(log_ndtr(power), -number.FRICTION).sum()
+    friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
     own = slice(p - n_factors, p)
     return Fit(
         evidence=float(evidence + friction),

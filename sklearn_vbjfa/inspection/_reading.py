@@ -188,6 +188,7 @@ class Hypothesis:
             candidate.joints,
             values.get("severity", self.severity),
             self.message(reading, candidate),
+            value=values.get("seconds", np.nan),
             remedy=self.remedy(reading, candidate),
         )
 

@@ -4,8 +4,7 @@ from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
-from scipy.signal import oaconvolve
+import scipy
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.inspection import _numbers as number
@@ -176,7 +175,7 @@ def filtered(q, tau, dt, parts, usable):
 
 def _states(q, dt, smooth):
     """Positions, velocities and accelerations (n, 3, nv) inside the filter's ends."""
-    x = oaconvolve(q, smooth.taps[:, None], mode="valid", axes=0)
+    x = scipy.signal.oaconvolve(q, smooth.taps[:, None], mode="valid", axes=0)
     v = np.gradient(x, dt, axis=0)
     return np.stack([x, v, np.gradient(v, dt, axis=0)], axis=1)
 
@@ -196,7 +195,7 @@ def _cutoffs(q, dt, parts):
     high = slice(len(power) // 2, None)
     noise = rise * (power[high].sum(axis=0) / rise[high].sum())
     tiny = np.finfo(float).tiny
-    power = uniform_filter1d(power, number.BINS, axis=0)
+    power = scipy.ndimage.uniform_filter1d(power, number.BINS, axis=0)
     total = np.cumsum(np.maximum(power - number.ABOVE_NOISE * noise, 0.0), axis=0)
     share = total / np.maximum(total[-1], tiny)
     # The velocity of a joint at rest is noise.

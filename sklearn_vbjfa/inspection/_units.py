@@ -1,7 +1,7 @@
 """Channels that are another quantity: counts, velocities, torques without signs."""
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection._joints import beyond, limited, limits
@@ -190,7 +190,9 @@ def most_explaining(columns, sizes):
             start = start + share * unit * columns[:, 1]
         signs = np.where(start < 0, -1.0, 1.0)
         for _ in range(_ROUNDS):
-            coef = nnls(both, signs * sizes)[0] / np.where(size > 0, size, 1.0)
+            coef = scipy.optimize.nnls(both, signs * sizes)[0] / np.where(
+                size > 0, size, 1.0
+            )
             coef = np.append(coef[:-2], coef[-2] - coef[-1])
             new = np.where(columns @ coef < 0, -1.0, 1.0)
             if (new == signs).all():

@@ -127,7 +127,8 @@ class BodyPosterior:
     departures: tuple[Departure, ...] = ()
     noise: float = 1.0  # variance that the normal equations were divided by
     common: float = 1.0  # size of all bodies together over the description
-    common_error: float = np.inf  # relative standard error of that size
+    # size of all torques over those that the bodies require, and its relative error
+    torque_size: tuple[float, float] = (1.0, np.inf)
 
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
@@ -428,7 +429,7 @@ def around(description, A, b):
         centre=common * description.vector(b.size),
         departures=asked.departures(),
         common=common,
-        common_error=common_std / abs(common),
+        torque_size=(common, common_std / abs(common)),
     )
 
 
@@ -444,6 +445,8 @@ def as_described(description, A, b):
     covariance = np.zeros((p, p))
     covariance[np.ix_(free, free)] = found.inverse()
     lost = np.flatnonzero(free)[np.diagonal(A)[free] <= 0]
+    own, product, _ = _along(description, A, b)
+    size = (product / own, np.sqrt(own) / product) if product > 0 < own else (1, np.inf)
     covariance[lost, lost] = np.inf
     return BodyPosterior(
         theta=theta,
@@ -451,6 +454,7 @@ def as_described(description, A, b):
         prior=np.zeros((p, p)),
         before=np.where(free, np.nan, 0.0),
         centre=description.vector(p),
+        torque_size=size,
     )
 
 

@@ -495,9 +495,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     def _of_a_size(self):
         """Return the fitted estimator; warn if its torques have another size."""
         bodies = self._bodies
-        if bodies is None or self.bodies != "prior" or self.drive is not None:
+        if bodies is None or self._description is None or self.drive is not None:
             return self
-        size, error = bodies.common, bodies.common_error
+        size, error = bodies.torque_size
         far = not 1 / number.SCALE < size < number.SCALE
         if far and abs(np.log(size)) > number.DECISIVE * error:
             message = size_message(size, error, self.features_.n_joints_)

@@ -33,6 +33,11 @@ class Fit:
     noise: np.ndarray
     power: np.ndarray
 
+    @property
+    def errors(self):
+        """Standard errors of the factors, ndarray (m,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
 
 class Bodies:
     """Described bodies of a robot, and their regressors by motion and by gravity."""

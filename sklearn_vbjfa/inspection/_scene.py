@@ -131,7 +131,7 @@ def _turned(reading):
     if len(loaded(robot, robot.by_gravity @ pull)[0]) < 2:
         return None
     # What the motion does not show of the direction stays as described.
-    if np.sqrt(np.diag(fit.covariance)).max() > number.UNSHOWN:
+    if fit.errors.max() > number.UNSHOWN:
         return None
     angle = float(np.arccos(np.clip(pull @ start / size / usual, -1, 1)))
     if angle < number.TURNED:

@@ -38,7 +38,7 @@ def factor_of(robot):
         factor = float(fit.factors[0])
         if factor <= 0:
             return 0.0, np.inf
-    return factor, float(np.sqrt(fit.covariance[0, 0])) / factor
+    return factor, float(fit.errors[0]) / factor
 
 
 def size_message(factor, error, n_joints):
@@ -89,7 +89,7 @@ def _factors(robot):
     for _ in range(number.PASSES):
         tau = robot.signals.now / factors
         fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
-        error = number.INTERVAL * np.sqrt(np.diag(fit.covariance))
+        error = number.INTERVAL * fit.errors
         # Of joints that the masses hardly load, nothing is said.
         known = (fit.factors > 2 * error) & (error < 1.0)
         factors = factors * np.where(known, fit.factors, 1.0)
@@ -174,7 +174,7 @@ def _factor_of_joint(robot, j, factor):
         tau = robot.signals.now.copy()
         tau[:, j] /= factor
         fit = robot.fit(tau=tau, mean=mean, columns=columns)
-        if not fit.factors[0] > 2 * number.INTERVAL * np.sqrt(fit.covariance[0, 0]):
+        if not fit.factors[0] > 2 * number.INTERVAL * fit.errors[0]:
             return None
         factor *= float(fit.factors[0])
     return factor
@@ -197,7 +197,9 @@ def _silent(reading):
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = robot.signals.now.std(axis=0) / robot.described.std(axis=0)
     for j, error in zip(robot.joints, robot.errors()):
-        if sizes[j] < number.SILENT and error > number.UNRELATED:
+        others = [k for k in robot.joints if k != j and np.isfinite(sizes[k])]
+        usual = min(np.median(sizes[others]), 1.0) if others else 1.0
+        if sizes[j] < number.SILENT * usual and error > number.UNRELATED:
             return Candidate(
                 change=Change(),
                 joints=(int(j),),
@@ -260,7 +262,7 @@ def _weightless(reading):
     for _ in range(number.PASSES):
         entries = robot.pulled(share * down)
         fit = robot.fit(entries, scale=scale, mean=nothing, columns=columns)
-        error = number.INTERVAL * np.sqrt(np.diag(fit.covariance))
+        error = number.INTERVAL * fit.errors
         # Slow motion does not show the scale: it is that of N m then.
         shown = fit.factors[0] > 2 * error[0]
         scale = float(fit.factors[0]) if shown else 1.0
@@ -308,7 +310,7 @@ def _static(reading):
     robot = reading.robot
     columns = np.stack([robot.moving, robot.weight], axis=-1)
     fit = robot.fit(mean=np.zeros_like(robot.moving), columns=columns)
-    error = number.INTERVAL * np.sqrt(np.diag(fit.covariance))
+    error = number.INTERVAL * fit.errors
     part, weight = fit.factors
     if not (abs(part) + error[0] < number.NO_WEIGHT and weight > error[1]):
         return None

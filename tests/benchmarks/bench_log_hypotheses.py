@@ -72,130 +72,100 @@ def weight_of(model, q, gravity=None):
     return np.array([pin.computeGeneralizedGravity(model, data, x).copy() for x in q])
 
 
-# -- what is done: -> q, tau, dt, kinds that name it, strength -----------------------
+# -- what is done ----------------------------------------------------------------------
 
 
-def scaled(model, q, tau, dt, rng):
-    factor = np.exp(rng.choice([-1, 1]) * rng.uniform(np.log(3.5), np.log(60)))
-    return q, factor * tau, dt, "torque_unit", factor
+def negative(n, rng):
+    """Signs (n,) of which one is negative."""
+    return np.where(np.arange(n) == rng.integers(n), -1.0, 1.0)
 
 
-def factors(model, q, tau, dt, rng):
-    own = np.exp(rng.uniform(np.log(2), np.log(100), size=tau.shape[1]))
-    return q, tau / own, dt, "torque_factors torque_unit gear_factor", None
-
-
-def motor_side(model, q, tau, dt, rng):
-    tau = tau.copy()
-    tau[:, rng.integers(tau.shape[1])] /= rng.uniform(40, 160)
-    return q, tau, dt, "gear_factor silent_torque", None
-
-
-def without_weight(model, q, tau, dt, rng):
-    return q, tau - weight_of(model, q), dt, "no_gravity", None
-
-
-def weight_alone(model, q, tau, dt, rng):
-    names = "gravity_only constant_torque computed_torque"
-    return q, weight_of(model, q), dt, names, None
-
-
-def turned(model, q, tau, dt, rng):
-    down = rng.normal(size=3) + [0, 0, 0.5]
-    down *= 9.81 / np.linalg.norm(down)
-    other = weight_of(model, q, down) - weight_of(model, q)
-    return q, tau + other, dt, "base_orientation", None
-
-
-def turns(model, q, tau, dt, rng):
-    return q / (2 * np.pi), tau, dt, "position_turns", None
-
-
-def degrees(model, q, tau, dt, rng):
-    return np.rad2deg(q), tau, dt, "position_degrees position_counts", None
-
-
-def late(model, q, tau, dt, rng):
-    k = max(1, round(rng.uniform(0.005, 0.06) / dt))
-    return q[k:], tau[:-k], dt, "delay", k * dt
-
-
-def power_up(model, q, tau, dt, rng):
-    return q - q[0], tau, dt, "position_zeros position_zero", None
-
-
-def one_sign(model, q, tau, dt, rng):
-    sign = np.ones(tau.shape[1])
-    sign[rng.integers(sign.size)] = -1
-    return q, sign * tau, dt, "torque_sign", None
-
-
-def all_signs(model, q, tau, dt, rng):
-    return q, -tau, dt, "torque_sign", None
-
-
-def mirrored(model, q, tau, dt, rng):
-    sign = np.ones(tau.shape[1])
-    sign[rng.integers(sign.size)] = -1
-    return sign * q, tau, dt, "position_sign", None
-
-
-def flipped(model, q, tau, dt, rng):
-    sign = np.ones(tau.shape[1])
-    sign[rng.integers(sign.size)] = -1
-    return sign * q, sign * tau, dt, "flipped_joint", None
-
-
-def _pair(n, rng):
-    order = np.arange(n)
-    pair = rng.choice(n, 2, replace=False)
+def exchanged(n, rng):
+    """Order (n,) in which two are exchanged."""
+    order, pair = np.arange(n), rng.choice(n, 2, replace=False)
     order[pair] = order[pair[::-1]]
     return order
 
 
-def swapped_torques(model, q, tau, dt, rng):
-    return q, tau[:, _pair(len(tau.T), rng)], dt, "swapped_torques swapped_joints", None
+def of_one(n, rng, value, others):
+    """Values (n,) of which one is another."""
+    return np.where(np.arange(n) == rng.integers(n), value, others)
 
 
-def swapped_positions(model, q, tau, dt, rng):
-    order = _pair(len(tau.T), rng)
-    return q[:, order], tau, dt, "swapped_positions swapped_joints", None
+def turned(model, q, rng):
+    """Torques by which the weight is another one on a base that is turned."""
+    down = rng.normal(size=3) + [0, 0, 0.5]
+    return weight_of(model, q, 9.81 * down / np.linalg.norm(down)) - weight_of(model, q)
 
 
-def order(model, q, tau, dt, rng):
-    own = rng.permutation(len(tau.T))
-    names = "swapped_joints swapped_torques swapped_positions"
-    return q[:, own], tau[:, own], dt, names, None
-
-
-def zero(model, q, tau, dt, rng):
-    q = q.copy()
-    q[:, rng.integers(q.shape[1])] += rng.choice([-1, 1]) * rng.uniform(0.8, 3.1)
-    return q, tau, dt, "position_zero", None
-
-
-def period(model, q, tau, dt, rng):
-    return q, tau, dt * rng.choice([0.1, 10.0, 1e3, 1e-3]), "wrong_dt", None
-
-
-def contact(model, q, tau, dt, rng):
-    begin, rows = int(rng.uniform(0.2, 0.6) * len(q)), round(rng.uniform(2, 4) / dt)
+def pushed(tau, dt, rng):
+    """Torques with those of a contact of some seconds."""
+    begin, rows = int(rng.uniform(0.2, 0.6) * len(tau)), round(rng.uniform(2, 4) / dt)
     tau = tau.copy()
     tau[begin : begin + rows] += rng.uniform(1.0, 3.0) * tau.std(axis=0)
-    return q, tau, dt, "external_force", None
+    return tau
 
 
-def noise(model, q, tau, dt, rng):
+def silenced(tau, rng):
+    """Torques of which one is noise."""
     tau, j = tau.copy(), rng.integers(tau.shape[1])
     tau[:, j] = rng.normal(0, 0.02 * tau[:, j].std(), len(tau))
-    return q, tau, dt, "silent_torque gear_factor", None
+    return tau
 
 
-DONE = (
-    *(scaled, factors, motor_side, without_weight, weight_alone, turned, turns),
-    *(degrees, late, power_up, one_sign, all_signs, mirrored, flipped),
-    *(swapped_torques, swapped_positions, order, zero, period, contact, noise),
-)
+def drawn(low, high, rng, size=None):
+    """Factors that are even in their logarithm."""
+    return np.exp(rng.uniform(np.log(low), np.log(high), size))
+
+
+ORDERS = "swapped_joints swapped_torques swapped_positions"
+STATIC = "gravity_only constant_torque computed_torque"
+# name: kinds of findings that name it, and a function of model, q, tau, dt, the number
+# of joints and a generator to positions, torques, sample period and strength
+DONE = {
+    "larger": ("torque_unit", lambda m, q, y, dt, n, r: (
+        q, (f := drawn(3.5, 60, r)) * y, dt, f)),
+    "smaller": ("torque_unit", lambda m, q, y, dt, n, r: (
+        q, (f := 1 / drawn(3.5, 60, r)) * y, dt, f)),
+    "currents": ("torque_factors torque_unit gear_factor", lambda m, q, y, dt, n, r: (
+        q, y / drawn(2, 100, r, n), dt, None)),
+    "motor side": ("gear_factor silent_torque", lambda m, q, y, dt, n, r: (
+        q, y / of_one(n, r, drawn(40, 160, r), 1), dt, None)),
+    "without weight": ("no_gravity", lambda m, q, y, dt, n, r: (
+        q, y - weight_of(m, q), dt, None)),
+    "weight alone": (STATIC, lambda m, q, y, dt, n, r: (q, weight_of(m, q), dt, None)),
+    "base turned": ("base_orientation", lambda m, q, y, dt, n, r: (
+        q, y + turned(m, q, r), dt, None)),
+    "turns": ("position_turns", lambda m, q, y, dt, n, r: (
+        q / (2 * np.pi), y, dt, None)),
+    "degrees": ("position_degrees position_counts", lambda m, q, y, dt, n, r: (
+        np.rad2deg(q), y, dt, None)),
+    "late": ("delay", lambda m, q, y, dt, n, r: (
+        q[(k := max(1, round(r.uniform(0.005, 0.06) / dt))) :], y[:-k], dt, k * dt)),
+    "zeros at power-up": ("position_zeros position_zero", lambda m, q, y, dt, n, r: (
+        q - q[0], y, dt, None)),
+    "one sign": ("torque_sign", lambda m, q, y, dt, n, r: (
+        q, negative(n, r) * y, dt, None)),
+    "all signs": ("torque_sign", lambda m, q, y, dt, n, r: (q, -y, dt, None)),
+    "mirrored": ("position_sign", lambda m, q, y, dt, n, r: (
+        negative(n, r) * q, y, dt, None)),
+    "flipped": ("flipped_joint", lambda m, q, y, dt, n, r: (
+        (x := negative(n, r)) * q, x * y, dt, None)),
+    "torques swapped": (ORDERS, lambda m, q, y, dt, n, r: (
+        q, y[:, exchanged(n, r)], dt, None)),
+    "positions swapped": (ORDERS, lambda m, q, y, dt, n, r: (
+        q[:, exchanged(n, r)], y, dt, None)),
+    "another order": (ORDERS, lambda m, q, y, dt, n, r: (
+        q[:, (o := r.permutation(n))], y[:, o], dt, None)),
+    "one zero": ("position_zero", lambda m, q, y, dt, n, r: (
+        q + of_one(n, r, r.choice([-1, 1]) * r.uniform(0.8, 3.1), 0), y, dt, None)),
+    "period": ("wrong_dt", lambda m, q, y, dt, n, r: (
+        q, y, dt * r.choice([0.1, 10.0, 1e3, 1e-3]), None)),
+    "contact": ("external_force", lambda m, q, y, dt, n, r: (
+        q, pushed(y, dt, r), dt, None)),
+    "noise": ("silent_torque gear_factor", lambda m, q, y, dt, n, r: (
+        q, silenced(y, r), dt, None)),
+}  # fmt: skip
 
 
 # -- one log ---------------------------------------------------------------------------
@@ -223,16 +193,16 @@ def run(task):
     model = made.robot_model() if model is None else model
     q, tau, dt, names, strength = made.q, made.tau, made.dt, "", None
     if what:
-        function = {one.__name__: one for one in DONE}[what]
-        rng = np.random.default_rng([seed, 49])
-        q, tau, dt, names, strength = function(model, q, tau, dt, rng)
+        names, function = DONE[what]
+        known = model.nv, np.random.default_rng([seed, 49])
+        q, tau, dt, strength = function(model, q, tau, dt, *known)
     found = inspect_channels(model, q, tau, dt)
     grave = [x for x in found if x.severity != "warning" or x.kind == "delay"]
     kinds = {x.kind for x in grave}
     right = bool(kinds) and kinds <= set(names.split())
     if right and what == "late":
         right = abs(grave[0].value - strength) < 0.002 + 0.1 * strength
-    if right and what == "scaled":
+    if right and what in ("larger", "smaller"):
         told = float(grave[0].message.split(" are ")[1].split()[0])
         right = abs(np.log(told / strength)) < np.log(1.6)
     outcome = "right" if right else "wrong" if kinds else "silent"
@@ -284,14 +254,13 @@ def measured(data_home):
 def report(results):
     """Return the tables of a study."""
     rows = []
-    for what in ["", *(one.__name__ for one in DONE)]:
+    for what in ["", *DONE]:
         own = [r for r in results if r["what"] == what]
         seen = [r for r in own if r["log_odds"] > VISIBLE or not what]
         counts = [sum(r["outcome"] == x for r in own) for x in ("silent", "wrong")]
         visible = sum(r["outcome"] == "right" for r in seen)
-        label = what.replace("_", " ") or "sound"
         cells = ["–", "–"] if not what else [str(len(seen)), str(visible)]
-        rows.append([label, str(len(own)), *cells, *map(str, counts)])
+        rows.append([what or "sound", str(len(own)), *cells, *map(str, counts)])
     heads = ["what was done", "logs", "visible", "of these right", "silent", "wrong"]
     return rst_table(rows, heads)
 
@@ -302,11 +271,10 @@ def main(argv=None):
     first, last = arguments.seeds
     if arguments.quick:
         last = first + 1
-    seeds, n = range(first, last + 1), len(DONE)
-    tasks = [{"seed": seed, "what": ""} for seed in seeds]
-    for seed in seeds:
-        for k in (2 * seed % n, (2 * seed + 1) % n):
-            tasks.append({"seed": seed, "what": DONE[k].__name__})
+    names, tasks = list(DONE), []
+    for seed in range(first, last + 1):
+        own = names[2 * seed % len(DONE)], names[(2 * seed + 1) % len(DONE)]
+        tasks += [{"seed": seed, "what": what} for what in ("", *own)]
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         ledger = run_study(run, tasks, KEYS, out=arguments.out)

@@ -19,9 +19,9 @@ from sklearn_vbjfa.effects._base import (
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 # Displacements of the bank to try, as shares of the joint's range: their number, and
 # the smallest and the largest one.
-_COUNT, _SMALLEST, _LARGEST = 9, 3e-4, 0.5
+_COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.5
 # Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
-_SPEEDS = (0.05, 0.12, 0.3)
+_SPEEDS = (0.04, 0.08, 0.16, 0.32)
 
 
 def _turning_points(q):
@@ -177,6 +177,11 @@ class MaxwellSlip(Shaped, Stateful):
         return tuple(unit for unit, bank in zip(kinds, self._banks) for _ in bank)
 
     @property
+    def continuous(self):
+        """Whether a search refines the Stribeck speed."""
+        return ("vs",) if self.falling else ()
+
+    @property
     def needs(self):
         """Whether some elements need the load."""
         return ("load",) if self.loaded else ()
@@ -271,7 +276,10 @@ class MaxwellSlip(Shaped, Stateful):
         """Banks from displacements that friction hardly shows to half of the range."""
         reach, fast = motion.range(self.joint), motion.speed(self.joint)
         bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
-        plain = {"displacements": bank, "loaded": (), "falling": (), "vs": 0.1}
+        if not (reach > 0 and fast > 0):
+            return []
+        plain = {"displacements": bank, "loaded": (), "falling": ()}
+        plain["vs"] = _SPEEDS[0] * fast
         found = [plain] + [plain | {"falling": bank, "vs": s * fast} for s in _SPEEDS]
         return found if motion.load is None else [*found, plain | {"loaded": bank}]
 

@@ -320,6 +320,9 @@ class Path:
         groups = fit.groups(family)
         best = int(np.argmax(groups.evidence(self.settings.scale)))
         found = family.effects[best]
+        if found.continuous:
+            found, best = self._refined(fit, [found]), 0
+            groups = fit.groups(self._single(found))
         used = groups.coefficients()[best, : len(found.coefficients)] > 0
         return found.only(used) if used.any() else effect
 

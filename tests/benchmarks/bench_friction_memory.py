@@ -1,0 +1,284 @@
+"""Friction laws with memory, and what is named instead, on simulated arms.
+
+Usage: python tests/benchmarks/bench_friction_memory.py [--seeds 11:21] [--laws lugre]
+
+The generator shares no code with the package: rigid bodies are those of Pinocchio, the
+laws of friction are integrated on a grid twenty times finer than the samples. The masses
+of the description are 20 % off. Each recording has 40 s at 100 Hz; the 40 s after it are
+predicted with the states and the filter of the fit. Printed are the error over that of
+the noise alone, the names, and which of them `ACCEPTED` does not list.
+"""
+
+import argparse
+import tempfile
+import time
+import warnings
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from scipy.interpolate import CubicSpline
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+
+# Names that are right for each law, on the joint that has it; `also` on the others.
+# A law that the library does not have may be named as what it is closest to.
+ACCEPTED = {
+    "maxwell_slip": {"maxwell_slip"},
+    "gms": {"maxwell_slip", "stribeck"},
+    "elasto_plastic": {"maxwell_slip", "stribeck"},
+    "lugre": {"maxwell_slip", "stribeck"},
+    "friction_by_position": {"maxwell_slip", "load_friction"},
+    "tendon_friction": {"coupling"},
+    "tendon_spring": {"coupling_spring"},
+    "gear_loss": {"load_friction", "maxwell_slip", "torque_gain"},
+    "warm_up": {"drift"},
+    "two_coggings": {"ripple"},
+    "nothing": set(),
+}
+MEMORY = ("maxwell_slip", "gms", "elasto_plastic", "lugre")
+# Laws between two joints: both may have the name.
+BOTH = ("tendon_friction", "tendon_spring")
+SECONDS, DT, FINE, NOISE = 40.0, 0.01, 20, 0.03
+
+
+class Arm:
+    """A planar or spatial arm of two joints with random bodies."""
+
+    def __init__(self, rng):
+        self.axes = [np.array([0.0, 1.0, 0.0]), rng.normal(size=3)]
+        self.axes[1] /= np.linalg.norm(self.axes[1])
+        self.offset = rng.uniform([0.2, -0.1, -0.1], [0.5, 0.1, 0.1])
+        self.bodies = [self._body(rng, scale) for scale in (1.0, 0.6)]
+        self.viscous = rng.uniform(0.2, 1.0, 2)
+        self.dry = rng.uniform(0.3, 1.0, 2)
+        self.rotor = rng.uniform(0.02, 0.1, 2)
+
+    @staticmethod
+    def _body(rng, scale):
+        """Mass, centre and inertia about it of a cloud of points."""
+        points = rng.normal(size=(9, 3)) * [0.12, 0.05, 0.05] + [0.2, 0.0, 0.0]
+        share = rng.dirichlet(np.ones(9)) * scale * rng.uniform(1.5, 4.0)
+        mass, centre = share.sum(), share @ points / share.sum()
+        away = points - centre
+        inertia = sum(
+            m * (x @ x * np.eye(3) - np.outer(x, x)) for m, x in zip(share, away)
+        )
+        return mass, centre, inertia + 1e-4 * mass * np.eye(3)
+
+    def described(self, rng):
+        """Return bodies whose masses are off by 20 %."""
+        factors = np.exp(0.2 * rng.normal(size=2))
+        return [(f * m, c, f * J) for f, (m, c, J) in zip(factors, self.bodies)]
+
+    def urdf(self, bodies):
+        """Description with some bodies."""
+        parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
+        for j, (mass, c, J) in enumerate(bodies):
+            xyz = (0, 0, 0) if j == 0 else self.offset
+            text = [" ".join(f"{x:.12g}" for x in v) for v in (c, xyz, self.axes[j])]
+            moments = "".join(
+                f'i{a}{b}="{J["xyz".index(a), "xyz".index(b)]:.12g}" '
+                for a, b in ("xx", "xy", "xz", "yy", "yz", "zz")
+            )
+            parts.append(
+                f'<link name="l{j}"><inertial><origin xyz="{text[0]}"/>'
+                f'<mass value="{mass:.12g}"/><inertia {moments}/></inertial></link>'
+                f'<joint name="j{j}" type="revolute"><parent link="{parent}"/>'
+                f'<child link="l{j}"/><origin xyz="{text[1]}"/><axis xyz="{text[2]}"/>'
+                '<limit lower="-6" upper="6" effort="500" velocity="20"/></joint>'
+            )
+            parent = f"l{j}"
+        return "".join(parts) + "</robot>"
+
+    def rigid(self, q, v, a):
+        """Torques of the bodies, by Pinocchio."""
+        model = pin.buildModelFromXML(self.urdf(self.bodies))
+        data = model.createData()
+        return np.array([pin.rnea(model, data, *row) for row in zip(q, v, a)])
+
+
+def motion(rng, n):
+    """Sums of six sines for both joints: time, positions, velocities, accelerations."""
+    t = np.arange(n) * DT
+    states = np.zeros((3, n, 2))
+    for j in range(2):
+        w = 2 * np.pi * rng.uniform(0.05, 0.45, 6)
+        size = rng.uniform(0.15, 0.4, 6) / (1 + w / 1.3)
+        phase = np.outer(t, w) + rng.uniform(0, 2 * np.pi, 6)
+        states[0, :, j] = np.sin(phase) @ size
+        states[1, :, j] = np.cos(phase) @ (size * w)
+        states[2, :, j] = -np.sin(phase) @ (size * w**2)
+    return t, *states
+
+
+# -- laws, integrated on a fine grid ---------------------------------------------------
+
+
+def fine(q):
+    """Positions on the fine grid, with the velocities of their spline."""
+    t = np.arange(q.size)
+    spline = CubicSpline(t, q)
+    grid = np.arange((q.size - 1) * FINE + 1) / FINE
+    return spline(grid), spline(grid, 1) / DT
+
+
+def stribeck_size(v, size, fast, rise):
+    """Sliding friction at each velocity."""
+    return size * (1 + rise * np.exp(-((v / (0.09 * fast)) ** 2)))
+
+
+def maxwell_slip(q, size, reach, fast):
+    """Four springs that slip at forces of their own."""
+    x, _ = fine(q)
+    share = np.array([0.35, 0.3, 0.2, 0.15])
+    slip = reach * np.array([0.004, 0.015, 0.05, 0.14])
+    z, out = np.zeros(4), np.empty(x.size)
+    out[0] = 0.0
+    for i, step in enumerate(np.diff(x)):
+        z = np.minimum(np.maximum(z + step / slip, -1.0), 1.0)
+        out[i + 1] = share @ z
+    return size * out[::FINE]
+
+
+def gms(q, size, reach, fast):
+    """Generalised Maxwell slip: sliding elements approach the curve of Stribeck."""
+    x, v = fine(q)
+    share = np.array([0.4, 0.3, 0.2, 0.1])
+    k = share * size / (reach * np.array([0.004, 0.012, 0.03, 0.07]))
+    force, slides, out = np.zeros(4), np.zeros(4, bool), np.empty(x.size)
+    level, h = stribeck_size(v, size, fast, 0.4), DT / FINE
+    for i in range(x.size):
+        way = np.sign(v[i])
+        slides &= way * force > 0
+        drawn = h * way * 20 * size * (share - way * force / level[i])
+        force = force + np.where(slides, drawn, h * k * v[i])
+        over = ~slides & (np.abs(force) >= share * level[i])
+        force = np.where(over, np.sign(force) * share * level[i], force)
+        slides |= over
+        out[i] = force.sum()
+    return out[::FINE]
+
+
+def elasto_plastic(q, size, reach, fast):
+    """Bristles that yield beyond 60 % of their deflection (Dupont and others 2002)."""
+    x, v = fine(q)
+    stiffness, z, out = size / (0.015 * reach), 0.0, np.empty(x.size)
+    level = stribeck_size(v, size, fast, 0.3) / stiffness
+    for i in range(x.size):
+        most, share = level[i], 0.0
+        if np.sign(z) == np.sign(v[i]) and abs(z) > 0.6 * most:
+            phase = (abs(z) - 0.8 * most) / (0.4 * most)
+            share = 0.5 + 0.5 * np.sin(np.pi * np.clip(phase, -0.5, 0.5))
+        z += DT / FINE * v[i] * (1 - share * np.sign(v[i]) * z / most)
+        out[i] = stiffness * z
+    return out[::FINE]
+
+
+def lugre(q, size, reach, fast):
+    """Bristles of the LuGre model, by exponential steps."""
+    x, v = fine(q)
+    stiffness, z, out = size / (0.012 * reach), 0.0, np.empty(x.size)
+    level = stribeck_size(v, size, fast, 0.5) / stiffness
+    for i in range(x.size):
+        end = level[i] * np.sign(v[i])
+        z = end + (z - end) * np.exp(-abs(v[i]) * DT / FINE / level[i])
+        out[i] = stiffness * z
+    return out[::FINE]
+
+
+LAWS = {f.__name__: f for f in (maxwell_slip, gms, elasto_plastic, lugre)}
+
+
+def record(law, seed):
+    """Arm, joint with the law, positions, torques and their noise."""
+    rng = np.random.default_rng([20261126, list(ACCEPTED).index(law), seed])
+    arm = Arm(rng)
+    n = round(2 * SECONDS / DT)
+    t, q, v, a = motion(rng, n)
+    load = arm.rigid(q, v, a)
+    friction = arm.viscous * v + arm.dry * np.sign(v)
+    j = int(rng.integers(2))
+    size, fast, reach = 0.15 * load[:, j].std() + 0.3, np.abs(v[:, j]).max(), None
+    reach = np.ptp(q[:, j])
+    if law in LAWS:
+        own = LAWS[law](q[:, j], size, reach, fast)
+        friction[:, j] = arm.viscous[j] * v[:, j] + own
+    elif law == "friction_by_position":
+        friction[:, j] += size * (1 + 0.7 * np.sin(3 * q[:, j])) * np.sign(v[:, j])
+    elif law == "tendon_friction":
+        own = 0.7 * size * np.sign(v[:, 0] + 0.8 * v[:, 1])
+        friction += np.outer(own, [1.0, 0.8])
+    elif law == "tendon_spring":
+        own = 1.5 * size * (q[:, 0] - 0.7 * q[:, 1])
+        friction += np.outer(own, [1.0, -0.7])
+    elif law == "gear_loss":
+        drives = load[:, j] * v[:, j] > 0
+        friction[:, j] += np.where(drives, 0.15, -0.1) * load[:, j]
+    elif law == "warm_up":
+        factor = 1 + 0.6 * np.exp(-t / 15.0)
+        friction[:, j] = (friction[:, j] + size * np.sign(v[:, j])) * factor
+    elif law == "two_coggings":
+        phase = 2 * np.pi * q[:, j] / np.deg2rad([[23.0], [6.7]])
+        friction[:, j] += size * (0.3 * np.sin(phase[0] + 1) + 0.25 * np.sin(phase[1]))
+    tau = load + friction + arm.rotor * a
+    noise = NOISE * tau.std(axis=0) * rng.normal(size=tau.shape)
+    q = q + 2e-5 * rng.normal(size=q.shape)
+    return arm, rng, j, q, tau + noise, noise
+
+
+def judge(law, seed):
+    """Error over the noise on the joint of the law, names, wrong ones, seconds."""
+    arm, rng, j, q, tau, noise = record(law, seed)
+    n = len(q) // 2
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "arm.urdf"
+        path.write_text(arm.urdf(arm.described(rng)))
+        start = time.process_time()
+        loop = EffectDiscovery(RobotIdentifier(path, dt=DT), random_state=0)
+        loop.fit(q[:n], tau[:n])
+        seconds = time.process_time() - start
+    robot = loop.identifier_
+    # The same rows and filter for the residual and the noise.
+    left = robot.residuals(q, tau).residual
+    quiet = robot.residuals(q, tau - noise).residual
+    later = slice(len(left) // 2, -20)
+    own = (left - quiet)[later]
+    ratio = np.sqrt((left[later] ** 2).mean(axis=0) / (own**2).mean(axis=0))
+    names = [(e.name, e.joint) for e in loop.effects_]
+    joints = (0, 1) if law in BOTH else (j,)
+    wrong = [
+        one for one in names if one[0] not in ACCEPTED[law] or one[1] not in joints
+    ]
+    return ratio[j], names, wrong, seconds
+
+
+def main():
+    """Run the laws and seeds that are asked for."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", default="11:21")
+    parser.add_argument("--laws", default=",".join(ACCEPTED))
+    asked = parser.parse_args()
+    first, last = map(int, asked.seeds.split(":"))
+    warnings.simplefilter("ignore")
+    memory, named, wrong = [], 0, 0
+    for law in asked.laws.split(","):
+        found = [judge(law, seed) for seed in range(first, last)]
+        ratios = np.array([one[0] for one in found])
+        for seed, (ratio, names, bad, seconds) in zip(range(first, last), found):
+            told = ", ".join(f"{name} {joint + 1}" for name, joint in names)
+            mark = f"  WRONG {len(bad)}" if bad else ""
+            print(f"  {law} {seed}: {ratio:.2f}, {seconds:.0f} s: {told}{mark}")
+        print(f"{law}: median {np.median(ratios):.2f}, worst {ratios.max():.2f}")
+        if law in MEMORY:
+            memory += ratios.tolist()
+        named += sum(len(one[1]) for one in found)
+        wrong += sum(len(one[2]) for one in found)
+    if memory:
+        median, worst = np.median(memory), np.max(memory)
+        print(f"memory laws: median {median:.2f}, worst {worst:.2f}")
+    print(f"wrong names: {wrong} of {named}")
+
+
+if __name__ == "__main__":
+    main()

@@ -3,10 +3,10 @@
 Usage: python tests/benchmarks/bench_friction_memory.py [--seeds 11:21] [--laws lugre]
 
 The generator shares no code with the package: rigid bodies are those of Pinocchio, the
-laws of friction are integrated on a grid twenty times finer than the samples. The masses
-of the description are 20 % off. Each recording has 40 s at 100 Hz; the 40 s after it are
-predicted with the states and the filter of the fit. Printed are the error over that of
-the noise alone, the names, and which of them `ACCEPTED` does not list.
+laws of friction are integrated on a grid twenty times finer than the samples. The
+masses of the description are 20 % off. Each recording has 40 s at 100 Hz; the 40 s
+after it are predicted with the states and the filter of the fit. Printed are the error
+over that of the noise alone, the names, and how many `ACCEPTED` does not list.
 """
 
 import argparse
@@ -72,7 +72,7 @@ class Arm:
         return [(f * m, c, f * J) for f, (m, c, J) in zip(factors, self.bodies)]
 
     def urdf(self, bodies):
-        """Description with some bodies."""
+        """Return a description with some bodies."""
         parts, parent = ['<robot name="arm"><link name="base"/>'], "base"
         for j, (mass, c, J) in enumerate(bodies):
             xyz = (0, 0, 0) if j == 0 else self.offset
@@ -99,7 +99,7 @@ class Arm:
 
 
 def motion(rng, n):
-    """Sums of six sines for both joints: time, positions, velocities, accelerations."""
+    """Draw six sines for each joint: time, positions, velocities, accelerations."""
     t = np.arange(n) * DT
     states = np.zeros((3, n, 2))
     for j in range(2):

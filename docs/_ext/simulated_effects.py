@@ -134,6 +134,11 @@ def uses():
             x_label="sum of the speeds of joints 5 and 6 [rad/s]",
             signal=lambda motion: motion.v[:, 4] + motion.v[:, 5],
         ),
+        Use(
+            effect=effects.CouplingSpring(joint=4, other=5),
+            coef=(3.0, -2.0, 0.1),
+            joint=4,
+        ),
         Use(effect=effects.Elastic(joint=1), coef=(1 / 2000.0,), **_over_time()),
         Use(effect=effects.Delay(joint=1, delay=0.02), coef=(0.02,), **_over_time()),
         Use(

@@ -48,7 +48,8 @@ def log_orthant(mean, covariance):
     """Log probabilities (...) that normal vectors (..., k) have no negative element."""
     # The elements are truncated one by one, the most negative first, and what is left
     # is taken for normal with the moments of the truncated distribution (Mendell and
-    # Elston, Biometrics 30, 1974, doi 10.2307/2529616).
+    # Elston, Biometrics 30, 1974, doi 10.2307/2529616). It is good to half a nat while
+    # the probability is not below e^-10 or so, and too high beyond.
     mean, covariance = np.array(mean), np.array(covariance)
     left = np.ones(mean.shape, dtype=bool)
     total = np.zeros(mean.shape[:-1])
@@ -141,10 +142,12 @@ class Groups:
         ratio = scales / scale
         prior = ratio / (1 + ratio**2)
         volume = 0.5 * np.log1p(s2 * value).sum(axis=2)
+        found = gain - volume
         if self.positive:
-            # The prior is that of positive coefficients, 2^k times as dense.
-            volume -= self._log_orthant(scales)
-        return gain - volume + np.log(prior / prior.sum())[:, None]
+            # The prior is that of positive coefficients, 2^k times as dense. No factor
+            # is above that of the best coefficients, where the approximation fails.
+            found = np.minimum(found + self._log_orthant(scales), 0.5 * self.gain())
+        return found + np.log(prior / prior.sum())[:, None]
 
     def _log_orthant(self, scales):
         """Log of the share (n_scales, c) of positive coefficients, over the prior's."""

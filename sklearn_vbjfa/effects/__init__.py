@@ -25,6 +25,7 @@ from sklearn_vbjfa.effects._channels import (
 from sklearn_vbjfa.effects._drive import (
     ChainJoint,
     Coupling,
+    CouplingSpring,
     Elastic,
     Follower,
     RotorInertia,
@@ -88,6 +89,7 @@ __all__ = [
     "Coulomb",
     "Counterbalance",
     "Coupling",
+    "CouplingSpring",
     "Delay",
     "Drift",
     "Effect",

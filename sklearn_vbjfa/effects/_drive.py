@@ -7,6 +7,7 @@ import numpy as np
 
 from sklearn_vbjfa.effects._base import (
     INERTIA,
+    POSITION,
     STIFFNESS,
     TORQUE,
     VISCOSITY,
@@ -68,7 +69,43 @@ class RotorInertia(JointEffect):
         return lambda state: (state.a[j],)
 
 
-class Coupling(Shaped):
+class _ToAnother(Shaped):
+    """An effect of another joint's motion."""
+
+    partners = ("other",)
+
+    def __init__(self, joint=0, other=1):
+        super().__init__(joint)
+        self.other = other
+
+    @classmethod
+    def describe(cls, shape, joint_label):
+        if not isinstance(shape.get("other"), Integral):
+            return cls.label
+        how = {"sum": " (sum)", "difference": " (difference)"}
+        kind = cls.label.removesuffix(" to another joint")
+        return f"{kind} to {joint_label(shape['other'])}{how.get(shape.get('of'), '')}"
+
+    def applies(self, motion):
+        if motion.n_joints < 2:
+            return "there is only one joint"
+        return super().applies(motion)
+
+    def columns(self, motion):
+        if self.other == self.joint or not 0 <= self.other < motion.n_joints:
+            raise ValueError(
+                f"other of {self.name} must be another joint, 0 to "
+                f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
+            )
+        return super().columns(motion)
+
+    def shapes(self, motion):
+        """All other joints."""
+        others = range(motion.n_joints)
+        return [{"other": other} for other in others if other != self.joint]
+
+
+class Coupling(_ToAnother):
     """Friction and inertia of another joint's motion.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
@@ -99,7 +136,6 @@ class Coupling(Shaped):
     """
 
     name = "coupling"
-    partners = ("other",)
     label = "coupling to another joint"
     formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
     coefficients = ("Fvm", "Fcm", "Iam")
@@ -114,23 +150,8 @@ class Coupling(Shaped):
     )
 
     def __init__(self, joint=0, other=1, of="other"):
-        super().__init__(joint)
-        self.other = other
+        super().__init__(joint, other)
         self.of = of
-
-    @classmethod
-    def describe(cls, shape, joint_label):
-        if not isinstance(shape.get("other"), Integral):
-            return cls.label
-        how = {"sum": " (sum)", "difference": " (difference)"}
-        return (
-            f"coupling to {joint_label(shape['other'])}{how.get(shape.get('of'), '')}"
-        )
-
-    def applies(self, motion):
-        if motion.n_joints < 2:
-            return "there is only one joint"
-        return super().applies(motion)
 
     @property
     def own_share(self):
@@ -148,14 +169,6 @@ class Coupling(Shaped):
             return w, sign(w, dw), dw
 
         return torque
-
-    def columns(self, motion):
-        if self.other == self.joint or not 0 <= self.other < motion.n_joints:
-            raise ValueError(
-                "other of coupling must be another joint, 0 to "
-                f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
-            )
-        return super().columns(motion)
 
     def simulated(self, table, Fvm, Fcm, Iam):
         j, k, own = self.joint, self.other, self.own_share
@@ -177,6 +190,62 @@ class Coupling(Shaped):
                 of == "other" or motion.prismatic[other] == motion.prismatic[self.joint]
             )
         ]
+
+
+class CouplingSpring(_ToAnother):
+    """Spring between two joints, such as a tendon, tau = k q + kx q_other + c.
+
+    A tendon that runs over both joints has tau = k (q - ratio q_other - q0), and acts
+    on the other joint with -ratio times that torque.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint whose torque is felt, from zero.
+    other : int, default=1
+        Joint whose position stretches it.
+
+    References
+    ----------
+    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
+       Butterworth-Heinemann, 2004, chapter 9.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import CouplingSpring
+    >>> CouplingSpring(0, 1).fit_transform([[0.2, 0.5, 3.0, -2.0, 0.0, 5.0]])
+    array([[0.2, 0.5, 1. ]])
+    >>> CouplingSpring(0, 1).parameters([4.0, -2.0, 0.4])
+    {'k': 4.0, 'ratio': 0.5, 'q0': -0.1}
+    """
+
+    name = "coupling_spring"
+    label = "spring to another joint"
+    formula = r"k\,(q - \mathrm{ratio}\,q_\mathrm{other} - q_0)"
+    coefficients = ("k", "kx", "c")
+    units = (STIFFNESS, STIFFNESS, TORQUE)
+    named_units = (("k", STIFFNESS), ("ratio", ("", "")), ("q0", POSITION))
+    nonnegative = ("k",)
+    contains = ("spring", "offset")
+    seen_over = "position"
+    visible = "both joints move through a wide range, not together"
+    record = "each joint moving alone through a wide range"
+    files = InFiles.nowhere("a spring between two joints")
+    terms = (
+        ("spring", "k"),
+        ("coupled_spring", "kx", "other"),
+        ("constant", "c"),
+    )
+
+    def law(self, maths):
+        j, k = self.joint, self.other
+        return lambda state: (state.q[j], state.q[k], 1.0)
+
+    def parameters(self, coef):
+        k, kx, c = (float(x) for x in coef)
+        if not k:
+            return {"k": k, "ratio": np.nan, "q0": np.nan}
+        return {"k": k, "ratio": -kx / k, "q0": -c / k}
 
 
 class Elastic(Stateful):

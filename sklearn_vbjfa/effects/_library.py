@@ -5,7 +5,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import Effect, JointEffect
 from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
-from sklearn_vbjfa.effects._drive import Coupling, Elastic, RotorInertia
+from sklearn_vbjfa.effects._drive import Coupling, CouplingSpring, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
@@ -36,6 +36,7 @@ _LIBRARY = {
         Ripple,
         RotorInertia,
         Coupling,
+        CouplingSpring,
         Elastic,
         Delay,
         TorqueFilter,

@@ -19,7 +19,7 @@ from sklearn_vbjfa.effects._base import (
 _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 # Displacements of the bank to try, as shares of the joint's range: their number, and
 # the smallest and the largest one.
-_COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.5
+_COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
 # Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
 
@@ -273,7 +273,7 @@ class MaxwellSlip(Shaped, Stateful):
         return True
 
     def shapes(self, motion):
-        """Banks from displacements that friction hardly shows to half of the range."""
+        """Banks of displacements up to a quarter of the range."""
         reach, fast = motion.range(self.joint), motion.speed(self.joint)
         bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
         if not (reach > 0 and fast > 0):
@@ -289,12 +289,21 @@ class MaxwellSlip(Shaped, Stateful):
 
     def only(self, used):
         """Return the effect with some of its elements, by a mask (k,)."""
+        pairs = zip(self._banks, self._split(used))
+        return self._of_banks(np.asarray(bank)[own] for bank, own in pairs)
+
+    def finer(self):
+        """Return the effect with further elements around each of its own."""
+        steps = (_LARGEST / _SMALLEST) ** (np.arange(-2, 3) / (3 * (_COUNT - 1)))
+        return self._of_banks(
+            np.unique(np.outer(bank, steps).round(12)) for bank in self._banks
+        )
+
+    def _of_banks(self, banks):
+        """Return the effect with other displacements."""
         names = "displacements", "loaded", "falling"
-        kept = {
-            name: tuple(np.asarray(bank)[own].tolist())
-            for name, bank, own in zip(names, self._banks, self._split(used))
-        }
-        return type(self)(joint=self.joint, vs=self.vs, **kept)
+        found = {name: tuple(bank.tolist()) for name, bank in zip(names, banks)}
+        return type(self)(joint=self.joint, vs=self.vs, **found)
 
     def completed(self, motion):
         """Return the effect with an element of the smallest displacement."""

@@ -313,8 +313,7 @@ class Ripple(Shaped):
         reach = motion.range(self.joint)
         if not reach > 0:
             return []
-        # Two periods are a bend of the spring, and no ripple.
-        longest = reach / 2.5
+        longest = reach
         shortest = reach / 60.0
         if not motion.prismatic[self.joint]:
             longest = min(longest, _LONGEST)

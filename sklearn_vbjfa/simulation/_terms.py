@@ -21,10 +21,12 @@ from sklearn_vbjfa.model import is_prismatic
 _NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
 _NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
 _NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
+_NAMES += ("coupled_spring",)
 KINDS = {name: kind for kind, name in enumerate(_NAMES)}
 _STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
 _HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)
+_COUPLED_SPRING = 13
 _DRY = _STRIBECK, _LEVEL_DRY
 _REMEMBERING = _STOP, _BACKLASH
 _FRICTION = (*_DRY, _ABSOLUTE, _QUADRATIC, _STOP, _VISCOUS)
@@ -281,6 +283,8 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             placed[j] += size * max(min(w / row[3], 1.0), -1.0)
             if abs(w) < row[3]:
                 by_velocity[j] += abs(row[2]) * size / row[3]
+        elif kind == _COUPLED_SPRING:
+            placed[j] += size * q[int(row[1])]
         elif kind == _LEVEL:
             placed[j] += size
         elif kind == _LEVEL_DRY:

@@ -251,6 +251,7 @@ def closed_forms():
         ),
         "rotor_inertia": ({}, [a]),
         "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
+        "coupling_spring": ({"other": 0}, [q, Q[:, 0], one]),
         "coupling sum": (
             {"other": 0, "of": "sum"},
             [w + v, np.sign(w + v), A[:, 0] + a],

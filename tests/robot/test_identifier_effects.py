@@ -287,3 +287,24 @@ def test_an_effect_with_a_constant_takes_the_offset_of_its_joint():
     # Elsewhere an offset is an offset.
     for j in (1, 3):
         assert values[f"joint_{j}:offset"] == pytest.approx(offset[j - 1], abs=1e-6)
+
+
+def test_friction_with_memory_takes_the_place_of_coulomb_and_holds_at_rest():
+    """A joint that stops keeps the torque with which it stopped."""
+    stop = T > 0.7 * T[-1]
+    states = STATES.copy()
+    states[stop, :3] = states[np.argmax(stop) - 1, :3]
+    states[stop, 3:] = 0.0
+    q = states[:, 1]
+    bank = effects.MaxwellSlip(1, displacements=(0.02, 0.2))
+    held = 2 * stops_sample_by_sample(q, 0.02) + stops_sample_by_sample(q, 0.2)
+    robot = RobotIdentifier(MODEL, friction=("viscous", "coulomb"), effects=[bank])
+    tau = inverse_dynamics(MODEL, states) + on_joint(1, held)
+    robot.fit(states, tau)
+    assert robot.predict(states)[stop] == pytest.approx(tau[stop], abs=1e-6)
+    found = dict(zip(robot.parameter_names_, robot.theta_))
+    assert found["joint_2:coulomb"] == pytest.approx(0.0, abs=1e-6)
+    assert robot.theta_[-2:] == pytest.approx([2.0, 1.0], abs=1e-6)
+    # Sizes are not negative, whatever the torques are.
+    robot.fit(states, tau - 2 * on_joint(1, held))
+    assert (robot.theta_[-2:] >= 0).all()

@@ -157,6 +157,9 @@ class FinalFit:
                     if getattr(effect, name) and name not in effect.jumping
                 )
             slopes = [self._slope(effect, name, coef) for name in shape]
+            if effect.bank:
+                # Elements at the bound of their sizes, zero, are not there.
+                own = own * (coef > 0)
             made = np.concatenate([own, *slopes], axis=2) * view.root[:, :, None]
             places.append(slice(at, at + made.shape[2]))
             shapes.append(shape)

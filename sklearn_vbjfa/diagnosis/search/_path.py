@@ -324,7 +324,10 @@ class Path:
             found, best = self._refined(fit, [found]), 0
             groups = fit.groups(self._single(found))
         used = groups.coefficients()[best, : len(found.coefficients)] > 0
-        return found.only(used) if used.any() else effect
+        if not used.any():
+            return effect
+        found = found.only(used).finer()
+        return found.only(fit.groups(self._single(found)).coefficients()[0] > 0)
 
     def _member(self, fit, candidate):
         """Return a candidate as a member, its shape searched between the grid's."""

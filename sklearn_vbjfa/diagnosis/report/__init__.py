@@ -18,7 +18,6 @@ _MODULES = {
         "HEIGHT",
         "WIDTH",
         "effect_figure",
-        "packed",
         "ticks",
     ),
     "_render": (

@@ -1,6 +1,5 @@
 """Pictures of a page as paths: charts with axes."""
 
-import base64
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,16 +10,13 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.
 _STEPS = 5
-# Points of a static cloud and of a static curve over time; all are in the data.
-_CLOUD, _CURVE = 500, 600
+# Points of a cloud and of a curve over time.
+_CLOUD, _CURVE = 400, 500
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5
 # Powers of ten that a spectrum shows.
 _DECADES = 6.0
-# Shades of either sign in a map.
-# Largest 16-bit number; the smallest stands for nothing.
-_FULL = 32767
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -56,11 +52,10 @@ class About:
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """Charts that belong together, with the numbers behind them."""
+    """Charts that belong together."""
 
     title: str
     charts: tuple  # side by side
-    data: dict  # for the library: names, kinds and packed values of the series
     keys: tuple  # class and text of each entry of the legend
     note: str = ""  # what is not in the frame
     about: About | None = None  # what is unfolded below
@@ -127,17 +122,9 @@ def effect_figure(curves, *, title, x_label, y_label, about=None, anchor=""):
             law = _line(frame, curves.center, curves.law_mean)
             shapes.append(Shape(kind="law", path=law))
         charts.append(_chart(frame, name, x_label, y_label, shapes))
-    series = (
-        ("without: rows", "cloud before", curves.without),
-        ("with: rows", "cloud after", curves.after),
-        ("without: mean", "mean-before", _at(curves, curves.mean[0])),
-        ("with: mean", "mean-after", _at(curves, curves.mean[1])),
-        ("fitted law", "law", _at(curves, curves.law_mean)),
-    )
     return Figure(
         title=title,
         charts=tuple(charts),
-        data=_data(title, x_label, y_label, curves.x, series),
         keys=(
             ("cloud", "rows of the recording"),
             ("spread", "mean ± one standard deviation"),
@@ -197,9 +184,6 @@ def torque_figure(
         shapes.append(Shape(kind="border", path=_verticals(frame, line.borders)))
         charts.append(_chart(frame, "", x_label, y_label, shapes))
     names = ("measured", "completed model", "declared model")
-    data = _data(title, x_label, y_labels[0], seconds, tuple(zip(names, kinds, values)))
-    data["spans"] = [list(map(_short, span)) for span in line.untouched]
-    data["borders"] = [_short(x) for x in line.borders]
     keys = list(zip(kinds, names))
     if line.untouched:
         keys.append(("untouched", "held-out part"))
@@ -210,7 +194,6 @@ def torque_figure(
     return Figure(
         title=title,
         charts=tuple(charts),
-        data=data,
         keys=tuple(keys),
         note="; ".join(filter(None, beyond)),
         stacked=True,
@@ -239,16 +222,10 @@ def friction_figure(curves, *, title, y_label):
         )
         for kind, _, x, y in lines
     ]
-    series = [("measured", "cloud before", after.without)]
-    series += [
-        (name, kind, np.interp(after.x, x, y, left=np.nan, right=np.nan))
-        for kind, name, x, y in lines
-    ]
     keys = [("cloud", "measured"), *(line[:2] for line in lines)]
     return Figure(
         title=title,
         charts=(_chart(frame, "", x_label, y_label, shapes),),
-        data=_data(title, x_label, y_label, after.x, series),
         keys=tuple(keys),
         note=_beyond(frame, [after.without]),
     )
@@ -273,18 +250,9 @@ def spectrum_figure(curves, *, title, y_label):
         for k in range(int(np.ceil(frame.y[0])), int(np.floor(frame.y[1])) + 1)
     ]
     names = ("declared model", "completed model")
-    data = _data(
-        title,
-        x_label,
-        y_label,
-        curves.hertz,
-        tuple(zip(names, kinds, (curves.before, curves.after))),
-    )
-    data["spans"] = [[0.0, _short(curves.cutoff)]]
     return Figure(
         title=title,
         charts=(replace(chart, y_ticks=tuple(powers)),),
-        data=data,
         keys=(*zip(kinds, names), ("untouched", "band of the fit")),
     )
 
@@ -397,43 +365,3 @@ def _spans(frame, spans):
 
 def _verticals(frame, places):
     return "".join(f"M{a:.1f} 0V{HEIGHT}" for a in frame.across(list(places)))
-
-
-# -- numbers ----------------------------------------------------------------------
-
-
-def _at(curves, values):
-    """Means of the bins at the points of the cloud, a straight line between them."""
-    return np.interp(curves.x, curves.center, values, left=np.nan, right=np.nan)
-
-
-def _data(title, x_label, y_label, x, series):
-    """Numbers of a figure as JSON has them."""
-    return {
-        "title": title,
-        "xLabel": x_label,
-        "yLabel": y_label,
-        "x": base64.b64encode(np.asarray(x, dtype="<f4").tobytes()).decode("ascii"),
-        "series": [
-            {"name": name, "kind": kind, **packed(values)}
-            for name, kind, values in series
-        ],
-    }
-
-
-def packed(values):
-    """Pack values (n,) into 16 bits each: their scale, and the numbers in base 64."""
-    values = np.asarray(values, dtype=float)
-    finite = np.isfinite(values)
-    scale = float(np.max(np.abs(values), where=finite, initial=0.0)) / _FULL or 1.0
-    whole = np.where(
-        finite, np.round(np.where(finite, values, 0.0) / scale), -_FULL - 1
-    )
-    return {
-        "scale": scale,
-        "y": base64.b64encode(whole.astype("<i2").tobytes()).decode("ascii"),
-    }
-
-
-def _short(value):
-    return float(f"{value:.6g}")

@@ -2,7 +2,6 @@
 
 import contextlib
 import html
-import importlib.resources
 import re
 import textwrap
 from dataclasses import dataclass, replace
@@ -176,44 +175,26 @@ def text_table(heads, rows, *, numbers):
 
 def page(sections):
     """Write the sections as a whole page."""
-    zooms = any("figures" in (section.drawn or ()) for section in sections)
     return _template("page.html.j2").render(
         sections=sections,
         whole=True,
-        zooms=zooms,
-        library=_vendored() if zooms else {},
         **_SIZE,
     )
 
 
 def fragment(sections):
     """Write the sections as what a page holds, with its style, for notebooks."""
-    return _template("fragment.html.j2").render(
-        sections=sections, whole=False, zooms=False, **_SIZE
-    )
+    return _template("fragment.html.j2").render(sections=sections, whole=False, **_SIZE)
 
 
 def figure(drawn):
     """Write a `Figure` alone, without what moves it; `style` draws it."""
-    return _template("figure.html.j2").render(figure=drawn, zooms=False, **_SIZE)
+    return _template("figure.html.j2").render(figure=drawn, whole=False, **_SIZE)
 
 
 def style():
     """Return the style sheet of all that is inside an element of class "vbjfa"."""
     return _template("style.css.j2").render()
-
-
-@lru_cache
-def _vendored():
-    """Return the library that zooms pictures: its script and style as they are."""
-    # Both are uPlot's (MIT licence, beside them), which a page holds as it is to work
-    # without a network.
-    folder = importlib.resources.files("sklearn_vbjfa.diagnosis.report") / "vendor"
-    return {
-        "script": (folder / "uPlot.iife.min.js").read_text(encoding="utf-8"),
-        "style": (folder / "uPlot.min.css").read_text(encoding="utf-8"),
-        "licence": (folder / "LICENSE-uPlot").read_text(encoding="utf-8"),
-    }
 
 
 @lru_cache

@@ -1,6 +1,5 @@
 """Pages of outcomes that were never measured, and how they are read."""
 
-import json
 import re
 from dataclasses import replace
 from html import unescape
@@ -149,11 +148,6 @@ def alone(nv=3, **changes):
 
 def figures(html):
     return re.findall(r'<figure class="wide"[^>]*>.*?</figure>', html, re.DOTALL)
-
-
-def numbers(figure):
-    text = re.search(r'class="numbers">(.*?)</script>', figure, re.DOTALL)[1]
-    return json.loads(text)
 
 
 class _Page(HTMLParser):

@@ -1,6 +1,5 @@
-"""The page: pictures, numbers behind them, provenance, links; whole, safe and small."""
+"""The page: pictures, provenance, links; whole, safe and small."""
 
-import base64
 import importlib.metadata
 import re
 from dataclasses import replace
@@ -28,7 +27,6 @@ from tests.diagnosis.report._pages import (
     alone,
     figures,
     made,
-    numbers,
     parsed,
     section_of,
 )
@@ -57,11 +55,8 @@ def test_a_page_is_whole_and_loads_nothing(drawn):
     assert not {"src", "srcset"} & {name for name, _ in seen.attributes}
     assert "@import" not in page
     assert "url(" not in page
-    # Scripts are there for pictures alone, with the licence of their library, which
-    # says where it is from; MathML has a name space.
-    assert ("<script" in page) == drawn
-    assert len(re.findall(r"https?://(?!www\.w3\.org/1998/Math)", page)) == drawn
-    assert ("Permission is hereby granted" in page) == drawn
+    assert "<script" not in page
+    assert not re.findall(r"https?://(?!www\.w3\.org/1998/Math)", page)
     places = [value for name, value in seen.attributes if name == "id"]
     assert len(set(places)) == len(places)
 
@@ -227,29 +222,6 @@ def test_axes_have_units_and_rising_numbers(html):
                 found = re.findall(r">([^<>]+)</span>", axis)
                 assert 2 <= len(found) <= 7
                 assert np.all(np.diff([float(x) for x in found]) > 0)
-
-
-def test_the_numbers_of_a_picture_are_those_that_were_drawn():
-    given = made(nv=1, n_effects=1)
-    effect, torque, *_ = map(numbers, figures(Report(given).to_html()))
-    curves = given.curves["effects"][0]
-    x = np.frombuffer(base64.b64decode(effect["x"]), "<f4")
-    np.testing.assert_allclose(x, curves.x, rtol=1e-6)
-    told = {one["kind"]: one for one in effect["series"]}
-    for kind, values in (
-        ("cloud before", curves.without),
-        ("cloud after", curves.after),
-    ):
-        found = np.frombuffer(base64.b64decode(told[kind]["y"]), "<i2")
-        size = np.abs(values).max()
-        found = found * told[kind]["scale"]
-        np.testing.assert_allclose(found, values, atol=2e-5 * size)
-    assert torque["borders"] == [12.0]
-    assert torque["spans"] == [[3.0, 5.0]]
-    after = next(s for s in torque["series"] if s["kind"] == "line-after")
-    whole = np.frombuffer(base64.b64decode(after["y"]), "<i2")
-    line = given.curves["line"].torques[0]
-    np.testing.assert_array_equal(whole == -32768, np.isnan(line.after))
 
 
 @pytest.mark.parametrize("low", [-7.3, 0.0, 1e-6, 3e5, -1e-9])

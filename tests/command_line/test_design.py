@@ -288,7 +288,9 @@ def test_the_report_of_another_robot(home, here, capsys):
     ("old", "new", "said", "option"),
     [
         ('effort="100"', 'effort="0"', "no torque limit of shoulder (", "--torque"),
-        ('effort="100"', 'effort="1"', "needs ", "--torque"),
+        pytest.param(
+            'effort="100"', 'effort="1"', "needs ", "--torque", marks=pytest.mark.slow
+        ),
     ],
 )
 def test_what_a_robot_lacks_is_a_number_that_works(

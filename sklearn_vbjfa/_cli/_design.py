@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import PERIOD, Refused, number, spelled
+from sklearn_vbjfa._cli._parser import PERIOD, Refused, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
 
@@ -88,7 +88,7 @@ def _motion(arguments, robot, found):
 
     names = robot.known.joint_names
     limits = _limits(arguments, robot)
-    start = _numbers("--start", arguments.start, names, positive=False)
+    start = _per_joint(arguments, "start", names, limits=False)
     task = f"designing {arguments.duration:g} s for {len(names)} joints"
     if not _has_shapes(robot):
         task += ", SELF-COLLISION IS NOT CHECKED"
@@ -122,24 +122,20 @@ def _has_shapes(robot):
     return True
 
 
-def _numbers(option, text, names, *, positive=True):
-    """Return a number for each joint (nv,), None for None; one stands for all."""
-    if text is None:
+def _per_joint(arguments, option, names, *, limits):
+    """Return the numbers of an option for each joint (nv,), None for none."""
+    values = getattr(arguments, option)
+    if values is None:
         return None
-    found, n = np.array(list(map(number, text.split(",")))), len(names)
-    if positive and found.size == 1:
-        found = np.full(n, found[0])
-    kind = "positive numbers" if positive else "positions"
-    every = f"one for each of {', '.join(names)}, with commas between them"
-    if found.size != n and np.isfinite(found).all():
+    found = np.full(len(names), values[0]) if limits and len(values) == 1 else values
+    found = np.array(found)
+    if not (found.size == len(names) and np.isfinite(found).all()) or (
+        limits and (found <= 0).any()
+    ):
+        kind = "positive numbers" if limits else "positions"
         raise ValueError(
-            f"{option} has {found.size} numbers, and {n} joints move; expected {kind}, "
-            f"{every}."
-        )
-    if not (np.isfinite(found).all() and (not positive or (found > 0).all())):
-        example = ",".join(["1"] * n) if positive else ",".join(["0"] * n)
-        raise ValueError(
-            f"{option} must be {kind}, {every}, such as {example}; got {text!r}."
+            f"{spelled(option)} must be {kind}, one for each of {', '.join(names)}, "
+            f"with commas between them; got {arguments.typed[option]}."
         )
     return found
 
@@ -244,7 +240,7 @@ def _limits(arguments, robot):
     back = [described.index(name) for name in names]
     typed = {}
     for name in _LIMITS:
-        values = _numbers(f"--{name}", getattr(arguments, name), names)
+        values = _per_joint(arguments, name, names, limits=True)
         typed[name] = None if values is None else values[order]
     if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
         raise Refused(

@@ -263,6 +263,7 @@ _FLAGS = {
 }
 _SHORT = {"--out": "-o", "--quiet": "-q"}
 _READ_BY = {
+    "--acceleration": _numbers,
     "--base-orientation": _numbers,
     "--bodies": _bodies,
     "--cutoff": _cutoff,
@@ -279,6 +280,9 @@ _READ_BY = {
     "--scale": _share,
     "--seed": _seed,
     "--signals": _distinct,
+    "--start": _numbers,
+    "--torque": _numbers,
+    "--velocity": _numbers,
     "--window": _positive("seconds"),
 }
 # Filled in after parsing, so that options that were typed are known.

@@ -355,10 +355,8 @@ def test_durations_and_starts_that_would_do(here, capsys):
     line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start=-4,0.5")
     assert "shoulder at -4, outside its limits [-3, 3]" in line
     assert "--start=-3,0.5" in offered(line)
-    for start, said in (("1", "has 1 numbers"), ("1,nan", "must be positions")):
-        line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", start)
-        assert said in line
-        assert "one for each of shoulder, elbow" in line
+    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", "1")
+    assert "must be positions, one for each of shoulder, elbow" in line
 
 
 @pytest.mark.parametrize(
@@ -376,12 +374,19 @@ def test_numbers_that_are_none(option, value, here, capsys):
     assert f"{option} must be" in line
 
 
-@pytest.mark.parametrize("text", ["1,2,3", "1,-2", "a,b", "inf,1", ""])
-def test_limits_that_are_none(text, here, capsys):
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("1,2,3", "positive numbers, one for each of shoulder, elbow"),
+        ("1,-2", "positive numbers, one for each of shoulder, elbow"),
+        ("inf,1", "positive numbers, one for each of shoulder, elbow"),
+        ("a,b", "numbers with commas between them"),
+        ("", "numbers with commas between them"),
+    ],
+)
+def test_limits_that_are_none(text, said, here, capsys):
     line = refusal(capsys, "--urdf", "arm.urdf", f"--torque={text}")
-    assert "--torque" in line
-    assert "positive numbers" in line
-    assert "elbow" in line
+    assert f"--torque must be {said}" in line
 
 
 def test_places_where_nothing_can_be_written(here, capsys):

@@ -39,9 +39,13 @@ _WORDS = {
     "command": COMMAND_WORDS,
     "other": ("velocity", "vel", "speed", "qd", "dq", "acceleration", "acc", "error")
     + ("temperature", "temp", "voltage", "external", "ext", "limit", "cartesian", "tcp")
-    + ("enable", "mode", "window"),
+    + ("enable", "mode", "window", "model", "friction", "fric", "gravity", "grav")
+    + ("control", "con", "feedforward", "ff"),
 }
+# Words of a name that is preferred to others of its kind.
+_MEASURED = {"measured", "meas", "actual", "act"}
 _KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+_MOST_TRIED = 20
 # The least similarity of a word to one of these, and the shortest word that has any.
 _SIMILAR, _LONG = 0.85, 4
 # What to give where currents have no signs, as `parse_drive` reads it.
@@ -296,7 +300,7 @@ def _all_missing(table, layout, options, robot, missing, no_time):
             f"its joints {listed(own.own_joints)} are not those of the robot, "
             f"{listed(robot.names)}"
         )
-    nearest = {kind: f" (nearest: {x[0]})" if x else "" for kind, x in near.items()}
+    nearest = {k: f" (nearest: {listed(x)})" if x else "" for k, x in near.items()}
     for kind in missing:
         what = _WHAT.get(kind, kind)
         parts.append(
@@ -324,22 +328,27 @@ def _all_missing(table, layout, options, robot, missing, no_time):
 
 def _offered(table, options, robot, near):
     """Return options that read the file, tried, by the nearest columns; or {}."""
-    # near: patterns by kind, the nearest first.
-    for patterns in itertools.islice(itertools.product(*near.values()), 20):
-        mapping = options.mapping | dict(zip(near, patterns))
-        if any("," in x or "=" in x for x in mapping.values()):
-            continue
-        more = {}
-        if "t" in near and not split_unit(mapping["t"])[1]:
-            unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
-            more = {} if unit in ("", "s") else {"time_unit": unit}
-        if "tau" in near and options.gains is None:
-            more |= _of_currents(table, mapping["tau"], robot)
-        tried = replace(options, mapping=mapping, preset=None)
-        if _works(table, tried, robot):
-            columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
-            return {"columns": columns, **more}
-    return {}
+    # near: the nearest patterns by kind; of several nobody knows which is meant.
+    found = [
+        options.mapping | dict(zip(near, patterns))
+        for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
+    ]
+    found = [
+        mapping
+        for mapping in found
+        if not any("," in x or "=" in x for x in mapping.values())
+        and _works(table, replace(options, mapping=mapping, preset=None), robot)
+    ]
+    if len(found) != 1:
+        return {}
+    (mapping,), more = found, {}
+    if "t" in near and not split_unit(mapping["t"])[1]:
+        unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
+        more = {} if unit in ("", "s") else {"time_unit": unit}
+    if "tau" in near and options.gains is None:
+        more |= _of_currents(table, mapping["tau"], robot)
+    columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
+    return {"columns": columns, **more}
 
 
 def _by_place(table, layout, options, robot):
@@ -460,16 +469,17 @@ def is_current(name):
 
 
 def _nearest(table, kind, joints):
-    """Return patterns of columns nearest to a kind, the nearest first."""
+    """Return the patterns of columns nearest to a kind."""
     if kind == "t":
         return _clocks(table)
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
-    found = []
+    found: dict[tuple, list] = {}
     for pattern, columns in _families(table, joints).items():
         if _kinds_of_words(pattern) == wanted:
             others = len(columns) != (len(joints) or len(columns))
-            found.append((others, len(words(pattern)), pattern))
-    return [pattern for *_, pattern in sorted(found, key=lambda x: x[:2])]
+            rank = others, not _MEASURED & set(words(pattern))
+            found.setdefault(rank, []).append(pattern)
+    return found[min(found)] if found else []
 
 
 def _families(table, joints):

@@ -320,7 +320,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         """Close the loop on a checked recording; returns its `Outcome`."""
         with stage("channels"):
             channels, silent = self._check_channels(model, whole)
-            for late in (x.value for x in channels if x.kind == "delay"):
+            for found in (x.value for x in channels if x.kind == "delay"):
+                late = clone(self.identifier).fit_inspected(whole, found).torque_lag_
                 whole, told = (x.with_torques_shifted(late) for x in (whole, told))
             channels += unusable
         with stage("declared model"):

@@ -45,6 +45,7 @@ from sklearn_vbjfa.effects._in_model import (
     JointAxis,
     JointZero,
     TorqueGain,
+    TorqueLag,
     cross_axes,
     rotation,
     turned_by,

@@ -606,3 +606,69 @@ class CommandDelay(InModel):
     def columns(self, motion):
         known = motion.command, motion.parts, motion.t
         return interpolate(*known, self.delay, 1)[:, :, None]
+
+
+class TorqueLag(InModel):
+    r"""All torques are recorded later than the positions.
+
+    A recorded torque :math:`\tau(t + \mathrm{lag})` belongs to the motion at t: two
+    clocks, or a delay of the torque channels.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        0; the lag is that of all channels.
+    lag : float, default=0.0
+        Present value [s]; negative if torques are early.
+
+    Notes
+    -----
+    The column is minus the slope of the recorded torque at t + lag.
+    `RobotIdentifier.fit` declares the effect where `inspect_recording` finds a lag.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.effects import TorqueLag
+    >>> TorqueLag(lag=0.004).linearised_at([0.001]).lag
+    0.005
+    """
+
+    name = "torque_lag"
+    label = "lag of all torques"
+    text = "torques are recorded {lag} s after the positions"
+    subject = ("the lag of the torques", "the lag of the torques")
+    files = InFiles.nowhere("a property of the log")
+    formula = r"\tau(t + \mathrm{lag})"
+    coefficients = ("lag",)
+    units = (("s", "s"),)
+    model_parameters = ("lag",)
+    nominal = (0.0,)
+    of_bodies = False
+    needs = ()
+    whole_robot = True
+    scope = "robot"
+    at_bounds = "Torques and positions may be of two recordings: compare their files."
+    visible = "torques that change"
+    record = "faster motion"
+
+    def __init__(self, joint=0, lag=0.0):
+        super().__init__(joint)
+        self.lag = lag
+
+    def prefix(self, joint_name):
+        return "torques"
+
+    def bounds(self):
+        return np.array([-_LATE]), np.array([_LATE])
+
+    def correct(self, robot):
+        """Correct nothing of the robot itself."""
+
+    def applies(self, motion):
+        if motion.command is None:
+            return "needs recorded torques"
+        return Effect.applies(self, motion)
+
+    def columns(self, motion):
+        known = motion.command, motion.parts, motion.t
+        return -interpolate(*known, -self.lag, 1)[:, :, None]

@@ -422,7 +422,7 @@ def motion_of(recording, states, plan, features, *, theta=None, rest=None):
         None if plan.time is None else plan.time[0],
         recording.signals,
         plan.ranges,
-        recording.command,
+        recording.command if plan.lag is None else recording.tau,
         recording.before,
     )
 
@@ -617,22 +617,22 @@ def build_segments(
     def rows_of(own):
         return regressor_rows(recording, own, plan, features, theta=theta, rest=rest)
 
-    torques, parts = recording.torques(plan.delay), recording.segments
+    applied, parts = plan.applied(recording), recording.segments
     average = states.halves is not None and plan.corrects_noise
     rows = len(parts) * [None] if average else rows_of(states.own)
     halves = len(parts) * [None]
     if states.halves is not None:
         halves = list(zip(*[rows_of(half) for half in states.halves]))
-    weight = recording.weight
+    weight = applied.weight
     if weight is None:
-        weight = np.broadcast_to(1.0, torques.shape)
+        weight = np.broadcast_to(1.0, applied.tau.shape)
     return [
         Segment(
             first=part.start,
             states=states.own[i],
             rows=rows[i],
             halves=halves[i],
-            torque=torques[part],
+            torque=applied.tau[part],
             weight=weight[part],
             standstill=plan.masked,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),

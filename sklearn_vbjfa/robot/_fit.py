@@ -9,9 +9,9 @@ from sklearn.utils.validation import has_fit_parameter
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import stage
-from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.effects import CommandDelay, TorqueLag
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import Recording, check_wait
+from sklearn_vbjfa.recording import Recording, check_wait, take_rows
 from sklearn_vbjfa.robot._alike import beside_each_other
 from sklearn_vbjfa.robot._armature import with_positive_rotors
 from sklearn_vbjfa.robot._bodies import DESCRIBED
@@ -687,6 +687,44 @@ def tell_unsettled(values):
         stacklevel=7,
     )
 
+
+# -- lag of all torques ----------------------------------------------------------------
+
+# Blocks of rows that are looked at, their length, in rows and in lengths of the
+# low-pass, and deviations from which on a lag is looked for in earnest.
+_BLOCKS, _BLOCK_ROWS, _BLOCK_FILTERS, _SUSPECT = 4, 1000, 10, 4.0
+
+
+def seems_late(recipe, fit, source):
+    """Whether a few rows of a recording suggest that all torques are late, or early."""
+    robot, recording = fit.robot, source.recording
+    plan, effects = robot.plan, (*robot.effects_, TorqueLag())
+    length = max(_BLOCK_ROWS, 2 * _BLOCK_FILTERS * plan.lowpass.half)
+    rows = [
+        slice(int(at), int(at) + length)
+        for part in recording.segments
+        for at in np.linspace(part.start, part.stop - length, _BLOCKS)
+        if part.stop - part.start > length
+    ]
+    rows = rows[:: max(len(rows) // _BLOCKS, 1)] or list(recording.segments)[:_BLOCKS]
+    some = take_rows(recording, rows, range(len(rows)))
+    states, _ = observe(some, plan.state_estimator, False, source.n_jobs)
+    robot = replace(robot, plan=replace(plan, effects=effects))
+    few = replace(source, recording=some, states=states, numbering=None)
+    moments = few.moments(few.segments(robot, tangents=True), plan)
+    if moments is None:
+        return False
+    zeros = _unneeded_entries(robot, moments)
+    values = ModelValues.of(
+        moments.zeroed(zeros),
+        effects,
+        n_rigid=robot.features_.n_parameters_,
+        joint_weights=recipe.joint_weights,
+    )
+    return bool(np.abs(values.step[-1]) > _SUSPECT * values.std[-1])
+
+
+# -- corners and steps -----------------------------------------------------------------
 
 # Rows at which the inertia of a joint is looked at.
 _ROWS = 64

@@ -8,6 +8,7 @@ from sklearn.base import BaseEstimator, RegressorMixin, clone
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import show_progress
+from sklearn_vbjfa.effects import TorqueLag
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection import levels, size_message
 from sklearn_vbjfa.model import DoubtWarning
@@ -32,7 +33,13 @@ from sklearn_vbjfa.robot._features import (
     refuse_followers,
     with_followers,
 )
-from sklearn_vbjfa.robot._fit import Recipe, Source, fit_robot, refine_fit
+from sklearn_vbjfa.robot._fit import (
+    Recipe,
+    Source,
+    fit_robot,
+    refine_fit,
+    seems_late,
+)
 from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
 from sklearn_vbjfa.robot._output_error import check_criterion
@@ -128,7 +135,7 @@ class RecordingRegressorMixin(RegressorMixin):
         if getattr(self, "drive", None) is not None:
             told = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
-            y = told.torques(self.robot_.plan.delay)
+            y = self.robot_.plan.applied(told).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -441,7 +448,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
         with show_progress(self.verbose):
-            return self._fit(recording)._of_a_size()
+            return self._fit_with_lag(recording)._of_a_size()
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -462,10 +469,44 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         UserWarning
             As of `fit`.
         """
-        return self.fit_inspected(recording)._of_a_size()
+        check_criterion(self)
+        self._declare()
+        return self._fit_with_lag(self._checked(recording))._of_a_size()
 
-    def _fit(self, recording):
-        """Fit to a checked recording."""
+    def _fit_with_lag(self, recording):
+        """Fit to a checked recording, with the lag of its torques if it shows one."""
+        self._fit(recording, look=True)
+        lag = self._lag_of(recording)
+        if not lag:
+            return self
+        return self.fit_inspected(recording, lag)
+
+    def _lag_of(self, recording):
+        """Lag [s] that the inspection finds in a recording, zero for none."""
+        asked = self.drive, self.asked_gains
+        if asked != (None, None) or not self._late:
+            return 0.0
+        from sklearn_vbjfa.inspection import inspect_channels
+
+        known = recording.q, recording.tau, recording.dt, recording.groups
+        found = inspect_channels(self.features_.nominal_, *known)
+        return sum(one.value for one in found if one.kind == "delay")
+
+    @property
+    def torque_lag_(self):
+        """Time [s] by which all torques are late against the positions, or zero."""
+        check_is_fitted(self)
+        return self._robot.plan.lag or 0.0
+
+    @property
+    def torque_lag_std_(self):
+        """Standard deviation of `torque_lag_` [s]; nan if none was found."""
+        check_is_fitted(self)
+        lags = [name == "torques:lag" for name in self.parameter_names_]
+        return float(self.theta_std_[lags][0]) if any(lags) else np.nan
+
+    def _fit(self, recording, look=False):
+        """Fit to a checked recording; look for a lag of its torques."""
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         noise = given_noise(
@@ -483,6 +524,8 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             source = with_signs(recipe, robot, source, before)
             recording = source.recording
         fit = fit_robot(recipe, robot, source, before)
+        look = look and plan.state_estimator is not None and plan.lag is None
+        self._late = look and seems_late(recipe, fit, source)
         if self.torque_noise is None:
             clock = plan.clock(recording)
             facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
@@ -540,13 +583,16 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     # -- for other rooms -------------------------------------------------------------
 
-    def fit_inspected(self, recording):
+    def fit_inspected(self, recording, lag=0.0):
         """Identify the robot from a recording whose channels were looked at.
 
         Parameters
         ----------
         recording : Recording
             As of `fit_recording`.
+        lag : float, default=0.0
+            Time [s] by which all torques are late, about; not zero if it is to be
+            found, as `torque_lag_`.
 
         Returns
         -------
@@ -554,7 +600,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             Fitted estimator.
         """
         check_criterion(self)
-        self._declare()
+        self._declare(*([TorqueLag(lag=lag)] if lag else []))
         return self._fit(self._checked(recording))
 
     def build_model(self):
@@ -665,8 +711,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     # -- from the arguments to a plan --------------------------------------------------
 
-    def _declare(self):
+    def _declare(self, *further):
         """Load the model; set the names and units of the parameters."""
+        # further: effects that a first fit asks for
         self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
         self.joint_names_ = joint_names(self.features_.model_)
         declared = check_effects(self.effects, self.features_.n_joints_)
@@ -681,7 +728,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self._masses = check_masses(self.known_masses, gains, model)
         if gains is not None:
             declared = declared_gains(declared, model.nv)
-        declared += delay_of(self.drive, declared)
+        declared += (*delay_of(self.drive, declared), *further)
         self.effects_ = with_followers(declared, self.features_)
         self.features_ = self.features_.corrected(self.effects_)
         if self.criterion == "simulation":

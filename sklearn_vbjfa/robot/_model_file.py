@@ -16,6 +16,7 @@ from sklearn_vbjfa.effects import (
     Effect,
     Follower,
     Shaped,
+    TorqueLag,
     available,
     resolve,
 )
@@ -217,9 +218,9 @@ def _classes(effects):
     """Return classes of effects by their names."""
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
-    # A robot declares its followers and the delay of its commands; the library has
-    # none to search for.
-    found = {one.name: one for one in (Follower, CommandDelay)}
+    # A robot declares its followers, the delay of its commands and the lag of its
+    # torques; the library has none to search for.
+    found = {one.name: one for one in (Follower, CommandDelay, TorqueLag)}
     for one in effects:
         kind = one if isinstance(one, type) else type(one)
         if not issubclass(kind, Effect):

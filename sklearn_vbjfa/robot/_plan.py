@@ -8,7 +8,14 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._progress import counted
-from sklearn_vbjfa.effects import CommandDelay, Effect, EffectRange, Rest, resolve
+from sklearn_vbjfa.effects import (
+    CommandDelay,
+    Effect,
+    EffectRange,
+    Rest,
+    TorqueLag,
+    resolve,
+)
 from sklearn_vbjfa.model import is_prismatic, joint_names
 from sklearn_vbjfa.recording import check_cutoff, check_dt
 from sklearn_vbjfa.robot._parallel import run
@@ -80,6 +87,18 @@ class Plan:
     def delay(self):
         """Delay [s] of the commands that the torques follow."""
         return sum(e.delay for e in self.effects if isinstance(e, CommandDelay))
+
+    @property
+    def lag(self):
+        """Lag [s] of all recorded torques; None if it is not declared."""
+        found = [e.lag for e in self.effects if isinstance(e, TorqueLag)]
+        return found[0] if found else None
+
+    def applied(self, recording):
+        """Return a recording with the torques that belong to its motion."""
+        if self.lag:
+            recording = recording.with_torques_shifted(self.lag)
+        return replace(recording, tau=recording.torques(self.delay))
 
     @property
     def timed(self):

@@ -647,7 +647,7 @@ class IdentifiedRobot(SimulatesTorques):
         smoother = self.smoother(recording.inputs, recording.groups)
         states = RecordingStates.of(recording, smoother)
         plan = replace(self.plan, effects=())
-        recording = replace(recording, tau=recording.torques(self.plan.delay))
+        recording = self.plan.applied(recording)
         made = build_segments(recording, states, plan, self.features_)
         (found,) = compare(made, [plan.lowpass], None)
         return found
@@ -1132,7 +1132,7 @@ class IdentifiedRobot(SimulatesTorques):
         band = self.plan.dt, self.plan.cutoff
         if not seen(*band):
             return []
-        found, torques = [], recording.torques(self.plan.delay)
+        found, torques = [], self.plan.applied(recording).tau
         for rows in map(rows_looked_at, recording.segments):
             t = None if clock is None else clock[rows]
             own = {name: values[rows] for name, values in recording.signals.items()}

@@ -10,6 +10,7 @@ from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
+from sklearn_vbjfa.simulation import with_bodies
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -268,6 +269,16 @@ class _Account:
         """List plain coefficients (nv,) that have no place."""
         for j in np.flatnonzero(totals):
             self.leave(name, j, abs(totals[j]) * self._column_size(name, j), reason)
+
+
+def as_pinocchio(robot):
+    """Return the `pin.Model` of a `TorqueModel`, with friction and rotor inertia."""
+    account = _Account(robot, None)
+    model = with_bodies(robot.model, robot.bodies, account.passive("rotor_inertia"))
+    model.damping = account.passive("viscous")
+    dry = account.passive("coulomb")
+    model.lowerDryFrictionLimit, model.upperDryFrictionLimit = -dry, dry
+    return model
 
 
 # -- URDF ------------------------------------------------------------------------------

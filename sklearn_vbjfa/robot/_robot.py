@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
+from sklearn_vbjfa.effects import CommandDelay, EffectRange, Follower, OfTime
 from sklearn_vbjfa.effects._motion import Rest, outside, own_motions
 from sklearn_vbjfa.model._loading import (
     description_text,
@@ -38,11 +38,12 @@ from sklearn_vbjfa.robot._equations import (
     equations,
     is_plain,
     joined,
+    make_motion,
     motion_of,
     regressor_rows,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
-from sklearn_vbjfa.robot._exports import servo_of, to_mjcf, to_urdf
+from sklearn_vbjfa.robot._exports import as_pinocchio, servo_of, to_mjcf, to_urdf
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
@@ -696,6 +697,69 @@ class IdentifiedRobot(SimulatesTorques):
         """Forget the motion: the next state is the first one of a recording."""
         if self._stepper is not None:
             self._stepper.reset()
+
+    def gravity(self, q):
+        """Return the torques that hold the robot still.
+
+        Parameters
+        ----------
+        q : array-like of shape (nv,) or (n_samples, nv)
+            Joint positions [rad or m].
+
+        Returns
+        -------
+        ndarray of the shape of q
+            Torques of gravity on the identified bodies, as the torque channels read
+            them [N m or N]; no friction, offset or spring.
+
+        Raises
+        ------
+        ValueError
+            If q does not suit the robot.
+        """
+        q = np.asarray(q, dtype=float)
+        nv = self.features_.n_joints_
+        if q.shape[-1:] != (nv,) or q.ndim > 2 or not np.isfinite(q).all():
+            raise ValueError(
+                f"q must hold finite positions of {nv} joints, shape ({nv},) or "
+                f"(n_samples, {nv}); got shape {q.shape}."
+            )
+        rows = np.atleast_2d(q)
+        still = np.zeros_like(rows)
+        torque = self.features_.torques(rows, still, still, self.inertial())
+        states = np.hstack([rows, still, still])
+        for effect, own in zip(self.effects_, self.split(self.theta_)):
+            if isinstance(effect, Follower):
+                motion = make_motion(self.features_, states, None, [slice(None)])
+                torque = torque + effect.columns(motion) @ own
+        return (torque * self.features_.gains_).reshape(q.shape)
+
+    def to_pinocchio(self):
+        """Return a Pinocchio model of the identified robot.
+
+        Returns
+        -------
+        pinocchio.Model
+            Identified bodies in ``inertias``, rotor inertia in ``armature``, viscous
+            friction in ``damping`` and Coulomb friction in ``lowerDryFrictionLimit``
+            and ``upperDryFrictionLimit``. ``pinocchio.rnea`` and ``aba`` take bodies
+            and armature into account, and no friction.
+
+        Raises
+        ------
+        ValueError
+            If a body has no mass.
+
+        See Also
+        --------
+        to_mjcf : A file for MuJoCo, with springs, couplings and offsets.
+
+        Notes
+        -----
+        Joints of the description that follow others (``mimic``) carry no bodies.
+        Offsets, springs and further effects have no place in the model.
+        """
+        return as_pinocchio(self.torque_model())
 
     def save(self, path):
         """Write the robot to a file again, the same one that it was read from.

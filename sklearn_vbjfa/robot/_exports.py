@@ -10,6 +10,7 @@ from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
+from sklearn_vbjfa.robot._refitted import TERMS, Refitted, has_no_place
 from sklearn_vbjfa.simulation import with_bodies
 
 
@@ -47,12 +48,20 @@ class LeftOut:
         return f"{self.name} on {self.joint_name} ({size}): {self.reason}"
 
 
-def to_mjcf(path, robot, min_eigenvalues, powers=None, notes=(), servo=None):
+def plain_totals(robot):
+    """Return what the joints of a file have of `TERMS`, (nv, 3)."""
+    account = _Account(robot, None)
+    return np.column_stack([account.passive(name) for name in TERMS])
+
+
+def to_mjcf(
+    path, robot, min_eigenvalues, powers=None, notes=(), servo=None, again=None
+):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
     # powers: without these all sizes are nan; notes: what else a reader of the file has
-    # to know; servo: of motors that are told positions.
+    # to know; servo: of motors that are told positions; again: `Refitted`.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
-    account = _Account(robot, powers)
+    account = _Account(robot, powers, again)
     dynamics = _mjcf_dynamics(account, servo)
     level = CorrectedModel(robot.model)
     for j in np.flatnonzero(dynamics.ref):
@@ -173,8 +182,9 @@ def _notes_of_servo(robot, dynamics, servo):
 class _Account:
     """Parts of a `TorqueModel` that are written, and parts that are left out."""
 
-    def __init__(self, robot, powers):
+    def __init__(self, robot, powers, again=None):
         self.robot, self.left = robot, []
+        self._again = Refitted.nothing(robot.n_joints) if again is None else again
         self._powers = powers
         self._units = ["N" if slides else "N m" for slides in is_prismatic(robot.model)]
 
@@ -204,6 +214,10 @@ class _Account:
         sizes = self._sizes(effect, coef)
         if effect.files.parameter:
             sizes = self._beside_file(effect, coef)
+        share = self._again.share[effect.joint]
+        if has_no_place(effect) and share < 1:
+            sizes = share * sizes
+            reason = f"{reason} (friction and armature of the file are fitted to it)"
         if not (effect.whole_robot or effect.in_model):
             self.leave(effect.name, effect.joint, sizes[effect.joint], reason)
             return
@@ -251,6 +265,8 @@ class _Account:
         for effect, coef in self.uses:
             if effect.files.parameter == name:
                 total[effect.joint] += effect.in_file(coef).sum()
+        if name in TERMS:
+            total += self._again.added[:, TERMS.index(name)]
         return total
 
     def passive(self, name):

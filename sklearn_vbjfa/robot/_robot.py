@@ -43,7 +43,13 @@ from sklearn_vbjfa.robot._equations import (
     regressor_rows,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
-from sklearn_vbjfa.robot._exports import as_pinocchio, servo_of, to_mjcf, to_urdf
+from sklearn_vbjfa.robot._exports import (
+    as_pinocchio,
+    plain_totals,
+    servo_of,
+    to_mjcf,
+    to_urdf,
+)
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
@@ -58,6 +64,7 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_weight,
     check_widths,
 )
+from sklearn_vbjfa.robot._refitted import refitted
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     ColumnMeanSquares,
@@ -908,14 +915,21 @@ class IdentifiedRobot(SimulatesTorques):
             If the parameters are not physically consistent, or gains are missing.
         """
         robot, which = self._sampled(sample, random_state)
+        model = robot.torque_model()
         return to_mjcf(
             path,
-            robot.torque_model(),
+            model,
             robot.min_eigenvalues_,
             self.powers,
             [which, note_of_units(self.gains_), note_of_masses(self)],
             robot._servo(drive),
+            refitted(robot, plain_totals(model)),
         )
+
+    def columns_of(self, states):
+        """Return effects with their columns in states (n, 3 nv), a list of pairs."""
+        (rows,) = self._rows(self.prepare(states).noiseless(self.plan))
+        return rows.columns
 
     def _servo(self, drive):
         """Return the `Servo` of a drive as identified, None for motors without one."""

@@ -314,8 +314,9 @@ def test_mujoco_computes_what_predict_does(given, robot, recording, tmp_path):
         at = robot.parameter_names_.index(f"{robot.joint_names_[joint]}:{name}")
         assert plain.theta_[at] < 0
         plain.theta_[at] = 0.0
-    expected = plain.predict(states)
-    assert_same(drive_torques(path, states), expected, 1e-6)
+    # That of the first joint is fitted again to what is left out of it.
+    found, expected = drive_torques(path, states), plain.predict(states)
+    assert_same(found[:, 1:], expected[:, 1:], 1e-6)
     text = path.read_text()
     assert 'ref="0.05' in text
     assert "The base is not level" in text

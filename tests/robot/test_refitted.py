@@ -1,0 +1,64 @@
+"""MuJoCo files of robots whose friction MuJoCo lacks: the rest is fitted again."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.effects import LoadFriction, Stribeck
+from sklearn_vbjfa.robot import _robot
+from sklearn_vbjfa.robot._refitted import TERMS, Refitted, typical_motion
+from tests.model._mujoco import drive_torques
+
+EFFECTS = (Stribeck(1, vs=0.4), LoadFriction(2))
+
+
+@pytest.fixture(scope="module")
+def robot():
+    recording = make_robot_recording(duration=6.0, dt=0.01, random_state=2)
+    robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=EFFECTS)
+    robot = robot.fit(recording.q, recording.tau).robot_
+    theta = robot.theta_.copy()
+    theta[-len(EFFECTS) :] = 6.0, 0.15
+    return replace(robot, theta_=theta)
+
+
+def away(robot, path):
+    """Root mean squares (nv,) of what torques of a file are off, on new motion."""
+    states, _ = typical_motion(robot.effect_ranges_, 6, 0.013)
+    v = np.abs(states[::5, 6:12])
+    some = states[::5][(v > 0.05 * v.max(axis=0)).all(axis=1)]
+    return np.sqrt(
+        ((drive_torques(path, some) - robot.predict(some)) ** 2).mean(axis=0)
+    )
+
+
+def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
+    pytest.importorskip("mujoco")
+    left = robot.to_mjcf(tmp_path / "again.xml")
+    assert {(one.name, one.joint) for one in left} == {
+        ("stribeck", 1),
+        ("load_friction", 2),
+    }
+    assert all("fitted to it" in one.reason for one in left)
+    again = away(robot, tmp_path / "again.xml")
+    monkeypatch.setattr(_robot, "refitted", lambda robot, totals: Refitted.nothing(6))
+    before = robot.to_mjcf(tmp_path / "before.xml")
+    plain = away(robot, tmp_path / "before.xml")
+    assert (again[[1, 2]] < 0.7 * plain[[1, 2]]).all()
+    np.testing.assert_allclose(again[[0, 3, 4, 5]], plain[[0, 3, 4, 5]], atol=1e-9)
+    assert all(one.size < other.size for one, other in zip(left, before))
+
+
+def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
+    theta = robot.theta_.copy()
+    theta[-len(EFFECTS) :] = 0.0
+    plain = replace(robot, theta_=theta)
+    found = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
+    assert found.added.shape == (6, len(TERMS))
+    assert not found.added.any()
+    assert plain.to_mjcf(tmp_path / "plain.xml") == ()

@@ -10,7 +10,7 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.effects import TorqueLag
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection import levels, size_message
+from sklearn_vbjfa.inspection import inspect_channels, levels, size_message
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
@@ -486,8 +486,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         asked = self.drive, self.asked_gains
         if asked != (None, None) or not self._late:
             return 0.0
-        from sklearn_vbjfa.inspection import inspect_channels
-
         known = recording.q, recording.tau, recording.dt, recording.groups
         found = inspect_channels(self.features_.nominal_, *known)
         return sum(one.value for one in found if one.kind == "delay")

@@ -510,7 +510,7 @@ def parse(words):
 
 
 def spelled(name):
-    """Return an option as it is typed, by the name of its value."""
+    """Return the spelling of an option by the name of its value."""
     # `read_recording` calls some otherwise.
     others = {"gains": "gain", "joint_names": "joints", "purpose": "for"}
     name = others.get(name, name)
@@ -538,7 +538,7 @@ def command_line(arguments, options):
 
 
 def _as_text(value):
-    """Return the value of an option as it is typed."""
+    """Return the spelling of the value of an option."""
     if isinstance(value, tuple):
         return ",".join(map(_as_text, value))
     return value if isinstance(value, str) else f"{value:.15g}"

@@ -392,7 +392,7 @@ def _explanation(task):
     if task.whole:
         return (
             "driven by the recorded commands alone. median: of the windows' position "
-            "errors; as told: a robot that is where it is told to be."
+            "errors; as told: a robot at its commanded positions."
         )
     return (
         "driven by the measured torques. median: of the windows' position errors; "

@@ -1,4 +1,4 @@
-"""Pure NumPy mathematics of the estimators; knows nothing of scikit-learn."""
+"""Mathematics of the estimators in NumPy, independent of scikit-learn."""
 
 import os
 import secrets

@@ -73,7 +73,7 @@ def log_orthant(mean, covariance):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Groups:
-    """Second moments of c groups of k columns beside a model."""
+    """Second moments of c groups of k columns given a model."""
 
     # (c, k, k): what the model leaves of their Gram matrices, in units of the noise
     H: np.ndarray
@@ -178,7 +178,7 @@ class Groups:
         return np.where(seen, value, 0.0), np.where(seen, rest, 0.0), vectors
 
     def shown(self):
-        """Whether anything of a group (c,) is left beside the model."""
+        """Whether a group (c,) has a part that the model cannot absorb."""
         return self._spectral[0].any(axis=1)
 
     def coefficients(self):

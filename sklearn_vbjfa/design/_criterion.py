@@ -6,8 +6,8 @@ columns over their sizes at random states. It is worth log det M_AA / 2 - 2 n lo
 kappa(M_AA^(1/2)), the D-criterion less a smooth condition number kappa, which keeps one
 direction from being seen badly for many that are seen well. Of columns C that the model
 lacks, it cannot imitate S = M_CC - M_CA M_AA^-1 M_AC: a coefficient c of one effect i
-leaves c' S_ii c, in squared standard errors, beside the model, and c' (S_ii - S_ik
-S_kk^-1 S_ki) c beside the model with a rival k, the most by which the two can differ.
+leaves c' S_ii c, in squared standard errors, given the model, and c' (S_ii - S_ik
+S_kk^-1 S_ki) c given the model with a rival k, the largest difference of the two.
 """
 
 from dataclasses import dataclass

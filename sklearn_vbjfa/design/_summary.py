@@ -110,7 +110,7 @@ def before(motion):
 
 
 def exceeded(motion):
-    """Say which limit a motion exceeds the most, or where its margin is too small."""
+    """Name the limit that a motion exceeds the most, or with too small a margin."""
     worst = min(_QUANTITIES, key=lambda name: motion.margins[name].min())
     j = int(np.argmin(motion.margins[worst]))
     label = words.joint_label(motion.joint_names, j)
@@ -131,7 +131,7 @@ def exceeded(motion):
 
 
 def _decides(motion, found):
-    """List what is told apart, or from which torques on effects show."""
+    """List the effects that are distinguished, or from which torques on."""
     pairs = [one for one in motion.parts if one.least <= _has(motion, one.joint)]
     if pairs:
         named = _rivals(found or {})
@@ -178,7 +178,7 @@ def _has(motion, j):
 
 
 def undecided(motion):
-    """Say which causes a motion does not tell apart, a list of str."""
+    """Name the effects that a motion does not distinguish, a list of str."""
     return [
         f"not told apart on {words.joint_label(motion.joint_names, one.joint)}, except "
         f"by {_newtons(motion, one.least, one.joint)}, more than it has: {_causes(one)}"
@@ -188,7 +188,7 @@ def undecided(motion):
 
 
 def unseen(motion, names):
-    """Say which effects of some names a motion does not show, a list of str."""
+    """Name the effects that a motion does not excite, a list of str."""
     return [
         f"{effect_label(one.name)} on "
         f"{words.joint_label(motion.joint_names, one.joint)} is not identifiable by "

@@ -239,7 +239,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         t : array-like of shape (n_samples,), default=None
             Time [s], rising over all recordings; None counts the identifier's `dt`.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, such as a temperature, by name (or a
+            Recorded signals, such as a temperature, by name (or a
             data frame): candidates for what friction and offsets vary with
             (`effects.Signal`). Columns of a data frame X that are not a channel of a
             joint are candidates as well; of these, the report names those that cannot
@@ -270,7 +270,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     @one_blas_thread()
     def fit_recording(self, recording, signals=None):
-        """Close the loop on a recording as it is.
+        """Search for effects in a `Recording`.
 
         Parameters
         ----------
@@ -298,7 +298,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         return self._fit(model, whole, library, signals, OfferedSignals(), names)
 
     def _fit(self, model, whole, library, signals, beside, names):
-        """Close the loop on a checked recording, with what was recorded beside it."""
+        """Search in a checked recording with its signals."""
         declared = check_effects(self.identifier.effects, model.nv)
         offered = signals if isinstance(signals, OfferedSignals) else beside
         drive = self.identifier.drive
@@ -536,7 +536,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         t : array-like of shape (n_samples,), default=None
             Time [s], on the clock of the fit.
         signals : mapping of str to array-like of shape (n_samples,), default=None
-            Columns recorded beside the motion, as for `fit`; needed if one of
+            Recorded signals, as for `fit`; required if one of
             `effects_` varies with them.
         return_std : bool, default=False
             Whether to return the standard deviation of measured torques about the
@@ -566,7 +566,7 @@ def _asked_again(identifier):
 
 
 def _is_plain(effect):
-    """Whether an effect of one joint is a plain term, with no shape of its own."""
+    """Whether an effect of one joint is a friction term without shape parameters."""
     plain = isinstance(effect, JointEffect) and effect.name in declarable()
     return plain and not any(effect.shape().values())
 

@@ -1,4 +1,4 @@
-"""Figures of fitted models beside a recording, drawn by matplotlib."""
+"""Figures of fitted models and a recording, drawn by Matplotlib."""
 
 import importlib
 
@@ -67,7 +67,7 @@ class Display:
 
 
 def _import_pyplot(display):
-    """Import matplotlib.pyplot, or say which display needs it."""
+    """Import matplotlib.pyplot; an error names the display that needs it."""
     try:
         # By name, so that nothing here imports an optional package.
         return importlib.import_module("matplotlib.pyplot")

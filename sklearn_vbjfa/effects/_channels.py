@@ -433,7 +433,7 @@ class Jerk(Stateful):
     memory = "future"
     visible = "fast changes of the acceleration"
     record = "fast changes of the acceleration"
-    not_simulated = "it stands for a lag of a channel or for flexibility"
+    not_simulated = "it represents a lag of a channel or flexibility"
     files = InFiles.nowhere(
         "a torque in proportion to the third derivative of the position"
     )

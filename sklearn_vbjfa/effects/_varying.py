@@ -54,7 +54,7 @@ class Drift(_Varied, OfTime):
     """Friction or offset that changes while the robot warms up.
 
     tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
-    gauge warmer [1]_. What remains when warm is left to `Offset`, `Coulomb` and
+    gauge warmer [1]_. The value when warm is that of `Offset`, `Coulomb` and
     `Viscous`.
 
     Parameters
@@ -68,7 +68,7 @@ class Drift(_Varied, OfTime):
 
     Notes
     -----
-    After the last time of the fit it goes on fading, towards what remains when warm;
+    After the last time of the fit it goes on fading, towards the value when warm;
     before the first one it is as it was then, and does not grow.
 
     References
@@ -101,7 +101,7 @@ class Drift(_Varied, OfTime):
     seen_over = "time"
     visible = "the same motion early and late"
     record = "the same motion cold and warm"
-    files = InFiles.nowhere("fades with time; the file has what remains when warm")
+    files = InFiles.nowhere("decays with time; the file has the value when warm")
 
     def __init__(self, joint=0, of="coulomb", time_constant=100.0):
         super().__init__(joint)
@@ -148,10 +148,10 @@ class Drift(_Varied, OfTime):
 class Signal(_Varied):
     """Friction or offset that varies with a recorded signal.
 
-    tau = k (s - reference) times 1, sign(v) or v: s is a column that was recorded
-    beside the motion, such as the temperature of a gear [1]_, the supply voltage, a
-    load cell, or the state of a tool. To first order, whatever the law: what there is
-    at the reference is left to `Offset`, `Coulomb` and `Viscous`.
+    tau = k (s - reference) times 1, sign(v) or v: s is a recorded
+    column, such as the temperature of a gear [1]_, the supply voltage, a load cell, or
+    the state of a tool. It is a first-order approximation; the value at the reference
+    is that of `Offset`, `Coulomb` and `Viscous`.
 
     Parameters
     ----------

@@ -9,7 +9,7 @@ from sklearn_vbjfa.recording import ChannelFinding, listed_joints
 
 
 def inspect_samples(names, q, tau, dt, parts, rows, revolute):
-    """Inspect every channel by itself, without a robot model."""
+    """Inspect each channel without a robot model."""
     # q [rad or m], tau [N m or N] (n, nv); parts: slices of the recordings; rows (n,):
     # row numbers for messages; revolute (nv,), bool. Returns findings, the fault-free
     # samples (n, nv), bool, and the unwrapped positions.

@@ -191,7 +191,7 @@ def load_text(text, path):
 
 @contextlib.contextmanager
 def _silence():
-    """Say nothing of what of a description does not enter the model."""
+    """Suppress notes on parts of a description that do not enter the model."""
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", _LEFT_OUT, UserWarning)
         yield

@@ -1,6 +1,6 @@
 """Reading MJCF by MuJoCo's own compiler, as a tree of joints for Pinocchio.
 
-Pinocchio has a reader of its own, which keeps one body below the world and takes no
+Pinocchio's reader keeps one body below the world and takes no
 notice of equality constraints. This one keeps all bodies, in the order of MuJoCo's
 coordinates, and names what it cannot keep.
 """
@@ -111,8 +111,7 @@ def _keep_what_is_read(root):
     for element in root.iter():
         if element.tag in _MACROS:
             raise ValueError(
-                f"<{element.tag}> makes bodies of its own, which is not done here: "
-                f"{_SAVE}"
+                f"<{element.tag}> creates bodies, which is not supported: {_SAVE}"
             )
         element.attrib.pop("material", None)
         for key, text in element.attrib.items():
@@ -224,7 +223,7 @@ def _left_out(names, passive, more, after):
     found = []
     if words:
         found.append(
-            "not taken over is what MuJoCo simulates beside the bodies: "
+            "not taken over (simulated by MuJoCo only): "
             f"{', '.join(words)} (friction and effects identify what the recording "
             "shows of it)"
         )

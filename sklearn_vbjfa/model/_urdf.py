@@ -79,7 +79,7 @@ def _followers(root, called):
             value = _floats(mimic.get(key, otherwise), 1)
             if value is None:
                 raise ValueError(
-                    f"{called}: joint {name!r} follows another one with the {key} "
+                    f"{called}: joint {name!r} follows another joint with the {key} "
                     f"{mimic.get(key)[:40]!r}, which is not a number; correct the "
                     "description."
                 )

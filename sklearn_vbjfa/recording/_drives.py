@@ -1,4 +1,4 @@
-"""Drives: what a robot is told in place of torques, and the torques that follow."""
+"""Drives: control laws that give torques from commands, currents or voltages."""
 
 import warnings
 from collections.abc import Mapping
@@ -31,7 +31,7 @@ _UNKNOWN = 0.1
 
 
 class Drive(BaseEstimator):
-    """What a robot is told in place of torques, one object for all joints.
+    """Control law of the motors, one object for all joints.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Drive(BaseEstimator):
     beside : tuple of str
         Names of further channels of joints that it takes in `signals`.
     numbers : str
-        What to check where its torques are of another order than the robot's.
+        Settings to check if the order of magnitude of the torques is wrong.
     """
 
     told = ""
@@ -55,7 +55,7 @@ class Drive(BaseEstimator):
     numbers = "the numbers of the drive"
 
     def driven(self, recording):
-        """Return a recording whose torques are what the drive was told.
+        """Return a recording whose torques are the input of the drive.
 
         Parameters
         ----------
@@ -594,7 +594,7 @@ def velocities(recording):
 
 
 def velocity_lags(recording):
-    """How late (nv,) recorded velocities are [s], zeros where there are none."""
+    """Delay (nv,) of recorded velocities [s], zeros where there are none."""
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)

@@ -43,7 +43,7 @@ class Repetition:
     period: np.ndarray
 
     def motions(self):
-        """Return what repeats, a tuple of `RepeatedMotion`."""
+        """Return the repeated motions, a tuple of `RepeatedMotion`."""
         found = []
         for k, period in enumerate(self.period):
             own = self.motion == k

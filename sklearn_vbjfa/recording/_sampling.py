@@ -440,7 +440,7 @@ def _channels_of(one):
 
 
 def together(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return arrays end to end, a single one as it is."""
+    """Return arrays end to end; a single one is not copied."""
     return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
 

@@ -1,4 +1,4 @@
-"""A file's content as a data frame with what is known of it, and refusals."""
+"""A file's content as a data frame with metadata, and refusals."""
 
 import contextlib
 import re

@@ -305,7 +305,7 @@ class JFARegressor(BaseJointFactorRegressor):
         Largest number of iterations.
     tol : float, default=1e-7
         Gain of the log-likelihood per sample and iteration below which the iteration
-        stops. What is left may be far more, see Notes.
+        stops. The remaining distance may be larger, see Notes.
 
     Attributes
     ----------
@@ -332,8 +332,7 @@ class JFARegressor(BaseJointFactorRegressor):
     n_iter_ : int
         Number of iterations.
     converged_ : bool
-        Whether the gain of an iteration fell below `tol`; see Notes for what is left
-        then.
+        Whether the gain of an iteration fell below `tol`; see Notes.
     statistics_ : Moments or None
         Count, means and scatter; None when there were fewer samples than features.
     n_features_in_ : int

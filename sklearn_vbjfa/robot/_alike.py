@@ -91,7 +91,7 @@ def alike_joints(settings):
     if settings.asked_gains is not None:
         why = "gains: values of channels with unknown factors cannot be compared"
     elif settings.regressor is not None:
-        why = "a regressor: it estimates each value by itself"
+        why = "a regressor: it estimates each value separately"
     if isinstance(alike, str) and alike == "auto":
         return () if why else _found(model)
     if why:

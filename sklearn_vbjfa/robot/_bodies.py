@@ -469,7 +469,7 @@ def described_bodies(settings):
     if settings.asked_gains is not None:
         why = "gains: torques of unknown size tell no mass from another"
     elif settings.regressor is not None:
-        why = "a regressor: it estimates the bodies by itself"
+        why = "a regressor: it estimates the bodies separately"
     elif bodies != "free":
         per_joint = features.n_parameters_ // features.n_joints_
         found = Description.of(features.model_, per_joint)

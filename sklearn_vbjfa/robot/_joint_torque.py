@@ -230,8 +230,8 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
         ------
         ValueError
             If the columns of X do not divide among the joints of y or have been
-            rescaled, the instruments have another shape, or no equation is left
-            behind the low-pass.
+            rescaled, the shape of the instruments is wrong, or the low-pass leaves no
+            equation.
         """
         X, y = validate_data(
             self, X, y, dtype=np.float64, multi_output=True, y_numeric=True

@@ -60,8 +60,9 @@ class ParameterRange:
         Standard deviations within recordings (noise, `theta_std_`) and from recording
         to recording, before anything is cut off; zero for a single recording.
     known : {"yes", "in combination", "from the description", "no", "given"}
-        Whether the recordings tell it by itself, only together with others, hardly
-        beside the description, or not at all; "given" is a setting of the drive.
+        Whether the recordings determine it individually, in combination with
+        others, less than the description, or not at all; "given" is a setting of
+        the drive.
     nonnegative : bool
         Whether negative values are cut off.
 

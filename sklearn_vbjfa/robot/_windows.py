@@ -146,7 +146,7 @@ class SimulatedWindows:
         better = self.clearly_better
         without = "a robot that stays and one that keeps its velocity"
         if self.told is not None:
-            without = "a robot that is where it is told to be"
+            without = "a robot at its commanded positions"
         if better.all():
             return f"clearly better than {without} on every joint"
         names = [n for n, good in zip(self.joint_names, better) if not good]

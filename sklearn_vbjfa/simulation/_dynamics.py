@@ -228,7 +228,7 @@ class ForwardDynamics:
         self.power -= float(torque @ v)
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
-        """Solve for accelerations; dry (nv,) : dry friction beside the terms'."""
+        """Solve for accelerations; dry (nv,): additional dry friction."""
         state = M, h, ML, hL, tau, q, v, mode, stuck
         if self.compiled is None:
             return self._solved_plain(*state, dry)

@@ -47,7 +47,7 @@ class SimulationError(ValueError):
 
 
 class Recorded:
-    """Signals (n,) recorded beside a motion at times t, straight in between."""
+    """Recorded signals (n,) at times t, interpolated linearly."""
 
     def __init__(self, signals, t):
         self._signals, self._t = dict(signals), t

@@ -160,7 +160,7 @@ def test_positions_are_simulated_from_commands_alone(run, told):
         assert aim == pytest.approx(1e3 * np.sqrt(np.mean(rest**2)), rel=0.15)
     whole = out.partition("over whole recordings, from their first states on")[2]
     assert float(re.search(r"elbow mrad [\d.]+ ([\d.]+)", whole)[1]) < 3.0
-    assert "clearly better than a robot that is where it is told to be" in out
+    assert "clearly better than a robot at its commanded positions" in out
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""What follows from a finished search: facts of it, each a function and a finding."""
+"""Results of a finished search, each a function and a finding."""
 
 from sklearn_vbjfa import _lazily
 

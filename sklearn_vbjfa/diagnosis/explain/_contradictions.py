@@ -139,7 +139,7 @@ class _Group:
 
 
 class _Deviations:
-    """Posterior of what is another in recordings, beside the completed model."""
+    """Posterior of differences between recordings given the completed model."""
 
     def __init__(self, fit, settings):
         self.fit, self.scale, self.rivals = fit, settings.scale, settings.rivals
@@ -309,7 +309,7 @@ class _Deviations:
         return self._families[group]
 
     def _made(self, group, torque):
-        """Group in its recordings, or in each of several with columns of its own."""
+        """Group in its recordings, or in each of several with separate columns."""
         columns = self._columns(group, torque)
         unit = Family.of(self.problem, (group,), columns).unit
         joints = tuple(self.view.joints_of(group))
@@ -421,7 +421,7 @@ class Parts:
         return self._weights[self._origin == recording]
 
     def _solve(self, blocks):
-        """Fit to some blocks, beside the description, (p,)."""
+        """Fit to some blocks with the description as prior, (p,)."""
         known, pulled = self._prior
         G = known + sum(self._moments[b][0] for b in blocks)
         g = pulled + sum(self._moments[b][1] for b in blocks)

@@ -170,7 +170,7 @@ def _of_effect(final, effect, own, after, most):
 
 
 def _most_of(own, residual, weight):
-    """Joint to which a torque (m, nv) means most beside what remains."""
+    """Joint on which a torque (m, nv) is largest relative to the residual."""
     with np.errstate(divide="ignore", invalid="ignore"):
         share = (weight * own**2).sum(axis=0) / (weight * residual**2).sum(axis=0)
     return int(np.argmax(np.where(np.isfinite(share), share, 0.0)))

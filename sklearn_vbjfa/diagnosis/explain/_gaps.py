@@ -199,7 +199,7 @@ _OCCAM = 5.0
 
 @dataclass(frozen=True, kw_only=True)
 class Unexplained:
-    """What remains of a joint's residual above the noise and is unexplained."""
+    """Residual of a joint above the noise that is unexplained."""
 
     joint: int  # from zero
     joint_name: str
@@ -341,7 +341,7 @@ def _hidden(found, names):
 
 
 def inseparable(found, effects):
-    """Pairs of effects in the model of which only one can be told from all else."""
+    """Pairs of effects in the model that are only jointly identifiable."""
     # Nothing is left of the columns of the first beside those of the second, which
     # comes before it in precedence or in the list.
     model = found.model
@@ -365,7 +365,7 @@ def _family(model, effect):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Unseen:
-    """What may hide effects on a joint: the model, and plainer effects beside it."""
+    """What may hide effects on a joint: the model and simpler effects."""
 
     found: Found  # what was found
     present: set  # effects that the joint has, with what they contain
@@ -389,7 +389,7 @@ class _Unseen:
         return cls(found=found, fits={(): model.fit}, **known)
 
     def _beside(self, places):
-        """Fit of the model with what is missing at some places beside it."""
+        """Fit of the model with further effects at some places."""
         if places not in self.fits:
             fit = self._beside(places[:-1])
             own = _family(self.found.model, self.missing[places[-1]])
@@ -399,7 +399,7 @@ class _Unseen:
         return self.fits[places]
 
     def hides(self, effect):
-        """Whether no shape of an effect shows beside the plainer ones it contains."""
+        """Whether no shape of an effect is visible beyond those that it contains."""
         model = self.found.model
         family = _family(model, effect)
         if family is None:

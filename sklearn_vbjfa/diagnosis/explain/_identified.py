@@ -185,7 +185,7 @@ def _decided_by(robot, asked, bandwidth):
 
 
 def power_share(raw, filtered, weight):
-    """Share of the power of signals (m, nv) that is left of them behind a filter."""
+    """Share of the power of signals (m, nv) that a filter leaves."""
     # Their power is about their mean; weight (m, nv) tells which rows count. nan for a
     # constant signal.
     with np.errstate(divide="ignore", invalid="ignore"):

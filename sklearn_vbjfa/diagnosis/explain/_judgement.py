@@ -34,7 +34,7 @@ _SIMULATED = 60.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CommandsAlone:
-    """Positions that models reach on the held-out part, told its commands alone."""
+    """Positions that models reach on the held-out data, from its commands alone."""
 
     # (nv,): root mean square of simulated minus measured positions [rad or m], of the
     # declared model, with the plain terms, and of the completed one; nan where a

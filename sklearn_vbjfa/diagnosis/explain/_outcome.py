@@ -69,7 +69,7 @@ class Provenance:
 
 @dataclass(frozen=True, kw_only=True)
 class Afterwards:
-    """What is known of an effect of time after the recording."""
+    """State of an effect of time after the recording."""
 
     seconds: float  # last time of the fit [s]
     how: str  # what the effect is taken to do from then on
@@ -363,7 +363,7 @@ def _unknown(effect, coef, values, deviations, intervals, known):
 
 
 def _afterwards(effect, estimate, seconds):
-    """Return what is known of an effect of time after the recording, or None."""
+    """Return the state of an effect of time after the recording, or None."""
     if not isinstance(effect, OfTime):
         return None
     k = len(estimate.coef)

@@ -42,7 +42,7 @@ _GROWTH = 1.2
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Split:
-    """Rows of the search and held-out stretches beside them."""
+    """Rows of the search and held-out stretches."""
 
     # slices of rows of the search: nothing is filtered or differentiated from one to
     # the next
@@ -281,7 +281,7 @@ def _row(done, share):
 
 
 def _place(weight, parts, counts, share, length, more):
-    """Untouched slices of all recordings, in order."""
+    """Held-out slices of all recordings, in order."""
     short = [k for k, count in enumerate(counts) if count == 0]
     # Recordings too short to be cut are kept as a whole, in turns.
     turn = max(round(1 / share), 2)

@@ -20,7 +20,7 @@ _COLUMNS = ("q", "tau", "v", "weight", "torque_noise", "command", "feedback")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Branch:
-    """A branch of a robot as a robot of its own."""
+    """A branch of a robot as a separate robot."""
 
     joints: list  # its joints among those of the robot, rising
     model: object

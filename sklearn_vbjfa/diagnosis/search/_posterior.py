@@ -1,4 +1,4 @@
-"""Names from odds: what decides them, what was found, and which effects are named."""
+"""Reported effects: settings, posterior odds, and the rules of reporting."""
 
 from dataclasses import dataclass, fields
 from numbers import Integral, Real
@@ -32,7 +32,7 @@ class SearchSettings:
         the joint's torque. The scale of the half-Cauchy prior of that ratio, which is
         integrated over.
     rivals : float, default=3.0
-        What takes the place of an effect within so many nats is told as its rival.
+        An effect that replaces another within so many nats is listed as its rival.
     undecided : float, default=0.5
         Probability from which on an effect is listed as possible, up to ``1 - alpha``,
         from which on it has a name; what is less probable is not in the model.
@@ -54,7 +54,7 @@ class SearchSettings:
         A filter of a channel is a name only if it acts above so many times the
         frequency below which 90 % of the motion's power lies.
     most : int, default=6
-        Effects of one joint that are tried beside each other, at the most.
+        Maximum number of effects of one joint that are tried together.
 
     Examples
     --------
@@ -95,7 +95,7 @@ class SearchSettings:
 
 @dataclass(frozen=True, kw_only=True)
 class Evidence(CrossValidatedGain):
-    """What speaks for an effect beside the others of its model."""
+    """Evidence for an effect given the others of its model."""
 
     log_odds: float  # logarithm of the posterior odds that the model lacks it
 
@@ -162,7 +162,7 @@ SLOW_FILTER = "a filter within the motion's own frequencies"
 
 
 def search(view, library, settings, alpha, max_effects=None):
-    """Find the most probable effects of a recording, and say which are named."""
+    """Find the most probable effects of a recording, and the reported ones."""
     path = Path(view, library, settings, max_effects)
     needed = float(np.log((1.0 - alpha) / alpha))
     fit, odds, worths = _settled(path, path.run())

@@ -360,7 +360,7 @@ class Base:
         return np.tensordot(self.density[list(joints)], products, 2)
 
     def beside(self, moments):
-        """Moments of groups of columns beside the declared ones, `Beside`."""
+        """Moments of groups of columns and the declared ones, `Beside`."""
         if moments not in self._known:
             own, problem = moments.joints, self.problem
             c, k = moments.shape
@@ -378,7 +378,7 @@ class Base:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Beside:
-    """Moments of c groups of k columns beside the declared ones."""
+    """Moments of c groups of k columns and the declared ones."""
 
     T: np.ndarray  # (r, c * k): L^-1 times their products with these
     # (c, k, k): their Gram matrices, and what is left of them
@@ -652,7 +652,7 @@ class Fit:
         return linalg.cho_solve((self._factor, True), np.eye(self._coef.size))
 
     def own_groups(self):
-        """Second moments of each member beside the others, list of `Groups`."""
+        """Second moments of each member given the others, list of `Groups`."""
         # By the block inverse, without another fit.
         found = []
         for place, member in zip(self.places, self.members):
@@ -703,7 +703,7 @@ class Fit:
 
 
 def together(fit, members, prior, scale):
-    """Put members of one joint beside a fit and drop the least probable, one by one."""
+    """Add members of one joint to a fit and drop the least probable, one by one."""
     # `prior` are their log odds before the data (n,), `scale` that of
     # `Groups.evidence`.
     if not members:

@@ -171,7 +171,7 @@ def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatc
         assert mathml(r"\Delta\tau = " + Ripple.formula) in details
         assert "Tuttle" in details
         assert "href" not in details
-    kinds = ("line-before", "line-after", "untouched", "border", "zero")
+    kinds = ("line-before", "line-after", "held-out", "border", "zero")
     for figure in shown[3:6]:
         torque, residual = figure.split('<div class="chart"')[1:]
         for chart in (torque, residual):
@@ -187,7 +187,7 @@ def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatc
     axis = re.search('class="y-axis">(.*?)</div>', shown[-1], re.DOTALL)[1]
     found = [float(text) for text in re.findall(r">([^<>]+)</span>", axis)]
     assert found == [0.01, 0.1, 1.0]
-    path = re.search('class="untouched" d="M0.0 0H([0-9.]+)', shown[-1])[1]
+    path = re.search('class="held-out" d="M0.0 0H([0-9.]+)', shown[-1])[1]
     assert float(path) == pytest.approx(WIDTH / 4)
     # They are drawn without the library, and without matplotlib.
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
@@ -200,7 +200,7 @@ def test_curves_stay_inside_their_frames(html):
     assert len(svgs) == html.count('<div class="chart"')
     for svg in svgs:
         paths = re.findall(r'<path class="([^"]+)"[^>]* d="([^"]*)"', svg)
-        curves = [path for kind, path in paths if kind not in ("zero", "untouched")]
+        curves = [path for kind, path in paths if kind not in ("zero", "held-out")]
         assert curves
         for path in curves:
             points = re.findall(r"[ML]([-0-9.]+) ([-0-9.]+)", path)

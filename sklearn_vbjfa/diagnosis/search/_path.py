@@ -49,7 +49,7 @@ _EQUAL = 0.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """A candidate beside a model."""
+    """A candidate effect given a model."""
 
     family: Family  # all of its shapes
     best: int  # the best of them
@@ -123,7 +123,7 @@ class Path:
         self.log_prior = np.log(self.settings.expected / max(count, 1))
 
     def _candidate(self, fit, family, taken, excess=None):
-        """Return the best shape of a family beside a fit as an `Candidate`, or None."""
+        """Return the best shape of a family given a fit as a `Candidate`, or None."""
         scale = self.settings.scale
         if excess is None:
             evidence = fit.evidence(family, scale)
@@ -206,7 +206,7 @@ class Path:
         )
 
     def _taken(self, fit):
-        """Keys of effects that do not come beside a fit, a set."""
+        """Keys of effects that a fit excludes, a set."""
         return self._rejected.union(*(m.effect.excludes() for m in fit.members))
 
     def _contained(self, fit, joint):
@@ -215,7 +215,7 @@ class Path:
         return set().union(*(closure(effect, self.library) for effect in own))
 
     def _candidates(self, fit, joint):
-        """Candidates on a joint beside a fit."""
+        """Candidates on a joint given a fit."""
         self._say(fit, joint)
         taken = self._taken(fit)
         within = self._contained(fit, joint)
@@ -315,7 +315,7 @@ class Path:
         return fit
 
     def _bank(self, fit, effect):
-        """Return a bank with the elements of positive size beside a fit."""
+        """Return a bank with the elements of positive size given a fit."""
         family = self._family(effect)
         groups = fit.groups(family)
         best = int(np.argmax(groups.evidence(self.settings.scale)))
@@ -393,7 +393,7 @@ class Path:
         return Family.of(self.problem, effects, columns)
 
     def _refined(self, fit, effects):
-        """Search the shape of an effect beside a fit, from one or several."""
+        """Search the shape of an effect given a fit, from one or several."""
         return refined(effects, Trials(path=self, fit=fit), self.motion)
 
     def refined(self, fit, joint=None):
@@ -462,7 +462,7 @@ class Path:
         return fit
 
     def log_odds(self, fit, usual=False):
-        """Posterior log odds of each member beside the others."""
+        """Posterior log odds of each member given the others."""
         # As `usual` those by which they compare, see `Overdispersion.as_usual`.
         found = []
         for member, groups, excess in zip(
@@ -498,7 +498,7 @@ class Path:
         return 1
 
     def _pruned(self, fit):
-        """Drop what is improbable beside the others, the least probable first."""
+        """Drop members that are improbable given the others, the least probable first."""
         while fit.members:
             odds = self.log_odds(fit)
             i = int(np.argmin(odds))

@@ -106,7 +106,7 @@ class _ToAnother(Shaped):
 
 
 class Coupling(_ToAnother):
-    """Friction and inertia of another joint's motion.
+    """Friction and inertia due to the motion of another joint.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
     the sum or difference of both: drives in series through a differential or coupled
@@ -455,7 +455,7 @@ class Follower(Effect):
         return out
 
     def shapes(self, motion):
-        """Nothing is searched: the description says which joints follow."""
+        """Nothing is searched: the description defines the joints that follow."""
         return []
 
 

@@ -767,7 +767,7 @@ def unlike_channels(names, q, tau, dt, parts):
 
 
 def _copies(names, values, kind):
-    """Find channels that equal another one in every row."""
+    """Find channels that equal each other in every row."""
     moving = np.flatnonzero(np.ptp(values, axis=0) > 0)
     found = []
     for place, j in enumerate(moving):

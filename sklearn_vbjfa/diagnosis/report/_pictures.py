@@ -170,7 +170,7 @@ def torque_figure(
         zero = from_zero or own is left
         frame = _Frame(x=x, y=_range(np.concatenate(own), zero))
         beyond.append(_beyond(frame, own))
-        shapes = [Shape(kind="untouched", path=_spans(frame, line.untouched))]
+        shapes = [Shape(kind="held-out", path=_spans(frame, line.untouched))]
         if own is left and floor > 0:
             edges = frame.down([floor, -floor])
             path = f"M0 {edges[0]:.1f}H{WIDTH}V{edges[1]:.1f}H0Z"
@@ -186,7 +186,7 @@ def torque_figure(
     names = ("measured", "completed model", "declared model")
     keys = list(zip(kinds, names))
     if line.untouched:
-        keys.append(("untouched", "held-out part"))
+        keys.append(("held-out", "held-out part"))
     if floor > 0:
         keys.append(("floor", "noise floor, one standard deviation"))
     if line.borders:
@@ -239,7 +239,7 @@ def spectrum_figure(curves, *, title, y_label):
     low = max(np.min(shown, initial=top), top - _DECADES)
     frame = _Frame(x=(0.0, float(curves.hertz[-1])), y=(low - 0.1, top + 0.1))
     kinds, x_label = ("line-before", "line-after"), "frequency [Hz]"
-    shapes = [Shape(kind="untouched", path=_spans(frame, [(0.0, curves.cutoff)]))]
+    shapes = [Shape(kind="held-out", path=_spans(frame, [(0.0, curves.cutoff)]))]
     shapes += [
         Shape(kind=kind, path=_line(frame, curves.hertz, own))
         for kind, own in zip(kinds, logs)
@@ -253,7 +253,7 @@ def spectrum_figure(curves, *, title, y_label):
     return Figure(
         title=title,
         charts=(replace(chart, y_ticks=tuple(powers)),),
-        keys=(*zip(kinds, names), ("untouched", "band of the fit")),
+        keys=(*zip(kinds, names), ("held-out", "band of the fit")),
     )
 
 

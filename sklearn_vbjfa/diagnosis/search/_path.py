@@ -498,7 +498,7 @@ class Path:
         return 1
 
     def _pruned(self, fit):
-        """Drop members that are improbable given the others, the least probable first."""
+        """Drop improbable members, the least probable first."""
         while fit.members:
             odds = self.log_odds(fit)
             i = int(np.argmin(odds))

@@ -61,7 +61,8 @@ def _table(path, file, columns):
 def _columns(path, info):
     """Return the columns of a file as arrays, lists of numbers as columns each."""
     try:
-        from pyarrow import ArrowException, feather, parquet
+        import pyarrow
+        from pyarrow import ArrowException, ipc, parquet
     except ImportError as error:
         raise PARQUET.missing(path) from error
     try:
@@ -71,10 +72,15 @@ def _columns(path, info):
                 check_size(path, sum(group.total_byte_size for group in groups))
                 read = file.read()
         else:
-            read = feather.read_table(path.file)
+            with ipc.open_file(path.file) as file:
+                batches = []
+                for k in range(file.num_record_batches):
+                    batches.append(file.get_batch(k))
+                    check_size(path, sum(one.nbytes for one in batches))
+                read = pyarrow.Table.from_batches(batches, file.schema)
         arrays = [column.to_numpy() for column in read.columns]
-    except (ArrowException, OSError, UnicodeDecodeError) as error:
-        reason = str(error).splitlines()[0].rstrip(".")
+    except (ArrowException, MemoryError, OSError, UnicodeDecodeError) as error:
+        reason = (str(error).splitlines() or ["too large"])[0].rstrip(".")
         raise ValueError(
             f"{path}: is not a complete parquet file of plain columns ({reason}); "
             "write it again."

@@ -57,7 +57,7 @@ class Tables:
         return self.tables[number - 1].headers[0]
 
     def cell(self, row, header, number=1):
-        """Return a cell as it is written."""
+        """Return the text of a cell."""
         table = self.tables[number - 1]
         place = table.headers.index(header)
         (found,) = {cells[place] for cells in table.rows if cells[0] == row}

@@ -91,7 +91,7 @@ class _OfEffect(SphinxDirective):
 
     @property
     def use(self):
-        """The effect as it is simulated."""
+        """The simulated effect."""
         name = self.arguments[0]
         if name not in all_uses():
             raise self.error(f"{name} is no effect of the library.")

@@ -50,7 +50,7 @@ UNITS = {
 
 @dataclass(frozen=True, kw_only=True)
 class Use:
-    """An effect as it is simulated.
+    """A simulated effect.
 
     Attributes
     ----------
@@ -248,7 +248,7 @@ def columns_of(effect, motion):
 
 
 def torque_of(use, motion):
-    """Torque of an effect as it is used, (n, nv)."""
+    """Torque of an effect in use, (n, nv)."""
     coef = np.asarray(use.coef)
     if use.effect.in_model:
         # Columns are derivatives by the values, of which these are small changes.
@@ -344,7 +344,7 @@ def rivals_of(use):
 
 
 def containing(name):
-    """Names of the effects that contain another one, directly or not, a tuple."""
+    """Names of the effects that contain an effect, directly or not, a tuple."""
     library = effects.resolve("all")
     return tuple(one.name for one in library if name in closure(one, library))
 

@@ -80,7 +80,7 @@ for j in range(12):
 
 
 def simulate(model, motors, commands, delay, noise=0.0, substeps=4):
-    """Positions and speeds (n, 12) as read, by rows of what a PD loop is told."""
+    """Positions and speeds (n, 12) as read, by rows of the commands of a PD loop."""
     ticks = round(DT / 1e-3)
     step = DT / ticks / substeps
     model = model.copy()

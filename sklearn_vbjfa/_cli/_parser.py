@@ -67,7 +67,7 @@ def number(text):
 
 
 def _positive(unit, *words):
-    """Return the conversion to a positive number; some words stand for themselves."""
+    """Return the conversion to a positive number; some words are kept."""
 
     def convert(text):
         value = number(text)

@@ -178,7 +178,7 @@ def one_line(message):
 
 
 def wrapped(text, stream):
-    """Return a text wrapped to the width of a terminal; as it is for other streams."""
+    """Return a text wrapped to the width of a terminal; unchanged for other streams."""
     if not stream.isatty():
         return text
     width = shutil.get_terminal_size().columns

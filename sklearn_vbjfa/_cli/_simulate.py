@@ -226,7 +226,7 @@ def _parts(recording):
 
 
 def _rows_of(recording, rows):
-    """Return a recording of some rows of another."""
+    """Return a recording of some rows of a recording."""
     from sklearn_vbjfa.recording import take_rows
 
     return take_rows(recording, rows, recording.groups[rows])

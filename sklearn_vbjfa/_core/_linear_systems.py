@@ -5,10 +5,10 @@ length, or to a unit diagonal, a direction counts as known if its singular value
 rounding: rank, pseudo-inverse and null space then do not depend on the choice of units.
 
 Independent noise cannot be subtracted from inputs that are sums of each other. Second
-moments do not say which generate the rest, but two unit-free rules do. If all dependent
-inputs are sums with non-negative weights of as few of them as the span has dimensions,
-it is these, the extreme rays of the cone of all. Otherwise it is the subset of largest
-volume in standardised columns: all others have weights of at most one.
+moments do not determine which generate the rest, but two unit-free rules do. If all
+dependent inputs are sums with non-negative weights of as few of them as the span has
+dimensions, it is these, the extreme rays of the cone of all. Otherwise it is the subset
+of largest volume in standardised columns: all others have weights of at most one.
 
 Where residuals are correlated in time, a block sandwich estimator gives the variance of
 least squares from second moments and scores of blocks of time. Residuals are smaller

@@ -345,7 +345,7 @@ class Spline:
 
     @cached_property
     def _stands_still(self):
-        """Largest velocity that is none."""
+        """Largest velocity that counts as zero."""
         # A velocity is a mean of neighbouring differences of the coefficients.
         return _STANDS_STILL * np.abs(np.diff(self.coef)).max() / self.h
 

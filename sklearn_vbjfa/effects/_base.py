@@ -111,7 +111,7 @@ class Effect(TransformerMixin, BaseEstimator):
         Whether its columns are alike elements of positive size; a search leaves out the
         others.
     replaces : str
-        Declared term of its joint that it stands for, "" for none. Where it replaces
+        Declared term of its joint that it replaces, "" for none. Where it replaces
         Coulomb friction, rows at rest are fitted.
     whole_robot : bool
         Whether it acts on all joints: columns of shape (n, nv, k).
@@ -277,7 +277,7 @@ class Effect(TransformerMixin, BaseEstimator):
         return np.asarray(coef, dtype=float)
 
     def completed(self, motion):
-        """Return the effect with what stands for the term that it replaces."""
+        """Return the effect with the part of the term that it replaces."""
         return self
 
     def linearised_at(self, coef):

@@ -246,8 +246,8 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
     [Hz]. What an engineer's smoothing is made of, a moving average or a filter applied
     forwards and backwards, differs from it little in the band that it lets through.
 
-    Where T is short beside the motion, the lag is a `Delay` by T, and the torque of an
-    `Elastic` joint or a `Jerk` can be the same.
+    If T is short compared with the motion, the lag is a `Delay` by T, and the torque of
+    an `Elastic` joint or a `Jerk` can be the same.
 
     References
     ----------
@@ -396,8 +396,7 @@ class Jerk(Stateful):
     Nothing in a rigid body has it. Positions that lag by a time T make it, with J = T
     times the inertia: the torque of the inertia is ahead of them by T da/dt, while
     the reversal of the friction need not be, where it is the drive's own. A torque that
-    lags makes it with J < 0, and so does what is left of a flexible drive whose spring
-    is damped [1]_.
+    lags makes it with J < 0, and so does a flexible drive with a damped spring [1]_.
 
     Parameters
     ----------

@@ -70,7 +70,7 @@ class RotorInertia(JointEffect):
 
 
 class _ToAnother(Shaped):
-    """An effect of another joint's motion."""
+    """An effect of the motion of a second joint."""
 
     partners = ("other",)
 
@@ -106,7 +106,7 @@ class _ToAnother(Shaped):
 
 
 class Coupling(_ToAnother):
-    """Friction and inertia due to the motion of another joint.
+    """Friction and inertia due to the motion of a second joint.
 
     tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
     the sum or difference of both: drives in series through a differential or coupled
@@ -368,7 +368,7 @@ class ChainJoint:
 class Follower(Effect):
     """The body of a joint that follows another joint (mimic).
 
-    A robot description that has such joints declares it by itself, see
+    It is declared automatically for descriptions with such joints, see
     `RobotIdentifier`; it is not searched for.
 
     Parameters

@@ -102,8 +102,8 @@ class AsymmetricFriction(Effect):
     """Friction that differs between the directions of motion.
 
     tau = dFc abs(sign(v)) + dFv abs(v): half the difference between the Coulomb and
-    viscous coefficients for v > 0 and for v < 0, beside the symmetric `Coulomb` and
-    `Viscous` halves. Without dFv it equals an `Offset`.
+    viscous coefficients for v > 0 and for v < 0, in addition to the symmetric `Coulomb`
+    and `Viscous` halves. Without dFv it equals an `Offset`.
 
     Parameters
     ----------

@@ -1,9 +1,9 @@
 """Effects whose value is part of the robot model: its geometry, and what it reads.
 
-All other effects add torque to the robot of the description. These say that it is
-another one: its base leans, an encoder's zero or an axis is elsewhere, a channel has
-another gain. The derivative of the torque at the present value is a column like any
-other, and the model is corrected and linearised again until the value stays.
+All other effects add torque to the robot of the description. These change the robot:
+its base leans, an encoder's zero or an axis is elsewhere, a channel has another gain.
+The derivative of the torque at the present value is a column like any other, and the
+model is corrected and linearised again until the value stays.
 """
 
 from numbers import Real
@@ -662,7 +662,7 @@ class TorqueLag(InModel):
         return np.array([-_LATE]), np.array([_LATE])
 
     def correct(self, robot):
-        """Correct nothing of the robot itself."""
+        """Leave the robot model unchanged."""
 
     def applies(self, motion):
         if motion.command is None:

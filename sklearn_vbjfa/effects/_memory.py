@@ -293,7 +293,7 @@ class MaxwellSlip(Shaped, Stateful):
         return self._of_banks(np.asarray(bank)[own] for bank, own in pairs)
 
     def finer(self):
-        """Return the effect with further elements around each of its own."""
+        """Return the effect with further elements around each element."""
         steps = (_LARGEST / _SMALLEST) ** (np.arange(-2, 3) / (3 * (_COUNT - 1)))
         return self._of_banks(
             np.unique(np.outer(bank, steps).round(12)) for bank in self._banks

@@ -1,4 +1,4 @@
-"""Samples of a recording in which inertia hardly matters: poses and slow motion."""
+"""Samples of a recording in which inertia is small: poses and slow motion."""
 
 from dataclasses import replace
 

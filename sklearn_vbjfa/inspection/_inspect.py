@@ -146,7 +146,7 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     described bodies, whose parameters may be off by half, and by friction, rotor and
     offset of each joint. Friction takes power out of the motion. Each hypothesis
     changes channels, time or gravity, and the marginal likelihood gives its odds
-    against the log as it is; correlated residuals count as fewer rows. The most
+    against the unchanged log; correlated residuals count as fewer rows. The most
     probable hypothesis is applied to the log, accepted if the changed log scores
     better, and the next one is looked for, so that one fault does not look like
     another.

@@ -69,7 +69,7 @@ class Bodies:
 
     @property
     def massless(self):
-        """Whether a body has no mass, so that its torques say nothing."""
+        """Whether a body has no mass, so that its torques carry no information."""
         return bool(self.parameters[::10].min() <= 0)
 
     def whole(self, states):

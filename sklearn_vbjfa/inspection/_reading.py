@@ -56,12 +56,12 @@ class Reading:
 
     @functools.cached_property
     def now(self):
-        """Score of the log as it is."""
+        """Score of the unchanged log."""
         return score_of(self.robot)
 
     @functools.cached_property
     def now_in_few(self):
-        """Score of the log as it is, in fewer rows."""
+        """Score of the unchanged log, in fewer rows."""
         return score_of(self.few)
 
     def tell_nothing(self):
@@ -71,7 +71,7 @@ class Reading:
         return self.bodies.massless or not self.robot.joints.size
 
     def tried(self, change, *, few=False):
-        """Score of a change that leaves the description as it is; None if it fails."""
+        """Score of a change that keeps the description; None if it fails."""
         other, base = self.robot_at(change, few=few), self.few if few else self.robot
         return score_of(other) if other.joints.size == base.joints.size else None
 
@@ -159,7 +159,7 @@ class Hypothesis:
     name : str
         Kind of the finding.
     severity : {"error", "doubt", "warning"}
-        Severity of the finding, unless a candidate's values have another one.
+        Severity of the finding, unless a candidate's values have a different one.
     applies : callable
         Whether a `Reading` can show it.
     propose : callable
@@ -199,5 +199,5 @@ def every(reading):
 
 
 def of(score, now, variants, prior=number.PRIOR):
-    """Log odds of a score against the log as it is, if one of several is right."""
+    """Log odds of a score against the unchanged log, if one of several is right."""
     return score.evidence - now.evidence + prior - np.log(max(variants, 1))

@@ -13,7 +13,7 @@ from sklearn_vbjfa.recording import contiguous_groups
 
 @dataclass(frozen=True, kw_only=True)
 class Change:
-    """A reading of a log that differs from the log as it is.
+    """A reading of a log that differs from the unchanged log.
 
     Attributes
     ----------

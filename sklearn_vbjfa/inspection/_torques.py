@@ -97,7 +97,7 @@ def _factors(robot):
 
 
 def _scaled_each(reading):
-    """Return torques of which each joint has a factor of its own."""
+    """Return torques with a different factor on each joint."""
     robot = reading.robot
     factors = _factors(robot)
     known = np.isfinite(factors)
@@ -220,7 +220,7 @@ def _say_silent(reading, candidate):
 
 
 def _commanded(reading):
-    """Return commanded torques of another order of magnitude than the model's."""
+    """Return commanded torques whose order of magnitude contradicts the model."""
     now, described = reading.robot.signals.now, reading.robot.described
     with np.errstate(divide="ignore", invalid="ignore"):
         sizes = now.std(axis=0) / described.std(axis=0)

@@ -1,6 +1,6 @@
 """Shapes of a robot's links, as a URDF gives them for collisions, and their places.
 
-Meshes stand for their convex hulls: signed distances of convex shapes are what an
+Meshes are replaced by their convex hulls: signed distances of convex shapes are what an
 optimiser can follow, in penetration too, and they are quick.
 """
 

@@ -2,7 +2,7 @@
 
 clarabel solves, the refinement takes its answer to the last digits, and the programme
 certifies both. Where clarabel has no answer, or one from which the refinement does not
-reach its gap (rods that are hardly spoiled, at distances of 1e-9 of the vector), the
+reach its gap (rods with small errors, at distances of 1e-9 of the vector), the
 refinement starts from the vector with clipped eigenvalues.
 
 For clarabel the programme is stated with the displacement d from the vector to project,

@@ -241,7 +241,7 @@ def _values(table: Table, kind, roles):
 
 
 def _numbers(table: Table, column: str):
-    """Return a column as finite floats, or say which cell is none."""
+    """Return a column as finite floats; an error names the wrong cell."""
     values = table.values(column)
     if values.dtype.kind not in "biuf":
         raise ValueError(

@@ -127,8 +127,8 @@ class PDDrive(Drive):
                   + \tau_{ff}(t - d),
 
     whose gains are known and whose delay d is found: `RobotIdentifier` has it as a
-    parameter ``drive:delay`` of the robot. With measured torques beside it, as
-    `controller`, it closes the simulated loop.
+    parameter ``drive:delay`` of the robot. With measured torques, as `controller`, it
+    closes the simulated loop.
 
     Parameters
     ----------
@@ -423,7 +423,7 @@ class CurrentDrive(_MotorDrive):
     Parameters
     ----------
     torque_constant : "unknown", float or array-like of shape (nv,), default="unknown"
-        Torque by current k_t [N m/A]. ``"unknown"`` leaves y as it is and finds the
+        Torque by current k_t [N m/A]. ``"unknown"`` does not change y and finds the
         gains of the channels, as ``gains="unknown"`` does.
     signed : bool, default=True
         Whether currents have their sign. False for sizes, as some drives log them: the

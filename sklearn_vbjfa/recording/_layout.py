@@ -478,7 +478,7 @@ def _fitted(table, log: KnownLog, joints, kinds, chosen):
 
 
 def _with_prefix_of_state(found, log):
-    """Give commands, a message of another name, the prefix of the only state."""
+    """Give commands, in messages of a different name, the prefix of the only state."""
     states = {match.prefix for match in found["q"]}
     if len(states) != 1:
         return found

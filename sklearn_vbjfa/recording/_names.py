@@ -142,7 +142,7 @@ def names_and_slides(urdf, names):
 
 
 def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
-    """Say which columns are which channels; refuse what does not fit."""
+    """Assign columns to channels; refuse what does not fit."""
     preset, names = options.preset, (*robot.names, *table.joints)
     kinds = (*options.kinds, *(x for x in KINDS if x not in options.kinds))
     if preset is not None and options.mapping:

@@ -71,17 +71,17 @@ def read_recording(
         Name of the recording; None is that of the file, or of the folder of several.
     columns : str or dict of str to str, default=None
         Columns by channel, such as
-        "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} stands for the number
-        of a joint and {joint} for its name; a unit may follow ("q=pos_{i} [deg]").
-        Single joints are q1=..., tau_elbow=.... For a table without names,
-        "t=1,q=2-7,tau=8-13" gives the places of the columns, from 1.
+        "q=actual_q_{i},tau=actual_current_{i},t=timestamp": {i} is the number of a
+        joint and {joint} its name; a unit may follow ("q=pos_{i} [deg]"). Single joints
+        are q1=..., tau_elbow=.... For a table without names, "t=1,q=2-7,tau=8-13" gives
+        the places of the columns, from 1.
     preset : {"ros", "ur", "franka", "lerobot", "unitree"}, default=None
         Take names as these tools write them; None recognises them.
     topic : str, default=None
         Topic of a bag; None takes the only one of joint states.
     gains : sequence of float or "unknown", default=None
         Factors [N m or N per unit] of the recorded torques, one for each joint in the
-        order of `joint_names` or else of `urdf`. "unknown" leaves the unit as it is.
+        order of `joint_names` or else of `urdf`. "unknown" keeps the unit.
     time_unit : {"s", "ms", "us", "ns"}, default=None
         Unit of time; None takes that in the name of the column, or seconds.
     drive : Drive or str, default=None
@@ -314,7 +314,7 @@ def _unfinished(path):
 
 
 def _checked_preset(name):
-    """Return a preset as it is spelled here, None for None; refuse unknown ones."""
+    """Return the spelling of a preset, None for None; refuse unknown ones."""
     found = None if name is None else str(name).lower()
     if found is not None and found not in PRESETS:
         raise ValueError(

@@ -486,7 +486,7 @@ def as_one(recordings):
 
 
 def take_rows(recording, rows, groups):
-    """Make a recording of some rows (ascending) of another, in new segments."""
+    """Make a recording of some rows (ascending), in new segments."""
     # rows (n_kept,), or slices; groups (n_kept,): labels of the segments in any form,
     # one for each of the slices.
     if not isinstance(rows, np.ndarray):

@@ -127,7 +127,7 @@ def _check_order(t, step, where):
 
 
 def _other_unit(period):
-    """Say which unit stamps with this period have."""
+    """Return the unit of stamps with this period."""
     units = (
         ("milliseconds", "ms", 1e-3),
         ("microseconds", "us", 1e-6),
@@ -712,7 +712,7 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
 
 
 def on_one_grid(recordings, names, dt):
-    """Concatenate files whose periods are nearly dt [s], and say which have another."""
+    """Concatenate files whose periods are nearly dt [s], and name the others."""
     # names: of the recordings in them, one after the other. Returns the array fields of
     # a `Recording`, and the positions of the files that were interpolated.
     pieces, names, moved, noise = [], iter(names), [], []

@@ -183,7 +183,7 @@ def _fit_all(m, psi, solve, cross, dof):
 
 
 def _fit_few(m, solve):
-    """Fit hardly more samples than inputs, which are taken as exact."""
+    """Fit few samples per input, which are taken as exact."""
     # Their smallest eigenvalues, which bound the noise, are those of chance.
     solution = solve(m, np.zeros_like(m.S))
     state = solution.state

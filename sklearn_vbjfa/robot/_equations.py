@@ -750,7 +750,7 @@ class TorqueResiduals:
         return self.torque - self.predicted
 
     def filled(self, other):
-        """Take the predictions of another comparison where the weight is zero."""
+        """Take the predictions of the other comparison where the weight is zero."""
         counts = self.weight > 0
         return replace(
             self, predicted=np.where(counts, self.predicted, other.predicted)

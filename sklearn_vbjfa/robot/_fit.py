@@ -183,7 +183,7 @@ class Fit:
         return replace(self, robot=replace(robot, effect_ranges_=ranges))
 
     def between(self):
-        """Return how far values are off between recordings; None if it is not told."""
+        """Return how far values are off between recordings; None if unknown."""
         return BetweenRecordings.of_estimate(
             self.tangents or self.found,
             places=places_between(self.robot),

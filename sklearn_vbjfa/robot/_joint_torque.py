@@ -86,7 +86,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     regressor : estimator, default=None
         Linear regressor, such as `VBJFARegressor`, `sklearn.linear_model.LassoCV` or
         `sklearn.cross_decomposition.PLSRegression`, or a pipeline of scaler and
-        regressor. It is fitted without intercept (an offset is a column of its own),
+        regressor. It is fitted without intercept (an offset is a column),
         to columns and torques of unit mean square. None is
         ``VBJFARegressor(latent="correlated", query="noiseless")``: Bayesian regression
         with automatic relevance determination.

@@ -442,7 +442,7 @@ class Place:
         ]
 
     def number(self):
-        """Return a float; "nan", "inf" and "-inf" stand for what they say."""
+        """Return a float; "nan", "inf" and "-inf" are read as these values."""
         value = self.value
         if isinstance(value, str):
             value = _SPELLED.get(value)

@@ -316,7 +316,7 @@ class Posterior:
         )
 
     def correlation(self):
-        """Correlations (p, p) of values in the next recording; nan for what stays."""
+        """Correlations (p, p) of values in the next recording; nan for constants."""
         total = self.covariance + np.diag(self.off**2)
         size = np.sqrt(np.diagonal(total))
         with np.errstate(divide="ignore", invalid="ignore"):

@@ -157,8 +157,8 @@ class SimulatedWindows:
     def rivals(self):
         """The same windows of robots without a model, by what they do.
 
-        Driven by torques, of one that ``"stays"`` and one that ``"goes on"``; told
-        positions, of one that does ``"as told"``, at once.
+        Driven by torques, of one that ``"stays"`` and one that ``"goes on"``; driven by
+        positions, of one that follows at once, ``"as told"``.
         """
         if self.told is None:
             return {"stays": self.staying(), "goes on": self.going_on()}
@@ -170,8 +170,8 @@ class SimulatedWindows:
     def scales(self):
         """Factors (nv,) of errors, and the units that they are then in.
 
-        Millimetres where joints slide; else degrees, and of robots that are told
-        positions, which keep near these, mrad.
+        Millimetres where joints slide; else degrees, and mrad for robots with position
+        commands.
         """
         factor, unit = (180 / np.pi, "degrees")
         if self.told is not None:

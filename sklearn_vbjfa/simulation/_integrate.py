@@ -76,7 +76,7 @@ class Diverged(ArithmeticError):
 
 
 class _End(NamedTuple):
-    """What is known at an end of a step: its time, velocities, and what was found."""
+    """State at an end of a step: its time, velocities, and what was found."""
 
     time: float
     v: np.ndarray

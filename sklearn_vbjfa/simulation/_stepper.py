@@ -244,7 +244,7 @@ class Stepper:
         return np.array(torque) * self._gains
 
     def _check_finite(self, q, v, a):
-        """Say which value of a state is none; sums may overflow where values do not."""
+        """Name the invalid value of a state; sums may overflow where values do not."""
         for name, values in (("position", q), ("velocity", v), ("acceleration", a)):
             bad = np.flatnonzero(~np.isfinite(values))
             if bad.size:

@@ -1,4 +1,4 @@
-"""What remains unexplained, what the data cannot show, what the motion leaves open."""
+"""Unexplained residuals and effects that are not identifiable."""
 
 import itertools
 from dataclasses import dataclass, replace

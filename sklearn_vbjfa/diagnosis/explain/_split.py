@@ -141,7 +141,7 @@ class Amount:
 
     @property
     def length(self):
-        """Rows that a stretch, or what is left between two, must have."""
+        """Minimum rows of a stretch, or of the rest between two."""
         return max(int(_FILTER_LENGTHS * 2 * self.half), _FEWEST_SAMPLES)
 
     @property
@@ -150,7 +150,7 @@ class Amount:
         return max(int(_LENGTHS_OF_MORE * 2 * self.half), _FEWEST_SAMPLES)
 
     def of(self, stretches):
-        """Count the moving rows of each joint behind the low-pass, (nv,)."""
+        """Count the moving rows of each joint after the low-pass, (nv,)."""
         count = np.zeros(self.moving.shape[1])
         for s in stretches:
             inner = slice(s.start + self.half, max(s.stop - self.half, s.start))

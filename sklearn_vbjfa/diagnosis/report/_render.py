@@ -188,7 +188,7 @@ def fragment(sections):
 
 
 def figure(drawn):
-    """Write a `Figure` alone, without what moves it; `style` draws it."""
+    """Write a `Figure` alone; `style` draws it."""
     return _template("figure.html.j2").render(figure=drawn, whole=False, **_SIZE)
 
 
@@ -216,7 +216,7 @@ def _template(name):
 
 
 def mathml(formula):
-    """Convert LaTeX to MathML; LaTeX that cannot be converted is shown as it is."""
+    """Convert LaTeX to MathML; LaTeX that cannot be converted is not changed."""
     from latex2mathml import converter
 
     # The converter sets upright words by letters, no space around "sin", and passes

@@ -549,7 +549,7 @@ def _reach_text(outcome, joint):
 
 
 def added(outcome):
-    """Say which plain terms were fitted beyond what was declared; empty for none."""
+    """Name the friction terms that were added to the declared ones; empty for none."""
     if not outcome.added:
         return ""
     # Not "found": they are fitted on every robot, and nothing was tested.

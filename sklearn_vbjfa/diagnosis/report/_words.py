@@ -316,7 +316,7 @@ def without_markup(text):
 
 
 def capital(text):
-    """Begin a sentence; the name of a joint stays as it is."""
+    """Begin a sentence; the name of a joint is not changed."""
     first = re.match(r"\S*", text)[0].rstrip(",:.")
     if re.search("joint|axis", first) and first not in ("joint", "joints", "axis"):
         return text

@@ -171,7 +171,7 @@ class HeldOutFit:
         return squares[:, np.searchsorted(self.held.used_joints, member.effect.joint)]
 
     def without(self, *numbers):
-        """Squared errors (n_blocks, nj) without members, the others fitted anew."""
+        """Squared errors (n_blocks, nj) without members, the others refitted."""
         if not numbers:
             return self.squares
         place = np.concatenate([np.r_[self._places[i]] for i in numbers])

@@ -69,7 +69,7 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trials:
-    """Shapes of an effect beside a fit, see `refined`."""
+    """Shapes of an effect given a fit, see `refined`."""
 
     path: object
     fit: Fit
@@ -265,7 +265,7 @@ class Path:
                 return self._first(best, probable) if plain is best else plain
 
     def _plainer(self, fit, best, candidates):
-        """Plainer effect that a candidate contains, if that is probable by itself."""
+        """Plainer effect that a candidate contains, if that is probable alone."""
         # What contains it comes beside it: a prior of heredity (H. Chipman, "Bayesian
         # variable selection with related predictors", Canadian J. of Statistics 24(1),
         # 1996, doi 10.2307/3315687).

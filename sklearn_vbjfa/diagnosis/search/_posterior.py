@@ -35,7 +35,7 @@ class SearchSettings:
         An effect that replaces another within so many nats is listed as its rival.
     undecided : float, default=0.5
         Probability from which on an effect is listed as possible, up to ``1 - alpha``,
-        from which on it has a name; what is less probable is not in the model.
+        from which on it is reported; less probable effects are not in the model.
     smoothness : float, default=1.0
         How far the residual's spectrum may bend: prior deviation of the change of its
         logarithmic slope from one band of frequency to the next. It says how much of a
@@ -46,10 +46,10 @@ class SearchSettings:
         spectrum may not lead farther from least squares.
     worth : float, default=0.02
         Share of the squared error of the plain terms, on stretches that were not
-        fitted, that a name saves beside the other names.
+        fitted, that a reported effect saves in addition to the others.
     known : float, default=3.0
-        Deviations that a correction (a zero, a tilt, a gain) must be away from none to
-        be told as "to correct".
+        Deviations that a correction (a zero, a tilt, a gain) must be away from zero to
+        be reported.
     above_motion : float, default=2.0
         A filter of a channel is a name only if it acts above so many times the
         frequency below which 90 % of the motion's power lies.
@@ -236,7 +236,7 @@ def _settled(path, fit):
 
 
 def _worthwhile(left_out, worth):
-    """Gains of members that each save enough beside the other ones, by number."""
+    """Gains of members that each save enough given the others, by number."""
     # The one that saves least goes, and the others are fitted without it, until each
     # saves a share of the error that the plain terms leave.
     members = left_out.fit.members

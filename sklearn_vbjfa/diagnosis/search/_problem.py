@@ -1,4 +1,4 @@
-"""The regression of all joints in frequency, with some groups of effects beside it."""
+"""The regression of all joints in frequency, with some groups of effects."""
 
 import copy
 import functools
@@ -228,7 +228,7 @@ class Family(Columns):
         )
 
     def split(self):
-        """Return a family for each use of its own, see `Shaped.split_by`."""
+        """Return a family for each separate use, see `Shaped.split_by`."""
         first = self.effects[0]
         names = first.split_by if isinstance(first, Shaped) else ()
         uses = {}
@@ -294,7 +294,7 @@ def _lower(L, right, turned=False):
 
 
 class Base:
-    """The declared columns under given weights, and what families are beside it."""
+    """The declared columns under given weights, and families given these."""
 
     # density (nv, n_bands): weights of the cosines of each band; spectrum: what they
     # are from, a power `share` of it (see `Spectrum.weights`), or None; L (r, r): lower
@@ -581,7 +581,7 @@ class Fit:
         return self._scattered(left[:, :, None], [family.effects[c]], noise)[0]
 
     def excesses(self, noise):
-        """Overdispersion of each member's score beside the others, a list."""
+        """Overdispersion of each member's score given the others, a list."""
         if not self.members:
             return []
         # Their columns, less what the others explain of them, by the block inverse.

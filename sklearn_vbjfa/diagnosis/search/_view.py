@@ -395,7 +395,7 @@ class RecordingView:
         return out
 
     def _made(self, effect, motion):
-        """Columns of an effect at the samples; those of one's own may be anything."""
+        """Columns of an effect at the samples, checked for custom effects."""
         columns = np.asarray(effect.columns(motion))
         n, k = motion.q.shape[0], len(effect.coefficients)
         expected = (n, self.nv, k) if effect.whole_robot else (n, k)

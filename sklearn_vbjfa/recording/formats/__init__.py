@@ -93,7 +93,7 @@ def expanded(path):
 
 
 def tables_in(path):
-    """Return the tables of a folder that is none of a format's, in order."""
+    """Return the tables of a folder without a format, in order."""
     path = expanded(path)
     if not path.is_dir() or _is_one(path, _MARKS):
         return []

@@ -419,7 +419,7 @@ def _has_joints(bag, states, topic, wanted):
 
 
 def _contents(bag):
-    """Say which topics a bag has."""
+    """List the topics of a bag."""
     topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
     if not topics:
         return "it holds no topics"

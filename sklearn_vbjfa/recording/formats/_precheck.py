@@ -50,7 +50,7 @@ def is_number(cell: str) -> bool:
 
 @dataclass(frozen=True)
 class Text:
-    """A text in UTF-8: a file as it is, or what was made of one."""
+    """A text in UTF-8: a file, or its converted text."""
 
     path: Source
     content: bytes | None = None

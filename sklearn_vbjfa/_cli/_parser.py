@@ -104,8 +104,15 @@ def _count(text):
     return int(text)
 
 
-def _purpose(text):
-    return _known(text, ("gravity",))[0]
+def _one_of(*words):
+    """Return the conversion that accepts some words."""
+
+    def convert(text):
+        if text not in words:
+            raise ValueError(f"must be {' or '.join(words)}; got {text!r}")
+        return text
+
+    return convert
 
 
 def _seed(text):
@@ -178,10 +185,6 @@ def _friction(text):
     from sklearn_vbjfa.effects import declarable
 
     return _known(text, declarable())
-
-
-def _bodies(text):
-    return _known(text, ("prior", "free", "fixed"))[0]
 
 
 # -- options and commands --------------------------------------------------------------
@@ -265,13 +268,13 @@ _SHORT = {"--out": "-o", "--quiet": "-q"}
 _READ_BY = {
     "--acceleration": _numbers,
     "--base-orientation": _numbers,
-    "--bodies": _bodies,
+    "--bodies": _one_of("prior", "free", "fixed"),
     "--cutoff": _cutoff,
     "--drive": _drive,
     "--dt": _positive("seconds"),
     "--duration": _positive("seconds"),
     "--effects": _effects,
-    "--for": _purpose,
+    "--for": _one_of("gravity"),
     "--friction": _friction,
     "--gain": _gains,
     "--joints": _distinct,

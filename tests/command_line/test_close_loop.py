@@ -411,6 +411,8 @@ def test_faults_of_a_robot(change, message, good, tmp_path, capfd):
         ("--cutoff 150", "cutoff must lie below the Nyquist frequency 100 Hz"),
         ("--cutoff 0", "--cutoff must be a positive number of Hz or auto or none"),
         ("--cutoff inf", "--cutoff must be a positive number of Hz or auto or none"),
+        ("--bodies none", "--bodies must be prior or free or fixed; got 'none'"),
+        ("--friction none,viscous", "--friction does not know 'none'"),
         ("--cutoff low", "--cutoff must be a positive number of Hz or auto or none"),
         ("--out arm.csv", "arm.csv is not a folder"),
         ("--out arm.csv/below", "arm.csv is not a folder"),

@@ -160,6 +160,12 @@ class PDDrive(Drive):
 
     Notes
     -----
+    Commands are steps: a row acts from its time to that of the next one, a delay later.
+    Torques at rows are the mean of the last sample period, within the band of the rows.
+    A delay of the whole law, feedback included, cannot be told from friction and rotor
+    inertia: with a latency l of the feedback, the identified viscous friction is
+    smaller by K_p l and the rotor inertia by K_d l. `period` corrects the known part.
+
     The velocity is the slope of the positions, as late as the recorded one
     (`Recording.v`, the drive's own estimate) where there is one: what a drive logs now
     and then of its velocity has the noise of the whole band folded into it. The noise

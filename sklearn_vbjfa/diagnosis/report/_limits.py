@@ -560,7 +560,14 @@ def drive_found(outcome, verdict):
     texts = [delay_sentence(one.value, one.interval) for one in delays]
     if known is not None:
         texts = [f"{delay_sentence(known)[:-1]}, as given."]
+    if delays:
+        texts.append(_LATENCY)
     return (*texts, *_saturated(outcome, drive.get("saturated", ())))
+
+
+_LATENCY = (
+    "A latency of the feedback cannot be told from viscous friction and rotor inertia."
+)
 
 
 _COMMANDED = (

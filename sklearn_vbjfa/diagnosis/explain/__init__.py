@@ -38,12 +38,9 @@ _MODULES = {
         "p_value",
     ),
     "_identified": (
-        "Band",
         "ParameterValue",
         "RecordedMotion",
-        "measure_band",
         "parameter_values",
-        "power_share",
     ),
     "_intervals": (
         "EffectEstimate",

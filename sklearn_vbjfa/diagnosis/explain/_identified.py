@@ -1,4 +1,4 @@
-"""The fit that is handed over: its parameters, and the band of its errors."""
+"""Parameters of the fit that is reported."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,6 @@ import numpy as np
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
-from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, resolve_cutoff
 
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10
@@ -112,85 +111,3 @@ def recorded_motion(n_samples, dt, looked_at=0):
         rate=float("nan") if dt is None else float(1.0 / dt),
         looked_at=looked_at,
     )
-
-
-# -- the band --------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Band:
-    """The band of a fit, and what lies in it."""
-
-    cutoff: float  # of regressor and torques [Hz]; infinity if nothing is filtered
-    # bandwidth of the motion; length of the recording, of which the filter may be a
-    # small part only; the user, with a frequency or with None; states that were given,
-    # which are not filtered; or a motion too fast for the sample rate to be filtered
-    decided_by: str
-    # what the motion asks for [Hz]; infinity for none, nan if the states were given
-    automatic: float
-    # frequency below which 99 % of the power of the fastest joint's velocity lies [Hz];
-    # nan if the states were given
-    bandwidth: float
-    fastest: int  # that joint, from zero
-    # cut-off of its states [Hz], where its motion meets the encoder noise unless it was
-    # given; infinity where nothing is smoothed
-    smoothed_at: float
-    # (nv,): share of the power (about the mean) of velocity and torque that the
-    # low-pass lets through, while the joint moves; nan for a joint that does not
-    speed_share: np.ndarray
-    torque_share: np.ndarray
-    sample_rate: float  # [Hz]; nan if unknown
-
-
-def measure_band(view, asked, longest):
-    """Describe the band of a fitted declared model, as a `Band`."""
-    robot = view.robot
-    estimator, nv = robot.state_estimator_, view.nv
-    bandwidth, fastest, smoothed_at, automatic = np.nan, 0, np.nan, np.nan
-    if estimator is not None:
-        fastest = int(np.argmax(estimator.bandwidth_))
-        bandwidth = float(estimator.bandwidth_[fastest])
-        smoothed_at = float(estimator.cutoff_[fastest])
-        automatic = resolve_cutoff("auto", longest, robot.dt, estimator)
-        if isinstance(asked, str):
-            automatic = float(robot.cutoff_)
-    velocity = view.states[:, nv : 2 * nv]
-    weight = view.equations.weight
-    return Band(
-        cutoff=float(robot.cutoff_),
-        decided_by=_decided_by(robot, asked, bandwidth),
-        automatic=automatic,
-        bandwidth=bandwidth,
-        fastest=fastest,
-        smoothed_at=smoothed_at,
-        speed_share=power_share(velocity[view.index], view.filtered(velocity), weight),
-        torque_share=power_share(view.measured, view.equations.tau, weight),
-        sample_rate=np.nan if robot.dt is None else 1.0 / robot.dt,
-    )
-
-
-def _decided_by(robot, asked, bandwidth):
-    """Say what the cut-off of a fitted identifier follows from."""
-    finite = np.isfinite(robot.cutoff_)
-    if not isinstance(asked, str):
-        return "given" if finite else "none"
-    if robot.state_estimator_ is None:
-        return "states"
-    if not finite:
-        return "sample rate"
-    motion = CUTOFF_PER_BANDWIDTH * bandwidth
-    if np.isclose(robot.cutoff_, motion):
-        return "motion"
-    return "length" if robot.cutoff_ > motion else "drive"
-
-
-def power_share(raw, filtered, weight):
-    """Share of the power of signals (m, nv) that a filter leaves."""
-    # Their power is about their mean; weight (m, nv) tells which rows count. nan for a
-    # constant signal.
-    with np.errstate(divide="ignore", invalid="ignore"):
-        total = weight.sum(axis=0)
-        mean = (weight * raw).sum(axis=0) / total
-        power = (weight * (raw - mean) ** 2).sum(axis=0)
-        lost = (weight * (raw - filtered) ** 2).sum(axis=0)
-        return np.where(power > 0, np.clip(1.0 - lost / power, 0.0, 1.0), np.nan)

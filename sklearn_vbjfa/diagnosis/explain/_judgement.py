@@ -10,7 +10,6 @@ from sklearn.base import clone
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.explain._curves import Spectra, TimeLine, over_time
 from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN, memory_seconds
-from sklearn_vbjfa.diagnosis.explain._identified import Band, measure_band
 from sklearn_vbjfa.diagnosis.explain._intervals import (
     FinalFit,
     added_effects,
@@ -382,7 +381,6 @@ class Judgement:
     # those left out since something jumps in them, the search cannot say when
     n_undecided: int
     guard: float  # time left out next to the search part [s]
-    band: Band  # of the fit
     # what consistent parameters cost; None if they were not made consistent
     cost: ConsistencyCost | None
     spectra: tuple = ()  # of the residuals before and after, see `SpectrumCurves`
@@ -485,11 +483,6 @@ def judge(models, found, split, near, whole, commanded):
         n_stretches=len(kept.stretches),
         n_undecided=count - len(kept.stretches),
         guard=float(guard * dt),
-        band=measure_band(
-            model.view,
-            models.plain.cutoff,
-            max(part.stop - part.start for part in split.searched_parts),
-        ),
         cost=cost,
         outside=completed.robot_.outside_of(rest),
         spectra=told,

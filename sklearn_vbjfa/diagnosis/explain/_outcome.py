@@ -29,7 +29,6 @@ from sklearn_vbjfa.diagnosis.explain._gaps import (
     unexplained,
 )
 from sklearn_vbjfa.diagnosis.explain._identified import (
-    Band,
     ParameterValue,
     RecordedMotion,
     parameter_values,
@@ -166,7 +165,6 @@ class Outcome:
     # what was looked for, by name: what an effect is called and what to record
     library: dict
     settings: dict  # thresholds, split, blocks, what intervals are of, seed, versions
-    band: Band | None = None  # of the fit; None if nothing is known of it
     # what physically consistent parameters cost; None if they were not asked for
     projection: ConsistencyCost | None = None
     recordings: tuple = ()  # what each recording is called
@@ -256,7 +254,6 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         floor=relative_floor,
         library={e.name: e for e in (*resolve(declarable()), *search.library)},
         settings=_settings(search, judgement, asked),
-        band=judgement.band,
         projection=judgement.cost,
         bodies=body_masses(final.identifier),
         recordings=recordings,

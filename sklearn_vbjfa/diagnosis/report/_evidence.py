@@ -11,7 +11,6 @@ from sklearn_vbjfa.diagnosis.explain import Provenance
 from sklearn_vbjfa.diagnosis.explain._gaps import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._findings import anchors
-from sklearn_vbjfa.diagnosis.report._limits import band_sentences
 from sklearn_vbjfa.diagnosis.report._pictures import (
     About,
     Figure,
@@ -429,9 +428,9 @@ def provenance_rows(outcome):
 
 
 def method(outcome, verdict):
-    """Describe the settings, the method, and the band of the figures."""
+    """Describe the settings and the method."""
     given = outcome.settings
-    sentences = (_short(outcome), *band_sentences(outcome, verdict), _split(given))
+    sentences = (_short(outcome), _split(given))
     sentences += (_named(given), _errors(given))
     versions = [f"{name} {v}" for name, v in given.get("versions", {}).items()]
     effects = given.get("effects", ())

@@ -1,4 +1,4 @@
-"""Limits of the figures of a report: their band, and identifiability."""
+"""Limits of the figures of a report, and identifiability."""
 
 from dataclasses import replace
 
@@ -21,99 +21,6 @@ _NOT_SHOWN = (
     "The relative gains of the torque channels are not identifiable from this "
     "recording: no two channels feel enough of the same bodies."
 )
-
-# -- the band ---------------------------------------------------------------------
-
-
-def band_sentences(outcome, verdict):
-    """Say what the band of the errors is, why, what lies in it, and what above it."""
-    band, errors = outcome.band, verdict.errors
-    if band is None:
-        return ()
-    return tuple(
-        filter(None, (_reason(outcome, band), _content(band), _above(outcome, errors)))
-    )
-
-
-def _reason(outcome, band):
-    """Say what the cut-off is and what decided it."""
-    fastest = words.joint_label(outcome.joint_names, band.fastest)
-    cutoff, bandwidth = words.number(band.cutoff), words.number(band.bandwidth)
-    motion = "five times the motion's bandwidth"
-    given = (
-        f"99 % of the power of the speed of {fastest}, the fastest joint, is below "
-        f"{bandwidth} Hz"
-    )
-    if np.isfinite(band.smoothed_at):
-        given += f"; its position is smoothed at {words.number(band.smoothed_at, 2)} Hz"
-        given += ", where the motion falls below the encoder noise"
-    asked = f"; the motion needs {words.number(band.automatic, 2)} Hz"
-    if np.isnan(band.automatic):
-        asked = ""
-    elif np.isinf(band.automatic):
-        asked = "; the motion needs no low-pass"
-    first = f"Errors are for 0 to {cutoff} Hz"
-    whole = "errors are for all frequencies of the recording"
-    return {
-        "motion": f"{first} ({motion}: {given}).",
-        "length": f"{first}: a lower limit needs a longer recording ({motion} would be "
-        f"lower: {given}).",
-        "drive": f"{first}: above it positions are smoothed, and commanded torques "
-        f"have their noise ({motion} would be higher: {given}).",
-        "given": f"{first}, as requested{asked}.",
-        "none": f"Nothing is filtered, as requested{asked}; {whole}.",
-        "states": f"States were given, which are not filtered; {whole}.",
-        "sample rate": f"Nothing is filtered: {motion} is too close to half the sample "
-        f"rate ({given}); {whole}.",
-    }[band.decided_by]
-
-
-def _content(band):
-    """Say how much of speeds and torques lies in the band."""
-    if not np.isfinite(band.cutoff):
-        return ""
-    shares = [
-        _range(share)
-        for share in (band.speed_share, band.torque_share)
-        if np.isfinite(share).any()
-    ]
-    if len(shares) < 2:
-        return ""
-    return (
-        f"This band contains {shares[0]} of the power of the speeds and {shares[1]} of "
-        "the power of the torques."
-    )
-
-
-def _range(shares):
-    """Write the least and the largest of shares (nv,)."""
-    known = np.sort(shares[np.isfinite(shares)])
-    ends = [_share(value) for value in (known[0], known[-1])]
-    return " to ".join(dict.fromkeys(ends))
-
-
-def _share(value):
-    """Write a share so that what is nearly all does not look like all."""
-    if 0.999 <= value < 1.0:
-        return "over 99.9 %"
-    return words.percent(value)
-
-
-def _above(outcome, errors):
-    """Say how large errors are above the band, where a controller meets them too."""
-    band = outcome.band
-    if not np.isfinite(band.cutoff):
-        return ""
-    if not np.isfinite(outcome.wide_cutoff):
-        rate = words.number(band.sample_rate)
-        return f"At {rate} samples a second there is no wider band."
-    wide = words.number(outcome.wide_cutoff, 2)
-    if not (np.isfinite(errors.wide) and np.isfinite(errors.after)):
-        return f"Up to {wide} Hz the error is unknown."
-    return (
-        f"Up to {wide} Hz the error is {words.percent(errors.wide)} "
-        f"({words.percent(errors.after)} in the fitted band)."
-    )
 
 
 def interval_text(settings):

@@ -11,7 +11,7 @@ WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.
 _STEPS = 5
 # Points of a cloud and of a curve over time.
-_CLOUD, _CURVE = 400, 500
+_CLOUD, _CURVE = 300, 600
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5

@@ -6,7 +6,6 @@ import numpy as np
 
 from sklearn_vbjfa.diagnosis import SearchSettings
 from sklearn_vbjfa.diagnosis.explain import (
-    Band,
     Dependence,
     DiscoveredEffect,
     Hidden,
@@ -168,17 +167,6 @@ def make_outcome(nv=6, n_effects=2, unexplained=(), names=None, **changes):
             "random_state": 0,
             "versions": {"numpy": "2.0"},
         },
-        "band": Band(
-            cutoff=10.0,
-            decided_by="motion",
-            automatic=10.0,
-            bandwidth=2.0,
-            fastest=nv - 1,
-            smoothed_at=4.2,
-            speed_share=np.full(nv, 0.9999),
-            torque_share=np.linspace(0.91, 0.974, nv),
-            sample_rate=200.0,
-        ),
         "curves": {
             "index": np.arange(m),
             "before": residual + 0.1 * np.sin(np.arange(m) / 40)[:, None],

@@ -38,29 +38,6 @@ def assert_said(text, *facts):
         assert fact in text, text
 
 
-# -- the band
-
-
-@pytest.mark.parametrize(
-    ("changes", "facts"),
-    [
-        ({}, ("0 to 10 Hz", "below 2 Hz", "joint 3", "4.2 Hz", "91.0 % to 97.4 %")),
-        ({"decided_by": "given", "automatic": 3.0}, ("0 to 10 Hz", "3 Hz")),
-        ({"decided_by": "given", "automatic": np.inf}, ("0 to 10 Hz", "no low-pass")),
-        ({"decided_by": "length"}, ("0 to 10 Hz", "longer recording", "2 Hz")),
-        ({"cutoff": np.inf, "decided_by": "none"}, ("10 Hz", "all frequencies")),
-        ({"cutoff": np.inf, "decided_by": "states"}, ("States", "all frequencies")),
-        (
-            {"cutoff": np.inf, "decided_by": "sample rate"},
-            ("half the sample rate", "all frequencies"),
-        ),
-    ],
-)
-def test_what_decided_the_band(changes, facts):
-    band = replace(make_outcome(nv=3).band, **changes)
-    assert_said(shown("Method", band=band), *facts)
-
-
 # -- the cost of physical consistency
 
 

@@ -55,7 +55,6 @@ _MODULES = {
         "CommandsAlone",
         "ConsistencyCost",
         "Models",
-        "Pushed",
         "commands_alone",
         "concerned",
         "judge",

@@ -5,7 +5,6 @@ import warnings
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from sklearn.base import clone
 
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.diagnosis.explain._curves import Spectra, TimeLine, over_time
@@ -14,15 +13,11 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
     FinalFit,
     added_effects,
     error_intervals,
-    quantile,
 )
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
-from sklearn_vbjfa.diagnosis.search._branches import root_joints
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._equations import TorqueResiduals, torque_spread
-from sklearn_vbjfa.robot._estimate import estimate, from_moments, project
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._windows import Follower, tell_once
 
@@ -133,33 +128,6 @@ _HIGHEST = 0.4
 
 # -- what physically consistent parameters cost ----------------------------------------
 
-# What is freed is to blame if most of the distance goes with it.
-_MOST = 0.5
-# Of bodies that can be freed with nearly the same effect, this many are named; more are
-# no answer, as neighbouring bodies stand in for each other.
-_AS_GOOD, _NAMED = 0.9, 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class Pushed:
-    """A body, or a joint's friction, that the constraints hold back."""
-
-    joint: int  # from zero
-    name: str  # of the body that the joint moves
-    kind: str  # whose constraint it is
-    # share of the distance between the estimate and the consistent parameters, in the
-    # metric of the fit, that goes if this constraint alone is lifted
-    share: float
-    # what the constraints move most of it, in standard deviations, among what the data
-    # determine by itself; empty if they leave all of that in its interval
-    parameter: str = ""
-    unit: str = ""
-    # its values without and with the constraints; nan without a parameter
-    free: float = np.nan
-    held: float = np.nan
-    # by how many standard deviations it moves; nan without a parameter
-    deviations: float = np.nan
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ConsistencyCost:
@@ -174,14 +142,6 @@ class ConsistencyCost:
     # (nv,): difference where it is above 0 by more than its interval, and as large as
     # what an effect has to save to be named; 0 elsewhere, nan where unknown
     cost: np.ndarray
-    # the most costly first; empty where the constraints cost nothing or no single one
-    # of them does
-    pushed: tuple = ()
-    # joint, from zero, without whose torques the others need most of the constraints no
-    # more
-    channel: int | None = None
-    # share of the distance that goes without them; nan without a channel
-    channel_share: float = np.nan
 
     @property
     def costs(self):
@@ -196,7 +156,7 @@ def without_constraints(robot):
     return other
 
 
-def cost_of(robot, untouched, searched, spread, step):
+def cost_of(untouched, searched, spread, step):
     """Price of the constraints of a fitted identifier, a `ConsistencyCost`."""
     free, held = (part.relative_error(spread) for part in untouched)
     interval = error_intervals(untouched, searched, spread, step)["difference"]
@@ -204,143 +164,7 @@ def cost_of(robot, untouched, searched, spread, step):
         material = free**2 < (1.0 - SMALLEST_GAIN) * held**2
         cost = np.where((interval[0] > 0) & material, held - free, 0.0)
     cost[~np.isfinite(held - free)] = np.nan
-    found = ConsistencyCost(free=free, held=held, interval=interval, cost=cost)
-    if not found.costs.any():
-        return found
-    channel, share = _channel(robot)
-    return replace(found, pushed=_pushed(robot), channel=channel, channel_share=share)
-
-
-def _distance(metric, theta, other):
-    """Squared distance of two vectors of parameters in a metric."""
-    moved = other - theta
-    return float(moved @ metric @ moved)
-
-
-def concerned(robot):
-    """Joints of the branch that most of the cost stems from, list of int."""
-    # The branches of a robot share no parameter: what is constrained or measured on
-    # one cannot be most of the cost unless the branch is. All joints if there is but
-    # one.
-    projector, theta = robot.projector_, robot.theta_unconstrained_
-    covered = projector.n_features_in_
-    root = root_joints(robot.features_.model_)
-    if np.unique(root).size == 1:
-        return list(range(root.size))
-    moved = robot.theta_[:covered] - theta[:covered]
-    each = moved * (projector.metric_ @ moved)
-    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
-    of_joint = np.minimum(np.arange(covered) // per_joint, root.size - 1)
-    share = np.bincount(root[of_joint], each) / max(each.sum(), np.finfo(float).tiny)
-    return [j for j in range(root.size) if share[root[j]] >= _MOST]
-
-
-def _pushed(robot):
-    """Bodies and friction whose constraint alone is most of the cost."""
-    projector, theta = robot.projector_, robot.theta_unconstrained_
-    covered = projector.n_features_in_
-    whole = _distance(projector.metric_, theta[:covered], robot.theta_[:covered])
-    if not whole > 0:
-        return ()
-    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
-    starts, signs = projector.body_starts_, projector.nonnegative_
-    found = []
-    for joint in concerned(robot):
-        own = slice(joint * per_joint, (joint + 1) * per_joint)
-        friction = signs[(signs >= own.start) & (signs < own.stop)]
-        lifted = []
-        # A robot needs a body; of a single one the whole cost is its own.
-        if starts.size > 1:
-            others = starts[starts != own.start]
-            lifted.append(("body", {"body_starts": others, "nonnegative": signs}))
-        else:
-            found.append(_moved(robot, joint, "body", 1.0))
-        if (theta[friction] < 0).any():
-            kept = np.setdiff1d(signs, friction)
-            lifted.append(("friction", {"body_starts": starts, "nonnegative": kept}))
-        for kind, constraints in lifted:
-            freed = _lift(projector, theta[:covered], constraints)
-            left = _distance(projector.metric_, theta[:covered], freed) / whole
-            found.append(_moved(robot, joint, kind, 1.0 - left))
-    if not found:
-        return ()
-    found.sort(key=lambda one: -one.share)
-    least = max(_MOST, _AS_GOOD * found[0].share)
-    named = tuple(one for one in found if one.share >= least)
-    return named if len(named) <= _NAMED else ()
-
-
-def _lift(projector, theta, constraints):
-    """Project a vector with fewer constraints than a fitted projector has."""
-    scales = {}
-    if "body_starts" in constraints:
-        kept = np.isin(projector.body_starts_, constraints["body_starts"])
-        scales = {
-            "mass_scale": projector.mass_scale_[kept],
-            "length_scale": projector.length_scale_[kept],
-        }
-    options = replace(projector.options, **constraints, **scales)
-    other = clone(projector).set_params(options=options)
-    return other.fit(theta[None]).transform(theta[None])[0]
-
-
-def _moved(robot, joint, kind, share):
-    """Describe what the constraints move most of a body or of a joint's friction."""
-    per_joint = robot.features_.n_parameters_ // robot.features_.n_joints_
-    start = joint * per_joint
-    if kind == "body":
-        own = np.arange(start, start + 10)
-    else:
-        own = np.arange(start + 10, start + per_joint)
-    std = robot.theta_std_[own]
-    moved = np.abs(robot.theta_ - robot.theta_unconstrained_)[own]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where(robot.identifiable_[own] & (std > 0), moved / std, -1.0)
-    best = int(np.argmax(ratio))
-    name = body_names(robot.features_.model_)[joint]
-    found = Pushed(joint=joint, name=name, kind=kind, share=share)
-    if not ratio[best] > quantile(np.inf):
-        return found
-    at = own[best]
-    return replace(
-        found,
-        parameter=robot.parameter_names_[at].rpartition(":")[2],
-        unit=robot.parameter_units_[at],
-        free=float(robot.theta_unconstrained_[at]),
-        held=float(robot.theta_[at]),
-        deviations=float(ratio[best]),
-    )
-
-
-def _channel(robot):
-    """Joint without whose torques most constraints are not needed, and how much."""
-    # (None, nan) if no joint stands out: its share has to be most of the cost, and
-    # what is left without it less than half of what is left without any other.
-
-    # The fit is repeated without the torques of each joint in turn.
-    moments = robot.estimator_.statistics_
-    weights = robot.estimator_.joint_weights_
-    others = [j for j in concerned(robot) if weights[j] > 0]
-    if not others or np.count_nonzero(weights > 0) < 2:
-        return None, np.nan
-    regressor = robot.regressor if from_moments(robot.regressor) else None
-
-    def distance(weight):
-        found = estimate(moments, regressor, joint_weights=weight)
-        held = project(found, robot.projector, robot.features_, robot.effects_)
-        return _distance(found.metric, found.theta, held.theta)
-
-    whole, left = distance(weights), np.where(weights > 0, 1.0, np.inf)
-    if not whole > 0:
-        return None, np.nan
-    for joint in others:
-        weight = weights.copy()
-        weight[joint] = 0.0
-        left[joint] = distance(weight) / whole
-    first, second = np.argsort(left)[:2]
-    if left[first] < min(1.0 - _MOST, 0.5 * left[second]):
-        return int(first), float(1.0 - left[first])
-    return None, np.nan
+    return ConsistencyCost(free=free, held=held, interval=interval, cost=cost)
 
 
 # -- errors on the held-out part ------------------------------------------------------
@@ -462,7 +286,6 @@ def judge(models, found, split, near, whole, commanded):
         free = without_constraints(completed).robot_.residuals_of(rest)
         of_free = fit.residuals_of(completed.theta_unconstrained_)
         cost = cost_of(
-            completed,
             (_numbered(free, rows), after),
             (_numbered(of_free, seen), of_completed),
             spread,

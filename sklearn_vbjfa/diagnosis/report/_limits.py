@@ -45,36 +45,11 @@ def projection_sentences(outcome, verdict):
         f"{words.percent(cost.held[j])}"
         for j in np.flatnonzero(cost.costs)
     ]
-    text = "Physical consistency raises the error of "
-    text += words.join(costs, 6)
-    pushed = [_pushed(one, names) for one in cost.pushed]
-    if pushed:
-        text += f": {words.join(pushed, 3, 'or')}"
-    cause = "a wrong gain of the torque channel, a wrong geometry or a missing effect"
-    if cost.channel is None:
-        return f"{text}.", f"Possible causes: {cause}."
-    channel = words.joint_label(names, cost.channel)
-    share = words.whole_percent(cost.channel_share)
     return (
-        f"{text}.",
-        f"Without the torque of {channel} {share} of this disappears; possible causes "
-        f"there: {cause}.",
+        f"Physical consistency raises the error of {words.join(costs, 6)}.",
+        "Possible causes: a wrong gain of the torque channel, a wrong geometry or a "
+        "missing effect.",
     )
-
-
-def _pushed(one, names):
-    """Say what is held back of a body or of a joint's friction."""
-    joint = words.joint_label(names, one.joint)
-    if one.kind == "body":
-        text = f"{one.name} (the body of {joint}) is at the boundary"
-    else:
-        text = f"the friction of {joint} is held at zero"
-    if not one.parameter:
-        return text
-    # What is held at zero is there but for rounding.
-    held = one.held if abs(one.held) > _ZERO * abs(one.free) else 0.0
-    values = f"{words.number(one.free)} to {words.number(held)} {one.unit}"
-    return f"{text} ({one.parameter} {values.rstrip()})"
 
 
 # -- masses -----------------------------------------------------------------------

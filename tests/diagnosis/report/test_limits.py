@@ -13,7 +13,6 @@ from sklearn_vbjfa.diagnosis.explain import (
     Deviation,
     MotionLimit,
     NextRecording,
-    Pushed,
 )
 from sklearn_vbjfa.robot import (
     AlikeValue,
@@ -52,21 +51,9 @@ def cost(**changes):
     return shown("Cost of physical consistency", projection=found)
 
 
-def test_the_cost_has_errors_body_and_channel():
-    body = Pushed(
-        joint=1,
-        name="forearm",
-        kind="body",
-        share=0.93,
-        parameter="m",
-        unit="kg",
-        free=12.1,
-        held=8.3,
-        deviations=9.0,
-    )
-    text = cost(pushed=(body,), channel=2, channel_share=0.88)
-    facts = ("joint 2 from 19.0 to 24.1 %", "joint 3 from 8.0 to 9.0 %")
-    assert_said(text, *facts, "forearm", "m 12.1 to 8.3 kg", "88 %")
+def test_the_cost_has_the_errors_of_the_joints_it_concerns():
+    text = cost()
+    assert_said(text, "joint 2 from 19.0 to 24.1 %", "joint 3 from 8.0 to 9.0 %")
     assert "joint 1" not in text
     for nothing in (np.zeros(3), np.full(3, np.nan)):
         assert cost(cost=nothing) == ""

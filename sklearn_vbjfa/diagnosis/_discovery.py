@@ -139,8 +139,9 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     blocks of time. Simpler effects are tried before those that contain them [4]_.
 
     Effects are reported if their probability is at least ``1 - alpha``, if they reduce
-    the cross-validated error significantly and by at least 2 %, and if the interval of
-    a parameter excludes zero (three standard deviations for values of the geometry).
+    the cross-validated squared error significantly and by at least 2 % of that of the
+    friction terms, and if the interval of a parameter excludes zero (three standard
+    deviations for values of the geometry).
     Filters of a torque channel are reported only above the band of the motion.
 
     Robots with more than seven joints are searched branch by branch, without couplings

@@ -406,27 +406,22 @@ class Path:
         ]
         fit = self._stepped(fit, shaped)
         for i in shaped:
-            effect = fit.members[i].effect
+            effect, rest = fit.members[i].effect, fit.without(i)
             if effect.bank:
-                fit = self._reshaped(fit, {i: self._bank(fit.without(i), effect)})
-                continue
-            if not (effect.jumping or effect.neutral):
-                continue
-            rest = fit.without(i)
-            found = self._refined(rest, [effect])
-            if found.jumping:
+                found = self._bank(rest, effect)
+            elif effect.jumping:
+                found = self._refined(rest, [effect])
                 again = self._instants(rest, found, self._family(found))
                 found = self._refined(rest, [found, *again])
-            fit = self._reshaped(fit, {i: found})
+            elif effect.neutral:
+                found = self._refined(rest, [effect])
+            else:
+                continue
+            members = list(fit.members)
+            members[i] = self._single(found).member(0, members[i].scale)
+            fit = Fit(fit.base, members)
         self._moved()
         return self.scaled(fit)
-
-    def _reshaped(self, fit, effects):
-        """Return a fit with other shapes of some members, by their numbers."""
-        members = list(fit.members)
-        for i, effect in effects.items():
-            members[i] = self._single(effect).member(0, members[i].scale)
-        return Fit(fit.base, members)
 
     def _stepped(self, fit, numbers):
         """Search the shapes of members, which trade against each other, at once."""
@@ -436,29 +431,29 @@ class Path:
             if not (fit.members[i].effect.jumping or fit.members[i].effect.bank)
         }
         places = {i: place for i, place in places.items() if place is not None}
-        evidence = fit.log_evidence()
+        families = {i: self._shaped(place.around()) for i, place in places.items()}
         for _ in range(MOST_STEPS if places else 0):
             members = list(fit.members)
             for i, place in places.items():
-                family = self._shaped(place.around())
-                members[i] = place.with_derivatives(
-                    members[i], family, fit.coefficients(i)
-                )
+                known = members[i], families[i], fit.coefficients(i)
+                members[i] = place.with_derivatives(*known)
             linear = Fit(fit.base, members)
             if linear.explained - fit.explained < WORTH:
                 break
-            k = {i: fit.members[i].width for i in places}
-            steps = {i: linear.coefficients(i)[k[i] :] for i in places}
             for share in SHARES:
-                moved = {
-                    i: place.moved(share * steps[i]) for i, place in places.items()
-                }
-                new = self._reshaped(fit, {i: x.effect for i, x in moved.items()})
-                if new.log_evidence() > evidence:
+                moved, new = {}, list(fit.members)
+                for i, place in places.items():
+                    step = linear.coefficients(i)[fit.members[i].width :]
+                    moved[i] = place.moved(share * step)
+                made = {i: self._shaped(place.around()) for i, place in moved.items()}
+                for i, family in made.items():
+                    new[i] = family.member(0, new[i].scale)
+                again = Fit(fit.base, new)
+                if again.log_evidence() > fit.log_evidence():
                     break
             else:
                 break
-            fit, places, evidence = new, moved, new.log_evidence()
+            fit, places, families = again, moved, made
         return fit
 
     def log_odds(self, fit, usual=False):

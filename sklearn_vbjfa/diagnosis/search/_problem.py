@@ -177,11 +177,9 @@ class Problem(Declared):
         self.used_joints = view.precision > 0
 
     def family(self, effect, motion):
-        """Members (joints, effects, columns (nj, n, c, k), unit (c, k)) of a family."""
-        found = self.view.family(effect, motion, self.cosines)
-        if not found.effects:
-            return None
-        return Family.in_frequency(self, found.effects, found.columns, found.size)
+        """Return an effect with the shapes of its grid; None if there are none."""
+        effects, *found = self.view.family(effect, motion, self.cosines)
+        return Family.in_frequency(self, effects, *found) if effects else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

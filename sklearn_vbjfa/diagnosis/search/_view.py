@@ -2,7 +2,7 @@
 
 import copy
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy import linalg
@@ -14,7 +14,6 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
-from sklearn_vbjfa.effects import Effect
 from sklearn_vbjfa.recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 
@@ -127,19 +126,6 @@ _RANK = 1e-12
 _AT_ONCE = 1 << 20
 # Views of a corrected robot that are kept: a search goes to and fro between few.
 _KEPT = 6
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Family:
-    """An effect with several shape parameters."""
-
-    # one for each shape; none where the motion leaves nothing to try
-    effects: tuple[Effect, ...]
-    # In the equations of the nj joints that they act on, rows scaled by the root of the
-    # weights, with zeros behind those of a shape that has fewer; None without effects:
-    # (nj, n, c, k), cosines of the columns, and (nj, c, k), root mean squares of rows
-    columns: np.ndarray | None
-    size: np.ndarray | None
 
 
 class RecordingView:
@@ -427,18 +413,20 @@ class RecordingView:
         return out
 
     def family(self, effect, motion, cosines):
-        """Effect with all shapes of its grid; kept until the load is another."""
+        """Return an effect with the shapes of its grid, kept until its load changes.
+
+        That is the effects, cosines (nj, n, c, k) of their columns (with zeros behind
+        those of a shape that has fewer), and root mean squares (nj, c, k) of rows.
+        """
         key = (effect.name, effect.joint)
         made_from, found = self._families.get(key, (None, None))
-        stale = "load" in effect.needs and made_from is not motion
-        if found is None or stale:
+        if found is None or ("load" in effect.needs and made_from is not motion):
             effects = variants(effect, motion)
-            columns = size = None
+            found = effects, None, None
             if effects:
                 rows = self.columns(effects, motion)
-                size = root_mean_square(rows)
-                columns = cosines(rows, self.joints_of(effect))
-            found = Family(effects=effects, columns=columns, size=size)
+                own = cosines(rows, self.joints_of(effect))
+                found = effects, own, root_mean_square(rows)
             self._families[key] = motion, found
         return found
 

@@ -28,6 +28,7 @@ from sklearn_vbjfa.robot._bodies import (
     inverse_of,
     propagated,
 )
+from sklearn_vbjfa.robot._equations import held_columns
 from sklearn_vbjfa.robot._estimate import noise_of
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
@@ -245,10 +246,12 @@ def shared_values(groups, robot):
     """Values of the drives of alike joints, which have neither sign nor place."""
     features, joints = robot.features_, {}
     per_joint = features.n_parameters_ // features.n_joints_
+    held = held_columns(features, robot.effects_)
     for j in range(features.n_joints_):
         for k, name in enumerate(features.friction_):
-            if declared_alike(name):
-                joints.setdefault((name,), {})[j] = j * per_joint + 10 + k
+            place = j * per_joint + 10 + k
+            if declared_alike(name) and place not in held:
+                joints.setdefault((name,), {})[j] = place
     at = features.n_parameters_
     for effect in robot.effects_:
         for k, name in enumerate(effect.coefficients):

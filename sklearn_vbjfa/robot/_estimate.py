@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import nnls
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
@@ -453,9 +454,7 @@ def _complete(bodies, length):
     return np.where(good[:, None], bodies, ball)
 
 
-def fit_projector(
-    projector, model, theta, metric, friction, followers=None, positive=()
-):
+def fit_projector(projector, model, theta, metric, friction, followers=None):
     """Fit a projector to an estimate, filling in the settings the user left open."""
     # theta (p + n_effects,): effects come last and are unconstrained, except the bodies
     # of followers, (n_followers, 10) in the description, which come first among them;
@@ -476,7 +475,6 @@ def fit_projector(
         for k, name in enumerate(friction)
         if declared_nonnegative(name)
     ]
-    nonnegative += positive
     fitted = PhysicalProjector() if default else clone(projector)
     given = fitted.options or Options()
     starts, anchor = given.body_starts, given.anchor
@@ -487,7 +485,6 @@ def fit_projector(
             model, theta[:bodies], metric[:bodies, :bodies], per_joint, followers
         )
         anchor = np.concatenate([anchor, theta[bodies:]])
-        anchor[list(positive)] = np.maximum(anchor[list(positive)], 0.0)
     else:
         anchor = np.concatenate([anchor, theta[p:]])
     if not isinstance(given.nonnegative, str):
@@ -519,19 +516,42 @@ def project_beside(
     """Project the bodies and re-optimise the effects' coefficients, which come last."""
     # The distance (eq. 35) is minimised over both. A metric given by the user covers
     # the bodies only: they are projected first, then the effects are re-optimised.
-    # Returns the fitted projector and the projected theta (p,).
+    # Returns the fitted projector and the projected theta (p,). positive: places of
+    # effects' coefficients that are not negative.
+    if positive:
+        theta, metric = _without_negative(theta, metric, np.array(positive))
+        fitted, theta = project_beside(
+            projector, model, theta, metric, friction, followers
+        )
+        theta[positive] = np.maximum(theta[positive], 0.0)
+        return fitted, theta
     p = model.nv * (10 + len(friction))
     own = getattr(projector, "metric", None) is not None
     if theta.size == p or not own:
-        fitted = fit_projector(
-            projector, model, theta, metric, friction, followers, positive
-        )
+        fitted = fit_projector(projector, model, theta, metric, friction, followers)
         return fitted, fitted.transform(theta[None])[0]
     rigid = theta[:p]
     fitted = fit_projector(projector, model, rigid, metric[:p, :p], friction)
     projected = fitted.transform(rigid[None])[0]
     follow = scaled_eigen(metric[p:, p:]).solve(metric[p:, :p])
     return fitted, np.concatenate([projected, theta[p:] - follow @ (projected - rigid)])
+
+
+def _without_negative(theta, metric, places):
+    """Take the nearest theta (p,) with places that are not negative, and its metric."""
+    # Those at zero stay there, without a metric. An active set finds them exactly,
+    # where the columns of neighbouring elements are too alike for the projection.
+    rest = np.setdiff1d(np.arange(theta.size), places)
+    across = metric[np.ix_(rest, places)]
+    follow = scaled_eigen(metric[np.ix_(rest, rest)]).solve(across)
+    root = scaled_eigen(metric[np.ix_(places, places)] - across.T @ follow).root()
+    sizes, _ = nnls(root, root @ theta[places])
+    found, metric = theta.copy(), metric.copy()
+    found[rest] -= follow @ (sizes - theta[places])
+    found[places] = sizes
+    zero = places[sizes == 0]
+    metric[zero] = metric[:, zero] = 0.0
+    return found, metric
 
 
 def min_eigenvalues(bodies):

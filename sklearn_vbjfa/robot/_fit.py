@@ -231,8 +231,11 @@ class Recipe:
             found = beside_each_other(found, self.alike, robot)
         if self.description is not None:
             found = with_positive_rotors(found, robot)
+        held = held_columns(robot.features_, robot.effects_)
+        found = _without(found, held)
         with stage("consistent bodies"):
             found = project(found, self.projector, robot.features_, robot.effects_)
+        found = _without(found, held)
         return Fit.of(robot, found, self._shown(found), made)
 
     def of_equations(self, robot, pieces, made=()):
@@ -270,6 +273,13 @@ def _unneeded_entries(robot, moments):
     zeros = unexcited_entries(moments, robot.features_.n_parameters_)
     zeros[:, held_columns(robot.features_, robot.effects_)] = True
     return zeros
+
+
+def _without(found, held):
+    """Return an estimate whose held columns, zero in the fit, have no coefficient."""
+    theta, unconstrained = found.theta.copy(), found.theta_unconstrained.copy()
+    theta[held] = unconstrained[held] = 0.0
+    return replace(found, theta=theta, theta_unconstrained=unconstrained)
 
 
 def _powers(robot, moments):

@@ -25,7 +25,6 @@ Sources of the names:
 """
 
 import csv
-import gzip
 
 import numpy as np
 
@@ -177,13 +176,6 @@ def plain(recording, folder):
     return _write(folder / "plain.csv", header, rows)
 
 
-def zipped(recording, folder):
-    """Compress the plain one."""
-    path = folder / "zipped.csv.gz"
-    path.write_bytes(gzip.compress(plain(recording, folder).read_bytes()))
-    return path
-
-
 KINDS = {
     "plain CSV": plain,
     "ROS joint_states as CSV (bagpy)": ros_csv,
@@ -193,5 +185,4 @@ KINDS = {
     "UR RTDE record": rtde,
     "libfranka log": libfranka,
     "German Excel": german_excel,
-    "csv.gz": zipped,
 }

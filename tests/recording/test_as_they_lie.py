@@ -1,14 +1,13 @@
 """Logs as they lie: without names, as messages, cut, out of order, with objects."""
 
 import json
-import re
 import struct
-import warnings
 
 import numpy as np
 import pytest
 
-from sklearn_vbjfa.datasets import read_recording
+from tests.recording import _reading
+from tests.recording._reading import refusal
 
 DOF = 6
 
@@ -34,17 +33,12 @@ def written(path, matrix, separator=" ", header=""):
 
 
 def refused(path, made, **options):
-    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
-        read_recording(path, urdf=made.urdf, **options)
-    return caught.value
+    return refusal(path, urdf=made.urdf, **options)
 
 
 def read(path, made, **options):
     """Read with the robot; the recording and the notes."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path, urdf=made.urdf, **options)
-    return recording, [str(one.message) for one in caught]
+    return _reading.read(path, urdf=made.urdf, **options)
 
 
 def assert_same(recording, made, rows=slice(None)):

@@ -2,7 +2,6 @@
 
 import shutil
 import sys
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +11,13 @@ pytest.importorskip("rosbags")
 
 from sklearn_vbjfa.datasets import make_robot_recording, read_recording
 from tests.recording._bags import States, states, write_ros1, write_ros2
+from tests.recording._reading import read_text as read
 
 N, DT = 80, 0.01
 T = DT * np.arange(N)
 JOINTS = ("shoulder", "elbow", "wrist")
 Q = np.column_stack([np.sin(3 * T + j) for j in range(3)])
 TAU = np.column_stack([np.cos(2 * T + j) for j in range(3)])
-
-
-def read(path, **options):
-    """Return a recording and what was said."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path, **options)
-    return recording, " ".join(str(x.message) for x in caught)
 
 
 def arm(**changes):

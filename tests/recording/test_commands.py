@@ -1,14 +1,13 @@
 """Files of robots that are told positions: channels of commands, by name and tool."""
 
 import json
-import warnings
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import PDDrive, RecordingRefused, parse_drive
+from tests.recording._reading import read_text as read
 from tests.recording.test_reader import DT, N, write
 
 KP, KD = (20.0, 40.0), (1.0, 2.0)
@@ -33,14 +32,6 @@ def columns(q="q{}", aim="q_desired{}", nv=2, **more):
     found |= {q.format(j + 1): position[:, j] for j in range(nv)}
     found |= {aim.format(j + 1): command[:, j] for j in range(nv)}
     return found | more
-
-
-def read(path, **options):
-    """Return a recording and what was said."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path, **options)
-    return recording, " ".join(str(one.message) for one in caught)
 
 
 def law(recording, kp=KP, kd=KD):

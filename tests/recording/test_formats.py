@@ -6,7 +6,6 @@ import gzip
 import json
 import lzma
 import os
-import re
 import sys
 import threading
 import warnings
@@ -16,17 +15,10 @@ import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import _reader, _table, recordings_in
+from tests.recording._reading import refusal
 from tests.recording.test_reader import DT, N, assert_same, table, write
 
 PACK = {".gz": gzip.compress, ".bz2": bz2.compress, ".xz": lzma.compress}
-
-
-def refused(path, **options):
-    """Return the message: one line that names the file."""
-    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
-        read_recording(path, **options)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
 
 
 # -- packed ----------------------------------------------------------------------------
@@ -44,14 +36,16 @@ def test_packed_text(tmp_path, ending):
     # Lines are those of the text.
     text = plain.read_text().replace("\n0.01,", "\noff,", 1)
     path.write_bytes(PACK[ending](text.encode()))
-    assert "'off' in line 3, column 't' is not a number" in refused(path)
+    assert "'off' in line 3, column 't' is not a number" in str(refusal(path))
 
 
 def test_a_packed_bomb_is_refused_early(tmp_path, monkeypatch):
     monkeypatch.setattr(_table, "LARGEST", 1 << 20)
     path = tmp_path / "arm.csv.gz"
     path.write_bytes(gzip.compress(bytes(3 << 20)))
-    assert "too large to be read at once; give a shorter recording" in refused(path)
+    assert "too large to be read at once; give a shorter recording" in str(
+        refusal(path)
+    )
 
 
 # -- pipes -----------------------------------------------------------------------------
@@ -213,12 +207,12 @@ def test_matlab_of_the_wrong_version_or_damaged(tmp_path, monkeypatch):
 
     path = tmp_path / "arm.mat"
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(900))
-    message = refused(path)
+    message = str(refusal(path))
     assert "version 7.3 (HDF5), expected version 5 to 7.2" in message
     assert "save(FILE, 't', 'q', 'tau', '-v7')" in message
     savemat(path, matrices()[1], do_compression=True)
     monkeypatch.setattr(_table, "LARGEST", 1000)
-    assert "too large to be read at once" in refused(path)
+    assert "too large to be read at once" in str(refusal(path))
 
 
 # -- npy -------------------------------------------------------------------------------
@@ -398,7 +392,7 @@ def test_rows_of_lists_in_brackets_have_no_names(tmp_path):
     ]
     path = tmp_path / "arm.txt"
     path.write_text("\n".join(lines) + "\n")
-    assert "no names of columns; give the places of its 6 columns" in refused(path)
+    assert "no names of columns; give the places of its 6 columns" in str(refusal(path))
     found = read_recording(path, columns="q=1-2,tau=4-5", dt=DT)
     np.testing.assert_allclose(found.q[:, 1], columns["q2"], atol=1e-9)
     np.testing.assert_allclose(found.tau[:, 0], columns["tau1"], atol=1e-9)
@@ -421,7 +415,7 @@ def test_a_list_of_recordings_of_different_lengths(tmp_path):
     )
     trials[1]["tau1"] = trials[1]["tau1"][:-1]
     path.write_text(json.dumps({"data": trials}))
-    assert "'data' has 3 records with arrays of different lengths" in refused(path)
+    assert "'data' has 3 records with arrays of different lengths" in str(refusal(path))
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,11 @@
 """Tables as other tools write them: titles, an index, no header, mixed units."""
 
-import warnings
-
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.recording import RecordingRefused
+from tests.recording._reading import read
 from tests.recording.test_reader import DT, N, table, write
 
 JOINTS = ("shoulder", "lift")
@@ -20,14 +19,6 @@ ROBOT = """<robot name="r"><link name="base"/>
 <joint name="lift" type="prismatic"><parent link="l1"/><child link="l2"/>
 <axis xyz="0 0 1"/><limit lower="-3" upper="3" effort="9" velocity="9"/></joint>
 </robot>"""
-
-
-def read(path, **options):
-    """Return a recording and what was said."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        recording = read_recording(path, **options)
-    return recording, [str(x.message) for x in caught]
 
 
 def same(recording):

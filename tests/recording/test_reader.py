@@ -111,44 +111,6 @@ def test_parquet(tmp_path):
         read_recording(path)
 
 
-def save(path, n=N, **extra):
-    """Write a recording of two joints in the format of the ending."""
-    columns = table(n=n) | extra
-    if path.suffix == ".csv":
-        write(path, columns)
-    elif path.suffix == ".npz":
-        np.savez(path, **columns)
-    else:
-        pyarrow = pytest.importorskip("pyarrow")
-        from pyarrow import parquet
-
-        parquet.write_table(pyarrow.table(columns), path)
-    return path
-
-
-def refused(path):
-    """Return the message: one line that names the file."""
-    with pytest.raises(ValueError, match=re.escape(str(path))) as caught:
-        read_recording(path)
-    assert "\n" not in str(caught.value)
-    return str(caught.value)
-
-
-WHOLE = {
-    ".npz": "is not a complete npz file; save it again with numpy.savez",
-    ".parquet": "is not a complete parquet file of plain columns",
-}
-
-
-@pytest.mark.parametrize("ending", WHOLE)
-@pytest.mark.parametrize("keep", [0, 1, 3, 40, 0.3, 0.9])
-def test_truncated_files_are_refused(tmp_path, ending, keep):
-    path = save(tmp_path / f"arm{ending}")
-    content = path.read_bytes()
-    path.write_bytes(content[: keep if keep >= 1 else int(keep * len(content))])
-    assert WHOLE[ending] in refused(path)
-
-
 def test_cells_in_quotes_are_numbers(tmp_path):
     columns = table(1)
     path = tmp_path / "arm.csv"

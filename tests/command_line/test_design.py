@@ -326,7 +326,8 @@ def test_relative_gains_need_limits_of_their_own(home, here, capsys):
 
 @pytest.mark.slow
 def test_what_a_slow_motion_does_not_tell_apart_is_said(home, here, capsys):
-    assert main(["design", "--report", str(home / "report"), *QUICK]) == 3
+    slow = ("--duration", "4", "--acceleration", "2")
+    assert main(["design", "--report", str(home / "report"), *slow]) == 3
     captured = capsys.readouterr()
     (least,) = re.findall(
         r"^Not told apart on joint 1 \(shoulder\), except by (\d+) N m, more than it",

@@ -242,7 +242,7 @@ def _signs(reading):
         seen[start] = {j for j, gain in gains.items() if abs(gain) > number.DECISIVE}
     scores = {which: score for which, score in scores.items() if score is not None}
     most = max(score.evidence for score in scores.values())
-    near = [x for x, score in scores.items() if score.evidence > most - number.DECISIVE]
+    near = [x for x, score in scores.items() if score.evidence > most - number.RIVAL]
     # That all signs are wrong is likelier than that those are right which do not show.
     best = whole if whole in near else min(near, key=len)
     if not best:

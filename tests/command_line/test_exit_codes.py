@@ -175,7 +175,7 @@ RECORDINGS = {
     ),
     "swapped torques": (
         lambda x: x | {"tau1": x["tau2"], "tau2": x["tau1"]},
-        {"": (2, "appear to be swapped"), "inspect": (3, "look exchanged")},
+        {"": (2, "appear to be swapped"), "inspect": (3, "appear to be swapped")},
     ),
     "no positions": (
         lambda x: {"t": x["t"], "tau1": x["tau1"]},

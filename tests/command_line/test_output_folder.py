@@ -113,5 +113,5 @@ def test_a_description_without_masses_is_named_and_not_the_period(here, capsys):
     assert main(["inspect", "arm.csv", "--urdf", "arm.urdf"]) in (0, 3)
     told = capsys.readouterr()
     assert "has no mass" in told.err
-    assert "does not go with the motion" not in told.out + told.err
+    assert "is inconsistent with the motion" not in told.out + told.err
     assert "inertias ask for" not in told.out + told.err

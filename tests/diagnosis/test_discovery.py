@@ -667,7 +667,7 @@ def swapped(torque):
     [
         (flipped, "torque of joint_2 has the wrong sign"),
         (constant, r"torque of joint_2 is constant"),
-        (swapped, "torques of joint_1 and joint_2 look exchanged"),
+        (swapped, "torques of joint_1 and joint_2 appear to be swapped"),
         (lambda y: y[:, :1], "y must have 2 column"),
         (lambda y: y[:-3], "inconsistent numbers of samples"),
         (lambda y: y * np.nan, "NaN"),

@@ -135,7 +135,7 @@ class DescribedRobot:
         if entries is None:
             entries = bodies.whole(self.signals.states)
         self.entries = entries
-        self.times = self._correlation_times() if times is None else times
+        self.times = self.correlation_times() if times is None else times
 
     @functools.cached_property
     def _parts(self):
@@ -210,12 +210,12 @@ class DescribedRobot:
             parts.append((used, whole.T @ whole, rows.size, time, np.var(y) + 1e-300))
         return _solve(parts, prior, n_factors)
 
-    def residual(self):
+    def residual(self, columns=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
         # Zero where a joint stands.
         left = np.zeros(self.signals.now.shape)
         for j in self.joints:
-            rows, solve = self._ridge(j, 1e-6)
+            rows, solve = self._ridge(j, 1e-6, columns)
             left[rows, j] = solve(self.signals.now[rows, j])
         return left
 
@@ -242,11 +242,12 @@ class DescribedRobot:
             out[place] = (solve(torque[rows]) ** 2).mean(axis=0)
         return np.maximum(out, 1e-12)
 
-    def _ridge(self, j, share):
+    def _ridge(self, j, share, columns=None):
         """Rows of a joint, and a function from their torques to residuals."""
         rows, bodies = self.rows[j], self.bodies
         rigid = bodies.rows_of(self.entries, j)[rows]
-        X = np.column_stack([rigid, self._plain(j)[rows]])
+        others = [] if columns is None else [columns[rows]]
+        X = np.column_stack([rigid, self._plain(j)[rows], *others])
         X = X[:, X.any(axis=0)]
         X /= np.sqrt((X**2).mean(axis=0))
         gram = X.T @ X
@@ -260,9 +261,10 @@ class DescribedRobot:
         size = np.sqrt((columns**2).mean(axis=0))
         return columns / np.where(size > 0, size, 1.0)
 
-    def _correlation_times(self):
+    def correlation_times(self, columns=None):
         """Correlation times [rows] of what free bodies leave of each joint's torque."""
-        found, left = np.ones(self.bodies.nv), self.residual()
+        # columns (n, m): what else acts on the joints.
+        found, left = np.ones(self.bodies.nv), self.residual(columns)
         for j in self.joints:
             found[j] = correlation_time(left[self.rows[j], j])
         return found

@@ -62,9 +62,9 @@ TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # error of no joint by more than this [log]; longer ones than the shifts of the signals
 # are followed by so many moves. Time constants of a low-pass, over the lag.
 LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
-# A contact pushes a joint by this many deviations of what is left elsewhere, and single
-# residuals count up to so many.
-CONTACT, CONTACT_CLIP = 3.0, 10.0
+# A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
+# for about one of these parts of the log.
+CONTACT, CONTACT_PARTS = 3.0, (3, 6, 12)
 
 # -- positions and torques without a likelihood ----------------------------------------
 

@@ -3,6 +3,8 @@
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._joints import poor
+from sklearn_vbjfa.inspection._likelihood import DescribedRobot
 from sklearn_vbjfa.inspection._reading import (
     Candidate,
     Hypothesis,
@@ -68,7 +70,7 @@ def _periods(reading):
         return None
     score, change = best
     fall, count = score.fall(reading.now), reading.robot.joints.size
-    if fall < number.CLEAR * count:
+    if fall < number.CLEAR_OF_JOINT * count:
         return None
     return Candidate(
         change=change,
@@ -252,49 +254,55 @@ def _say_lag(reading, candidate):
 
 def _contact(reading):
     """Return an interval in which something else acts on the robot."""
-    robot = reading.robot
-    left = robot.residual()
-    z = np.zeros(left.shape)
-    for j in robot.joints:
-        # A contact is no part of what the residual is usually.
-        usual = 1.4826 * np.median(np.abs(left[robot.rows[j], j]))
-        z[:, j] = left[:, j] / max(usual, 1e-300)
-    z = np.clip(z, -number.CONTACT_CLIP, number.CONTACT_CLIP)
-    rows, n = robot.signals.row, len(z)
-    total = np.vstack([np.zeros(reading.nv), np.cumsum(z, axis=0)])
-    best, place = 0.0, None
-    for width in np.unique(np.geomspace(8, max(n // 3, 8), 12).astype(int)):
-        if width >= n:
-            continue
-        sums = total[width:] - total[:-width]
-        power = (sums**2 / (width * robot.times)).sum(axis=1)
-        k = int(np.argmax(power))
-        if power[k] > best:
-            best, place = power[k], (k, k + width)
-    if place is None:
-        return None
-    inside = np.zeros(n, dtype=bool)
-    inside[slice(*place)] = True
-    columns = np.zeros((n, reading.nv, reading.nv))
-    columns[:, range(reading.nv), range(reading.nv)] = inside[:, None]
+    robot = reading.few
+    n, rows = len(robot.signals.row), robot.signals.row
     size = np.sqrt(robot.variance.max())
-    fit = robot.fit(columns=columns, deviation=size)
-    score = score_of(robot, fit)
+
+    def fitted(place, robot):
+        return robot.fit(columns=_pushes(robot, place), deviation=size)
+
+    def best_of(places):
+        places = [(max(a, 0), min(b, n)) for a, b in places if b - a > 2]
+        return max(places, key=lambda place: fitted(place, robot).evidence)
+
+    widths = [n // part for part in number.CONTACT_PARTS]
+    place = best_of(
+        (a, a + width) for width in widths for a in range(0, n, max(width // 2, 1))
+    )
+    for part in (4, 8):
+        a, b = place
+        moves = np.array([-1, 0, 1]) * max((b - a) // part, 1)
+        place = best_of((a + k, b + m) for k in moves for m in moves)
+    # A contact makes what is left correlated for as long as it lasts.
+    inside = _pushes(robot, place).any(axis=(1, 2)).astype(float)
+    times = np.minimum(robot.times, robot.correlation_times(inside[:, None]))
+    known = reading.bodies, robot.signals, times
+    robot = DescribedRobot(*known, entries=robot.entries)
+    fit = fitted(place, robot)
+    score, now = score_of(robot, fit), score_of(robot)
     push = np.abs(fit.factors[robot.joints]) / np.sqrt(fit.noise)
     felt = robot.joints[push > number.CONTACT]
-    if not felt.size or score.fall(reading.now) < number.CLEAR:
+    if not felt.size or score.fall(now) < number.CLEAR_OF_JOINT:
         return None
     begin, end = (rows[min(k, n - 1)] * reading.dt for k in place)
     return Candidate(
         change=Change(),
         joints=tuple(felt.tolist()),
-        log_odds=of(score, reading.now, n),
+        log_odds=of(score, now, n),
         values={
             "begin": begin,
             "end": end,
             "push": {int(j): fit.factors[j] for j in felt},
         },
     )
+
+
+def _pushes(robot, place):
+    """Columns (n, nv, nv) of torques that act on each joint in an interval."""
+    nv, n = robot.bodies.nv, len(robot.signals.row)
+    columns = np.zeros((n, nv, nv))
+    columns[slice(*place), range(nv), range(nv)] = 1.0
+    return columns
 
 
 def _say_contact(reading, candidate):
@@ -335,7 +343,7 @@ LAST = (
     Hypothesis(
         name="external_force",
         severity="doubt",
-        applies=lambda reading: not reading.commanded,
+        applies=lambda reading: not reading.commanded and poor(reading),
         propose=_contact,
         message=_say_contact,
         repairs=False,

@@ -269,7 +269,7 @@ def _contact(reading):
     place = best_of(
         (a, a + width) for width in widths for a in range(0, n, max(width // 2, 1))
     )
-    for part in (4, 8):
+    for part in (2, 4, 8, 16):
         a, b = place
         moves = np.array([-1, 0, 1]) * max((b - a) // part, 1)
         place = best_of((a + k, b + m) for k in moves for m in moves)
@@ -282,7 +282,10 @@ def _contact(reading):
     score, now = score_of(robot, fit), score_of(robot)
     push = np.abs(fit.factors[robot.joints]) / np.sqrt(fit.noise)
     felt = robot.joints[push > number.CONTACT]
-    if not felt.size or score.fall(now) < number.CLEAR_OF_JOINT:
+    # A force on a link loads the joints before it; friction of a single one varies.
+    if felt.size < min(robot.joints.size, 2):
+        return None
+    if score.fall(now) < number.CLEAR_OF_JOINT:
         return None
     begin, end = (rows[min(k, n - 1)] * reading.dt for k in place)
     return Candidate(

@@ -155,3 +155,37 @@ def test_torques_as_shares_of_what_each_motor_has(log):
     kinds, found = grave(log, tau=100 * log[0].tau / rated)
     assert kinds == ["torque_factors"]
     assert "--gain unknown" in found[0].message
+
+
+def test_a_contact_is_named_with_its_time(log):
+    recording = log[0]
+    begin, end = (round(t / recording.dt) for t in (6.0, 9.0))
+    tau = recording.tau.copy()
+    tau[begin:end] += 1.5 * tau.std(axis=0)
+    kinds, found = grave(log, tau=tau)
+    assert kinds == ["external_force"]
+    told = found[0].message.split("From ")[1].split(" s after")[0].split(" to ")
+    assert [float(x) for x in told] == pytest.approx([6.0, 9.0], abs=0.5)
+
+
+def test_torques_of_the_description(log):
+    recording, model, _ = log
+    data = model.createData()
+    v = np.gradient(recording.q, recording.dt, axis=0)
+    states = zip(recording.q, v, np.gradient(v, recording.dt, axis=0))
+    tau = np.array([pin.rnea(model, data, *row).copy() for row in states])
+    assert grave(log, tau=tau)[0] == ["computed_torque"]
+
+
+def test_a_robot_without_load_by_gravity_cannot_be_verified():
+    model = pin.Model()
+    for j in range(2):
+        place = pin.SE3(np.eye(3), np.array([0.4 * j, 0.0, 0.0]))
+        number = model.addJoint(j, pin.JointModelRZ(), place, f"joint_{j}")
+        body = pin.Inertia.FromBox(2.0, 0.1, 0.1, 0.1)
+        centre = pin.SE3(np.eye(3), np.array([0.2, 0.0, 0.0]))
+        model.appendBodyToJoint(number, body, centre)
+    made = make_robot_recording(model, duration=10.0, dt=0.01, random_state=0)
+    (finding,) = inspect_channels(model, made.q, made.tau, made.dt)
+    assert (finding.kind, finding.severity) == ("unverified", "warning")
+    assert "cannot be verified from this motion" in finding.message

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import wraps
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
@@ -142,6 +143,16 @@ class RecordingRegressorMixin(RegressorMixin):
         return r2_score(y, predicted, sample_weight=sample_weight)
 
 
+def _forwarded(name):
+    """Return a method that is that of the identified robot."""
+
+    @wraps(getattr(IdentifiedRobot, name))
+    def forward(self, *args, **kwargs):
+        return getattr(self.robot_, name)(*args, **kwargs)
+
+    return forward
+
+
 class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     """Identify the rigid-body model of a robot from joint positions and torques.
 
@@ -267,6 +278,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     gains_ : ChannelGains or None
         Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
         90 %, ``reference`` (nv,), and the ``common`` factor. None unless unknown.
+    torque_lag_, torque_lag_std_ : float
+        Time [s] by which all torques are late against the positions, and its standard
+        deviation: a parameter ``torques:lag`` where `inspect_recording` finds a lag;
+        zero and nan elsewhere.
     parameter_names_, parameter_units_ : tuple of str
         Names ("joint_1:m") and units of the parameters.
     identifiable_ : ndarray of shape (p,), bool
@@ -996,66 +1011,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             X, y, groups, sample_weight, t, signals, cutoff=cutoff
         )
 
-    def sample(self, n, random_state=None):
-        r"""Draw parameters of the robot in its next recording from the posterior.
-
-        Parameters
-        ----------
-        n : int
-            Number of draws.
-        random_state : int, RandomState or None, default=None
-            Seed. Row k does not depend on n, and is the sample k of `to_mjcf` and
-            `to_urdf`.
-
-        Returns
-        -------
-        ndarray of shape (n, p)
-            Parameters in the order of `parameter_names_` and the units of
-            `parameter_units_`. Bodies are physically consistent; friction and armature
-            are not negative. Parameters without effect on the torques are constant.
-            Corrections of the model are drawn independently; a delay of commands is
-            drawn together with the damping.
-
-        Raises
-        ------
-        ValueError
-            If n is less than one, or `regressor` gives no ``coef_cov_``.
-
-        See Also
-        --------
-        ranges : Intervals of the parameters, and ``ranges.json`` for simulators.
-
-        Notes
-        -----
-        A row is
-
-        .. math::
-
-            \theta = \hat\theta + \delta + e, \quad \delta \sim N(0, C), \quad
-            e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
-
-        theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection, with one factor for the scatter between blocks of time.
-        With several recordings, e is a random effect by recording of all parameters
-        that are not of bodies, :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with
-        independent :math:`u_{rk} \sim N(0, s_k^2)`. h is the sum of the squared shares
-        of the recordings in the fitted value, 1/R for R equal recordings. The scale s
-        is half-Cauchy around a fifth of the value, at most twice the value, and is
-        drawn from its posterior given the second moments of the recordings.
-
-        Armature and friction are truncated at zero: rows with a negative value are
-        redrawn by Gibbs sampling (200 sweeps). Inconsistent bodies of a row are
-        projected in the metric of their posterior, and the other parameters are drawn
-        given them.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> robot.sample(5, random_state=0).shape
-        (5, 84)
-        """
-        return self.robot_.sample(n, random_state)
+    sample = _forwarded("sample")
 
     def ranges(self, level=0.9):
         """Return the range of each parameter in the robot's next recording.
@@ -1097,87 +1053,9 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         """
         return self.robot_.ranges(level, drive=self._drive_of_files(None))
 
-    def to_urdf(self, path, sample=None, random_state=0):
-        """Write the robot description with the identified inertias and friction.
+    to_urdf = _forwarded("to_urdf")
 
-        Damping and friction of a joint are the sums of declared and found terms, and
-        axes with the effect `JointAxis` are corrected. A comment at the top of the file
-        lists the corrections that a URDF cannot hold (tilt of the base, encoder zeros,
-        gains of torque channels), bodies whose masses are not identifiable, and effects
-        that are left out. The robot has true torques at true positions. MJCF models are
-        written as URDF.
-
-        Parameters
-        ----------
-        path : str or os.PathLike
-            File to write.
-        sample : int, default=None
-            Row of `sample` to write instead of `theta_`; None writes `theta_`.
-        random_state : int, RandomState or None, default=0
-            Seed of the sample, as for `sample`.
-
-        Returns
-        -------
-        tuple of LeftOut
-            Effects that the file cannot hold, and negative coefficients, each with
-            `name`, `joint`, `joint_name`, `size` (RMS of its torque over the fitted
-            recording [N m or N]; nan if unknown), `unit` and `reason`.
-
-        Raises
-        ------
-        ValueError
-            If `model` is a `pinocchio.Model`, which has no URDF, or the parameters are
-            not physically consistent.
-
-        See Also
-        --------
-        to_mjcf : The same for MuJoCo, with armature, springs and couplings.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     left_out = robot.to_urdf(f"{folder}/identified.urdf")
-        >>> sorted({one.name for one in left_out})
-        ['offset', 'rotor_inertia']
-        """
-        return self.robot_.to_urdf(path, sample, random_state)
-
-    def save(self, path):
-        """Write the identified robot to a file.
-
-        Parameters
-        ----------
-        path : str or os.PathLike
-            JSON file with the robot description (``docs/simulation.rst``). Meshes are
-            referenced, not included.
-
-        Raises
-        ------
-        FileNotFoundError
-            If its folder, or the URDF of `model`, does not exist.
-        ValueError
-            If that URDF has changed, `model` is a `pinocchio.Model` with a joint type
-            that URDF lacks, or a custom effect has a parameter that JSON cannot hold.
-
-        See Also
-        --------
-        load_identified : Read the file.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> from sklearn_vbjfa import load_identified
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     robot.save(f"{folder}/arm.json")
-        ...     load_identified(f"{folder}/arm.json")
-        <IdentifiedRobot: 6 joints, effects: none>
-        """
-        self.robot_.save(path)
+    save = _forwarded("save")
 
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         """Write the identified robot as an MJCF file for MuJoCo.

@@ -831,7 +831,11 @@ class Path:
                 [np.empty(0), *(c for e, c in zip(effects, coefs) if not e.in_model)]
             ),
         )
-        again = [self._again(m) for m in members]
+        # Columns that neither the load nor the robot has changed stay.
+        moved = self.view is not before
+        again = [
+            self._again(m) if moved or "load" in m.effect.needs else m for m in members
+        ]
         return Fit(base, again)
 
 

@@ -18,7 +18,7 @@ _DERIVATIVE = 0.01
 _STARTS = 3
 # Instants at which a jump is tried, twice, in this share of the way to the grid's next
 # ones on both sides.
-_INSTANTS, _AROUND = 17, 0.1
+_INSTANTS, _AROUND = 9, 0.1
 # Rows left out: so many times as long as between two rows.
 _GAP = 1.5
 # A parameter that does nothing at a value stays there unless so much is gained [nats].

@@ -40,8 +40,8 @@ for effect in search.effects_:
 # Export
 # ------
 # MuJoCo has bodies, damping, dry friction and rotor inertia. Load-dependent friction
-# has no counterpart; ``to_mjcf`` returns it with the RMS of its torque and lists it in
-# the file.
+# has no counterpart: ``to_mjcf`` fits friction and armature of the file to it, returns
+# the remainder with its RMS, and lists it in the file.
 
 folder = Path(tempfile.mkdtemp())
 files = {}
@@ -53,7 +53,7 @@ for name, robot in models.items():
         print(f"  {one.joint_name} {one.name}: {one.size:.3g} {one.unit}, {one.reason}")
 
 # %%
-# Compared with the torque of the joint, this effect is not negligible. The declared
+# Compared with the torque of the joint, the remainder is not negligible. The declared
 # model exports completely: its Coulomb friction approximates the missing effect.
 
 print(f"spread of the torque: {recording.tau[fitted, 1].std():.3g} N m")
@@ -141,7 +141,7 @@ for name, positions in other.items():
 # -----------------------------
 # The second joint and its neighbour. Left, the declared model: both simulators agree,
 # and both are wrong. Right, the completed model: the package follows the measured
-# motion; MuJoCo, without load-dependent friction, does not.
+# motion; MuJoCo, without load-dependent friction, is less accurate.
 
 shown = slice(2, 6)
 figure, axes = plt.subplots(
@@ -193,9 +193,9 @@ plt.show()
 # %%
 # Conclusions
 # -----------
-# - The list of effects that are left out has their sizes. If they are small compared
-#   with the residual, export the completed model.
-# - If they are large, as here, export a model that was identified without them, because
-#   its other terms compensate for them in part.
+# - The list of effects that are left out has the sizes of their remainders. Compare
+#   them with the torques and with the residual.
+# - The file of the completed model is at least as accurate as that of the declared
+#   model, because its friction is fitted to the remainder.
 # - If nothing is left out, both simulators agree.
 # - MuJoCo enforces joint limits; the package warns.

@@ -185,7 +185,7 @@ def _wide(n):
         names = ",".join(f"x{k}" for k in range(n))
         values = ",".join(["0.5"] * n)
         heads, *rows = clean_lines()
-        lines = [f"{heads},{names}", *(f"{row},{values}" for row in rows[:40])]
+        lines = [f"{heads},{names}", *(f"{row},{values}" for row in rows[:100])]
         (folder / "arm.csv").write_text("\n".join(lines))
         return argv()
 

@@ -44,9 +44,10 @@ SILENT, UNRELATED = 0.1, 0.9
 COMPUTED = 0.005
 # A factor of gravity below this is none.
 NO_WEIGHT = 0.3
-# A base is turned by more than this [rad], pulls as gravity does to this factor, and in
+# A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
+# which the search finds among its rivals), pulls as gravity does to this factor, and in
 # no direction is its pull less certain than this [g].
-TURNED, AS_HEAVY, UNSHOWN = np.radians(20.0), 1.5, 0.5
+TURNED, AS_HEAVY, UNSHOWN = np.radians(45.0), 1.5, 0.5
 # A scale with a larger error [log] is not shown.
 SHOWN = 1.0
 # Sample periods that are tried, as multiples.

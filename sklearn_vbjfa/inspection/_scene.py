@@ -139,13 +139,27 @@ def _turned(reading):
     if angle < number.TURNED:
         return None
     pull = pull * usual / size
-    score = score_of(robot, robot.fit(robot.pulled(pull)))
+    turned = robot.fit(robot.pulled(pull))
+    if _as_springs(robot) > turned.evidence - number.RIVAL:
+        return None
+    score = score_of(robot, turned)
     return Candidate(
         change=Change(gravity=9.81 * pull),
         joints=every(reading),
         log_odds=of(score, reading.now, 1),
         values={"angle": np.degrees(angle)},
     )
+
+
+def _as_springs(robot):
+    """Return the evidence for springs between all joints, the base as described."""
+    # In a small motion gravity in another direction is linear in the positions.
+    nv, tau = robot.signals.now.shape[1], robot.signals.now
+    q = robot.signals.states[:, :nv]
+    q = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-300)
+    columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
+    columns = columns.reshape(len(q), nv, nv * nv)
+    return robot.fit(columns=columns, deviation=1.0).evidence
 
 
 def _say_turned(reading, candidate):

@@ -16,6 +16,9 @@ from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
 # samples. A share of a share: free of units, and no stronger or weaker for more data.
 NOISE_PRIOR_MODE = 0.2
 NOISE_PRIOR_WEIGHT = 0.1
+# Up to this many features the model with correlated latents, whose iterations cost the
+# cube of their number, takes at most some seconds with fewer samples than features.
+CUBIC_FEATURES = 64
 
 
 class VBJFARegressor(BaseJointFactorRegressor):
@@ -37,7 +40,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
         ``"independent"``: the model of the paper, one latent input for each observed
         input. ``"correlated"``: the latent inputs have a full covariance. ``"auto"``:
         correlated; independent with ``prior="paper"``, and with fewer samples than
-        inputs and more than 256 inputs.
+        inputs and more than 64 inputs.
     prior : {"noise", "paper"}, default="noise"
         Prior of independent latent inputs. ``"paper"``: one precision alpha_m for both
         loadings w_zm and w_xm, no prior on the input noise. ``"noise"``: alpha_m for
@@ -224,7 +227,9 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return self.latent
         if self.prior == "paper":
             return "independent"
-        return "independent" if data.moments.S is None else "correlated"
+        d = data.x_scale.size
+        few = data.moments.n <= d and d > CUBIC_FEATURES
+        return "independent" if few or data.moments.S is None else "correlated"
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]

@@ -225,7 +225,7 @@ class CouplingSpring(_ToAnother):
     coefficients = ("k", "kx", "c")
     units = (STIFFNESS, STIFFNESS, TORQUE)
     named_units = (("k", STIFFNESS), ("ratio", ("", "")), ("q0", POSITION))
-    nonnegative = ("k",)
+    negative = (("k", "pushes away from q0"),)
     contains = ("spring", "offset")
     seen_over = "position"
     visible = "both joints move through a wide range, not together"

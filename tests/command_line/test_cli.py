@@ -35,7 +35,7 @@ def test_without_arguments_the_loop_is_closed_on_the_demo(closed):
     assert err == ""  # no terminal, no progress
     lines = out.splitlines()
     # A terminal shows it without scrolling.
-    assert len(lines) <= 17
+    assert len(lines) <= 20
     assert max(map(len, lines)) <= 80
     assert lines[0] == (
         "Recording 'demo': 8000 samples, 6 joints, dt = 0.005 s, 2 recordings"

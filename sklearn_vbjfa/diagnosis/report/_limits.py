@@ -216,12 +216,12 @@ def next_sentences(outcome):
     if one is None or not np.isfinite(one.mean):
         return ()
     low, high = map(words.bare_percent, one.mean_interval)
-    text = f"Predicted error on the next recording: {words.percent(one.mean)} "
+    text = f"Next recording: predicted error {words.percent(one.mean)} "
     text += f"[{low}, {high}]"
     if one.source == "assumed":
         return (f"{text}, from other robots; record another motion to measure it.",)
-    also = ", and other robots" if one.source == "mixed" else ""
-    basis = f"from {one.recordings} recordings, each left out once{also}"
+    also = ", other robots" if one.source == "mixed" else ""
+    basis = f"{one.recordings} left out{also}"
     return (f"{text} ({basis}).",)
 
 

@@ -177,7 +177,7 @@ def test_sound_recordings_need_no_words():
     [
         ("assumed", "from other"),
         ("mixed", "other robots"),
-        ("measured", "4 recordings"),
+        ("measured", "4 left"),
     ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):

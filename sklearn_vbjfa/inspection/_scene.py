@@ -69,6 +69,12 @@ def _periods(reading):
     if best is None:
         return None
     score, change = best
+    # Another period changes inertia against weight: torques without either look alike.
+    robot, moving = reading.robot, reading.robot.pulled(np.zeros(3))
+    for rest in (moving, robot.entries - moving):
+        rival = score_of(robot, robot.fit(rest))
+        if rival.evidence > score.evidence - number.RIVAL:
+            return None
     fall, count = score.fall(reading.now), reading.robot.joints.size
     if fall < number.CLEAR_OF_JOINT * count:
         return None

@@ -42,8 +42,8 @@ SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
 SILENT, UNRELATED = 0.1, 0.9
 # Torques are computed if they agree with the description to this share.
 COMPUTED = 0.005
-# A factor of gravity below this is none.
-NO_WEIGHT = 0.3
+# A factor of gravity, or of inertia, that is below this with its error is none.
+NO_WEIGHT = 0.5
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), pulls as gravity does to this factor, and in
 # no direction is its pull less certain than this [g].

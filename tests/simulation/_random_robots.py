@@ -63,7 +63,7 @@ def random_effect(name, rng, nv, prismatic, length):
     if name == "base_tilt":
         joint = 0
     effect.set_params(joint=joint)
-    if nv == 1 and name in {"coupling", "torque_gain"}:
+    if nv == 1 and name in {"coupling", "coupling_spring", "torque_gain"}:
         return None
     still = np.zeros((1, nv))
     motion = Motion(q=still, v=still, a=still, prismatic=np.array(prismatic))

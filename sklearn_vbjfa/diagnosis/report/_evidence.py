@@ -79,7 +79,6 @@ def effect_figures(outcome):
                 Figure(
                     title=title,
                     charts=(),
-                    data={},
                     keys=(),
                     about=about,
                     anchor=anchor,

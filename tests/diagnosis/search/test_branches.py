@@ -1,6 +1,5 @@
 """Robots of many joints, searched branch by branch: the same robot, put together."""
 
-import copy
 from dataclasses import replace
 
 import numpy as np
@@ -12,7 +11,6 @@ import pinocchio as pin
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.diagnosis.explain import concerned
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
@@ -157,16 +155,3 @@ def test_signals_are_those_of_all_branches(two_arms):
     (found,) = (e for e in loop.effects_ if e.name == "signal")
     assert (found.parameters["signal"], found.parameters["of"]) == ("tool", "viscous")
     assert found.parameters["k"] == pytest.approx(6.0, rel=0.02)
-
-
-@pytest.mark.parametrize("arm", [0, 1])
-def test_the_price_is_looked_for_where_most_of_it_stems_from(two_arms, arm):
-    robot = copy.copy(two_arms[1])
-    own = np.flatnonzero(root_joints(robot.features_.model_) == arm).tolist()
-    moved = np.zeros((8, robot.theta_.size // 8))
-    moved[own[1]] = 1.0
-    robot.theta_ = robot.theta_unconstrained_ + moved.ravel()
-    assert concerned(robot) == own
-    # where nothing moved nothing is to be named
-    robot.theta_ = robot.theta_unconstrained_
-    assert concerned(robot) == []

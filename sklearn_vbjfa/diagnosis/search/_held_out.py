@@ -170,6 +170,12 @@ class HeldOutFit:
             return squares @ self.weight
         return squares[:, np.searchsorted(self.held.used_joints, member.effect.joint)]
 
+    def by_joint(self, member, squares):
+        """Errors of the joints that a member acts on, summed over the blocks."""
+        if member.effect.whole_robot or member.effect.in_model:
+            return squares.sum(axis=0)
+        return self.of_member(member, squares).sum(keepdims=True)
+
     def without(self, *numbers):
         """Squared errors (n_blocks, nj) without members, the others refitted."""
         if not numbers:

@@ -238,7 +238,7 @@ def _settled(path, fit):
 def _worthwhile(left_out, worth):
     """Gains of members that each save enough given the others, by number."""
     # The one that saves least goes, and the others are fitted without it, until each
-    # saves a share of the error that the plain terms leave.
+    # saves a share of the error that the plain terms leave, of one joint at least.
     members = left_out.fit.members
     kept, absent = list(range(len(members))), []
     plain = left_out.without(*kept)
@@ -246,8 +246,9 @@ def _worthwhile(left_out, worth):
         own, shares = left_out.without(*absent), []
         for i in kept:
             errors = plain, left_out.without(*absent, i), own
-            errors = [left_out.of_member(members[i], one).sum() for one in errors]
-            shares.append((errors[1] - errors[2]) / max(*errors[:2], _TINY))
+            errors = [left_out.by_joint(members[i], one) for one in errors]
+            size = np.maximum(np.maximum(*errors[:2]), _TINY)
+            shares.append(((errors[1] - errors[2]) / size).max())
         worst = int(np.argmin(shares))
         if shares[worst] > worth:
             break

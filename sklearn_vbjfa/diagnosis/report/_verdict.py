@@ -153,13 +153,16 @@ def _joint_status(outcome, j):
 def _is_worse(outcome, j):
     """Whether a joint is worse than declared, and than with the plain terms alone."""
     after = outcome.error_after[j]
+    # At its noise floor no joint is worse; an unknown floor excuses nothing.
+    harmless = after <= outcome.floor[j]
     for error, key in (
         (outcome.error_before, "difference"),
         (outcome.error_plain, "added"),
     ):
         low = interval(outcome, key, j)[0]
         # Without an interval the errors themselves decide.
-        yield (not np.isfinite(low) or low > 0) and after > _WORSE * error[j]
+        surely = not np.isfinite(low) or low > 0
+        yield surely and not harmless and after > _WORSE * error[j]
 
 
 def _status(outcome, joints):

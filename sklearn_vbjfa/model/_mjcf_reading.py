@@ -26,12 +26,11 @@ _MOST_FILES, _DEEPEST = 100, 300
 _MACROS = ("composite", "flexcomp", "replicate", "attach")
 # What is read of a file; the rest needs files or memory that joints have no use for.
 _READ = ("compiler", "option", "default", "worldbody", "tendon", "equality")
-# What joints do by themselves, in MuJoCo.
+# What joints do by themselves in MuJoCo, and not in the model.
 _PASSIVE = {
     "stiffness": "springs",
     "damping": "damping",
     "frictionloss": "dry friction",
-    "armature": "rotor inertia (armature)",
 }
 _LOOP = "closes a loop, and only trees of joints can be identified"
 _SAVE = (
@@ -202,7 +201,7 @@ def _passive(model, names):
         dof = model.jnt_dofadr[j]
         does = {
             key: getattr(model, f"dof_{key}")[dof]
-            for key in ("damping", "frictionloss", "armature")
+            for key in ("damping", "frictionloss")
         }
         does["stiffness"] = model.jnt_stiffness[j]
         found[name] = {what for key, what in _PASSIVE.items() if does[key]}

@@ -94,12 +94,13 @@ def quiet(function, *arguments):
 
 
 def bodies_by_mujoco(path, states):
-    """Torques (n, nv) of the bodies alone, by MuJoCo."""
+    """Torques (n, nv) of bodies and rotors alone, by MuJoCo."""
     mujoco = pytest.importorskip("mujoco")
     model = mujoco.MjModel.from_xml_path(str(path))
-    for what in ("damping", "armature", "frictionloss"):
+    for what in ("damping", "frictionloss"):
         getattr(model, f"dof_{what}")[:] = 0.0
         getattr(model, f"tendon_{what}")[:] = 0.0
+    model.tendon_armature[:] = 0.0
     model.jnt_stiffness[:] = model.tendon_stiffness[:] = 0.0
     model.body_gravcomp[:] = 0.0
     model.opt.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONSTRAINT
@@ -167,12 +168,13 @@ def test_what_is_left_out_is_said_once(write):
     for words in (
         "'robot.xml'",
         "the damping of all joints",
-        "the rotor inertia (armature) of a1, a2, a3, a4, b1, c1, e_joint",
         "the 1 actuator(s)",
         "joints without a name are called e_joint",
         "there is no mass between a1, a2, a3 and the next joint of the same body",
     ):
         assert words in text
+    # The rotor inertias are in the model.
+    assert "armature" not in text
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -205,6 +207,7 @@ def test_written_robots_are_read_again(seed, tmp_path):
     moved = np.hstack([q - own["ref"], v, a])
     columns = np.concatenate([np.array(order) + k * nv for k in range(3)])
     found = by_pinocchio(read, states[:, columns])
+    model.armature = own["armature"]
     expected = by_pinocchio(model, moved)[:, order]
     np.testing.assert_allclose(found, expected, atol=1e-11 * np.abs(expected).max())
     np.testing.assert_allclose(
@@ -301,7 +304,7 @@ LEADS = MASS + f"<body><joint name='k'/>{MASS}</body>"
             arm(MASS, before='<include file="part.xml"/><include file="part.xml"/>'),
             "includes 'part.xml' twice",
         ),
-        (arm(f"{MASS}<replicate count='1000000000'/>"), "makes bodies of its own"),
+        (arm(f"{MASS}<replicate count='1000000000'/>"), "<replicate> creates bodies"),
         ("<mujoco/>", "no <worldbody>"),
         ("<sdf/>", "outermost element is <sdf>; expected <robot>"),
     ],

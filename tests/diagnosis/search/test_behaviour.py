@@ -197,8 +197,8 @@ def test_the_report_prints_what_was_applied(springy):
     assert settings["search"]["expected"] == 1.0
     assert settings["search"]["worth"] == 0.02
     said = text_of(springy.report_)
-    assert "An effect is named if its probability is at least 95 % (4 cand" in said
-    assert "it saves at least 2 % of the squared error" in said
+    assert "An effect is reported if its probability is at least 95 % (4 c" in said
+    assert "it removes at least 2 % of the squared error" in said
 
 
 @pytest.mark.slow

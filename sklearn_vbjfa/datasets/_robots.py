@@ -75,12 +75,14 @@ def true_inertias(model, perturbation, rng):
 
 
 def with_inertias(model, inertial):
-    """Copy a model and give its bodies inertial parameters (nv, 10)."""
+    """Copy a model with inertial parameters (nv, 10) of bodies, and without rotors."""
     import pinocchio as pin
 
     other = model.copy()
     for j, body in enumerate(inertial):
         other.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    # Those of a recording are among its friction.
+    other.armature = np.zeros(model.nv)
     return other
 
 

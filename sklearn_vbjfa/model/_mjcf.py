@@ -380,6 +380,8 @@ def _chain_of_joints(carrier, robot, shape, chain, places):
         ends = model.lowerPositionLimit[j], model.upperPositionLimit[j]
         if np.isfinite(ends).all():
             joint.set("range", numbers(ends))
+        if model.armature[j] > 0:
+            joint.set("armature", number(model.armature[j]))
         joints.insert(0, joint)
         behind = place * behind
     body.extend(joints)

@@ -588,6 +588,10 @@ def fold(full, links):
         pin.buildReducedModel(one, locked, at_zero) for one in (empty, full)
     )
     model.name = still.name = full.name
+    for name, link in links.items():
+        rotor = link.multiplier**2 * full.armature[names.index(name) - 1]
+        for one in (model, still):
+            one.armature[left.index(link.leader)] += rotor
     steps, tree = {}, describe(full)
     for at, name in enumerate(names[1:], 1):
         link = links.get(name, Link(leader=name, multiplier=1.0, offset=0.0))

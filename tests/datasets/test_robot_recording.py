@@ -31,6 +31,15 @@ def test_torques_are_inverse_dynamics_plus_friction():
         np.testing.assert_allclose(torque, expected, rtol=1e-10, atol=1e-10)
 
 
+def test_rotors_are_those_of_the_friction_alone():
+    """The rotor inertia of a description is another than that of the robot."""
+    recording = make_robot_recording(duration=1.0, random_state=0)
+    model = pin.buildModelFromUrdf(recording.urdf)
+    model.armature = np.ones(6)
+    other = make_robot_recording(model, duration=1.0, random_state=0)
+    np.testing.assert_array_equal(other.tau_clean, recording.tau_clean)
+
+
 def test_states_are_derivatives_of_one_another():
     recording = make_robot_recording(duration=4.0, dt=0.001, random_state=1)
     q, v, a = np.split(recording.states, 3, axis=1)

@@ -250,9 +250,11 @@ def test_joint_equalities_of_mujoco_are_followers(write, tmp_path):
         '<equality><joint joint1="k" joint2="j" polycoef="0.3 -2 0 0 0"/>'
         '<joint joint1="j" active="false"/></equality>'
     )
-    inside = f'{MASS}<body><joint name="k" ref="10"/>{MASS}</body>'
+    inside = f'{MASS}<body><joint name="k" ref="10" armature="0.1"/>{MASS}</body>'
     path = write(arm(inside, '<joint name="j" ref="20"/>', after=after))
     (body,) = load_folded(path).followers
+    # The rotor of the follower turns twice as fast as the joint that leads it.
+    np.testing.assert_allclose(load_model(path).armature, 4 * 0.1)
     assert joint_names(load_model(path)) == movable_joints(path) == ("j",)
     step = body.chain[-1]
     assert (body.name, body.leader, step.joint, step.rate) == ("k", 0, 0, -2.0)

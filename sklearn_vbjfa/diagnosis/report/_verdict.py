@@ -414,11 +414,12 @@ def headline(outcome, verdict):
         )
     robot = outcome.declared.get("robot") or "the robot"
     use = use_lines(uses(outcome, verdict))
-    sentences = tuple(filter(None, (verdict.text, causes, *use)))
+    said = tuple(filter(None, (verdict.text, causes)))
     return Section(
         heading=f"Effects missing from the model of {robot}",
-        sentences=sentences,
-        terminal=sentences,
+        sentences=(*said, *use),
+        # The headline of a faulty recording has the reason against every use.
+        terminal=said if verdict.status == "faulty" else (*said, *use),
         template="headline",
         drawn=dict(
             colour=_COLOURS.get(verdict.status, "warn"),

@@ -495,7 +495,9 @@ def interpolate(
     for key, values in channels.items():
         rows = values.reshape(t.size, -1).astype(float)
         if key == "q" and t.size > 2:
-            rows = cubic(t, rows)(query)
+            # A joint that stands does not move by rounding.
+            still, first = np.ptp(rows, axis=0) == 0, rows[0]
+            rows = np.where(still, first, cubic(t, rows)(query))
         elif key in COMMANDS:
             # Stamps that rounding moves past the grid point count.
             rows = rows[np.searchsorted(t, query + STEADY * dt, side="right") - 1]

@@ -37,6 +37,13 @@ def test_cubic_reproduces_a_cubic_and_linear_a_line(make_stamps):
     np.testing.assert_allclose(part["temperature"], 20 + x)
 
 
+def test_a_joint_that_stands_does_not_move_by_rounding(make_stamps):
+    t = make_stamps(500)
+    channels = {"q": np.column_stack([np.sin(t), np.full(t.size, 0.1038)])}
+    ((_, part),) = resample_uniform(t, channels, dt=0.01)
+    assert (part["q"][:, 1] == 0.1038).all()
+
+
 def test_join_labels_logs_and_their_parts(make_stamps):
     t = make_stamps(60)
     gapped = np.concatenate([t, t + 2.0])

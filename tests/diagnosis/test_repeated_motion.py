@@ -65,7 +65,7 @@ def test_a_curve_of_the_phase_has_no_name(case):
     (motion,) = loop.report_.outcome.repeated
     assert motion.seconds == pytest.approx(PERIOD, abs=0.05)
     assert motion.count == pytest.approx(TIMES, rel=0.01)
-    assert "Motion that repeats: one of" in text_of(loop.report_)
+    assert "Repeated motion: one of" in text_of(loop.report_)
     assert "a motion that does not repeat (design makes one)" in text_of(loop.report_)
 
 

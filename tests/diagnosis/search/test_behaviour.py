@@ -191,16 +191,6 @@ def test_slow_noise_does_not_hide_fast_effects():
     assert low > 0
 
 
-def test_the_report_prints_what_was_applied(springy):
-    settings = springy.report_.to_dict()["settings"]
-    assert settings["n_candidates"] == 4
-    assert settings["search"]["expected"] == 1.0
-    assert settings["search"]["worth"] == 0.02
-    said = text_of(springy.report_)
-    assert "An effect is reported if its probability is at least 95 % (4 c" in said
-    assert "it removes at least 2 % of the squared error" in said
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("memory", [0.0, 0.3, 3.0])
 def test_alpha_is_the_share_of_recordings_that_get_a_name_they_should_not(memory):

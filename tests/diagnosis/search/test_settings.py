@@ -70,6 +70,16 @@ def test_a_clone_keeps_them(springy):
     assert springy.report_.outcome.settings["search"] == asdict(SearchSettings())
 
 
+def test_the_report_prints_what_was_applied(springy):
+    settings = springy.report_.to_dict()["settings"]
+    assert settings["n_candidates"] == 4
+    assert settings["search"]["expected"] == 1.0
+    assert settings["search"]["worth"] == 0.02
+    said = text_of(springy.report_)
+    assert "An effect is reported if its probability is at least 95 % (4 cand" in said
+    assert "it removes at least 2 % of the squared error" in said
+
+
 def test_half_the_expected_effects_are_half_the_odds(springy):
     half = close(settings=SearchSettings(expected=0.5))
     (one,), (other,) = springy.effects_, half.effects_
@@ -77,7 +87,7 @@ def test_half_the_expected_effects_are_half_the_odds(springy):
     assert other.parameters == one.parameters
     assert half.report_.to_dict()["settings"]["search"]["expected"] == 0.5
     said = text_of(half.report_)
-    assert "candidates, of which 0.5 is expected before looking" in said
+    assert "candidates, of which 0.5 is expected a priori" in said
 
 
 def test_what_a_name_must_save_and_how_surely(springy):

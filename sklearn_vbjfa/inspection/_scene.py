@@ -15,7 +15,7 @@ from sklearn_vbjfa.inspection._reading import (
     score_of,
 )
 from sklearn_vbjfa.inspection._signals import Change
-from sklearn_vbjfa.inspection._torques import loaded
+from sklearn_vbjfa.inspection._torques import as_springs, loaded
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.recording import ChannelFinding
 
@@ -146,7 +146,7 @@ def _turned(reading):
         return None
     pull = pull * usual / size
     turned = robot.fit(robot.pulled(pull))
-    if _as_springs(robot) > turned.evidence - number.RIVAL:
+    if as_springs(robot) > turned.evidence - number.RIVAL:
         return None
     score = score_of(robot, turned)
     return Candidate(
@@ -155,17 +155,6 @@ def _turned(reading):
         log_odds=of(score, reading.now, 1),
         values={"angle": np.degrees(angle)},
     )
-
-
-def _as_springs(robot):
-    """Return the evidence for springs between all joints, the base as described."""
-    # In a small motion gravity in another direction is linear in the positions.
-    nv, tau = robot.signals.now.shape[1], robot.signals.now
-    q = robot.signals.states[:, :nv]
-    q = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-300)
-    columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
-    columns = columns.reshape(len(q), nv, nv * nv)
-    return robot.fit(columns=columns, deviation=1.0).evidence
 
 
 def _say_turned(reading, candidate):

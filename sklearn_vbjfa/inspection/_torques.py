@@ -253,6 +253,17 @@ def loaded(robot, weight):
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
 
 
+def as_springs(robot):
+    """Return the evidence for springs between all joints, the weight as described."""
+    # In a small motion the lack of weight, or its turn, is linear in the positions.
+    nv, tau = robot.signals.now.shape[1], robot.signals.now
+    q = robot.signals.states[:, :nv]
+    q = (q - q.mean(axis=0)) / np.maximum(q.std(axis=0), 1e-300)
+    columns = np.einsum("ni,jk->njik", q, np.eye(nv) * np.sqrt((tau**2).mean(axis=0)))
+    columns = columns.reshape(len(q), nv, nv * nv)
+    return robot.fit(columns=columns, deviation=1.0).evidence
+
+
 def _weightless(reading):
     """Return torques without the weight of the links."""
     robot = reading.robot
@@ -278,6 +289,8 @@ def _weightless(reading):
     # What balances a single joint is likelier a spring.
     severity = "doubt" if len(joints) < 2 else "error"
     best = max(without, added, key=lambda fit: fit.evidence)
+    if as_springs(robot) > best.evidence - number.RIVAL:
+        return None
     now = max(reading.now.evidence, score_of(robot, described).evidence)
     return Candidate(
         change=Change(gravity=np.zeros(3)),

@@ -18,12 +18,11 @@ SEARCHED = 18.0
 GRAVITY = 9.81
 
 
-@pytest.fixture(autouse=True, scope="module")
-def at_the_end():
+@pytest.fixture(autouse=True)
+def at_the_end(monkeypatch):
     """One held-out stretch, at the end: stories are told by what is before it."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(_split, "_STRETCHES", 1)
-        yield
+    # For each test alone, so that shared searches are made before, without it.
+    monkeypatch.setattr(_split, "_STRETCHES", 1)
 
 
 def ripple(r):

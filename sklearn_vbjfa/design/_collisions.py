@@ -18,6 +18,7 @@ from sklearn_vbjfa.model import (
     import_coal,
     load_model,
     load_shapes,
+    position_range,
 )
 
 # Random positions that tell which pairs touch wherever the robot is.
@@ -25,8 +26,6 @@ _SAMPLES = 200
 # Shapes touch if they are nearer than this share of the links' thickness, by which the
 # faces of shapes drawn flush miss each other.
 _FLUSH = 0.01
-# Beyond this a limit stands for none; and what is looked at then [rad, m].
-_NO_LIMIT, _ALL_ROUND, _SLIDE = 1e6, np.pi, 1.0
 # Duality gap [m^2] at which the nearest points are taken as found. With coal's default,
 # normals of round shapes are wrong by its root. Of penetrating cylinders the default
 # stays: the search there breaks down where it is made finer.
@@ -180,11 +179,7 @@ class Clearance:
 
     def _share_within(self, model, margin):
         """In which share of the positions a robot can take each pair is that near."""
-        lower, upper = model.lowerPositionLimit, model.upperPositionLimit
-        turns = self._poses(np.zeros((1, model.nv))).angular[0].any(axis=1)
-        reach = np.where(turns, _ALL_ROUND, _SLIDE)
-        lower = np.where(np.abs(lower) < _NO_LIMIT, lower, -reach)
-        upper = np.where(np.abs(upper) < _NO_LIMIT, upper, reach)
+        lower, upper = position_range(model)
         random = np.random.default_rng(0).random((_SAMPLES, model.nv))
         neutral = np.clip(0.0, lower, upper)
         q = np.vstack([neutral, lower + (upper - lower) * random])

@@ -14,6 +14,7 @@ from sklearn_vbjfa.gravity._poses import (
 from sklearn_vbjfa.gravity._samples import static_samples
 from sklearn_vbjfa.recording import Recording
 from sklearn_vbjfa.robot import RigidBodyFeatures, RobotIdentifier
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 # Folds of the cross-validation, contiguous in time.
 _FOLDS = 4
@@ -23,7 +24,6 @@ _ONE_POSE = 0.2
 _NO_WEIGHT = 0.3
 # Deviations and nats that decide: of the weight, and of a payload as a rival.
 _SURE, _RIVAL = 3.0, 3.0
-_NORMAL = 1.645  # deviations of a 90 % interval
 # Poses that are proposed, and the share of the largest gravity torque that is none.
 _PROPOSED, _NONE = 5, 1e-6
 _FRICTION = ("coulomb", "offset")
@@ -90,7 +90,7 @@ class GravityCorrection:
         q = np.asarray(q, dtype=float)
         rows = gravity_rows(self.identifier.features_, q)
         variance = np.einsum("kjp,pr,kjr->kj", rows, self.covariance, rows)
-        return _NORMAL * np.sqrt(np.maximum(variance, 0.0))
+        return HALF_WIDTH * np.sqrt(np.maximum(variance, 0.0))
 
 
 def correct_gravity(recording, model):
@@ -120,7 +120,7 @@ def correct_gravity(recording, model):
     """
     features = RigidBodyFeatures(model, friction=()).load()
     theta = described(features).vector(10 * features.n_joints_)
-    samples = static_samples(recording, model)
+    samples = static_samples(recording, features)
     if (np.ptp(samples.q, axis=0) < _ONE_POSE).all():
         raise ValueError(
             "All poses are the same to 0.2 rad: one pose does not determine masses. "
@@ -134,9 +134,8 @@ def correct_gravity(recording, model):
             "described gravity torque. The controller has probably subtracted its "
             "gravity model; record the torques before that."
         )
-    error_before = _held_out(samples, model, bodies="fixed")
-    error_after = _held_out(samples, model, bodies="prior")
-    identifier = _fitted(samples, model, np.ones(samples.n_samples, bool), "prior")
+    error_before, error_after = _held_out(samples, model)
+    _, identifier = _fitted(samples, model, np.ones(samples.n_samples, bool))
     robot = identifier.robot_
     inertial = np.arange(identifier.theta_.size).reshape(features.n_joints_, -1)[:, :10]
     inertial = inertial.ravel()
@@ -156,26 +155,25 @@ def correct_gravity(recording, model):
         error_before=error_before,
         error_after=error_after,
         gravity=np.where(gravity > _NONE * gravity.max(), gravity, 0.0),
-        interval=_NORMAL * stds[0],
+        interval=HALF_WIDTH * stds[0],
         friction_known=(side > 0).any(axis=0) & (side < 0).any(axis=0),
         payload=_payload(identifier, samples, features, theta),
         next_poses=poses[numbers],
-        next_interval=_NORMAL * stds[1:],
+        next_interval=HALF_WIDTH * stds[1:],
         covariance=covariance,
     )
 
 
-def _fitted(samples, model, rows, bodies):
-    """Fit bodies and friction to some of the samples."""
+def _fitted(samples, model, rows):
+    """Fit friction beside the described bodies, and beside corrected ones."""
     # A joint with fewer samples than parameters would fit them exactly: the noise of
     # the joints is that which the described bodies, and then the fitted ones, leave.
-    found = None
-    for way in ("fixed",) if bodies == "fixed" else ("fixed", bodies, bodies):
-        weights = None if found is None else _precisions(samples, rows, found)
+    fits, weights = [], None
+    for bodies in ("fixed", "prior", "prior"):
         found = RobotIdentifier(
             model,
             friction=_FRICTION,
-            bodies=way,
+            bodies=bodies,
             standstill=None,
             joint_weights=weights,
         )
@@ -187,7 +185,9 @@ def _fitted(samples, model, rows, bodies):
                 samples.tau[rows],
                 sample_weight=samples.weight[rows],
             )
-    return found
+        fits.append(found)
+        weights = _precisions(samples, rows, found)
+    return fits[0], fits[-1]
 
 
 def _precisions(samples, rows, found):
@@ -198,18 +198,18 @@ def _precisions(samples, rows, found):
     return 1.0 / np.maximum(variance, 1e-9 * variance.max())
 
 
-def _held_out(samples, model, bodies):
-    """Root mean square errors (nv,) of contiguous folds, each predicted by the rest."""
+def _held_out(samples, model):
+    """Errors (nv,) of both fits on contiguous folds, each predicted by the rest."""
     n = samples.n_samples
-    squares = np.zeros_like(samples.tau)
+    squares = np.zeros((2, *samples.tau.shape))
     for fold in np.array_split(np.arange(n), min(_FOLDS, n)):
         rows = np.ones(n, dtype=bool)
         rows[fold] = False
         if not rows.any():
-            return np.full(samples.tau.shape[1], np.nan)
-        predicted = _fitted(samples, model, rows, bodies).predict(samples.states[fold])
-        squares[fold] = (samples.tau[fold] - predicted) ** 2
-    return np.sqrt((samples.weight * squares).sum(0) / samples.weight.sum(0))
+            return np.full((2, samples.tau.shape[1]), np.nan)
+        for one, found in zip(squares, _fitted(samples, model, rows)):
+            one[fold] = (samples.tau[fold] - found.predict(samples.states[fold])) ** 2
+    return np.sqrt((samples.weight * squares).sum(axis=1) / samples.weight.sum(axis=0))
 
 
 def _weight(samples, gravity):

@@ -3,14 +3,12 @@
 import numpy as np
 
 from sklearn_vbjfa.design import Clearance
-from sklearn_vbjfa.model import is_prismatic, load_model
+from sklearn_vbjfa.model import load_model, position_range
 from sklearn_vbjfa.robot import RigidBodyFeatures
 from sklearn_vbjfa.robot._bodies import DESCRIBED, Description
 
 # Random poses that are compared.
 _CANDIDATES = 300
-# Beyond this a limit stands for none, and what is looked at then [rad, m].
-_NO_LIMIT, _TURN, _SLIDE = 1e6, np.pi, 1.0
 # How far before a pose its approach begins [rad or m], and the noise of a torque that
 # nobody has measured, as a share of the gravity torque.
 _APPROACH, _NOISE = 0.05, 0.02
@@ -19,11 +17,9 @@ _APPROACH, _NOISE = 0.05, 0.02
 def random_poses(robot, n=_CANDIDATES, random_state=0, margin=0.0):
     """Draw positions (n, nv) inside the joint limits in which no links touch."""
     model = load_model(robot)
-    reach = np.where(is_prismatic(model), _SLIDE, _TURN)
-    low, high = model.lowerPositionLimit, model.upperPositionLimit
-    low = np.where(np.abs(low) < _NO_LIMIT, low, -reach) + margin
-    high = np.where(np.abs(high) < _NO_LIMIT, high, reach) - margin
-    q = np.random.default_rng(random_state).uniform(low, high, (2 * n, model.nv))
+    low, high = position_range(model)
+    random = np.random.default_rng(random_state)
+    q = random.uniform(low + margin, high - margin, (2 * n, model.nv))
     clearance, _ = Clearance.of(robot, model=model)
     if clearance is not None:
         free = np.array([clearance.smallest(one[None]) > 0 for one in q])
@@ -46,23 +42,20 @@ def chosen_poses(rows, covariance, noise, n):
     over all rows, before and after each.
     """
     chosen, widths = [], []
-    for _ in range(n + 1):
+    while True:
         across = rows @ covariance
         variance = np.einsum("kjp,kjp->kj", across, rows).mean(axis=0)
         widths.append(np.sqrt(variance))
-        worst = across[:, variance.argmax()]
-        gained = np.zeros(len(rows))
-        for k, row in enumerate(rows):
-            spread = row @ covariance @ row.T + np.diag(noise**2)
-            shared = worst @ row.T
-            gained[k] = (shared @ np.linalg.inv(spread) * shared).sum()
-        best = int(gained.argmax())
-        row = rows[best]
-        spread = row @ covariance @ row.T + np.diag(noise**2)
-        gain = covariance @ row.T @ np.linalg.inv(spread)
-        covariance = covariance - gain @ row @ covariance
+        if len(chosen) == n:
+            return chosen, np.array(widths)
+        spread = across @ rows.transpose(0, 2, 1) + np.diag(noise**2)
+        gains = np.linalg.inv(spread)
+        # What each pose would take away of the widest variance, summed over all poses.
+        shared = across[:, variance.argmax()] @ rows.transpose(0, 2, 1)
+        best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())
+        told = across[best]
+        covariance = covariance - told.T @ gains[best] @ told
         chosen.append(best)
-    return chosen[:n], np.array(widths)
 
 
 def gravity_poses(model, n_poses=20, *, random_state=0):

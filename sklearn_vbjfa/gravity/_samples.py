@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa.effects import stops
 from sklearn_vbjfa.model import nominal_parameters
-from sklearn_vbjfa.robot import RigidBodyFeatures, StateEstimator
+from sklearn_vbjfa.robot import StateEstimator
 
 # Length [s] over which samples are averaged, and how much longer a pose must be held.
 _WINDOW = 0.2
@@ -23,12 +23,11 @@ _FULL = 0.9
 _DIRECTION = 1e-4
 
 
-def static_samples(recording, model):
+def static_samples(recording, features):
     """Return one row for each pose, and for each window of slow motion."""
     # In place of the velocity `states` has the direction in which each joint came to
     # its pose: the Coulomb column of the identifier is then the friction that holds it.
     # Weights are zero where that direction is unknown.
-    features = RigidBodyFeatures(model, friction=()).load()
     nv, inertial = features.n_joints_, nominal_parameters(features.model_)
     states = recording.states
     if states is None:

@@ -29,6 +29,7 @@ _MODULES = {
         "joint_names",
         "joint_origin",
         "nominal_parameters",
+        "position_range",
         "solid_bodies",
     ),
     "_urdf": ("check_possible", "write_urdf"),

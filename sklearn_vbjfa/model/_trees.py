@@ -20,6 +20,8 @@ from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 _SOLID = 1e-6
 # No robot has joints farther apart [m].
 _LONGEST = 50.0
+# Beyond this a position limit stands for none, and what is looked at of a slide [m].
+_NO_LIMIT, _SLIDE = 1e6, 1.0
 # Radius of the ball that a mass without extension is, over the largest distance between
 # joints.
 _BALL = 0.1
@@ -70,6 +72,14 @@ def is_prismatic(model):
     return np.array(
         [joint.shortname().startswith("JointModelP") for joint in model.joints[1:]]
     )
+
+
+def position_range(model):
+    """Return lowest and highest positions, a turn or 2 m where there is no limit."""
+    reach = np.where(is_prismatic(model), _SLIDE, np.pi)
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    low = np.where(np.abs(low) < _NO_LIMIT, low, -reach)
+    return low, np.where(np.abs(high) < _NO_LIMIT, high, reach)
 
 
 def joint_origin(model, joint):

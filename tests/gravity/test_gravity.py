@@ -13,6 +13,7 @@ sys.path.append(str(Path(__file__).parents[1] / "benchmarks"))
 
 from _posed_arms import Arm, gravity, record, visit
 
+from sklearn_vbjfa import RigidBodyFeatures
 from sklearn_vbjfa.gravity import (
     correct_gravity,
     gravity_poses,
@@ -58,7 +59,9 @@ def errors(model, world):
 
 
 def test_samples_are_the_poses_with_the_side_they_were_reached_from(world):
-    samples = static_samples(world.recording, world.described)
+    samples = static_samples(
+        world.recording, RigidBodyFeatures(world.described, friction=()).load()
+    )
     held = np.repeat(POSES, 2, axis=0)
     at_pose = np.abs(samples.q[:, None] - held).max(axis=2).min(axis=1) < 1e-3
     assert at_pose.sum() == 16

@@ -6,15 +6,12 @@ import shlex
 import numpy as np
 
 from sklearn_vbjfa._cli import _input
+from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
-
-_FILES: tuple[str, ...] = ("report.json", "parameters.csv")
-_FILES += ("identified.urdf", "identified.xml", "identified.json")
 
 
 def correct(arguments, folder):
     """Correct the masses of a description by poses, and write the files."""
-    from sklearn_vbjfa._cli._identify import left_out, write_robot
     from sklearn_vbjfa.gravity import correct_gravity
 
     out = _input.output_folder(arguments, "report")
@@ -24,7 +21,7 @@ def correct(arguments, folder):
     data = _data(found)
 
     def write(folder, notes):
-        lacking = left_out(write_robot(found.identifier, folder))
+        lacking = write_robot(found.identifier, folder)
         text = json.dumps(data | {"warnings": [*notes, *lacking]}, indent=1)
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
         return []
@@ -36,7 +33,7 @@ def correct(arguments, folder):
         doubts=doubts if worse else [],
         data=data,
         folder=out,
-        files=_FILES,
+        files=("report.json", *ROBOT_FILES),
         write=write,
     )
 

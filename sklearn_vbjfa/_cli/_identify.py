@@ -1,29 +1,16 @@
 """The command ``identify``: the robot, effects missing from its model, the files."""
 
-import csv
 import json
 import shlex
 from dataclasses import replace
 
-import numpy as np
-
 from sklearn_vbjfa._cli import _gravity, _input
 from sklearn_vbjfa._cli._parser import FRICTION, Refused
+from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
 
-# The report as a page and as data, the parameters, and the robot: as a description, for
-# MuJoCo, and with everything that was identified.
-_FILES: tuple[str, ...] = ("report.html", "report.json", "parameters.csv")
-_FILES += ("identified.urdf", "identified.xml", "identified.json")
-_COLUMNS: tuple[str, ...] = (
-    "parameter",
-    "value",
-    "unit",
-    "std",
-    "identifiable",
-    "known",
-)
-_COLUMNS += ("description", "description_std", "learned", "scatter")
+# The report as a page and as data, and the robot.
+_FILES = ("report.html", "report.json", *ROBOT_FILES)
 # Verdicts on a joint that forbid a use.
 _NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
@@ -56,7 +43,7 @@ def identify(arguments, folder):
         )
 
     def write(folder, notes):
-        lacking = left_out(write_robot(loop.identifier_, folder))
+        lacking = write_robot(loop.identifier_, folder)
         provenance = {
             "file": files[0] if len(files) == 1 else files,
             "description": str(_input.expanded(arguments.urdf)),
@@ -150,18 +137,6 @@ def _with_provenance(report, provenance):
     return Report(replace(report.outcome, provenance=Provenance(**provenance)))
 
 
-def write_robot(robot, folder):
-    """Write the robot; return the effects that its descriptions lack, by file."""
-    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
-
-    _write_parameters(robot, parameter_values(robot), folder / "parameters.csv")
-    robot.save(folder / "identified.json")
-    return {
-        "identified.urdf": robot.to_urdf(folder / "identified.urdf"),
-        "identified.xml": robot.to_mjcf(folder / "identified.xml"),
-    }
-
-
 def _next_motion(outcome, out):
     """Return a line with the command that designs the motion for open questions."""
     is_open = (
@@ -171,51 +146,3 @@ def _next_motion(outcome, out):
     )
     command = f"python -m sklearn_vbjfa design --report {shlex.quote(str(out))}"
     return [f"The motion for it: {command}"] if is_open else []
-
-
-def left_out(files):
-    """Return a line for each file with the effects that it lacks."""
-    # files: dict of str to tuple of LeftOut, by the names of the files.
-    lines = []
-    for name, left in files.items():
-        if not left:
-            continue
-        largest = max(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
-        size = "" if np.isnan(largest.size) else f" ({largest.size:.2g} {largest.unit})"
-        count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
-        lines.append(
-            f"{name} has no place for {count}: {largest.name} on "
-            f"{largest.joint_name}{size}; its first lines list them, and "
-            "identified.json has all."
-        )
-    return lines
-
-
-def _write_parameters(robot, values, path):
-    """Write one row per parameter; cells without a finite number are empty."""
-    # values: of `parameter_values`. Those that alike joints share come last.
-    from sklearn_vbjfa.diagnosis.explain._identified import alike_values
-
-    relative = ""
-    if robot.gains_ is not None and not robot.gains_.absolute:
-        names = [robot.joint_names_[j] for j in robot.gains_.references]
-        relative = " or ".join(names) or "each channel"
-
-    def cells(one, std, identifiable, scatter=np.nan):
-        unit = one.unit
-        if relative and unit.startswith(("N", "kg")):
-            unit = f"{unit}, times the gain of {relative}"
-        numbers = (one.value, std, one.nominal, one.before, one.learned, scatter)
-        value, std, *rest = (repr(float(x)) if np.isfinite(x) else "" for x in numbers)
-        alone = "yes" if identifiable else "no"
-        return map(
-            _input.no_formula, [one.name, value, unit, std, alone, one.known, *rest]
-        )
-
-    with path.open("w", newline="", encoding="utf-8") as file:
-        table = csv.writer(file)
-        table.writerow(_COLUMNS)
-        for row in zip(values, robot.theta_std_, robot.identifiable_):
-            table.writerow(cells(*row))
-        for one, std, scatter in alike_values(robot.alike_):
-            table.writerow(cells(one, std, True, scatter))

@@ -40,18 +40,16 @@ def correct(arguments, folder):
 
 def _data(found):
     """Return the report as data."""
-    names = found.identifier.joint_names_
-    columns = {
-        "described": found.error_before,
-        "corrected": found.error_after,
-        "interval": found.interval,
-        "gravity": found.gravity,
-        "interval_after_next": found.next_interval[-1],
-    }
+    rows = zip(
+        found.error_before, found.error_after, found.interval, found.next_interval[-1]
+    )
+    keys = ("described", "corrected", "interval", "interval_after_next")
+    rows = (np.where(np.isfinite(row), row, None).tolist() for row in rows)
+    named = zip(found.identifier.joint_names_, found.friction_known, found.gravity)
     joints = [
-        {"joint": name, "friction_known": bool(found.friction_known[k])}
-        | {key: _finite(values[k]) for key, values in columns.items()}
-        for k, name in enumerate(names)
+        {"joint": name, "friction_known": bool(known), "gravity": float(size)}
+        | dict(zip(keys, row))
+        for (name, known, size), row in zip(named, rows)
     ]
     links = [
         {"links": one.bodies, "factors": one.factors, "stds": one.stds}
@@ -67,10 +65,6 @@ def _data(found):
     }
 
 
-def _finite(value):
-    return float(value) if np.isfinite(value) else None
-
-
 def _lines(data):
     """Return the lines of the report."""
     lines = [
@@ -80,14 +74,12 @@ def _lines(data):
         f"  {'joint':20} described  corrected  interval  friction",
     ]
     for one in data["joints"]:
-        if not one["gravity"]:
-            lines.append(f"  {one['joint']:20} no gravity torque")
-            continue
-        numbers = [one[key] for key in ("described", "corrected", "interval")]
+        numbers = (one[key] for key in ("described", "corrected", "interval"))
         cells = ["-" if x is None else f"{x:.3g}" for x in numbers]
         known = "known" if one["friction_known"] else "assumed (one direction)"
+        said = f"{cells[0]:>9}  {cells[1]:>9}  ±{cells[2]:>7}  {known}"
         lines.append(
-            f"  {one['joint']:20} {cells[0]:>9}  {cells[1]:>9}  ±{cells[2]:>7}  {known}"
+            f"  {one['joint']:20} {said if one['gravity'] else 'no gravity torque'}"
         )
     for one in data["links"]:
         masses = " or ".join(
@@ -102,16 +94,14 @@ def _lines(data):
             f"{mass:.3g} ± {std:.2g} kg more."
         )
     widest = max(data["joints"], key=lambda one: one["interval"] or 0.0)
-    lines.append(
+    return [
+        *lines,
         f"Next: {len(data['next_poses'])} more poses narrow the interval of "
         f"{widest['joint']} from ±{widest['interval']:.2g} to "
-        f"±{widest['interval_after_next']:.2g}; next_poses in report.json lists them."
-    )
-    lines.append(
+        f"±{widest['interval_after_next']:.2g}; next_poses in report.json lists them.",
         "Use for: gravity compensation. Not for: feedforward and simulation (inertias "
-        "follow the masses, friction in motion is not identified)."
-    )
-    return lines
+        "follow the masses, friction in motion is not identified).",
+    ]
 
 
 def design_poses(arguments, folder):
@@ -125,8 +115,8 @@ def design_poses(arguments, folder):
         raise ValueError("--for gravity needs --urdf FILE, the robot description.")
     out = _input.expanded(arguments.out or "poses.csv")
     _input.check_file(out, "--out", arguments.force)
-    given = _input.expanded(arguments.urdf)
-    urdf, _ = _input.robot(arguments, given, arguments.joints, folder)
+    described = _input.expanded(arguments.urdf)
+    urdf, _ = _input.robot(arguments, described, arguments.joints, folder)
     q, hold = gravity_poses(str(urdf), arguments.poses, random_state=arguments.seed)
     names = [f"q_{name}" for name in joint_names(load_model(str(urdf)))]
     table = pd.DataFrame(q, columns=names).assign(hold=hold)

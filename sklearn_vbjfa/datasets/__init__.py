@@ -18,12 +18,13 @@ if TYPE_CHECKING:
         fetch_unitree_go2,
         fetch_ur5,
     )
-    from sklearn_vbjfa.datasets._robot_recording import (
+    from sklearn_vbjfa.datasets._simulated import (
+        NoisyRegression,
         SimulatedRecording,
         load_demo_recording,
+        make_noisy_regression,
         make_robot_recording,
     )
-    from sklearn_vbjfa.datasets._synthetic import NoisyRegression, make_noisy_regression
     from sklearn_vbjfa.inspection import inspect_recording
     from sklearn_vbjfa.recording import Recording, read_recording
 
@@ -48,21 +49,20 @@ _MODULES = {
         "fetch_ur5",
         "remote_files",
     ),
-    "_robot_recording": (
+    "_simulated": (
+        "NoisyRegression",
         "SimulatedRecording",
-        "load_demo_recording",
-        "make_robot_recording",
-    ),
-    "_robots": (
         "demo_arm_urdf",
         "joint_range",
+        "load_demo_recording",
+        "make_noisy_regression",
+        "make_robot_recording",
         "recording_fields",
         "rigid_torques",
         "speed_limit",
         "true_inertias",
         "with_inertias",
     ),
-    "_synthetic": ("NoisyRegression", "make_noisy_regression"),
 }
 __all__ = [
     "Recording",

@@ -19,7 +19,6 @@ import numpy as np
 from scipy.io import loadmat
 from sklearn.datasets import get_data_home
 
-from sklearn_vbjfa.datasets._robots import packaged_urdf
 from sklearn_vbjfa.recording import Log, Recording, join, median_period
 
 _BASE_ADDRESS = "https://raw.githubusercontent.com"
@@ -122,7 +121,7 @@ def _urdf(where, files):
     if where is None or where == "published":
         return where and files.description()
     if "/" not in where:
-        return packaged_urdf(where)
+        return str(_PACKAGE.joinpath("robots", f"{where}.urdf"))
     # The collection is found without importing it, as that loads Pinocchio.
     try:
         collection = importlib.metadata.files("example-robot-data") or []
@@ -178,45 +177,41 @@ resample : bool, default=True
 
 def _loader(name, read) -> Callable[..., Recording]:
     """Make the public loader of a set of the function that reads its files."""
+    entry = SETS[name]
 
     def fetch(
         *,
         data_home: str | os.PathLike | None = None,
         download_if_missing: bool = True,
+        resample: bool = True,
         **options,
     ) -> Recording:
-        return _load(name, read, data_home, download_if_missing, **options)
+        home = data_home or Path(get_data_home(), "sklearn_vbjfa")
+        folder, source = Path(home).expanduser() / name, entry.get("source", "")
+        files = _Files(name, folder, download_if_missing, source)
+        logs = read(files, **options)
+        columns = join(
+            logs,
+            dt=entry.get("dt") or median_period(logs),
+            resample=resample,
+            drop_repeated=entry.get("drop_repeated", False),
+        )
+        return Recording(
+            name=name,
+            **columns,
+            joint_names=tuple(entry["joint_names"]),
+            position_units=_units(entry, "position_units", "rad"),
+            torque_units=_units(entry, "torque_units", "N m"),
+            urdf=_urdf(entry.get("urdf"), files),
+            source=source or _repository(name),
+            licence=entry["licence"],
+            citation=entry["citation"],
+            description=entry["description"],
+        )
 
     fetch.__name__ = fetch.__qualname__ = f"fetch_{name}"
     fetch.__doc__ = _documentation(name)
     return fetch
-
-
-def _load(name, read, data_home, download_if_missing, resample=True, **options):
-    """Load a set."""
-    entry = SETS[name]
-    home = Path(get_data_home(), "sklearn_vbjfa") if data_home is None else data_home
-    folder, source = Path(home).expanduser() / name, entry.get("source", "")
-    files = _Files(name, folder, download_if_missing, source)
-    logs = read(files, **options)
-    columns = join(
-        logs,
-        dt=entry.get("dt") or median_period(logs),
-        resample=resample,
-        drop_repeated=entry.get("drop_repeated", False),
-    )
-    return Recording(
-        name=name,
-        **columns,
-        joint_names=tuple(entry["joint_names"]),
-        position_units=_units(entry, "position_units", "rad"),
-        torque_units=_units(entry, "torque_units", "N m"),
-        urdf=_urdf(entry.get("urdf"), files),
-        source=source or _repository(name),
-        licence=entry["licence"],
-        citation=entry["citation"],
-        description=entry["description"],
-    )
 
 
 def _units(entry, key, usual):
@@ -394,26 +389,21 @@ _XL330_FULL_SCALE = 885  # of the duty cycle in the register "present load"
 
 
 def _bam_xl330(files):
-    logs = []
-    for local in files.find().values():
-        raw = json.loads(local.read_text("utf-8"))
-        powered = np.array([one["torque_enable"] == 1 for one in raw["entries"]])
-        name = f"kp{raw['kp']}_{raw['trajectory']}"
-        logs.append(_xl330_log(name, raw, powered))
-    return logs
+    return [_xl330_log(json.loads(x.read_text("utf-8"))) for x in files.find().values()]
 
 
-def _xl330_log(name, raw, rows):
-    """Return the chosen rows (n_samples,) of a servo log."""
+def _xl330_log(raw):
+    """Return the powered rows (n_samples,) of a servo log."""
 
     def of(key, dtype=float):
-        return np.array([one[key] for one in raw["entries"]], dtype=dtype)[rows]
+        rows = [one for one in raw["entries"] if one["torque_enable"] == 1]
+        return np.array([one[key] for one in rows], dtype=dtype)
 
     # The register holds a signed number, logged as an unsigned one.
     duty = of("load", np.uint16).view(np.int16) / _XL330_FULL_SCALE
     supply = of("input_volts")
     return Log(
-        name=name,
+        name=f"kp{raw['kp']}_{raw['trajectory']}",
         t=of("timestamp"),
         q=of("position")[:, None],
         v=of("speed")[:, None],

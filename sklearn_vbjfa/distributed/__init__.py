@@ -5,6 +5,304 @@ the files that it reads to matrices whose size depends on the number of paramete
 alone. Requires Dask (``pip install "sklearn-vbjfa[dask]"``).
 """
 
-from sklearn_vbjfa.distributed._passes import fit_recordings
+import contextvars
+import functools
+import hashlib
+import operator
+import warnings
+from functools import partial
+from os import PathLike, fspath
+from pathlib import Path
+
+import numpy as np
+
+from sklearn_vbjfa._core import _smoothing
+from sklearn_vbjfa._core._progress import counted, show_progress
+from sklearn_vbjfa.diagnosis import EffectDiscovery
+from sklearn_vbjfa.inspection import levels
+from sklearn_vbjfa.model import joint_names, load_model
+from sklearn_vbjfa.physical import one_blas_thread
+from sklearn_vbjfa.recording import (
+    OfferedSignals,
+    as_one,
+    check_dt,
+    expanded,
+    read_recording,
+    recordings_in,
+)
+from sklearn_vbjfa.robot._equations import accumulate, build_segments
+from sklearn_vbjfa.robot._estimate import from_moments
+from sklearn_vbjfa.robot._identifier import RobotIdentifier
+from sklearn_vbjfa.robot._joint_moments import BlockAssignment
+from sklearn_vbjfa.robot._parallel import run_elsewhere
+from sklearn_vbjfa.robot._plan import (
+    MotionFacts,
+    make_plan,
+    n_fastest,
+    smooth,
+)
+from sklearn_vbjfa.robot._recording_checks import (
+    check_channels,
+    check_input_noise,
+    check_length,
+    check_widths,
+)
+from sklearn_vbjfa.robot._states import choose_states
 
 __all__ = ["fit_recordings"]
+# Results that are in memory together.
+_AT_ONCE = 8
+
+
+def fit_recordings(estimator, source):
+    """Identify a robot, or close the loop, from recordings in files, with Dask.
+
+    The result is that of the estimator's `fit` on all recordings in memory, one group
+    each, in the order of the files' names, up to rounding.
+
+    Parameters
+    ----------
+    estimator : RobotIdentifier or EffectDiscovery
+        Identifier with `dt`, or a loop around one; it is fitted in place.
+    source : str, os.PathLike or sequence of those
+        Folder with tables, bags and LeRobot data sets as `read_recording` reads them,
+        or a list of these, under paths that the workers can read. Each holds one
+        recording, or several if it has a column `segment`.
+
+    Returns
+    -------
+    estimator : RobotIdentifier or EffectDiscovery
+        The fitted estimator.
+
+    Raises
+    ------
+    ImportError
+        If Dask is not installed.
+    FileNotFoundError
+        If the folder holds no recording.
+    ValueError
+        If a file cannot be read, has another sample period or number of joints, or
+        changes during the fit, or if settings of an identifier need more than second
+        moments (effects, other regressors).
+
+    Notes
+    -----
+    The computation runs where Dask is configured to run: on the cluster of the current
+    `distributed.Client`, otherwise in threads. The files are read once for each of five
+    passes; for `EffectDiscovery` this process holds their positions and torques.
+
+    Examples
+    --------
+    >>> import pathlib, tempfile
+    >>> import numpy as np
+    >>> from sklearn_vbjfa import RobotIdentifier
+    >>> from sklearn_vbjfa.datasets import load_demo_recording
+    >>> from sklearn_vbjfa.distributed import fit_recordings
+    >>> part = load_demo_recording().select("motion_1")
+    >>> robot = RobotIdentifier(part.urdf, dt=part.dt)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     np.savez(pathlib.Path(folder) / "1.npz", q=part.q, tau=part.tau, dt=part.dt)
+    ...     robot = fit_recordings(robot, folder)
+    >>> bool((robot.min_eigenvalues_ > 0).all())
+    True
+    """
+    _import_dask()
+    fits = {RobotIdentifier: _identify, EffectDiscovery: _close_loop}
+    fit = next((fits[kind] for kind in fits if isinstance(estimator, kind)), None)
+    if fit is None:
+        raise TypeError(
+            "estimator must be a RobotIdentifier or an EffectDiscovery; got "
+            f"{type(estimator).__name__}."
+        )
+    paths = _paths(source)
+    with show_progress(estimator.verbose):
+        return fit(estimator, paths)
+
+
+def _identify(identifier, paths):
+    """Fit an identifier to sums over files."""
+    dt = check_dt(identifier.dt)
+    check_input_noise(identifier.input_noise)
+    identifier.build_model()
+    _check_settings(identifier)
+    names = identifier.joint_names_
+    read = partial(_read, dt=dt, urdf=_file_of(identifier.model), names=names)
+
+    def every(text, function, *arguments):
+        tasks = [(function, read, path, *arguments) for path in paths]
+        return _counted(text, _of_file, tasks)
+
+    extents = list(every("lengths", _extent))
+    lengths = [n for one in extents for n in one["lengths"]]
+    read = partial(read, digests={p: one["digest"] for p, one in zip(paths, extents)})
+    estimator = _choose_states(identifier, every, extents, lengths)
+    keep = n_fastest(sum(lengths))
+    merge = partial(MotionFacts.merge, keep=keep)
+    motion = functools.reduce(merge, every("speeds", _motion, estimator, keep))
+    plan = make_plan(identifier, (), lengths, estimator, motion)
+    stops = np.cumsum(lengths).tolist()
+    parts = [slice(a, b) for a, b in zip([0, *stops], stops)]
+    check_length(parts, plan.lowpass, plan.cutoff)
+    torques = levels(np.concatenate([one["torques"] for one in extents]))
+    ranges = np.stack([motion.lowest, motion.highest])
+    check_channels(names, ranges, torques, sum(lengths))
+    first = np.cumsum([0, *(len(one["lengths"]) for one in extents)]).tolist()
+    numbering = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
+    halves = identifier.input_noise is not None
+    given = plan, identifier.features_, halves, numbering, dict(zip(paths, first))
+    found = (one for one in every("equations", _moments, *given) if one is not None)
+
+    def noise(robot):
+        return [one for facts in every("noise", _noise, robot) for one in facts]
+
+    return identifier.fit_moments(plan, functools.reduce(operator.add, found), noise)
+
+
+def _choose_states(identifier, every, extents, lengths):
+    """Choose the cut-offs of the states by the spectra of all files."""
+    dt, longest = check_dt(identifier.dt), max(lengths)
+    n_fft = _smoothing.fft_length(max(longest, _smoothing.MIN_SPECTRUM), dt)
+    found = zip(*every("spectra", _spectra, dt, n_fft))
+    power, energy = map(sum, found)
+    spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
+    moving = np.any([one["moving"] for one in extents], axis=0)
+    return choose_states(dt, identifier.state_cutoff, longest, moving, spectra)
+
+
+def _close_loop(discovery, paths):
+    """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
+    model, dt = discovery.identifier.model, check_dt(discovery.identifier.dt)
+    names = joint_names(load_model(model))
+    read = partial(_read, dt=dt, urdf=_file_of(model), names=names)
+    whole = as_one(list(_counted("reading", read, [(path,) for path in paths])))
+    with run_elsewhere(_on_workers):
+        offered = OfferedSignals(columns=whole.signals)
+        return discovery.fit_recording(whole, offered)
+
+
+def _on_workers(function, tasks):
+    """Yield ``function(*task)`` for each task, in order, wherever Dask computes."""
+    dask = _import_dask()
+    # Arguments go with the task: if they were sent ahead of it, they would be lost
+    # with the worker that has them.
+    task = dask.delayed(_alone, pure=False, traverse=False)
+    for first in range(0, len(tasks), _AT_ONCE):
+        some = [task(function, *one) for one in tasks[first : first + _AT_ONCE]]
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="Sending large graph")
+            yield from dask.compute(*some, traverse=False)
+
+
+def _alone(function, *arguments):
+    """Call a function with one thread of linear algebra and without progress."""
+    with one_blas_thread():
+        return contextvars.Context().run(function, *arguments)
+
+
+def _counted(text, function, tasks):
+    """Yield the results of workers, counting files."""
+    return counted(_on_workers(function, tasks), text, "files", len(tasks) * [1])
+
+
+def _paths(source):
+    """Return the files of a folder, or those of a list, each once."""
+    if isinstance(source, (str, PathLike)):
+        folder = expanded(source)
+        if not folder.is_dir():
+            raise FileNotFoundError(
+                f"source must be a folder or a list of files; {folder} is not a folder."
+            )
+        source = recordings_in(folder)
+        if not source:
+            raise FileNotFoundError(f"{folder} contains no recording.")
+    paths = list(dict.fromkeys(map(Path, source)))
+    if not paths:
+        raise ValueError("source must name at least one file; got none.")
+    return [str(path) for path in paths]
+
+
+def _file_of(model):
+    """Return the path of a description, None for a model in memory."""
+    return fspath(model) if isinstance(model, (str, PathLike)) else None
+
+
+def _check_settings(identifier):
+    """Reject settings that need more than second moments."""
+    refused = "effects" if len(identifier.effects_) else "regressor"
+    if len(identifier.effects_) or not from_moments(identifier.regressor):
+        raise ValueError(
+            f"fit_recordings does not support {refused}: the workers return second "
+            "moments of the rigid bodies and their friction only; fit in memory."
+        )
+
+
+# -- one file, on a worker -------------------------------------------------------------
+
+
+def _read(path, *, dt, urdf, names, digests=None):
+    """Read a file; with digests it must be what it was."""
+    recording = read_recording(path, dt=dt, urdf=urdf)
+    if digests is not None and _digest(recording) != digests[path]:
+        raise ValueError(f"{path} changed during the fit; wait until it is complete.")
+    try:
+        check_widths(names, recording.q, recording.tau)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    return recording
+
+
+def _digest(recording):
+    """Digest the positions and torques of a recording."""
+    digest = hashlib.blake2b(digest_size=16)
+    for values in (recording.q, recording.tau):
+        digest.update(np.ascontiguousarray(values))
+    return digest.digest()
+
+
+def _of_file(function, read, path, *arguments):
+    """Read a file and reduce it."""
+    return function(read(path), path, *arguments)
+
+
+def _extent(recording, path):
+    parts = recording.segments
+    return {
+        "digest": _digest(recording),
+        "lengths": [part.stop - part.start for part in parts],
+        "torques": levels(recording.tau),
+        "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),
+    }
+
+
+def _spectra(recording, path, dt, n_fft):
+    powers = [
+        _smoothing.acceleration_power(recording.q[part], dt, n_fft)
+        for part in recording.segments
+    ]
+    power, energy = zip(*powers)
+    return sum(power), sum(energy)
+
+
+def _motion(recording, path, estimator, keep):
+    return smooth(recording, estimator, False, keep, None)[1]
+
+
+def _noise(recording, path, robot):
+    return robot.noise_facts(recording)
+
+
+def _moments(recording, path, plan, features, halves, numbering, numbers):
+    states, _ = smooth(recording, plan.state_estimator, halves, 1, None)
+    made = build_segments(recording, states, plan, features, first=numbers[path])
+    return accumulate(made, plan.lowpass, numbering=numbering)
+
+
+def _import_dask():
+    """Import Dask, or say what to install."""
+    try:
+        import dask
+    except ImportError as error:
+        raise ImportError(
+            'Fits on several machines need Dask: pip install "sklearn-vbjfa[dask]".'
+        ) from error
+    return dask

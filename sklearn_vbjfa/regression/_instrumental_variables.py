@@ -19,22 +19,17 @@ class InstrumentalVariables(LinearRegressor):
     ----------
     coef_ : ndarray of shape (n_features,)
         Coefficients [unit of y / unit of X_j].
-
     intercept_ : float
         Intercept [unit of y].
-
     coef_std_ : ndarray of shape (n_features,)
         Classical standard deviations of `coef_` [unit of y / unit of X_j], for
         independent residuals of one variance. Infinite for a coefficient that
         instruments and X do not determine, NaN without residual degrees of freedom.
-
     rank_ : int
         Number of directions of X that the instruments reach; the coefficients are
         unique if it is `n_features_in_`.
-
     n_features_in_ : int
         Number of features seen during `fit`.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of features seen during `fit`, if X has string names.
 
@@ -68,11 +63,9 @@ class InstrumentalVariables(LinearRegressor):
     the data if there are no more of them than features. Weak ones bias the estimate
     towards least squares.
 
-    The data are reduced to a triangular factor once, at a cost of
-    :math:`2 N (d + k)^2`. Columns are scaled to equal lengths before each rank
-    decision, so units play no role: a singular value below ``10 * m * eps`` of the
-    largest, m the larger side of the reduced matrix, is zero, and the solution then
-    has minimum norm among the scaled columns.
+    Columns are scaled to equal lengths before each rank decision: a singular value
+    below ``10 * m * eps`` of the largest, m the larger side of the reduced matrix, is
+    zero, and the solution then has minimum norm among the scaled columns.
 
     References
     ----------
@@ -110,14 +103,11 @@ class InstrumentalVariables(LinearRegressor):
         ----------
         X : array-like of shape (n_samples, n_features)
             Inputs.
-
         y : array-like of shape (n_samples,)
             Output.
-
         instruments : array-like of shape (n_samples, n_instruments), default=None
             At least as many columns as X. ``None`` takes X itself, which is least
             squares.
-
         sample_weight : array-like of shape (n_samples,), default=None
             Numbers of repetitions of the rows, not necessarily whole.
 

@@ -47,15 +47,12 @@ class StepwiseRegressor(LinearRegressor):
     ----------
     p_enter : float, default=0.05
         A feature enters if the p-value of its partial F-test is below this.
-
     p_remove : float, default=0.10
         A selected feature leaves if the p-value of its partial F-test is above
         this. At least `p_enter`, or a feature could enter and leave for ever.
-
     max_iter : int, default=None
         Largest number of steps, each entering or removing one feature. ``None``
         sets no limit: the search always ends.
-
     fit_intercept : bool, default=True
         Whether to fit an intercept, which is not subject to selection. Without it,
         the data are expected to be centred, or the model to pass through zero.
@@ -65,25 +62,18 @@ class StepwiseRegressor(LinearRegressor):
     coef_ : ndarray of shape (n_features,)
         Least-squares coefficients [unit of y / unit of X_j] on the selected
         features, zero for the others.
-
     intercept_ : float
         Intercept [unit of y].
-
     selected_ : ndarray of shape (n_features,), dtype=bool
         Features in the final model.
-
     path_ : tuple of StepwiseStep
         Steps in order: `feature`, `action` ("enter" or "remove"), `F`, `p_value`.
-
     n_iter_ : int
         Number of steps, ``len(path_)``.
-
     converged_ : bool
         Whether no test would move a feature any more.
-
     n_features_in_ : int
         Number of features seen during `fit`.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of features seen during `fit`, if X has string names.
 
@@ -112,18 +102,14 @@ class StepwiseRegressor(LinearRegressor):
     The p-values are those of tests fixed in advance; after selection they are too
     small, and among collinear features the choice is unstable [3]_.
 
-    All steps work on the correlation matrix of [X y], formed once at a cost of
-    :math:`N d^2`, by the sweep operator [2]_, at :math:`d^2` an entry; a removal
-    sweeps the remaining features again from the correlations, so that reverse sweeps
-    do not pile up rounding. A feature may enter only while its tolerance, 1 - R² on
-    the other selected features, and the tolerances it leaves to those are at least
-    1.5e-8: exact duplicates, linear combinations and constants never enter, and of
-    two duplicates the first is taken. Units play no role. A residual sum of squares
-    of less than 1e-12 of the total one counts as an exact fit, after which nothing
-    enters. The final coefficients are refined once on the residuals of the data.
+    All steps work on the correlation matrix of [X y] by the sweep operator [2]_. A
+    feature may enter only while its tolerance, 1 - R² on the other selected features,
+    and the tolerances it leaves to those are at least 1.5e-8: exact duplicates, linear
+    combinations and constants never enter. A residual sum of squares of less than 1e-12
+    of the total one counts as an exact fit, after which nothing enters.
 
-    No model can return while ``p_enter <= p_remove`` [4]_; should rounding propose a
-    model seen before, the search stops with a warning.
+    Should rounding propose a model seen before, the search stops with a warning; in
+    exact arithmetic none returns while ``p_enter <= p_remove`` [4]_.
 
     References
     ----------
@@ -173,10 +159,8 @@ class StepwiseRegressor(LinearRegressor):
         ----------
         X : array-like of shape (n_samples, n_features)
             Inputs.
-
         y : array-like of shape (n_samples,)
             Output.
-
         sample_weight : array-like of shape (n_samples,), default=None
             Numbers of repetitions of the rows, not necessarily whole.
 

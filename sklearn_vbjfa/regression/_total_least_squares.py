@@ -8,6 +8,7 @@ from sklearn.utils.validation import check_array, check_consistent_length, colum
 
 from sklearn_vbjfa._core._linear_systems import mixed_tls, scaled_eigen
 from sklearn_vbjfa.regression._base import Interval, LinearRegressor
+from sklearn_vbjfa.regression._input_noise import resolve_input_noise
 
 
 class TotalLeastSquares(LinearRegressor):
@@ -17,7 +18,6 @@ class TotalLeastSquares(LinearRegressor):
     ----------
     fit_intercept : bool, default=True
         Whether to fit an intercept: a column of ones, which has no noise.
-
     input_noise : array-like, default=None
         Noise variances of the features, shape (n_features,) [unit of X_j squared],
         zero for a feature known exactly, or the covariance of their noise, shape
@@ -25,7 +25,6 @@ class TotalLeastSquares(LinearRegressor):
         together with `output_noise`; only their ratios matter. ``None`` is the
         classical problem: one variance for all features and the output, in the
         units of the data.
-
     output_noise : float, default=None
         Noise variance of the output [unit of y squared], positive. To be given
         together with `input_noise`.
@@ -34,13 +33,10 @@ class TotalLeastSquares(LinearRegressor):
     ----------
     coef_ : ndarray of shape (n_features,)
         Coefficients [unit of y / unit of X_j].
-
     intercept_ : float
         Intercept [unit of y].
-
     n_features_in_ : int
         Number of features seen during `fit`.
-
     feature_names_in_ : ndarray of shape (`n_features_in_`,)
         Names of features seen during `fit`, if X has string names.
 
@@ -66,20 +62,15 @@ class TotalLeastSquares(LinearRegressor):
     given twice.
 
     Columns are divided by their noise standard deviations (a covariance is
-    diagonalised), the column of ones and the features without noise are eliminated
-    by an orthogonal projection (mixed LS-TLS [3]_), and the singular value
-    decomposition of the rest of [X y] gives the solution [1]_. The data are first
-    reduced to a triangular factor, at a cost of :math:`2 N d^2`; no cross-product is
-    formed.
+    diagonalised), the column of ones and the features without noise are eliminated by
+    an orthogonal projection (mixed LS-TLS [3]_), and the singular value decomposition
+    of the rest of [X y] gives the solution [1]_.
 
     The problem is nongeneric, without a finite or unique solution, if the smallest
-    singular value of X is not above that of [X y]. The smallest singular direction
-    of X is then given up until the condition holds, with squares compared to a
-    relative 1.5e-8 (the nongeneric solution of [2]_). Directions of X at rounding
-    level (linear dependences, constant columns, more features than samples) are
-    given up in the same way, so that the solution has minimum norm, measured in
-    noise standard deviations; dependent features without noise share their
-    coefficients by minimum norm after scaling to equal lengths.
+    singular value of X is not above that of [X y]. The smallest singular direction of X
+    is then given up until the condition holds, with squares compared to a relative
+    1.5e-8 (the nongeneric solution of [2]_), and so are directions of X at rounding
+    level: the solution has minimum norm, measured in noise standard deviations.
 
     Without `input_noise` the estimate depends on the units of the features, because
     the assumption of equal noise does.
@@ -132,10 +123,8 @@ class TotalLeastSquares(LinearRegressor):
         ----------
         X : array-like of shape (n_samples, n_features)
             Inputs.
-
         y : array-like of shape (n_samples,)
             Output.
-
         sample_weight : array-like of shape (n_samples,), default=None
             Weights of the rows.
 
@@ -168,26 +157,13 @@ class TotalLeastSquares(LinearRegressor):
             )
         if self.input_noise is None:
             return np.eye(n_features), np.zeros(n_features, dtype=bool), 1.0
-        noise = check_array(
-            self.input_noise,
-            dtype=np.float64,
-            ensure_2d=False,
-            ensure_min_samples=0,
-            input_name="input_noise",
-        )
-        if noise.shape not in [(n_features,), (n_features, n_features)]:
+        noise = resolve_input_noise(self.input_noise, n_features)
+        if np.ndim(noise) == 0:
             raise ValueError(
-                f"input_noise must be {n_features} variances or a covariance of shape "
-                f"({n_features}, {n_features}), one row for each feature of X; got "
-                f"shape {noise.shape}. For one common variance v, give "
-                f"np.full({n_features}, v)."
+                f"input_noise must be {n_features} variances or a covariance; for one "
+                f"common variance v, give np.full({n_features}, v)."
             )
         variance = noise if noise.ndim == 1 else np.diag(noise)
-        if variance.min() < 0:
-            raise ValueError(
-                "input_noise must not have a negative variance, got "
-                f"{variance.min():.6g}; give 0 for a feature without noise."
-            )
         exact = variance == 0
         std = np.where(exact, 1.0, np.sqrt(variance))
         output_std = float(np.sqrt(self.output_noise))
@@ -195,17 +171,7 @@ class TotalLeastSquares(LinearRegressor):
             return np.diag(1 / std), exact, output_std
 
         tolerance = 10 * n_features * np.finfo(np.float64).eps
-        asymmetry = np.abs((noise - noise.T) / np.outer(std, std)).max()
-        eigen = scaled_eigen((noise + noise.T) / 2, tolerance, relative=False)
-        smallest = eigen.values[0]
-        if asymmetry > np.sqrt(tolerance) or smallest < -np.sqrt(tolerance):
-            raise ValueError(
-                "input_noise must be a symmetric covariance without negative "
-                f"eigenvalue, got a smallest eigenvalue of {smallest:.6g} "
-                "(features scaled to unit variance) and an asymmetry of "
-                f"{asymmetry:.6g}. Symmetrise the matrix or "
-                "give its diagonal only."
-            )
+        eigen = scaled_eigen(noise, tolerance, relative=False)
         exact = ~eigen.known
         whiten = eigen.vectors / np.sqrt(np.where(exact, 1.0, eigen.values))
         return whiten / std[:, np.newaxis], exact, output_std

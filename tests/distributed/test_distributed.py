@@ -19,8 +19,8 @@ from sklearn_vbjfa import (
     RobotIdentifier,
     VBJFARegressor,
 )
+from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.distributed import _passes as passes
 from sklearn_vbjfa.distributed import fit_recordings
 from sklearn_vbjfa.recording import take_arrays
 from tests.effects._arms import arm, inverse_dynamics, motion

@@ -202,13 +202,13 @@ def test_bad_input():
         TotalLeastSquares(input_noise=np.ones(3)).fit(X, y)
     with pytest.raises(ValueError, match="got output_noise without input_noise"):
         TotalLeastSquares(output_noise=1.0).fit(X, y)
-    with pytest.raises(ValueError, match=r"must be 3 variances .* got shape \(2,\)"):
+    with pytest.raises(ValueError, match=r"shape \(2,\)"):
         TotalLeastSquares(input_noise=np.ones(2), output_noise=1.0).fit(X, y)
-    with pytest.raises(ValueError, match="not have a negative variance, got -1;"):
+    with pytest.raises(ValueError, match="must not be negative, got -1 for"):
         TotalLeastSquares(input_noise=[1, -1, 1], output_noise=1.0).fit(X, y)
     for noise in [np.ones((3, 3)) + np.eye(3)[[1, 2, 0]], 2 * np.ones((3, 3))]:
         noise[np.diag_indices(3)] = 1.0
-        with pytest.raises(ValueError, match="symmetric covariance without negative"):
+        with pytest.raises(ValueError, match=r"symmetric|positive semidefinite"):
             TotalLeastSquares(input_noise=noise, output_noise=1.0).fit(X, y)
     with pytest.raises(ValueError, match="'output_noise' parameter"):
         TotalLeastSquares(input_noise=np.ones(3), output_noise=0.0).fit(X, y)

@@ -1,22 +1,23 @@
-"""Recordings of motions as planned, simulated by inverse dynamics, with their truth."""
+"""Simulated recordings with their truth, and the regression study of the paper."""
 
 from dataclasses import dataclass, field, replace
+from importlib import resources
 
 import numpy as np
 from sklearn.utils import check_random_state
 
-from sklearn_vbjfa.datasets._robots import (
-    demo_arm_urdf,
-    joint_range,
-    recording_fields,
-    rigid_torques,
-    speed_limit,
-    true_inertias,
-    with_inertias,
+from sklearn_vbjfa.model import (
+    import_pinocchio,
+    is_prismatic,
+    joint_names,
+    load_model,
 )
-from sklearn_vbjfa.model import import_pinocchio, load_model
+from sklearn_vbjfa.physical import inertial_parameters, pseudo_inertia
 from sklearn_vbjfa.recording import Recording
 
+# Range [rad or m] and speed [per s] where the description gives none, or wider ones.
+_DEFAULT_RANGE = 2.5
+_DEFAULT_SPEED = 2.5
 # Share of a joint's range and speed that the motion keeps to.
 _RANGE_SHARE = 0.8
 # Speed over which friction turns, as a share of the joint's fastest.
@@ -412,3 +413,223 @@ def undeclared_torque(undeclared, q, v, rigid, rest):
                 f"{q.shape[1] - 1}; got {entry!r}."
             ) from error
     return total
+
+
+# -- robots ----------------------------------------------------------------------------
+
+
+def demo_arm_urdf() -> str:
+    """Return the path of the URDF of a made-up six-axis arm."""
+    robots = resources.files("sklearn_vbjfa.datasets").joinpath("robots")
+    return str(robots.joinpath("demo_arm.urdf"))
+
+
+def joint_range(model):
+    """Middle and half width of each joint's range; a default where it is unlimited."""
+    low, high = model.lowerPositionLimit, model.upperPositionLimit
+    # Halved first: Pinocchio's "no limit" is the largest number there is.
+    reach, centre = 0.5 * high - 0.5 * low, 0.5 * high + 0.5 * low
+    wide = ~(reach <= _DEFAULT_RANGE)
+    return np.where(wide, 0.0, centre), np.where(wide, _DEFAULT_RANGE, reach)
+
+
+def speed_limit(model):
+    """Speed limit (nv,) of each joint; a default where the description gives none."""
+    limit = model.velocityLimit
+    return np.where((limit > 0) & (limit < 1e3), limit, _DEFAULT_SPEED)
+
+
+def rigid_torques(model, states):
+    """Inverse dynamics of a Pinocchio model for rows [q | v | a]."""
+    import pinocchio as pin
+
+    data, rnea = model.createData(), pin.rnea
+    q, v, a = np.split(states, 3, axis=1)
+    out = np.empty(q.shape)
+    for k in range(len(out)):
+        out[k] = rnea(model, data, q[k], v[k], a[k])
+    return out
+
+
+def true_inertias(model, perturbation, rng):
+    """Draw inertial parameters (nv, 10) near the nominal ones, that some body has."""
+    # The pseudo-inertia J of each body is multiplied from both sides by the exponential
+    # of a random symmetric matrix: it stays positive definite whatever is drawn.
+    from scipy.linalg import expm
+
+    bodies = []
+    for inertia in model.inertias[1:]:
+        J = pseudo_inertia(inertia.toDynamicParameters())
+        E = rng.normal(scale=0.5 * perturbation, size=(4, 4))
+        E = 0.5 * (E + E.T)
+        length = np.sqrt(max(np.trace(J[:3, :3]) / max(J[3, 3], 1e-12), 1e-12))
+        S = np.diag([length, length, length, 1.0])
+        T = S @ expm(E) @ np.linalg.inv(S)
+        bodies.append(inertial_parameters(T @ J @ T.T))
+    return np.array(bodies)
+
+
+def with_inertias(model, inertial):
+    """Copy a model with inertial parameters (nv, 10) of bodies, and without rotors."""
+    import pinocchio as pin
+
+    other = model.copy()
+    for j, body in enumerate(inertial):
+        other.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
+    # Those of a recording are among its friction.
+    other.armature = np.zeros(model.nv)
+    return other
+
+
+def recording_fields(model, n, n_recordings, dt):
+    """Fields of a `Recording` that simulations share: n rows of each motion."""
+    slides = is_prismatic(model)
+    return {
+        "t": np.tile(np.arange(n) * dt, n_recordings),
+        "dt": float(dt),
+        "groups": np.repeat(np.arange(n_recordings), n),
+        "group_names": tuple(f"motion_{k + 1}" for k in range(n_recordings)),
+        "joint_names": joint_names(model),
+        "position_units": tuple("m" if slide else "rad" for slide in slides),
+        "torque_units": tuple("N" if slide else "N m" for slide in slides),
+        "licence": "BSD-3-Clause",
+    }
+
+
+# -- the regression study of the paper, section 5.1 ------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True)
+class NoisyRegression:
+    """A regression with noisy inputs and output, noiseless test data, and the truth.
+
+    Attributes
+    ----------
+    X, y : ndarray of shape (n_samples, n_features), (n_samples,)
+        Noisy training data. Columns: relevant inputs, redundant, irrelevant.
+    X_test, y_test : ndarray of shape (n_test, n_features), (n_test,)
+        Noiseless test data.
+    coef : ndarray of shape (n_relevant,)
+        True coefficients of the relevant inputs.
+    relevant : ndarray of shape (n_features,), bool
+        The relevant inputs.
+    irrelevant : ndarray of shape (n_features,), bool
+        The inputs that have nothing to do with the output.
+    input_noise : ndarray of shape (n_features,)
+        Variances of the inputs' noise.
+    input_noise_covariance : ndarray of shape (n_features, n_features)
+        Its covariance: redundant inputs inherit the noise of what they are made of.
+    output_noise : float
+        Variance of the output's noise.
+    """
+
+    X: np.ndarray
+    y: np.ndarray
+    X_test: np.ndarray
+    y_test: np.ndarray
+    coef: np.ndarray
+    relevant: np.ndarray
+    irrelevant: np.ndarray
+    input_noise: np.ndarray
+    input_noise_covariance: np.ndarray
+    output_noise: float
+
+
+def make_noisy_regression(
+    n_samples=1000,
+    *,
+    n_relevant=10,
+    n_redundant=0,
+    n_irrelevant=90,
+    input_snr=2.0,
+    output_snr=5.0,
+    n_test=2000,
+    random_state=None,
+) -> NoisyRegression:
+    """Generate the data of section 5.1 of the paper.
+
+    The relevant inputs are Gaussian with a random covariance, the output has the
+    coefficients 1, 2, ..., noise is added to both, redundant inputs are random convex
+    combinations of the noisy relevant ones, irrelevant ones are standard normal. Test
+    data are made likewise without any noise.
+
+    Parameters
+    ----------
+    n_samples : int, default=1000
+        Number of training samples (the paper does not say).
+    n_relevant, n_redundant, n_irrelevant : int, default=10, 0, 90
+        Numbers of inputs of each kind.
+    input_snr, output_snr : float, default=2.0, 5.0
+        Signal-to-noise ratios: variance of the signal by that of the noise.
+    n_test : int, default=2000
+        Number of test samples.
+    random_state : int, RandomState instance or None, default=None
+        Seed of everything that is drawn.
+
+    Returns
+    -------
+    NoisyRegression
+        Data and truth.
+
+    Raises
+    ------
+    ValueError
+        If a ratio is not positive, a number of inputs is negative, or none is relevant.
+
+    References
+    ----------
+    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
+       with input and output noise", Neural Networks 24(1), 2011.
+       :doi:`10.1016/j.neunet.2010.08.011`
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.datasets import make_noisy_regression
+    >>> data = make_noisy_regression(n_redundant=30, n_irrelevant=60, random_state=0)
+    >>> data.X.shape, int(data.relevant.sum())
+    ((1000, 100), 10)
+    """
+    if input_snr <= 0 or output_snr <= 0:
+        raise ValueError(
+            "Signal-to-noise ratios must be positive, got input_snr="
+            f"{input_snr} and output_snr={output_snr}; infinity means no noise."
+        )
+    if n_relevant < 1 or n_redundant < 0 or n_irrelevant < 0:
+        raise ValueError(
+            "At least one relevant input and no negative numbers are needed, got "
+            f"n_relevant={n_relevant}, n_redundant={n_redundant}, "
+            f"n_irrelevant={n_irrelevant}."
+        )
+    rng = check_random_state(random_state)
+    root = rng.normal(size=(n_relevant, n_relevant)) / np.sqrt(n_relevant)
+    covariance = root @ root.T
+    coef = np.arange(1.0, n_relevant + 1)
+    weights = rng.dirichlet(np.ones(n_relevant), size=n_redundant)
+    noise = np.diagonal(covariance) / input_snr
+    output_noise = float(coef @ covariance @ coef / output_snr)
+
+    t = rng.normal(size=(n_samples, n_relevant)) @ root.T
+    y = t @ coef + np.sqrt(output_noise) * rng.normal(size=n_samples)
+    x = t + np.sqrt(noise) * rng.normal(size=t.shape)
+    X = np.hstack([x, x @ weights.T, rng.normal(size=(n_samples, n_irrelevant))])
+    t_test = rng.normal(size=(n_test, n_relevant)) @ root.T
+    X_test = np.hstack(
+        [t_test, t_test @ weights.T, rng.normal(size=(n_test, n_irrelevant))]
+    )
+    made = np.vstack(
+        [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]
+    )
+    full = made @ np.diag(noise) @ made.T
+    kind = np.repeat([0, 1, 2], [n_relevant, n_redundant, n_irrelevant])
+    return NoisyRegression(
+        X=X,
+        y=y,
+        X_test=X_test,
+        y_test=t_test @ coef,
+        coef=coef,
+        relevant=kind == 0,
+        irrelevant=kind == 2,
+        input_noise=np.diagonal(full).copy(),
+        input_noise_covariance=full,
+        output_noise=output_noise,
+    )

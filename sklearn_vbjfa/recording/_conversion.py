@@ -120,7 +120,7 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
     notes = [*said, *notes, *_unit_notes(table, layout, options, names, torque_units)]
     channels |= signals
     # What was read is held no longer than needed.
-    table = table.with_frame(table.frame.iloc[:, :0])
+    table = replace(table, frame=table.frame.iloc[:, :0])
     if t is not None and labels is None:
         t, channels, table = in_order(table, t, channels, notes)
     fields = on_grid(table, t, labels, dt, channels, notes)

@@ -31,31 +31,21 @@ _UNKNOWN = 0.1
 
 
 class Drive(BaseEstimator):
-    """Control law of the motors, one object for all joints.
+    """Control law of the motors: channels that it takes, and torques that it makes."""
 
-    Attributes
-    ----------
-    told : str
-        Name of the channel that `RobotIdentifier.fit` takes as y.
-    beside : tuple of str
-        Names of further channels of joints that it takes in `signals`.
-    numbers : str
-        Settings to check if the order of magnitude of the torques is wrong.
-    """
-
-    told = ""
-    beside: tuple[str, ...] = ()
+    told = ""  # channel that `RobotIdentifier.fit` takes as y
+    beside: tuple[str, ...] = ()  # further channels of joints, in `signals`
     of_positions = False  # whether torques are made of measured positions
     delayed = False  # whether the delay of its commands is to be found
     unsigned = False  # whether only sizes of torques are known
     gains = None  # "unknown" where torques are known up to a factor of each channel
-    spelled: tuple[
-        str, ...
-    ] = ()  # names of its channel in files that have it in place of torques
+    # names of its channel in files that have it in place of torques
+    spelled: tuple[str, ...] = ()
+    # settings to check if the order of magnitude of the torques is wrong
     numbers = "the numbers of the drive"
 
     def driven(self, recording):
-        """Return a recording whose torques are the input of the drive.
+        """Return a recording with the torques of the law at no delay, and `command`.
 
         Parameters
         ----------
@@ -65,7 +55,7 @@ class Drive(BaseEstimator):
         Returns
         -------
         Recording
-            With `tau`, at no delay, and `command`.
+            With `tau` and `command`.
 
         Raises
         ------
@@ -82,11 +72,9 @@ class Drive(BaseEstimator):
 
     def taken(self, y, signals):
         """Split signals that were given for a fit, with y, into those of the drive."""
-        if signals is None or not self.beside:
-            return {self.told: y}, signals
-        signals = dict(signals)
-        own = {name: signals.pop(name) for name in self.beside if name in signals}
-        return {self.told: y, **own}, signals
+        others = dict(signals or {})
+        own = {name: others.pop(name) for name in self.beside if name in others}
+        return {self.told: y, **own}, others if own else signals
 
     def _channel(self, recording, name, needed=False):
         """Channel (n, nv) of a recording; None if it has none."""
@@ -98,12 +86,10 @@ class Drive(BaseEstimator):
                     f"give y={name} to fit, or columns {name}_<joint> to the reader."
                 )
             return None
-        values = np.asarray(values, dtype=float)
-        if values.ndim == 1:
-            values = values[:, None]
+        shape = (recording.n_samples, recording.nv)
+        values = np.asarray(values, dtype=float).reshape(len(values), -1)
         if name == "supply" and values.shape[1] == 1:
             values = np.broadcast_to(values, (len(values), recording.nv))
-        shape = (recording.n_samples, recording.nv)
         if values.shape != shape:
             raise ValueError(
                 f"{name} must have one row per sample and one column per joint, shape "
@@ -116,6 +102,45 @@ class Drive(BaseEstimator):
                 f"{recording.joint_names[bad[0][1]]}; leave such rows out."
             )
         return values
+
+    def _number(self, name, joints, least=0.0, finite=True):
+        """Return a setting as one number for each joint, (nv,)."""
+        given, owner = getattr(self, name), type(self).__name__
+        if isinstance(given, Mapping):
+            given = _by_name(f"{owner}: {name}", given, joints)
+        try:
+            values = np.asarray(given, dtype=float)
+        except (TypeError, ValueError):
+            values = np.full(0, np.nan)
+        nv = len(joints)
+        wrong = np.isnan(values) | (finite & np.isinf(values))
+        if values.shape not in {(), (nv,)} or wrong.any():
+            raise ValueError(
+                f"{owner}: {name} must be one finite number or {nv}, one for each "
+                f"joint in the order {', '.join(joints)}; got {given!r}."
+            )
+        if least is not None and (values < least).any():
+            raise ValueError(
+                f"{owner}: {name} is negative, which drives a joint away from its "
+                f"command; got {given!r}."
+            )
+        return np.broadcast_to(values, (nv,)).copy()
+
+
+def _by_name(what, given, joints):
+    """Return numbers that are given by parts of joints' names, a list."""
+    found = []
+    for joint in joints:
+        own = [key for key in given if key in joint]
+        own = [joint] if joint in own else own
+        if len(own) != 1:
+            said = f"{len(own)} of its keys are" if own else "none of its keys is"
+            raise ValueError(
+                f"{what} must have one key in each joint's name; {said} in {joint!r}: "
+                f"{', '.join(map(repr, own or given))}."
+            )
+        found.append(given[own[0]])
+    return found
 
 
 class PDDrive(Drive):
@@ -162,21 +187,16 @@ class PDDrive(Drive):
     -----
     Commands are steps: a row acts from its time to that of the next one, a delay later.
     Torques at rows are the mean of the last sample period, within the band of the rows.
-    A delay of the whole law, feedback included, cannot be told from friction and rotor
-    inertia: with a latency l of the feedback, the identified viscous friction is
-    smaller by K_p l and the rotor inertia by K_d l. `period` corrects the known part.
+    A delay of the whole law, feedback included, cannot be distinguished from friction
+    and rotor inertia: with a latency l of the feedback, the identified viscous friction
+    is smaller by K_p l and the rotor inertia by K_d l. `period` corrects its known
+    part.
 
     The velocity is the slope of the positions, as late as the recorded one
-    (`Recording.v`, the drive's own estimate) where there is one: what a drive logs now
-    and then of its velocity has the noise of the whole band folded into it. The noise
-    of positions is noise of the torque, K_p and K_d times, and of the regressor: what
-    both have in common is measured with the rest, from the even and the odd samples,
-    and taken off their products. That is exact to first order where only the log has
-    the noise; where the drive made its torque of it, what is left falls with the
-    low-pass. The log's commands are taken as exact.
-
-    A joint that turns round does so earlier than its smoothed velocity; by how much
-    follows from its friction, its inertia and the gains, and is taken off.
+    (`Recording.v`, the drive's estimate) where there is one. The noise of positions is
+    noise of the torque, K_p and K_d times, and of the regressor; their common part is
+    measured from the even and the odd samples and subtracted from their products, which
+    is exact to first order where only the log has the noise. Commands count as exact.
 
     References
     ----------
@@ -241,28 +261,19 @@ class PDDrive(Drive):
         return float(self.delay)
 
     def commands(self, recording):
-        """Return the part of the torques that follows from each row of the commands.
+        """Return the part of the torques (n_samples, nv) that follows from commands.
 
-        Parameters
-        ----------
-        recording : Recording
-            As of `driven`.
-
-        Returns
-        -------
-        ndarray of shape (n_samples, nv)
-            A row acts from its time to that of the next one, a delay later [N m or N].
+        A row acts from its time to that of the next one, a delay later [N m or N].
         """
         names = recording.joint_names
         aim = self._channel(recording, "q_desired", needed=True)
         self._check_aim(aim, recording)
         kp, kd = self.law(names, recording)
-        gear = _by_joint("gear", self.gear, names, least=None)
         rate = self._channel(recording, "v_desired")
         if rate is None and self.feedforward:
-            clock = check_dt(recording.dt) * np.arange(recording.n_samples)
-            rate = interpolate(aim, recording.segments, clock, order=1)
+            rate = interpolate(aim, recording.segments, _clock(recording), order=1)
         ahead = self._channel(recording, "tau_ff")
+        gear = self._number("gear", names, least=None)
         command = kp * aim + kd * (0.0 if rate is None else rate)
         return command + gear * (0.0 if ahead is None else ahead)
 
@@ -270,8 +281,7 @@ class PDDrive(Drive):
         """Return a recording of the torques that the law asks for; see `Drive`."""
         command, parts = self.commands(recording), recording.segments
         kp, kd = self.law(recording.joint_names, recording)
-        dt = check_dt(recording.dt)
-        clock = dt * np.arange(recording.n_samples)
+        clock = _clock(recording)
         if self.waits is not None:
             check_wait(self.waits, recording)
         command = held(command, parts, clock, self.waits or 0.0)
@@ -279,7 +289,7 @@ class PDDrive(Drive):
         if self.period is not None:
             # A torque that is held acts half a period late; of the command it is a
             # part of the delay.
-            late = 0.5 * dt / self.updates(dt)
+            late = 0.5 * recording.dt / self.updates(recording.dt)
             q, v = (interpolate(x, parts, clock, late) for x in (q, v))
         tau = command - kp * q - kd * v
         shares = [np.mean(np.broadcast_to(x, tau.shape), axis=0) for x in (kp, kd)]
@@ -358,19 +368,19 @@ class PDDrive(Drive):
 
     def most(self, names):
         """Return the largest torque of joints, (nv,); infinite where none is given."""
-        limit = np.inf if self.saturation is None else self.saturation
-        return _by_joint("saturation", limit, names, finite=False)
+        if self.saturation is None:
+            return np.full(len(names), np.inf)
+        return self._number("saturation", names, finite=False)
 
     def law(self, names, recording=None):
         """Gains of position and velocity of joints, with the gear."""
-        gear = _by_joint("gear", self.gear, names, least=None)
+        gear = self._number("gear", names, least=None)
         return tuple(gear * self._gain(one, names, recording) for one in ("kp", "kd"))
 
     def _gain(self, name, joints, recording):
         """Gain, (nv,) or (n, nv), from the drive or the recording."""
-        given = getattr(self, name)
-        if given is not None:
-            return _by_joint(name, given, joints)
+        if getattr(self, name) is not None:
+            return self._number(name, joints)
         values = None if recording is None else self._channel(recording, name)
         if values is None:
             raise ValueError(
@@ -413,12 +423,6 @@ class _MotorDrive(Drive):
         """Return what motors were given, (n, nv), in place of torques where need be."""
         values = self._channel(recording, self.told)
         return recording.tau if values is None else values
-
-    def _number(self, name, recording, least=0.0):
-        """Return one of its parameters, (nv,)."""
-        owner = type(self).__name__
-        given = getattr(self, name)
-        return _by_joint(name, given, recording.joint_names, least, owner)
 
 
 class CurrentDrive(_MotorDrive):
@@ -477,7 +481,7 @@ class CurrentDrive(_MotorDrive):
         current = self._given(recording)
         if self.gains is None:
             for name in ("torque_constant", "gear"):
-                current = self._number(name, recording, least=None) * current
+                current = self._number(name, recording.joint_names, None) * current
         if self.signed:
             return replace(recording, tau=current, command=current)
         below = np.flatnonzero((current < 0).any(axis=0))
@@ -546,7 +550,7 @@ class VoltageDrive(_MotorDrive):
         """
         volts, supply = self._given(recording), self._channel(recording, "supply")
         if self.supply is not None:
-            supply = self._number("supply", recording)
+            supply = self._number("supply", recording.joint_names)
         if supply is not None:
             volts = volts * supply
         if self.gains is not None:
@@ -557,7 +561,7 @@ class VoltageDrive(_MotorDrive):
                 "give resistance= in ohm, or torque_constant='unknown'."
             )
         constant, resistance, gear = (
-            self._number(name, recording)
+            self._number(name, recording.joint_names)
             for name in ("torque_constant", "resistance", "gear")
         )
         if not (resistance > 0).all():
@@ -583,15 +587,17 @@ def check_wait(delay, recording):
         )
 
 
+def _clock(recording):
+    return check_dt(recording.dt) * np.arange(recording.n_samples)
+
+
 def velocities(recording):
     """Velocities (n, nv): those of states, or slopes of the positions, as they came."""
     # Drives make theirs of the same encoder, some milliseconds late by a filter, and
-    # log a sample now and then with noise of the whole band folded into it. Of it the
-    # lag is taken.
+    # what they log has noise of the whole band: only its lag is taken.
     if recording.states is not None:
         return recording.states[:, recording.nv : 2 * recording.nv]
-    parts, q = recording.segments, np.asarray(recording.q)
-    clock = check_dt(recording.dt) * np.arange(recording.n_samples)
+    parts, q, clock = recording.segments, np.asarray(recording.q), _clock(recording)
     late = [
         interpolate(q[:, j : j + 1], parts, clock, one, order=1)
         for j, one in enumerate(velocity_lags(recording).tolist())
@@ -604,11 +610,9 @@ def velocity_lags(recording):
     # By least squares on accelerations, where the motion is.
     if recording.states is not None or recording.v is None:
         return np.zeros(recording.nv)
-    dt, parts = check_dt(recording.dt), recording.segments
-    clock = dt * np.arange(recording.n_samples)
-    q = np.asarray(recording.q)
+    parts, q, clock = recording.segments, np.asarray(recording.q), _clock(recording)
     slope = interpolate(q, parts, clock, order=1)
-    lowpass = _lowpass.design(dt, min(_SLOW, 0.2 / dt))
+    lowpass = _lowpass.design(recording.dt, min(_SLOW, 0.2 / recording.dt))
     long = [part for part in parts if part.stop - part.start > 2 * lowpass.half]
     if not long:
         return np.zeros(recording.nv)
@@ -652,20 +656,19 @@ def _parsed_value(name, text):
     """Return a number, some of them, some by joints' names, a word or a switch."""
     if text in _SWITCHES:
         return _SWITCHES[text]
-    if ":" in text:
-        pairs = [one.partition(":")[::2] for one in text.split(",")]
-        values = {joint: _number(one) for joint, one in pairs}
-        if None in values.values() or len(values) < len(pairs):
+    pairs = [one.rpartition(":")[::2] for one in text.split(",")]
+    joints, values = [joint for joint, _ in pairs], [_number(one) for _, one in pairs]
+    if any(joints):
+        if None in values or not all(joints) or len(set(joints)) < len(joints):
             raise ValueError(
                 f"drive has {name}={text}; expected JOINT:NUMBER with commas between "
                 "them, each joint, or part of its name, once."
             )
-        return values
-    values = [_number(one) for one in text.split(",")]
+        return dict(zip(joints, values))
+    if values == [None]:
+        # A word, which the drive knows or refuses.
+        return text
     if None in values:
-        if len(values) == 1:
-            # A word, which the drive knows or refuses.
-            return text
         raise ValueError(f"drive has {name}={text}; expected numbers.")
     return values[0] if len(values) == 1 else values
 
@@ -677,43 +680,3 @@ def _number(text):
     except ValueError:
         return None
     return value if np.isfinite(value) else None
-
-
-def _by_joint(name, given, joints, least=0.0, owner="PDDrive", finite=True):
-    """Return one number for each of some joints, (nv,), as given in one of the ways."""
-    if isinstance(given, Mapping):
-        return _by_name(name, given, joints, least, owner)
-    try:
-        values = np.asarray(given, dtype=float)
-    except (TypeError, ValueError):
-        values = np.full(0, np.nan)
-    nv = len(joints)
-    wrong = np.isnan(values) | (finite & np.isinf(values))
-    if values.shape not in {(), (nv,)} or wrong.any():
-        raise ValueError(
-            f"{owner}: {name} must be one finite number or {nv}, one for each joint in "
-            f"the order {', '.join(joints)}; got {given!r}."
-        )
-    if least is not None and (values < least).any():
-        raise ValueError(
-            f"{owner}: {name} is negative, which drives a joint away from its command; "
-            f"got {given!r}."
-        )
-    return np.broadcast_to(values, (nv,)).copy()
-
-
-def _by_name(name, given, joints, least, owner):
-    """Numbers (nv,) of joints by parts of their names."""
-    found = []
-    for joint in joints:
-        own = [key for key in given if key in joint]
-        exact = [key for key in own if key == joint]
-        own = exact or own
-        if len(own) != 1:
-            said = f"{len(own)} of its keys are" if own else "none of its keys is"
-            raise ValueError(
-                f"{owner}: {name} must have one key in each joint's name; {said} in "
-                f"{joint!r}: {', '.join(map(repr, own or given))}."
-            )
-        found.append(given[own[0]])
-    return _by_joint(name, found, joints, least, owner)

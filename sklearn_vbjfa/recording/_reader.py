@@ -229,7 +229,7 @@ def _of_folder(folder, paths, options, notes):
         try:
             table = _table(path, options)
             if not table.has_numbers:
-                raise NotATable(path, f"{path}: has no column of numbers.")
+                raise NotATable(f"{path}: has no column of numbers.")
         except NotATable as error:
             others.append(path.name)
             reason = error

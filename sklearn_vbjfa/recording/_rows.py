@@ -1,5 +1,7 @@
 """Rows of a log as they are: blank, of a second source, with coded values."""
 
+from dataclasses import replace
+
 import numpy as np
 
 from sklearn_vbjfa.recording._table import Table
@@ -46,7 +48,7 @@ def with_commands_held(table: Table, commands, notes) -> Table:
         f"commands stand in {rows} of {table.n_rows} rows: each holds until the next "
         f"one comes{f'; {begin} row(s) before the first are left out' * (begin > 0)}."
     )
-    return table.with_frame(frame.iloc[begin:])
+    return replace(table, frame=frame.iloc[begin:])
 
 
 def without_second_source(table: Table, positions, torques, notes) -> Table:

@@ -107,7 +107,7 @@ def joined(tables, joints, path) -> Table:
 
 
 def _only(table, name):
-    return table.with_frame(table.frame[[name]])
+    return replace(table, frame=table.frame[[name]])
 
 
 def _notes_of_tables(tables):

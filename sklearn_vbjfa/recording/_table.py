@@ -21,6 +21,8 @@ _ENTRIES, _CHARACTERS = 20, 60
 _DEEPEST = 8
 # Note of a file that ends within a line.
 CUT = "the last line is cut, as where a logger is stopped: it is left out."
+# Names of arrays that have a value for every row.
+_CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
 
 
 class Loss(str):
@@ -30,7 +32,7 @@ class Loss(str):
 
 
 class RecordingRefused(ValueError):
-    """A file that would be read with other options.
+    """A file that is not read, maybe with other options that read it.
 
     Attributes
     ----------
@@ -49,12 +51,8 @@ class RecordingRefused(ValueError):
         super().__init__(f"{self.reason}{offer}.")
 
 
-class NotATable(ValueError):
+class NotATable(RecordingRefused):
     """A file that holds no table of numbers at all, such as a text to be read."""
-
-    def __init__(self, path, message):
-        self.path = path
-        super().__init__(message)
 
 
 def pandas_of(path):
@@ -111,10 +109,6 @@ class Table:
         """Name a row in words."""
         return self.place.format(self.frame.index[row])
 
-    def with_frame(self, frame) -> "Table":
-        """Return the table with other rows or columns."""
-        return replace(self, frame=frame)
-
     def take(self, rows) -> "Table":
         """Return the table of some rows."""
         return replace(self, frame=self.frame.iloc[rows])
@@ -146,8 +140,7 @@ class Format:
 
     name: str  # as lists of formats call it
     endings: tuple[str, ...]  # with points, in small letters
-    # (Source, Wanted) -> Table
-    read: Callable
+    read: Callable  # (Source, Wanted) -> Table
     shown: tuple[str, ...] = ()  # endings that refusals name; none for the first
     # how files begin that have no ending, and the ending that they would have
     begins: tuple[tuple[bytes, str], ...] = ()
@@ -167,57 +160,59 @@ class Format:
         )
 
 
+# -- files that are damaged, too large or empty ----------------------------------------
+
+
+@contextlib.contextmanager
+def parsing(path, what, remedy):
+    """Turn whatever a parser raises on a damaged file into one refusal."""
+    # Parsers fail on damage in many ways. remedy: a text, or a function of the reason.
+    try:
+        yield
+    except (RecordingRefused, ImportError):
+        raise
+    except MemoryError as error:
+        raise RecordingRefused(
+            f"{path}: is too large to be read at once, or damaged; save a shorter "
+            "recording, or this one again."
+        ) from error
+    except Exception as error:
+        if re.search("allow_pickle|Python objects", str(error)):
+            raise RecordingRefused(
+                f"{path}: holds Python objects and not numbers, which are not loaded; "
+                "save numeric arrays with numpy.savez(FILE, t=t, q=q, tau=tau)."
+            ) from error
+        # rosbags quotes what an error held as a tuple.
+        reason = re.sub(r"\(['\"](.*?)['\"],\)", r"\1", " ".join(str(error).split()))
+        reason = reason.rstrip(".")[:200] or type(error).__name__
+        advice = f"{remedy}." if isinstance(remedy, str) else remedy(reason)
+        raise ValueError(
+            f"{path}: is not a complete {what} ({reason}); {advice}"
+        ) from error
+
+
 def check_size(path, size, remedy="save a shorter recording", what="unpacked"):
     """Refuse what is packed small and fills the memory."""
     if size > LARGEST:
-        raise ValueError(
+        raise RecordingRefused(
             f"{path}: has {size / (1 << 30):.1f} GiB {what}, too large to be read at "
             f"once; {remedy}."
         )
 
 
-@contextlib.contextmanager
-def reading_arrays(path, broken, errors, objects=lambda: ""):
-    """Turn what a reader of arrays raises into refusals."""
-    # broken: what to say of a damaged file, of which `errors` are the signs; objects:
-    # returns what to say of one with Python objects in it.
-    try:
-        yield
-    except MemoryError as error:
-        raise ValueError(
-            f"{path}: is too large to be read at once, or damaged ({error}); save a "
-            "shorter recording, or this one again."
-        ) from error
-    except errors as error:
-        raise ValueError(
-            ("allow_pickle" in str(error) and objects()) or broken
-        ) from error
-
-
-def check_memory(size):
-    """Raise what a reader of arrays raises where the memory is too small."""
-    if size > LARGEST:
-        raise MemoryError(f"{size / (1 << 30):.1f} GiB unpacked")
-
-
-def text_of(path: Source) -> str:
-    """Return a text in UTF-8, which has more than blanks."""
-    check_size(path, path.file.stat().st_size, what="of text")
-    try:
-        text = path.file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path}: is not UTF-8 ({error.reason} at byte {error.start}); save it "
-            "in UTF-8."
-        ) from error
-    if not text.strip():
-        raise no_rows(path)
-    return text
-
-
 def no_rows(path):
     """Return the refusal of a file without data."""
     return ValueError(f"{path}: no rows of data; expected one row per sample.")
+
+
+def check_names(path, names, what):
+    """Refuse a name that comes twice."""
+    ((first, count),) = Counter(names).most_common(1)
+    if count > 1:
+        raise ValueError(
+            f"{path}: {what} column {quoted(first)} twice; each column needs its own "
+            "name."
+        )
 
 
 # -- arrays and records as tables ------------------------------------------------------
@@ -227,14 +222,13 @@ def flattened(values, keep=lambda value: True, depth=0):
     """Return the content of nested structures, names with points."""
     found = {}
     for name, value in values.items():
-        # Messages have a list of structures, one for each motor.
-        listed_ones = isinstance(value, list) and value
-        if listed_ones and all(isinstance(x, dict) for x in value):
-            inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
-        elif isinstance(value, dict):
+        inside = None
+        if isinstance(value, dict):
             inside = {f"{name}.{key}": one for key, one in value.items()}
-        else:
-            inside = None
+        elif isinstance(value, list) and value and isinstance(value[0], dict):
+            # Messages have a list of structures, one for each motor.
+            if all(isinstance(x, dict) for x in value):
+                inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
         if inside is not None and depth < _DEEPEST:
             found |= flattened(inside, keep, depth + 1)
         elif keep(value):
@@ -261,39 +255,57 @@ def table_of_arrays(path: Source, arrays) -> Table:
     """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
     arrays = {name: _array(path, name, x) for name, x in arrays.items()}
     # Messages have empty lists for what is not measured.
-    arrays = {name: x for name, x in arrays.items() if x.size}
+    arrays = _upright({name: x for name, x in arrays.items() if x.size})
     arrays, notes = _with_names_beside(path, arrays)
     n_rows = _number_of_rows(path, arrays)
-    columns, scalars = {}, {}
-    for name, x in arrays.items():
-        if x.ndim not in (1, 2) or len(x) != n_rows:
-            if x.ndim in (1, 2) and _is_channel(name):
-                raise ValueError(
-                    f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; "
-                    "all channels need one row per sample."
-                )
-            scalars[name] = x
-            continue
-        own = {name: x.reshape(-1)}
-        if x.size != n_rows:
-            own = {f"{name}{k + 1}": column for k, column in enumerate(x.T)}
-        twice = sorted(columns.keys() & own.keys())
-        if twice:
+    rows = {
+        name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) == n_rows
+    }
+    scalars = {name: x for name, x in arrays.items() if name not in rows}
+    for name, x in scalars.items():
+        if x.ndim in (1, 2) and _is_channel(name):
             raise ValueError(
-                f"{path}: column {twice[0]!r} is there twice, on its own and in a "
-                "matrix; each needs its own name."
+                f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; all "
+                "channels need one row per sample."
             )
-        columns |= own
+    (name, only), *others = rows.items()
+    if not others and only.ndim == 2 and only.shape[1] > 1 and not _is_channel(name):
+        return nameless(path, only, scalars=scalars)
+    columns = []
+    for name, x in rows.items():
+        matrix = x.reshape(n_rows, -1).T
+        names = [f"{name}{k + 1}" for k in range(len(matrix))]
+        columns += zip(names if len(matrix) > 1 else [name], matrix)
+    check_names(path, [name for name, _ in columns], "on its own and in a matrix has")
     left = [name for name, x in scalars.items() if x.ndim and len(x) > n_rows // 2]
     if left:
         notes += (f"array(s) {listed(left)} have not {n_rows} rows: left out.",)
-    matrices = [x for x in arrays.values() if x.ndim == 2 and len(x) == n_rows]
-    if len(columns) > 1 and len(matrices) == 1 and len(columns) == matrices[0].shape[1]:
-        if not any(_is_channel(name) for name in arrays):
-            return nameless(path, matrices[0], scalars=scalars)
-    frame = pandas_of(path).DataFrame(columns)
+    frame = pandas_of(path).DataFrame(dict(columns))
     frame.index += 1
     return Table(path=path.shown, frame=frame, scalars=scalars, notes=notes)
+
+
+def nameless(path: Source, matrix, **known) -> Table:
+    """Make columns of a matrix (n_rows, n) without names, called by their places."""
+    frame = pandas_of(path).DataFrame(matrix)
+    frame.columns, frame.index = [str(k + 1) for k in frame], frame.index + 1
+    return Table(path=path.shown, frame=frame, nameless=True, **known)
+
+
+def _is_channel(name):
+    return _CHANNEL.fullmatch(name) is not None
+
+
+def _upright(arrays):
+    """Turn matrices that have one column per sample."""
+    # Texts are names of columns, and as many as these.
+    numbers = [x for x in arrays.values() if x.ndim and x.dtype.kind not in "US"]
+    lengths = [max(x.shape) for x in numbers if x.size > 1]
+    n_rows = max(set(lengths), key=lengths.count, default=0)
+    return {
+        name: x.T if x.ndim == 2 and x.shape[1] == n_rows != x.shape[0] else x
+        for name, x in arrays.items()
+    }
 
 
 def _number_of_rows(path, arrays):
@@ -308,7 +320,6 @@ def _number_of_rows(path, arrays):
         if chosen:
             return Counter(map(len, chosen)).most_common(1)[0][0]
     raise NotATable(
-        path.shown,
         f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
         "shape (n_samples, n_joints), or columns q1, ..., tau1, ...",
     )
@@ -334,23 +345,6 @@ def _with_names_beside(path, arrays):
     return arrays, ()
 
 
-def check_names(path, names, what):
-    """Refuse a name that comes twice."""
-    ((first, count),) = Counter(names).most_common(1)
-    if count > 1:
-        raise ValueError(
-            f"{path}: {what} column {quoted(first)} twice; each column needs its own "
-            "name."
-        )
-
-
-def nameless(path: Source, matrix, **known) -> Table:
-    """Make columns of a matrix (n_rows, n) without names, called by their places."""
-    frame = pandas_of(path).DataFrame(matrix)
-    frame.columns, frame.index = [str(k + 1) for k in frame], frame.index + 1
-    return Table(path=path.shown, frame=frame, nameless=True, **known)
-
-
 def _array(path, name, values):
     """Make an array of a list; nothing is nan, and a column of text stays text."""
     if isinstance(values, np.ndarray):
@@ -369,25 +363,16 @@ def _array(path, name, values):
         ) from error
 
 
-_CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
-
-
-def _is_channel(name: str) -> bool:
-    """Whether a name is one of a channel, which has a value for every row."""
-    return _CHANNEL.fullmatch(name) is not None
-
-
 # -- what a file holds, quoted ---------------------------------------------------------
 
 
 def quoted(value):
     """Write a value as Python does; of a long one the beginning."""
-    if isinstance(value, str):
-        text, left = repr(value[:_CHARACTERS]), len(value) - _CHARACTERS
-    else:
-        text = repr(value)
-        text, left = text[:_CHARACTERS], len(text) - _CHARACTERS
-    return f"{text} and {left} characters more" if left > 0 else text
+    is_text = isinstance(value, str)
+    text = value if is_text else repr(value)
+    left = len(text) - _CHARACTERS
+    shown = repr(text[:_CHARACTERS]) if is_text else text[:_CHARACTERS]
+    return f"{shown} and {left} characters more" if left > 0 else shown
 
 
 def listed(names):

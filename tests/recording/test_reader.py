@@ -49,7 +49,7 @@ def assert_same(recording, columns, nv=2):
 # -- formats ---------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("separator", [",", ";", "\t", " "])
+@pytest.mark.parametrize("separator", [",", ";", "\t", " ", "|"])
 def test_csv_is_read_whatever_separates_it(csv, separator):
     columns = table()
     with warnings.catch_warnings():
@@ -254,7 +254,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,,tau1\n0,1,2\n", "column 2 has no name in line 1"),
         ("t,q1,tau1\n0,1,2\n0.1,1\n", "line 3 has 2 cells, the header names 3"),
         ("t,q1,tau1\n0,0,1,0,2,0\n", "decimal commas need ;"),
-        ("t|q1|tau1\n0|1|2\n", r"line 1 is one cell, with '\|' in it; separate"),
+        ("t:q1:tau1\n0:1:2\n", r"line 1 is one cell, with ':' in it; separate"),
         ("t,q1,tau1\n0;1;2\n", "line 2 has 1 cells.*separate.*as the header does"),
         ("t,q1,tau1\n0,1,\0\n", "is binary, not text"),
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),

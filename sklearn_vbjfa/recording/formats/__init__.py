@@ -1,4 +1,4 @@
-"""Formats of files, a module each, and how files are opened: unpacked, out of pipes."""
+"""Formats of files, and how files are opened: unpacked, out of pipes."""
 
 import bz2
 import contextlib
@@ -9,16 +9,14 @@ import lzma
 import shlex
 import sys
 import tempfile
-import zlib
 from pathlib import Path
 
 from sklearn_vbjfa.recording import _table
-from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed
-from sklearn_vbjfa.recording.formats._arrays import MATLAB, NPY, NPZ
+from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed, parsing
+from sklearn_vbjfa.recording.formats._arrays import JSON, MATLAB, NPY, NPZ
 from sklearn_vbjfa.recording.formats._bags import BAG
-from sklearn_vbjfa.recording.formats._json import JSON
+from sklearn_vbjfa.recording.formats._cells import SHEET
 from sklearn_vbjfa.recording.formats._parquet import PARQUET
-from sklearn_vbjfa.recording.formats._sheets import SHEET
 from sklearn_vbjfa.recording.formats._text import TEXT
 
 # In the order in which lists name them, bags last.
@@ -38,12 +36,12 @@ _KNOWN = (
 # What a file may be, and what reads it, for docstrings and the help of commands.
 TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
 PACKAGES = _alternatives([x.needs[0] for x in FORMATS if x.needs])
+# What only folders have that are one bag or one data set.
+_MARKS = tuple(mark for one in FORMATS for mark in one.marks)
 
-
-# What packed text is opened by, and what to say of a file that is not complete.
+# Modules by which packed files are opened.
 _OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
 _OPEN |= {".zstd": None}
-_BROKEN = (OSError, EOFError, lzma.LZMAError, zlib.error)
 # What unpacks other files, and how to make a recording of what is not read here.
 _OTHER_PACKERS = {".zip": "unzip", ".7z": "7z x", ".rar": "unrar x", ".lz4": "lz4 -d"}
 _OTHER_PACKERS |= {".tar": "tar xf", ".tgz": "tar xf"}
@@ -92,12 +90,13 @@ def expanded(path):
         return path
 
 
+# -- folders ---------------------------------------------------------------------------
+
+
 def tables_in(path):
     """Return the tables of a folder without a format, in order."""
     path = expanded(path)
-    if not path.is_dir() or _is_one(path, _MARKS):
-        return []
-    return _tables(path)
+    return _tables(path) if path.is_dir() and not _is_one(path, _MARKS) else []
 
 
 def recordings_in(path):
@@ -107,10 +106,6 @@ def recordings_in(path):
         return [path]
     folders = [x for x in path.iterdir() if x.is_dir() and _is_one(x, _MARKS)]
     return sorted([*_tables(path), *folders])
-
-
-# What only folders have that are one bag or one data set.
-_MARKS = tuple(mark for one in FORMATS for mark in one.marks)
 
 
 def _is_one(path, marks):
@@ -141,14 +136,13 @@ def _read_folder(stack, path, wanted):
                 _check_topic(path, one, wanted)
                 return table
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
-    for name in names:
-        stem, _, ending = name.rpartition(".")
-        if f".{ending}" in _OTHER_PACKERS and stem.endswith(BAG.endings):
-            raise _packed(path / name, f".{ending}")
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
         f"a LeRobot data set (meta/info.json). It holds {listed(names) or 'nothing'}."
     )
+
+
+# -- files -----------------------------------------------------------------------------
 
 
 def _read_file(stack, path, wanted):
@@ -163,13 +157,15 @@ def _read_file(stack, path, wanted):
     if ending in TEXT.endings:
         # Packed text may have lost its ending.
         begin = _begin(source.file)
-        packed = (own for mark, own in _PACKED if begin.startswith(mark))
-        ending = next(packed, ending)
+        ending = next((x for mark, x in _PACKED if begin.startswith(mark)), ending)
     if ending in _OPEN:
         source = _unpacked(stack, source, ending)
         ending = source.file.suffix.lower()
     if ending in _OTHER_PACKERS:
-        raise _packed(source, ending)
+        raise ValueError(
+            f"{source}: is packed as {ending[1:]}, expected {_KNOWN}; unpack it first: "
+            f"{_OTHER_PACKERS[ending]} {shlex.quote(str(source))}"
+        )
     found = _BY_ENDING.get(ending)
     _check_topic(source, found, wanted)
     if found is None:
@@ -190,28 +186,20 @@ def _check_topic(path, found, wanted):
         )
 
 
-def _packed(path, ending):
-    command = f"{_OTHER_PACKERS[ending]} {shlex.quote(str(path))}"
-    return ValueError(
-        f"{path}: is packed as {ending[1:]}, expected {_KNOWN}; unpack it first: "
-        f"{command}"
-    )
-
-
 def _from_pipe(stack, path):
     """Copy a pipe to a file whose ending tells what it is."""
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
-    shown = Path("standard input") if str(path) == "-" else path
-    if str(path) == "-":
-        stream = getattr(sys.stdin, "buffer", sys.stdin)
-    else:
-        stream = stack.enter_context(path.open("rb"))
-    file = folder / "recording"
+    shown, stream = Path("standard input"), getattr(sys.stdin, "buffer", sys.stdin)
+    if str(path) != "-":
+        shown, stream = path, stack.enter_context(path.open("rb"))
+    file = _folder(stack) / "recording"
     _copy(stream, file, shown)
-    begin = _begin(file)
-    if not begin:
+    if not file.stat().st_size:
         raise ValueError(f"{shown}: is empty; expected a recording: {_KNOWN}.")
-    return Source(file.rename(file.with_suffix(_ending_of(file, begin))), shown)
+    return Source(file.rename(file.with_suffix(_ending_of(file))), shown)
+
+
+def _folder(stack):
+    return Path(stack.enter_context(tempfile.TemporaryDirectory()))
 
 
 def _begin(file):
@@ -219,36 +207,27 @@ def _begin(file):
         return opened.read(64)
 
 
-def _ending_of(file, begin):
+def _ending_of(file):
     """Return the ending that a file should have, from its first bytes."""
-    for magic, ending in _MAGIC:
-        if begin.startswith(magic):
-            return ending
+    begin = _begin(file)
     if begin.startswith(b"PK\x03\x04"):
         return ".xlsx" if b"xl/" in file.read_bytes()[:4096] else ".npz"
-    return ".csv"
+    return next((x for mark, x in _MAGIC if begin.startswith(mark)), ".csv")
 
 
 def _unpacked(stack, source, ending):
     """Unpack a file into one that is deleted afterwards."""
-    folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
     name = source.file.name
-    file = folder / (name.removesuffix(source.file.suffix) or "recording")
-    if source.file.suffix.lower() in TEXT.endings:
-        file = folder / name
-    module, broken = _OPEN[ending], _BROKEN
-    if module is None:
-        module = _zstandard(source)
-        broken = (*broken, module.ZstdError)
-    try:
-        with module.open(source.file, "rb") as stream:
-            _copy(stream, file, source.shown)
-    except broken as error:
-        raise ValueError(
-            f"{source}: is not a complete {ending[1:]} file ({error}); pack it again."
-        ) from error
+    if source.file.suffix.lower() not in TEXT.endings:
+        name = name.removesuffix(source.file.suffix) or "recording"
+    file, module = _folder(stack) / name, _OPEN[ending] or _zstandard(source)
+    with (
+        parsing(source, f"{ending[1:]} file", "pack it again"),
+        module.open(source.file, "rb") as stream,
+    ):
+        _copy(stream, file, source.shown)
     if not file.suffix:
-        file = file.rename(file.with_suffix(_ending_of(file, _begin(file))))
+        file = file.rename(file.with_suffix(_ending_of(file)))
     return Source(file, source.shown)
 
 
@@ -269,9 +248,6 @@ def _copy(stream, file, shown):
     with file.open("wb") as target:
         while chunk := stream.read(_CHUNK):
             size += len(chunk)
-            if size > _table.LARGEST:
-                raise ValueError(
-                    f"{shown}: has more than {_table.LARGEST / (1 << 30):g} GiB, too "
-                    "large to be read at once; give a shorter recording."
-                )
+            remedy = "give a shorter recording"
+            _table.check_size(shown, size, remedy, "or more")
             target.write(chunk)

@@ -1,56 +1,86 @@
 """Cells of text and spreadsheets: where the names are, and columns of a kind."""
 
+import contextlib
 import datetime
 import itertools
 import re
+import zipfile
 from dataclasses import replace
+from importlib.util import find_spec
 
 import numpy as np
 
-from sklearn_vbjfa.recording._table import Table, check_names, pandas_of, quoted
+from sklearn_vbjfa.recording._table import (
+    Format,
+    Source,
+    Table,
+    check_names,
+    check_size,
+    no_rows,
+    pandas_of,
+    parsing,
+    quoted,
+)
 from sklearn_vbjfa.recording._units import is_unit
-from sklearn_vbjfa.recording.formats._precheck import LIST, NUMBER, is_number
 
 # Lines that an instrument may write before the names of its columns.
 LONGEST_PREAMBLE = 100
+LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
+# float() takes more (1_000, digits of other scripts), which no logger writes.
+_NUMBER = re.compile(
+    r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
+)
+# What loggers write where nothing was measured.
+NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
 
 
-def names_and_start(lines):
-    """Find the names among the first lines, each a list of cells as text.
-
-    Returns the position of the names, None without any, that of the first row of data,
-    and (name, unit) of columns out of a row of units below the names.
-    """
-    rows = []
-    for cells in itertools.islice(lines, LONGEST_PREAMBLE):
-        while cells and not cells[-1]:
-            cells.pop()
-        rows.append(cells)
-        if is_data(cells):
-            break
-    else:
-        # Without a row of numbers, as with one column of text.
-        units = _units(rows[1], rows[0]) if len(rows) > 1 else ()
-        return 0, 1 + bool(units), units
-    data = rows[-1]
-    if len(rows) == 1:
-        # Data frames without names have a header that counts them.
-        counts = data == [str(k) for k in range(len(data))] and len(data) > 2
-        return None, int(counts), ()
-    names = 0
-    if len(rows[0]) != len(data):
-        # Titles stand above the names, which are as many as there are numbers.
-        fitting = [k for k, x in enumerate(rows[:-1]) if len(x) == len(data)]
-        fitting = [k for k in fitting if not _units(rows[k], rows[k])]
-        names = fitting[-1] if fitting else 0
-    units = _units(rows[names + 1], rows[names])
-    return names, names + 1 + bool(units), units
+def is_number(cell: str) -> bool:
+    """Whether a cell is a number as loggers write them."""
+    return _NUMBER.fullmatch(cell) is not None
 
 
 def is_data(cells):
     """Whether most of the cells that are filled are numbers."""
     numbers = [is_number(x.replace(",", ".", 1)) for x in cells if x]
     return 2 * sum(numbers) > len(cells)
+
+
+def names_and_start(lines):
+    """Find the names among the first lines, each a list of cells as text.
+
+    Returns the position of the names, None without any, the names, the position of the
+    first row of data, and (name, unit) of columns out of a row of units.
+    """
+    rows = []
+    for cells in itertools.islice(lines, LONGEST_PREAMBLE):
+        rows.append(without_blank_ends(cells))
+        if is_data(rows[-1]):
+            break
+    # Without a row of numbers, as with one column of text, the names come first.
+    found = is_data(rows[-1])
+    width = len(rows[-1]) if found else len(rows[0])
+    above = rows[:-1] if found else rows[:2]
+    if not above:
+        # Data frames without names have a header that counts them.
+        counts = rows[0] == [str(k) for k in range(width)] and width > 2
+        return None, (), int(counts), ()
+    # Titles stand above the names, which are as many as there are numbers.
+    fitting = [k for k, x in enumerate(above) if len(x) == width and not _units(x, x)]
+    at = 0 if len(above[0]) == width or not fitting else fitting[-1]
+    names = above[at]
+    if at and len(set(names)) < len(names):
+        # Groups of columns stand above their names.
+        groups = itertools.accumulate(above[at - 1][:width], lambda x, y: y or x)
+        pairs = itertools.zip_longest(groups, names)
+        last = without_blank_ends(above[at - 1])[-1]
+        names = [f"{last if x is None else x} {name}".strip() for x, name in pairs]
+    units = _units(above[at + 1], names) if at + 1 < len(above) else ()
+    return at, names, at + 1 + bool(units), units
+
+
+def without_blank_ends(cells):
+    """Return cells without empty ones at the end."""
+    return cells[: max((k + 1 for k, cell in enumerate(cells) if cell), default=0)]
 
 
 def _units(cells, names):
@@ -60,7 +90,7 @@ def _units(cells, names):
     filled = [cell for cell in cells if cell not in ("", "-", "1")]
     if len(cells) != len(names) or any(map(is_number, filled)):
         return ()
-    if not any(map(is_unit, filled)) or max(map(len, filled)) > 12:
+    if not 0 < len(filled) <= 2 * sum(map(is_unit, filled)):
         return ()
     return tuple((name, x) for name, x in zip(names, cells) if x not in ("", "-"))
 
@@ -79,6 +109,7 @@ def check_header(path, names, line):
 def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **known):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
     # comma: whether numbers may have decimal commas.
+    frame, notes = _without_headers(path, frame, notes)
     table = Table(path=path.shown, frame=frame, place=place)
     if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
         return replace(table, notes=notes, **known)
@@ -86,23 +117,32 @@ def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **kno
     for name in frame:
         values = _column(table, name, comma)
         own = _spread(table, name, values) or {name: values}
-        if columns.keys() & own.keys():
-            raise ValueError(
-                f"{path}: column {quoted(name)} holds lists, whose entries have the "
-                "name of another column; rename it."
-            )
+        check_names(path, [*columns, *own], "as an entry of a list has")
         columns |= own
     if "" in columns:
         index = columns.pop("")
         counts = index.dtype.kind in "if" and (np.diff(index) == 1).all()
         if not (counts and columns):
             check_header(path, [""], frame.index[0] - 1)
-        notes = (
-            *notes,
-            "the first column has no name and counts the rows: it is left out.",
-        )
+        note = "the first column has no name and counts the rows: it is left out."
+        notes = (*notes, note)
     frame = pandas_of(path).DataFrame(columns, index=frame.index)
     return replace(table, frame=frame, notes=notes, **known)
+
+
+def _without_headers(path, frame, notes):
+    """Begin another recording where the names stand between rows."""
+    first = frame.iloc[:, -1]
+    if first.dtype != object or not (first == frame.columns[-1]).any():
+        return frame, notes
+    again = (frame == list(frame.columns)).all(axis=1)
+    if not again.any():
+        return frame, notes
+    if "segment" not in frame:
+        frame = frame.assign(segment=again.cumsum().astype(float))
+    lines = ", ".join(map(str, frame.index[again][:5]))
+    note = f"the names of the columns stand again in line {lines}: another recording."
+    return frame[~again], (*notes, note)
 
 
 def _column(table, name, comma):
@@ -111,21 +151,20 @@ def _column(table, name, comma):
     if values.dtype.kind in "iuf":
         return values.to_numpy(dtype=float)
     pandas = pandas_of(table.path)
-    blank = (values.isna() | (values == "")).to_numpy()
-    first = values.iloc[int(np.argmin(blank))]
-    if isinstance(first, datetime.date):
-        return pandas.to_datetime(values, errors="coerce").to_numpy("datetime64[ns]")
     text = values.astype(str).str.strip("\"' ")
+    blank = (values.isna() | text.str.lower().isin(NOTHING)).to_numpy()
+    if blank.all():
+        return np.full(len(values), np.nan)
+    first = int(np.argmin(blank))
+    if isinstance(values.iloc[first], datetime.date):
+        return pandas.to_datetime(values, errors="coerce").to_numpy("datetime64[ns]")
     numbers = text
     if comma:
         commas = ~text.str.contains(".", regex=False)
         numbers = text.where(~commas, text.str.replace(",", ".", n=1, regex=False))
-    if blank.all():
-        return np.full(len(values), np.nan)
-    if not is_number(numbers.iloc[int(np.argmin(blank))]):
+    if not is_number(numbers.iloc[first]):
         return text.mask(blank, "").to_numpy(dtype=object)
-    known = numbers.str.fullmatch(NUMBER).to_numpy(dtype=bool)
-    wrong = np.flatnonzero(~known & ~blank)
+    wrong = np.flatnonzero(~numbers.str.fullmatch(_NUMBER).to_numpy(bool) & ~blank)
     if wrong.size:
         cell = text.iloc[wrong[0]]
         remedy = "correct or remove that line"
@@ -158,3 +197,76 @@ def _spread(table, name, values):
 
 def _entries(match):
     return re.split(r"[\s,;]+", match[1].strip())
+
+
+# -- spreadsheets ----------------------------------------------------------------------
+
+
+def read_sheet(path: Source, wanted) -> Table:
+    """Read the first sheet with a table of numbers, below the names of its columns."""
+    pandas = pandas_of(path)
+    if find_spec("python_calamine") is None:
+        raise SHEET.missing(path)
+    check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
+    options = {"header": None, "keep_default_na": False, "na_values": []}
+    with (
+        parsing(path, "spreadsheet", "save it as CSV"),
+        pandas.ExcelFile(path.file, engine="calamine") as book,
+    ):
+        sheets = {
+            name: pandas.read_excel(book, name, dtype=object, **options)
+            for name in book.sheet_names
+        }
+    sheets = {name: frame for name, frame in sheets.items() if len(frame)}
+    filled = [name for name, frame in sheets.items() if any(map(is_data, _rows(frame)))]
+    name = (filled or list(sheets) or [""])[0]
+    if not name:
+        raise no_rows(path)
+    frame = sheets[name]
+    frame.index += 1
+    frame = frame[(frame != "").any(axis=1)]
+    if len(frame) < 2:
+        raise no_rows(path)
+    at, names, start, units = names_and_start(_rows(frame))
+    if at is None:
+        names = [str(k + 1) for k in range(frame.shape[1])]
+    else:
+        check_header(path, [x for x in names if x], frame.index[at])
+    used = [k for k, one in enumerate(names) if one]
+    frame = frame.iloc[start:, used]
+    frame.columns = [names[k] for k in used]
+    if not len(frame):
+        raise ValueError(f"{path}: only a header and no rows of data.")
+    return table_of_cells(
+        path,
+        frame,
+        place="line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}"),
+        notes=(f"sheet {name!r} of {len(book.sheet_names)} was read.",)
+        * (len(book.sheet_names) > 1),
+        units=dict(units),
+        nameless=at is None,
+    )
+
+
+def _rows(frame):
+    return ([str(x).strip() for x in row] for row in frame.itertuples(index=False))
+
+
+def _unpacked_size(path):
+    """Return the bytes of a file, or of what is packed in it."""
+    size = path.file.stat().st_size
+    with (
+        contextlib.suppress(zipfile.BadZipFile, OSError),
+        zipfile.ZipFile(path.file) as archive,
+    ):
+        size = max(size, sum(x.file_size for x in archive.infolist()))
+    return size
+
+
+SHEET = Format(
+    name="Excel",
+    endings=(".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"),
+    read=read_sheet,
+    begins=((b"\xd0\xcf\x11\xe0", ".xls"),),
+    needs=("python-calamine", "spreadsheets", "excel"),
+)

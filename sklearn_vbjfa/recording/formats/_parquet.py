@@ -12,9 +12,9 @@ from sklearn_vbjfa.recording._table import (
     check_names,
     check_size,
     pandas_of,
+    parsing,
 )
 
-# Columns of several numbers per row, as LeRobot calls those of a robot's state.
 _INFO = Path("meta") / "info.json"
 # The robot's calibration, where a user has put it into the data set.
 _CALIBRATION = Path("meta") / "calibration.json"
@@ -29,8 +29,7 @@ _ENDS = ("range_min", "range_max")
 
 def read_parquet(path: Source, wanted) -> Table:
     """Read a parquet or feather file; lists become columns with numbers."""
-    info = _lerobot_info(path.file) or {}
-    return _table(path, path.file, _columns(path, info))
+    return _table(path, path.file, _columns(path, _lerobot_json(path.file, _INFO)))
 
 
 def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
@@ -45,7 +44,7 @@ def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
         )
     size = sum(file.stat().st_size for file in files)
     check_size(path, size, f"give one of them, such as {files[0]}", "of parquet files")
-    info = _lerobot_info(files[0]) or {}
+    info = _lerobot_json(files[0], _INFO)
     parts = [_columns(Source(x, x), info) for x in files]
     shared = [x for x in parts[0] if all(x in part for part in parts)]
     columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
@@ -62,10 +61,10 @@ def _columns(path, info):
     """Return the columns of a file as arrays, lists of numbers as columns each."""
     try:
         import pyarrow
-        from pyarrow import ArrowException, ipc, parquet
+        from pyarrow import ipc, parquet
     except ImportError as error:
         raise PARQUET.missing(path) from error
-    try:
+    with parsing(path, "parquet file of plain columns", "write it again"):
         if path.file.suffix.lower() in PARQUET.endings[:2]:
             with parquet.ParquetFile(path.file) as file:
                 groups = map(file.metadata.row_group, range(file.num_row_groups))
@@ -79,12 +78,6 @@ def _columns(path, info):
                     check_size(path, sum(one.nbytes for one in batches))
                 read = pyarrow.Table.from_batches(batches, file.schema)
         arrays = [column.to_numpy() for column in read.columns]
-    except (ArrowException, MemoryError, OSError, UnicodeDecodeError) as error:
-        reason = (str(error).splitlines() or ["too large"])[0].rstrip(".")
-        raise ValueError(
-            f"{path}: is not a complete parquet file of plain columns ({reason}); "
-            "write it again."
-        ) from error
     check_names(path, read.column_names or [""], "has")
     found = {}
     for name, values in zip(read.column_names, arrays):
@@ -113,26 +106,21 @@ def _matrix(values):
 # -- LeRobot ---------------------------------------------------------------------------
 
 
-def _lerobot_info(file, name=_INFO):
-    """Return what the folder meta above a parquet file says of its columns, or None."""
+def _lerobot_json(file, name):
+    """Return what a file in the folder meta above a parquet file says, a dict."""
     for folder in list(file.resolve().parents)[:4]:
         if (folder / name).is_file():
-            try:
+            with parsing(folder / name, "JSON file", "download the data set again"):
                 info = json.loads((folder / name).read_text(encoding="utf-8"))
-            except (ValueError, OSError, RecursionError) as error:
-                raise ValueError(
-                    f"{folder / name}: is not a complete JSON file ({error}); "
-                    "download the data set again."
-                ) from error
             return info if isinstance(info, dict) else {}
-    return None
+    return {}
 
 
 def _motors(info, name):
     """Return the names of the motors in a column of lists, [] if unknown."""
-    features = info.get("features")
-    feature = features.get(name) if isinstance(features, dict) else None
-    names = feature.get("names") if isinstance(feature, dict) else None
+    names = info
+    for key in ("features", name, "names"):
+        names = names.get(key) if isinstance(names, dict) else None
     if isinstance(names, dict):
         names = next(iter(names.values()), None)
     if not isinstance(names, list):
@@ -143,7 +131,7 @@ def _motors(info, name):
 def _shares(file, columns):
     """Return [rad] of one per cent of a motor's range, by column; empty if unknown."""
     found = {}
-    for motor, one in (_lerobot_info(file, _CALIBRATION) or {}).items():
+    for motor, one in _lerobot_json(file, _CALIBRATION).items():
         ends = [one.get(x) if isinstance(one, dict) else None for x in _ENDS]
         if not all(type(x) is int for x in ends) or not ends[0] < ends[1]:
             raise ValueError(

@@ -51,8 +51,8 @@ def read_npy(path: Source, wanted) -> Table:
     if array.dtype.names is None:
         raise ValueError(
             f"{path}: holds an array of shape {array.shape} without names; expected "
-            "one with named fields, or numpy.savez(FILE, t=t, q=q, tau=tau) with q and tau "
-            "(n_samples, n_joints)."
+            "one with named fields, or numpy.savez(FILE, t=t, q=q, tau=tau) with q and "
+            "tau (n_samples, n_joints)."
         )
     return table_of_arrays(path, {x: np.array(array[x]) for x in array.dtype.names})
 

@@ -85,15 +85,25 @@ def identify_demo(arguments, folder):
     return Done(text=f"{recording}\n{loop.report_}", doubts=_doubts(loop.report_))
 
 
-def search(recording, urdf, *, effects="all", signals=None, several=False, **settings):
+def search(
+    recording,
+    urdf,
+    *,
+    effects="all",
+    signals=None,
+    several=False,
+    options=None,
+    **settings,
+):
     """Return the `EffectDiscovery` of a recording, fitted."""
     # several: whether recordings have names, which the report uses.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
+    from sklearn_vbjfa.robot import FitOptions
 
     identifier = RobotIdentifier(
         urdf,
         dt=recording.dt,
-        torque_noise=recording.torque_noise,
+        options=replace(options or FitOptions(), torque_noise=recording.torque_noise),
         n_jobs=-1,
         **settings,
     )

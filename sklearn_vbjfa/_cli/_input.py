@@ -96,6 +96,8 @@ def load(arguments, folder, *, assumed=None):
 
 def settings(arguments):
     """Return settings of `RobotIdentifier`."""
+    from sklearn_vbjfa.robot import FitOptions
+
     if arguments.known_mass and arguments.gain != "unknown":
         raise ValueError(
             "--known-mass fixes the common factor of channels with unknown gains: "
@@ -105,15 +107,15 @@ def settings(arguments):
     if len(masses) < len(arguments.known_mass or ()):
         raise ValueError("--known-mass names a link twice; name it once.")
     shared = arguments.shared_drives
+    alike = None if shared == "none" else shared
     return {
         "friction": arguments.friction,
         "bodies": arguments.bodies,
-        "alike": None if shared == "none" else shared,
         "cutoff": arguments.cutoff,
         "drive": arguments.drive,
         # The recording is read with factors that are known.
         "gains": "unknown" if arguments.gain == "unknown" else None,
-        "known_masses": masses or None,
+        "options": FitOptions(alike=alike, known_masses=masses or None),
     }
 
 

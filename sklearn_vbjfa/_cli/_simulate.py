@@ -184,9 +184,8 @@ def _identified(arguments, folder):
     signals, recording = loaded.signals(arguments.signals), loaded.recording
     first, rest = _parts(recording)
     noise, drive = recording.torque_noise, arguments.drive
-    robot = RobotIdentifier(
-        str(loaded.urdf), dt=recording.dt, torque_noise=noise, **settings
-    )
+    settings["options"] = replace(settings["options"], torque_noise=noise)
+    robot = RobotIdentifier(str(loaded.urdf), dt=recording.dt, **settings)
     part = _rows_of(recording, first)
     if drive is None:
         part = replace(part, t=recording.clock()[first])

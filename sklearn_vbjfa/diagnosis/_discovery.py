@@ -492,8 +492,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         if isinstance(self.identifier.cutoff, str):
             cutoff = self.judged_.cutoff_
             band["cutoff"] = cutoff if np.isfinite(cutoff) else None
-        if isinstance(self.identifier.standstill, str):
-            band["standstill"] = self.judged_.standstill_
+        options = self.identifier.fit_options
+        if isinstance(options.standstill, str):
+            standstill = self.judged_.standstill_
+            band["options"] = replace(options, standstill=standstill)
         rows, pieces = self._seen(whole, moving)
         seen = whole
         if rows.size < whole.n_samples:

@@ -115,7 +115,9 @@ def fit_recordings(estimator, source):
             f"{type(estimator).__name__}."
         )
     paths = _paths(source)
-    with show_progress(estimator.verbose):
+    identifies = fit is _identify
+    verbose = estimator.fit_options.verbose if identifies else estimator.verbose
+    with show_progress(verbose):
         return fit(estimator, paths)
 
 
@@ -166,7 +168,9 @@ def _choose_states(identifier, every, extents, lengths):
     power, energy = map(sum, found)
     spectra = _smoothing.spectrum(power, energy, n_fft, dt) if energy else None
     moving = np.any([one["moving"] for one in extents], axis=0)
-    return choose_states(dt, identifier.state_cutoff, longest, moving, spectra)
+    return choose_states(
+        dt, identifier.fit_options.state_cutoff, longest, moving, spectra
+    )
 
 
 def _close_loop(discovery, paths):

@@ -9,7 +9,12 @@ from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.effects import stops
 from sklearn_vbjfa.model import load_model, nominal_parameters, position_range
 from sklearn_vbjfa.recording import Recording
-from sklearn_vbjfa.robot import RigidBodyFeatures, RobotIdentifier, StateEstimator
+from sklearn_vbjfa.robot import (
+    FitOptions,
+    RigidBodyFeatures,
+    RobotIdentifier,
+    StateEstimator,
+)
 from sklearn_vbjfa.robot._bodies import DESCRIBED, Description
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
@@ -319,8 +324,7 @@ def _fitted(samples, model, rows):
             model,
             friction=("coulomb", "offset"),
             bodies=bodies,
-            standstill=None,
-            joint_weights=precisions,
+            options=FitOptions(standstill=None, joint_weights=precisions),
         )
         with warnings.catch_warnings():
             # Poses are few rows, and nothing is filtered.

@@ -11,10 +11,12 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
     from sklearn_vbjfa.robot._identifier import RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+    from sklearn_vbjfa.robot._options import FitOptions
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __all__ = [
     "CurrentDrive",
+    "FitOptions",
     "JointTorqueRegressor",
     "PDDrive",
     "RigidBodyFeatures",
@@ -52,6 +54,7 @@ _MODULES = {
         "sum_moments",
     ),
     "_joint_torque": ("JointTorqueRegressor",),
+    "_options": ("FitOptions",),
     "_output_error": ("slopes",),
     "_plan": ("MotionFacts", "Plan"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),

@@ -85,7 +85,7 @@ class AlikeJoints:
 
 def alike_joints(settings):
     """Return the `AlikeJoints` of an identifier's setting `alike`."""
-    alike, model = settings.alike, settings.features_.nominal_
+    alike, model = settings.fit_options.alike, settings.features_.nominal_
     if alike is None:
         return ()
     why = ""

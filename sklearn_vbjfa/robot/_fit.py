@@ -59,6 +59,7 @@ from sklearn_vbjfa.robot._spreads import (
     sum_ranges,
 )
 from sklearn_vbjfa.robot._states import RecordingStates
+from sklearn_vbjfa.robot._torque_noise import filtered_noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -195,6 +196,13 @@ class Fit:
         floor = np.hypot(noise, self.found.noise()[0])
         robot = replace(self.robot, torque_noise_=noise, noise_floor_=floor)
         return replace(self, robot=robot)
+
+    def with_noise_facts(self, facts):
+        """Return the fit with the torque noise by `NoiseFacts` of all recordings."""
+        if not facts:
+            return self
+        plan = self.robot.plan
+        return self.with_torque_noise(filtered_noise(facts, plan.dt, plan.cutoff))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -506,14 +514,14 @@ def _in_units(recipe, fit, source, factor):
 # -- refinement by simulation ----------------------------------------------------------
 
 
-def refine_fit(recipe, fit, source, settings):
-    """Refine the parameters of a torque fit by simulation."""
-    # settings: identifier with `window` and `projector`.
+def refine_fit(recipe, fit, source, window):
+    """Refine the parameters of a torque fit by simulation of windows."""
     robot = fit.robot
     # Values of effects in the model have no columns there.
     found = recipe.of_source(robot, source).found
     found = replace(found, std=robot.theta_std_)
-    refined = refine(robot, found, source.recording, source.states, settings)
+    recorded = source.recording, source.states
+    refined = refine(robot, found, *recorded, window, recipe.projector)
     found = replace(
         found,
         theta=refined.theta,

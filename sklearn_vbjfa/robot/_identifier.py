@@ -43,6 +43,7 @@ from sklearn_vbjfa.robot._fit import (
 )
 from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
 from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.robot._options import FitOptions
 from sklearn_vbjfa.robot._output_error import check_criterion
 from sklearn_vbjfa.robot._plan import (
     check_effects,
@@ -62,35 +63,11 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_widths,
     warn_of_disorder,
 )
-from sklearn_vbjfa.robot._robot import (
-    IdentifiedRobot,
-    SimulatesTorques,
-    recording_of,
-)
+from sklearn_vbjfa.robot._robot import IdentifiedRobot, recording_of
 from sklearn_vbjfa.robot._signs import signed, with_signs
 from sklearn_vbjfa.robot._spreads import Spread, ends
 from sklearn_vbjfa.robot._states import fit_states
-from sklearn_vbjfa.robot._torque_noise import (
-    filtered_noise,
-    given_noise,
-)
-
-# Attributes that are those of the identified robot.
-_OF_ROBOT = (
-    "theta_",
-    "theta_unconstrained_",
-    "theta_std_",
-    "identifiable_",
-    "effect_ranges_",
-    "gains_",
-    "min_eigenvalues_",
-    "noise_floor_",
-    "torque_noise_",
-    "output_noise_",
-    "state_estimator_",
-    "cutoff_",
-    "standstill_",
-)
+from sklearn_vbjfa.robot._torque_noise import given_noise
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -134,9 +111,9 @@ class RecordingRegressorMixin(RegressorMixin):
         from sklearn.metrics import r2_score
 
         if getattr(self, "drive", None) is not None:
-            told = self._take(X, y, groups, None, t, signals)
+            recording = self._take(X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
-            y = self.robot_.plan.applied(told).tau
+            y = self.robot_.plan.applied(recording).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
@@ -153,7 +130,14 @@ def _forwarded(name):
     return forward
 
 
-class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
+def _of_robot(name):
+    """Return a property that is an attribute of the identified robot."""
+    return property(
+        lambda self: getattr(self.robot_, name), doc=f"`IdentifiedRobot.{name}`."
+    )
+
+
+class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     """Identify the rigid-body model of a robot from joint positions and torques.
 
     The estimator smooths the positions, computes the regressor matrix, filters
@@ -186,23 +170,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         ``"auto"`` is five times the bandwidth of the motion (the frequency below which
         99 % of the velocity power of the fastest joint lies); states are not filtered.
         None filters nothing.
-    state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off frequency [Hz] of `StateEstimator`. ``"auto"`` is 1.25 times that of
-        least acceleration error, because noise averages out and smoothing bias does
-        not.
-    standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
-        ``"auto"`` is 2 % of the 99.5th percentile of its speed. None excludes nothing.
-    joint_weights : "auto", None or array-like of shape (nv,), default="auto"
-        Weights of the joints' equations, see `JointTorqueRegressor`.
     input_noise : "auto" or None, default="auto"
         With ``"auto"`` the noise of the regressor matrix is estimated from even and odd
         samples, and corrected by regressors that accept a noise covariance. None treats
         the regressor matrix as exact.
-    torque_noise : float or array-like of shape (nv,), default=None
-        Standard deviation of the white noise of one torque sample [N m or N], for
-        `noise_floor_`. None estimates it above the band of the low-pass filter. For
-        interpolated rows pass the `torque_noise` of the recording.
     n_jobs : int, default=None
         Number of recordings, or pieces of them, that are processed in parallel. None is
         1, -1 all processors. The result does not depend on it.
@@ -210,18 +181,11 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         None: y holds torques. ``"unknown"``: y is proportional to the torques (motor
         currents); the factors of the channels are identified relative to a reference
         channel, see `gains_`, and torques, masses and friction are in its unit unless
-        `known_masses` determines it. A sequence names the reference joints, one for
-        each group of joints that share bodies.
-    known_masses : dict of str to float, default=None
-        Known masses [kg] of bodies, or of a ``"payload"`` (effect `Payload`), which
-        determine the common factor of unknown gains.
+        `FitOptions.known_masses` determines it. A sequence names the reference joints,
+        one for each group of joints that share bodies.
     criterion : {"torque", "simulation"}, default="torque"
         ``"torque"`` minimises the torque error. ``"simulation"`` refines the result by
         output error, until simulated positions are closest to the measured ones.
-    window : "auto" or float, default="auto"
-        Length [s] of the simulated windows. ``"auto"`` is five times the longest time
-        constant of friction, at least five periods of the fastest motion, and at most
-        an eighth of the recordings.
     bodies : {"prior", "free", "fixed"}, default="prior"
         Use of the described masses and inertias. ``"prior"``: bodies are near those of
         the description unless the torques contradict it (affine-invariant distance
@@ -232,29 +196,15 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
     drive : PDDrive, CurrentDrive, VoltageDrive or None, default=None
         Control law of the motors for logs without torques; y then holds positions,
         currents or voltages (``docs/drives.rst``). The delay of commands is estimated.
-    alike : "auto", None, str or sequence, default="auto"
-        Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
-        friction, and coefficients of unsigned effects share a mean. Their scatter,
-        relative to the mean, has a half-Cauchy prior around 0.2. A sequence holds the
-        groups, each as names or as a pattern; a string holds all patterns,
-        ``"hip thigh calf"``. ``"auto"`` groups joints whose names differ in a leg, a
-        side or a number only and whose described bodies are equal; it groups none with
-        `gains` or a custom `regressor`. None groups none.
-    verbose : int, default=0
-        If not 0, show :ref:`progress bars <progress>` on terminals.
+    options : FitOptions, default=None
+        Further settings; None is ``FitOptions()``.
 
     Attributes
     ----------
-    theta_ : ndarray of shape (p,)
-        Parameters, physically consistent if projected: for each joint ten inertial
-        parameters in Pinocchio's order and the friction, then the coefficients of the
-        effects.
-    theta_unconstrained_ : ndarray of shape (p,)
-        Parameters before the projection.
-    theta_std_ : ndarray of shape (p,)
-        Posterior standard deviations of `theta_unconstrained_`, which allow for
-        residuals that are correlated in time (see Notes). nan if the regressor provides
-        none.
+    robot_ : IdentifiedRobot
+        The identified robot without data, as `load_identified` returns it. Its
+        attributes are also those of the fitted estimator: `theta_`, `theta_std_`,
+        `parameter_names_`, `identifiable_`, `gains_`, `noise_floor_`, ...
     theta_prior_std_ : ndarray of shape (p,)
         Standard deviations of the bodies' parameters by the description alone; nan
         without a prior.
@@ -270,48 +220,12 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         Parameters that joints share: `group`, `parameter`, `joints`, the mean `value`,
         its `std` and `unit`, the relative `scatter`, and `apart`, the joints that
         differ from their group.
-    effects_ : tuple of Effect
-        Effects in use; first the bodies of joints that follow others (``mimic``).
-    effect_ranges_ : tuple of EffectRange
-        Positions, speeds and loads on which declared friction and `effects_` were
-        fitted. `predict` warns outside.
-    gains_ : ChannelGains or None
-        Gains of the torque channels: ``gain`` and ``std`` (nv,), ``intervals()`` of
-        90 %, ``reference`` (nv,), and the ``common`` factor. None unless unknown.
     torque_lag_, torque_lag_std_ : float
         Time [s] by which all torques are late against the positions, and its standard
         deviation: a parameter ``torques:lag`` where `inspect_recording` finds a lag;
         zero and nan elsewhere.
-    parameter_names_, parameter_units_ : tuple of str
-        Names ("joint_1:m") and units of the parameters.
-    identifiable_ : ndarray of shape (p,), bool
-        Parameters that the data determine individually, not only in combination.
-    joint_names_ : tuple of str
-        Joints in the order of the columns of X and y.
-    min_eigenvalues_ : ndarray of shape (nv,)
-        Smallest eigenvalue of each body's pseudo-inertia matrix in units of its mass
-        and length scale; positive for a physically consistent body.
-    noise_floor_ : ndarray of shape (nv,)
-        Standard deviation of `residuals` [N m or N] that encoder and torque noise leave
-        in a complete model. nan if the torque noise is unknown.
-    torque_noise_ : ndarray of shape (nv,)
-        Torque noise component of the floor [N m or N]: the residual spectrum above the
-        band, extrapolated into it. nan if the extrapolation is ambiguous.
     input_noise_torque_ : ndarray of shape (nv,)
         Encoder noise component of the floor [N m or N].
-    output_noise_ : ndarray of shape (nv,)
-        Standard deviation of the residual that input noise does not explain [N m or N];
-        its excess over `torque_noise_` is model error.
-    cutoff_ : float
-        Cut-off frequency of the low-pass filter [Hz]; infinity without.
-    standstill_ : ndarray of shape (nv,)
-        Speeds at or below which samples are excluded [rad/s or m/s].
-    state_estimator_ : StateEstimator or None
-        None if states were given.
-    robot_ : IdentifiedRobot
-        The identified robot without data, as `load_identified` returns it.
-    features_ : RigidBodyFeatures
-        Fitted transformer from states to the regressor matrix.
     estimator_ : JointTorqueRegressor
         Fitted regressor of the parameters.
     criteria_ : SimulationCriteria
@@ -363,20 +277,13 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         regressor=None,
         projector="default",
         cutoff="auto",
-        state_cutoff="auto",
-        standstill="auto",
-        joint_weights="auto",
         input_noise="auto",
-        torque_noise=None,
         n_jobs=None,
         gains=None,
-        known_masses=None,
         criterion="torque",
-        window="auto",
         bodies="prior",
         drive=None,
-        alike="auto",
-        verbose=0,
+        options=None,
     ):
         self.model = model
         self.dt = dt
@@ -385,30 +292,32 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.regressor = regressor
         self.projector = projector
         self.cutoff = cutoff
-        self.state_cutoff = state_cutoff
-        self.standstill = standstill
-        self.joint_weights = joint_weights
         self.input_noise = input_noise
-        self.torque_noise = torque_noise
         self.n_jobs = n_jobs
         self.gains = gains
-        self.known_masses = known_masses
         self.criterion = criterion
-        self.window = window
         self.bodies = bodies
         self.drive = drive
-        self.alike = alike
-        self.verbose = verbose
+        self.options = options
 
-    def fit(
-        self,
-        X,
-        y,
-        groups=None,
-        sample_weight=None,
-        t=None,
-        signals=None,
-    ):
+    # Robot whose load the next fit begins with, in place of a first pass.
+    _before = None
+    # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
+    _feedback = None
+
+    @property
+    def fit_options(self):
+        """`options`, or the default ones."""
+        return FitOptions() if self.options is None else self.options
+
+    @property
+    def asked_gains(self):
+        """`gains`, or unknown ones where the drive's are."""
+        if self.gains is None and self.drive is not None:
+            return self.drive.gains
+        return self.gains
+
+    def fit(self, X, y, groups=None, sample_weight=None, t=None, signals=None):
         """Identify the robot.
 
         Parameters
@@ -459,11 +368,10 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             determined direction of the parameters. With ``bodies="prior"`` or
             ``"fixed"``, if the torques are too small for the described bodies.
         """
-        check_criterion(self)
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
-        with show_progress(self.verbose):
-            return self._fit_with_lag(recording)._of_a_size()
+        with show_progress(self.fit_options.verbose):
+            return self._fit_with_lag(recording)._warn_if_small()
 
     def fit_recording(self, recording):
         """Identify the robot from a `Recording`.
@@ -484,48 +392,28 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         UserWarning
             As of `fit`.
         """
-        check_criterion(self)
         self._declare()
-        return self._fit_with_lag(self._checked(recording))._of_a_size()
+        return self._fit_with_lag(self._checked(recording))._warn_if_small()
 
     def _fit_with_lag(self, recording):
         """Fit to a checked recording, with the lag of its torques if it shows one."""
         self._fit(recording, look=True)
         lag = self._lag_of(recording)
-        if not lag:
-            return self
-        return self.fit_inspected(recording, lag)
+        return self.fit_inspected(recording, lag) if lag else self
 
     def _lag_of(self, recording):
         """Lag [s] that the inspection finds in a recording, zero for none."""
-        asked = self.drive, self.asked_gains
-        if asked != (None, None) or not self._late:
+        if (self.drive, self.asked_gains) != (None, None) or not self._late:
             return 0.0
-        known = recording.q, recording.tau, recording.dt, recording.groups
-        found = inspect_channels(self.features_.nominal_, *known)
+        channels = recording.q, recording.tau, recording.dt, recording.groups
+        found = inspect_channels(self.features_.nominal_, *channels)
         return sum(one.value for one in found if one.kind == "delay")
-
-    @property
-    def torque_lag_(self):
-        """Time [s] by which all torques are late against the positions, or zero."""
-        check_is_fitted(self)
-        return self._robot.plan.lag or 0.0
-
-    @property
-    def torque_lag_std_(self):
-        """Standard deviation of `torque_lag_` [s]; nan if none was found."""
-        check_is_fitted(self)
-        lags = [name == "torques:lag" for name in self.parameter_names_]
-        return float(self.theta_std_[lags][0]) if any(lags) else np.nan
 
     def _fit(self, recording, look=False):
         """Fit to a checked recording; look for a lag of its torques."""
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
-        noise = given_noise(
-            self.torque_noise, self.features_.n_joints_, self.dt, plan.cutoff
-        )
-        robot = self._robot_of(plan, noise, recording.signals)
+        robot = self._declared_robot(plan, recording.signals)
         source = Source(
             recording=recording,
             states=states,
@@ -539,16 +427,16 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         fit = fit_robot(recipe, robot, source, before)
         look = look and plan.state_estimator is not None and plan.lag is None
         self._late = look and seems_late(recipe, fit, source)
-        if self.torque_noise is None:
+        if self.fit_options.torque_noise is None:
             clock = plan.clock(recording)
             facts = fit.robot.noise_facts(recording, clock, self.n_jobs)
-            fit = self._with_noise(fit, facts)
+            fit = fit.with_noise_facts(facts)
         if self.criterion == "simulation":
-            fit = refine_fit(recipe, fit, source, self)
+            fit = refine_fit(recipe, fit, source, self.fit_options.window)
             self.criteria_ = fit.criteria
         return self._set(fit)
 
-    def _of_a_size(self):
+    def _warn_if_small(self):
         """Return the fitted estimator; warn if its torques have another size."""
         bodies = self._bodies
         if bodies is None or self._description is None or self.drive is not None:
@@ -560,70 +448,43 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
             warnings.warn(message, DoubtWarning, stacklevel=3)
         return self
 
-    # Robot whose load the next fit begins with, in place of a first pass.
-    _before = None
-    # Mean gains of position and velocity of the fitted recording, (2, nv), if any.
-    _feedback = None
-
     def _recipe(self):
         """Return the settings of the estimation, with the bodies that are described."""
-        names = "regressor", "joint_weights", "projector", "bodies"
+        options = self.fit_options
         return Recipe(
-            gains=self._found_gains,
-            masses=self._masses,
+            regressor=self.regressor,
+            joint_weights=options.joint_weights,
+            projector=self.projector,
+            bodies=self.bodies,
             description=self._description,
+            gains=self._channel_gains,
+            masses=self._masses,
             alike=self._shared_drives,
-            **{name: getattr(self, name) for name in names},
         )
 
-    def _robot_of(self, plan, torque_noise, signals=None):
+    def _declared_robot(self, plan, signals):
         """Return the declared robot, whose parameters are not known."""
+        given, nv = self.fit_options.torque_noise, self.features_.n_joints_
         return IdentifiedRobot(
             features_=self.features_,
             plan=plan,
-            signal_ends=ends({} if signals is None else signals),
-            state_cutoff=self.state_cutoff,
-            torque_noise_=torque_noise,
+            signal_ends=ends(signals),
+            state_cutoff=self.fit_options.state_cutoff,
+            torque_noise_=given_noise(given, nv, plan.dt, plan.cutoff),
             source=self.model,
         )
-
-    def _with_noise(self, fit, facts):
-        """Return a fit with the torque noise that facts of all recordings tell."""
-        if not facts:
-            return fit
-        plan = fit.robot.plan
-        return fit.with_torque_noise(filtered_noise(facts, plan.dt, plan.cutoff))
 
     # -- for other rooms -------------------------------------------------------------
 
     def fit_inspected(self, recording, lag=0.0):
-        """Identify the robot from a recording whose channels were looked at.
-
-        Parameters
-        ----------
-        recording : Recording
-            As of `fit_recording`.
-        lag : float, default=0.0
-            Time [s] by which all torques are late, about; not zero if it is to be
-            found, as `torque_lag_`.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
-        check_criterion(self)
+        """Identify the robot from a recording whose channels were inspected."""
+        # lag: about the time [s] by which all torques are late; not zero if it is to be
+        # found, as `torque_lag_`.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
         return self._fit(self._checked(recording))
 
     def build_model(self):
-        """Load the model without data.
-
-        Returns
-        -------
-        self : object
-            With the names of joints and parameters, `effects_` and `features_`.
-        """
+        """Load the model without data: names, `effects_` and `features_`."""
         if self.criterion != "torque":
             raise ValueError(
                 "Second moments alone cannot be refined by simulation, which needs the "
@@ -633,112 +494,56 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         return self
 
     def fit_moments(self, plan, moments, facts=lambda robot: ()):
-        """Identify the robot from second moments that were computed elsewhere.
-
-        Parameters
-        ----------
-        plan : Plan
-            How states and equations were made.
-        moments : JointMoments
-            Of all equations.
-        facts : callable
-            Called with the fitted `robot_` where the torque noise is to be measured;
-            returns `NoiseFacts` of all recordings.
-
-        Returns
-        -------
-        self : object
-            Fitted estimator.
-        """
-        nv = self.n_features_in_ = plan.standstill.size
-        noise = given_noise(self.torque_noise, nv, plan.dt, plan.cutoff)
-        robot = self._robot_of(plan, noise)
-        fit = self._recipe().of_moments(robot, moments)
-        if self.torque_noise is None:
-            fit = self._with_noise(fit, facts(fit.robot))
+        """Identify the robot from second moments that were computed elsewhere."""
+        # plan: how states and equations were made; moments: `JointMoments` of all
+        # equations; facts: of the fitted `robot_`, the `NoiseFacts` of all recordings.
+        self.n_features_in_ = plan.standstill.size
+        fit = self._recipe().of_moments(self._declared_robot(plan, {}), moments)
+        if self.fit_options.torque_noise is None:
+            fit = fit.with_noise_facts(facts(fit.robot))
         return self._set(fit)
 
     def signed(self, recording):
-        """Give sizes of torques the signs that the fitted robot predicts.
-
-        Parameters
-        ----------
-        recording : Recording
-            Torques of a drive that is ``unsigned``.
-
-        Returns
-        -------
-        Recording
-            With `tau` and `command` of both signs.
-        """
+        """Give sizes of torques the signs that the fitted robot predicts."""
         return signed(self.robot_, recording)
 
     def begin_with(self, fitted):
-        """Begin the next fit with the load of a fitted identifier, where it has one.
-
-        Parameters
-        ----------
-        fitted : RobotIdentifier
-            Of the same robot.
-
-        Returns
-        -------
-        self : object
-            Not fitted.
-        """
+        """Begin the next fit with the load of a fitted identifier, where it has one."""
         self._before = fitted.robot_
         return self
 
     def described(self):
-        """Return what the description says of the parameters, as a prior.
-
-        Returns
-        -------
-        tuple of ndarray or None
-            Precision (p, p) in the units of the weighted equations, and mean (p,);
-            None without a prior.
-        """
+        """Return precision (p, p) and mean (p,) of the prior; None without one."""
+        # In units of the weighted equations.
         bodies = self._bodies
         return None if bodies is None else (bodies.noise * bodies.prior, bodies.centre)
 
     def tell_spreads(self, estimates):
-        """Take how well the last effects are known, for predictions.
-
-        Parameters
-        ----------
-        estimates : sequence
-            For each of them, with the tuned parameters `shape` and the joint
-            `covariance` of coefficients and shape.
-        """
+        """Take how well the last effects are known, for predictions."""
+        # estimates: for each, tuned parameters `shape` and the joint `covariance` of
+        # coefficients and shape.
         if estimates:
-            own = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
-            spreads = (*self._robot.coefficient_covariances[: -len(own)], *own)
-            self._robot = replace(self._robot, coefficient_covariances=spreads)
-
-    @property
-    def asked_gains(self):
-        """`gains`, or unknown ones where the drive's are."""
-        if self.gains is None and self.drive is not None:
-            return self.drive.gains
-        return self.gains
+            last = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
+            every = (*self._robot.coefficient_covariances[: -len(last)], *last)
+            self._robot = replace(self._robot, coefficient_covariances=every)
 
     # -- from the arguments to a plan --------------------------------------------------
 
     def _declare(self, *further):
         """Load the model; set the names and units of the parameters."""
         # further: effects that a first fit asks for
-        self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
-        self.joint_names_ = joint_names(self.features_.model_)
-        declared = check_effects(self.effects, self.features_.n_joints_)
-        self.gains_ = None
-        model = self.features_.model_
+        check_criterion(self)
+        check_input_noise(self.input_noise)
         check_drive(self)
-        gains = self._found_gains = self.asked_gains
-        if self.gains is None and len(self.joint_names_) == 1:
-            # In the unit of the only channel.
-            gains = self._found_gains = None
+        self.features_ = RigidBodyFeatures(self.model, friction=self.friction).load()
+        model = self.features_.model_
+        self.joint_names_ = joint_names(model)
+        declared = check_effects(self.effects, model.nv)
+        # The gain of an only channel is its unit.
+        only = self.gains is None and model.nv == 1
+        gains = self._channel_gains = None if only else self.asked_gains
         check_gains(gains, self.joint_names_)
-        self._masses = check_masses(self.known_masses, gains, model)
+        self._masses = check_masses(self.fit_options.known_masses, gains, model)
         if gains is not None:
             declared = declared_gains(declared, model.nv)
         declared += (*delay_of(self.drive, declared), *further)
@@ -756,7 +561,7 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     def _take(self, X, y, groups, sample_weight, t, signals):
         """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-        beside = columns_beside(X, self.joint_names_)
+        columns = columns_beside(X, self.joint_names_)
         X, y = validate_data(
             self,
             positions_in_order(X, self.joint_names_),
@@ -768,25 +573,24 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
         check_widths(self.joint_names_, X, y)
         self._check_rows(X, groups, t, contiguous_groups(groups, X.shape[0]))
-        told = {}
+        channels = {}
         if self.drive is not None:
-            told, signals = self.drive.taken(y, signals)
-        used = signals_for(self.effects_, signals, beside, X.shape[0])
-        weight = check_weight(sample_weight, y.shape)
+            channels, signals = self.drive.taken(y, signals)
+        used = signals_for(self.effects_, signals, columns, X.shape[0])
         recording = recording_of(
             self.joint_names_,
             self.dt,
             X,
             y,
             groups=groups,
-            weight=weight,
+            weight=check_weight(sample_weight, y.shape),
             t=t,
             signals=used,
         )
         check_useful(signals, recording)
         if self.drive is None:
             return recording
-        recording = self.drive.driven(replace(recording, signals=told))
+        recording = self.drive.driven(replace(recording, signals=channels))
         return replace(recording, signals=used)
 
     def _checked(self, recording):
@@ -810,7 +614,6 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     def _check_rows(self, X, groups, t, parts):
         """Reject rows that are no recording of this robot, piece by piece."""
-        check_input_noise(self.input_noise)
         nv = self.features_.n_joints_
         if X.shape[1] == nv:
             check_motion(self.joint_names_, X, parts)
@@ -819,28 +622,25 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
 
     def _prepare(self, recording):
         """Return the plan of the fit, the recording to fit, and its states."""
-        estimator = None
+        estimator, parts = None, recording.segments
         if recording.states is None:
-            source = recording.q, recording.groups
-            estimator = fit_states(check_dt(self.dt), self.state_cutoff, *source)
+            cutoff = self.fit_options.state_cutoff
+            estimator = fit_states(
+                check_dt(self.dt), cutoff, recording.q, recording.groups
+            )
         halves = self.input_noise is not None
         states, facts = observe(recording, estimator, halves, self.n_jobs)
         if estimator is not None:
             travel = facts.highest - facts.lowest
             check_speed(self.dt, facts.fast(), travel, self.features_.model_)
         ranges = np.stack([facts.lowest, facts.highest])
-        torques = [levels(np.asarray(recording.tau[p])) for p in recording.segments]
+        torques = [levels(np.asarray(recording.tau[part])) for part in parts]
         torques = np.concatenate(torques)
         check_channels(self.joint_names_, ranges, torques, recording.n_samples)
-        plan = make_plan(
-            self,
-            self.effects_,
-            [rows.stop - rows.start for rows in recording.segments],
-            estimator,
-            facts,
-        )
+        lengths = [rows.stop - rows.start for rows in parts]
+        plan = make_plan(self, self.effects_, lengths, estimator, facts)
         plan = plan.set_to(recording)
-        check_length(recording.segments, plan.lowpass, plan.cutoff)
+        check_length(parts, plan.lowpass, plan.cutoff)
         return plan, recording, states
 
     # -- from a fit to attributes ----------------------------------------------------
@@ -850,13 +650,11 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         found = fit.found
         self._robot = replace(fit.robot, recording_variance=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_
-        for name in _OF_ROBOT:
-            setattr(self, name, getattr(fit.robot, name))
         self.estimator_ = JointTorqueRegressor.of_estimate(
             found,
             fit.robot.plan.lowpass,
             regressor=None if self.regressor is None else clone(self.regressor),
-            joint_weights=self.joint_weights,
+            joint_weights=self.fit_options.joint_weights,
             dt=self.dt,
             cutoff=self.cutoff_ if np.isfinite(self.cutoff_) else None,
         )
@@ -870,96 +668,52 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         self.input_noise_torque_ = found.noise()[0]
         return self
 
-    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
-        r"""Predict the joint torques.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions, which are smoothed to the cut-off of the fit, or noiseless
-            states [q | v | a].
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time. None
-            starts at the beginning of the first fitted recording.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `fit`; required by effects that vary with them.
-        return_std : bool, default=False
-            If True, also return the standard deviation of measured torques about the
-            predicted ones; see Notes.
-
-        Returns
-        -------
-        torque : ndarray of shape (n_samples, nv)
-            Joint torques [N m] or forces [N], friction included.
-        std : ndarray of shape (n_samples, nv)
-            Standard deviation [N m or N] of the low-pass filtered reading of the torque
-            channel; only with `return_std`. Infinite if a row depends on a parameter
-            that the fit does not determine.
-
-        Raises
-        ------
-        ValueError
-            If X does not match the robot, a signal is missing, or `return_std` is used
-            with a regressor without ``coef_cov_``.
-
-        Warns
-        -----
-        UserWarning
-            If the motion leaves the range of an effect (`effect_ranges_`) by more than
-            a fifth of its width (a tenth for curved effects) in more than 0.5 % of the
-            rows, if it leaves the time of the fit by more than a tenth of its duration
-            and effects vary with time, or if signals leave their range.
-
-        Notes
-        -----
-        A joint at rest may have any dry friction within its band, and the sign of its
-        estimated velocity is noise. The sign of the velocity is therefore replaced by
-        its expected value over the possible true velocities,
-
-        .. math::
-
-            s(v, a) = E[\mathrm{sign}(v + u + e)], \quad
-            u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
-            w = \frac{v_s}{1 + |a| T / v_s}.
-
-        sigma is the standard deviation of the velocity (`StateEstimator`), zero for
-        states; v_s is `standstill_`, and T the period of the fastest motion. Without
-        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)). At rest s = 0; at a
-        reversal the acceleration is large, w is small, and the sign is kept.
-
-        Outside the margin of its range, the torque of an effect is held constant: its
-        columns are computed at the nearest of `EffectRange.ends`. Rigid bodies,
-        declared friction and `bounded` effects are extrapolated. After the last time of
-        the fit a drift continues to decay and a payload remains; before the first time
-        both have their initial value.
-
-        The standard deviation is that of measured minus predicted torque, both filtered
-        as in `residuals`, at a new state of the same robot while the joint moves,
-
-        .. math::
-
-            \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
-
-        phi is the row of the regressor, C the covariance of the parameters before the
-        projection, and s the residual of the joint in the fit. 90 % of the torques
-        are within 1.645 standard deviations if the model error on the new motion is
-        that of the fit: 88 to 91 % on simulated arms, but 80 to 97 % on other motions
-        of measured robots, and 41 % for joint 5 of a TX40. Corrections of the model,
-        shape parameters, dry friction at rest, and noise above the low-pass are not
-        included.
-        """
-        return self.robot_.predicted(X, groups, t, signals, return_std)
-
     @property
     def robot_(self):
         """The identified robot without data, an `IdentifiedRobot`."""
-        check_is_fitted(self)
-        if self.theta_ is not self._robot.theta_:
-            return replace(self._robot, theta_=self.theta_)
+        check_is_fitted(self, "_robot")
         return self._robot
 
+    @property
+    def theta_(self):
+        """Parameters (p,), see `IdentifiedRobot`."""
+        return self.robot_.theta_
+
+    @theta_.setter
+    def theta_(self, theta):
+        self._robot = replace(self.robot_, theta_=theta)
+
+    theta_unconstrained_ = _of_robot("theta_unconstrained_")
+    theta_std_ = _of_robot("theta_std_")
+    identifiable_ = _of_robot("identifiable_")
+    effect_ranges_ = _of_robot("effect_ranges_")
+    gains_ = _of_robot("gains_")
+    min_eigenvalues_ = _of_robot("min_eigenvalues_")
+    noise_floor_ = _of_robot("noise_floor_")
+    torque_noise_ = _of_robot("torque_noise_")
+    output_noise_ = _of_robot("output_noise_")
+    state_estimator_ = _of_robot("state_estimator_")
+    cutoff_ = _of_robot("cutoff_")
+    standstill_ = _of_robot("standstill_")
+
+    @property
+    def torque_lag_(self):
+        """Time [s] by which all torques are late against the positions, or zero."""
+        return self.robot_.plan.lag or 0.0
+
+    @property
+    def torque_lag_std_(self):
+        """Standard deviation of `torque_lag_` [s]; nan if none was found."""
+        lags = [name == "torques:lag" for name in self.parameter_names_]
+        return float(self.theta_std_[lags][0]) if any(lags) else np.nan
+
+    # -- what the identified robot does ------------------------------------------------
+
+    @wraps(IdentifiedRobot.predict)
+    def predict(self, X, groups=None, t=None, signals=None, *, return_std=False):
+        return self.robot_.predicted(X, groups, t, signals, return_std)
+
+    @wraps(IdentifiedRobot.residuals)
     def residuals(
         self,
         X,
@@ -971,149 +725,29 @@ class RobotIdentifier(RecordingRegressorMixin, SimulatesTorques, BaseEstimator):
         *,
         cutoff="fit",
     ):
-        """Return the torque residuals, filtered and masked as in the fit.
+        robot, arguments = self.robot_, (X, y, groups, sample_weight, t, signals)
+        if self.drive is None:
+            return robot.residuals(*arguments, cutoff=cutoff)
+        return robot.residuals_of(self._take(*arguments), cutoff=cutoff)
 
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions, or states.
-        y : array-like of shape (n_samples, nv)
-            Measured torques.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
-                default=None
-            Weights; zero leaves a sample out.
-        t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time; None as
-            for `predict`.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `fit`.
-        cutoff : "fit", float or None, default="fit"
-            Cut-off frequency of the low-pass filter [Hz]; ``"fit"`` uses `cutoff_`,
-            None filters nothing.
+    @wraps(IdentifiedRobot.follow)
+    def follow(self, recording, drive=None, *, window=None):
+        drive = self.drive if drive is None else drive
+        return self.robot_.follow(recording, drive, window=window)
 
-        Returns
-        -------
-        TorqueResiduals
-            Filtered torques, predictions and weights.
-
-        Notes
-        -----
-        Effects are held within their ranges, and dry friction at rest has its mean, as
-        in `predict`.
-        """
-        if self.drive is not None:
-            check_is_fitted(self)
-            recording = self._take(X, y, groups, sample_weight, t, signals)
-            return self.robot_.residuals_of(recording, cutoff=cutoff)
-        return self.robot_.residuals(
-            X, y, groups, sample_weight, t, signals, cutoff=cutoff
-        )
-
-    sample = _forwarded("sample")
-
+    @wraps(IdentifiedRobot.ranges)
     def ranges(self, level=0.9):
-        """Return the range of each parameter in the robot's next recording.
-
-        Parameters
-        ----------
-        level : float, default=0.9
-            Probability of the range; the tails are equal.
-
-        Returns
-        -------
-        Ranges
-            One `ParameterRange` for each parameter; ``save`` writes ``ranges.json``
-            with the names of simulators.
-
-        Raises
-        ------
-        ValueError
-            If the level is not between 0 and 1, or `regressor` gives no ``coef_cov_``.
-
-        See Also
-        --------
-        sample : Draws of all parameters together.
-
-        Notes
-        -----
-        Ranges are marginal, with `theta_std_` for C of `sample`. Draw parameters that
-        are known in combination only (``known``) with `sample`.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> one = robot.ranges(level=0.9)["joint_2:coulomb"]
-        >>> one.unit, one.known
-        ('N m', 'yes')
-        >>> bool(one.lower < one.value < one.upper)
-        True
-        """
         return self.robot_.ranges(level, drive=self._drive_of_files(None))
 
-    to_urdf = _forwarded("to_urdf")
-
-    save = _forwarded("save")
-
+    @wraps(IdentifiedRobot.to_mjcf)
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
-        """Write the identified robot as an MJCF file for MuJoCo.
-
-        Bodies and joints are those of the corrected robot model; no meshes are written.
-        Viscous friction is ``damping``, Coulomb friction ``frictionloss``, rotor
-        inertia ``armature``, a spring ``stiffness`` and ``springref``, a tilted base
-        ``gravity``, an encoder zero ``ref``, and a coupling a fixed tendon. Each joint
-        has a motor of its name, whose control is the reading of the torque channel, or,
-        with a `PDDrive`, the commanded position.
-
-        Parameters
-        ----------
-        path : str or os.PathLike
-            File to write, for MuJoCo 3.2 or newer (3.3.1 if couplings have inertia).
-        sample : int, default=None
-            Row of `sample` to write instead of `theta_`; None writes `theta_`.
-        random_state : int, RandomState or None, default=0
-            Seed of the sample, as for `sample`.
-        drive : PDDrive, default=None
-            Drive of the motors, whose controls are then positions. None is the drive of
-            the identifier, with the mean of recorded gains and the estimated or sampled
-            delay (MuJoCo 3.5). Robots without a `PDDrive` have torque motors.
-
-        Returns
-        -------
-        tuple of LeftOut
-            Effects that the file cannot hold, and negative coefficients; see `to_urdf`.
-            They are also listed in a comment of the file.
-
-        Raises
-        ------
-        ValueError
-            If the parameters are not physically consistent, or a joint is helical.
-
-        See Also
-        --------
-        to_urdf : The same as URDF.
-
-        Notes
-        -----
-        Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
-        is full where abs(v) > h (abs(a) + 1e-4 Fc / M), for a joint of inertia M, and
-        grows in proportion to the speed below. Joint limits are those of the
-        description, shifted by an encoder's zero; limits of speed are not written, and
-        of torque only the ``saturation`` of the drive.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     robot.to_mjcf(f"{folder}/identified.xml")
-        ()
-        """
         drive = self._drive_of_files(drive)
         return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
+
+    simulate = _forwarded("simulate")
+    sample = _forwarded("sample")
+    to_urdf = _forwarded("to_urdf")
+    save = _forwarded("save")
 
     def _drive_of_files(self, drive):
         """Return the `PDDrive` with gains that is written into files, or None."""

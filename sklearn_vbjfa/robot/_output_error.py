@@ -249,7 +249,7 @@ def check_criterion(settings):
         )
     if settings.criterion == "torque":
         return
-    _check_window(settings.window)
+    _check_window(settings.fit_options.window)
     if settings.dt is None:
         raise ValueError(
             "criterion='simulation' needs the sample period: give dt in seconds."
@@ -378,21 +378,21 @@ class Normal:
 # -- refinement ------------------------------------------------------------------------
 
 
-def refine(predictor, found, recording, states, settings):
+def refine(predictor, found, recording, states, window, projector):
     """Refine the parameters of a torque fit by output error."""
     # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
     # the torque fit, each projected onto the physically consistent parameters in its
     # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
     # of the torque fit; found: its `Estimate`; recording, states: what was fitted;
-    # settings: has `window` and `projector`. Returns `Refined`.
-    rows = window_rows(settings.window, predictor, recording, states)
+    # window, projector: see `FitOptions` and `RobotIdentifier`. Returns `Refined`.
+    rows = window_rows(window, predictor, recording, states)
     windows = Windows.of(predictor, recording, states, rows)
     _tell_unknown_noise(predictor)
     with warnings.catch_warnings(record=True) as caught:
         # Every window of every step says what the simulation goes without: once will
         # do.
         warnings.simplefilter("always")
-        refined = _refine(predictor, found, windows, settings.projector)
+        refined = _refine(predictor, found, windows, projector)
     tell_once(caught, "simulations", stacklevel=5)
     count = int(windows.observations.sum())
     if count < _LEAST_OBSERVATIONS * refined.determined:

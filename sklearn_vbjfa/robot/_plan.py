@@ -178,7 +178,7 @@ def make_plan(settings, effects, lengths, estimator, facts):
         dt=dt,
         state_estimator=estimator,
         cutoff=cutoff,
-        standstill=resolve_standstill(settings.standstill, facts.fast()),
+        standstill=resolve_standstill(settings.fit_options.standstill, facts.fast()),
         effects=effects,
         corrects_noise=corrects_noise(settings.regressor),
         fastest_period=facts.period,

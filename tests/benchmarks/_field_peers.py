@@ -33,7 +33,7 @@ from _rivals import settings_of
 from _undeclared_robots import inverse_dynamics
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, StateEstimator
-from sklearn_vbjfa.robot import PDDrive
+from sklearn_vbjfa.robot import FitOptions, PDDrive
 
 PLAIN = ("viscous", "coulomb", "offset", "rotor_inertia")
 OURS, SEARCH, FIGAROH = "RobotIdentifier", "EffectDiscovery", "FIGAROH"
@@ -84,7 +84,7 @@ def declared(model, case, part, **more):
         dt=part["dt"],
         friction=PLAIN,
         cutoff=case.cutoff,
-        standstill=case.standstill,
+        options=FitOptions(standstill=case.standstill),
         drive=PDDrive() if case.gains else None,
         **more,
     )

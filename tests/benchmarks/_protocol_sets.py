@@ -19,6 +19,7 @@ from sklearn_vbjfa.datasets import (
     fetch_ur5,
     load_demo_recording,
 )
+from sklearn_vbjfa.robot import FitOptions
 
 ALL_FRICTION = ("viscous", "coulomb", "offset", "rotor_inertia")
 STAGES = ("development", "confirmation")
@@ -48,7 +49,7 @@ class FrozenSet:
             dt=dt,
             friction=self.friction if friction is None else friction,
             cutoff=self.cutoff,
-            standstill=self.standstill,
+            options=FitOptions(standstill=self.standstill),
         )
 
     def describe(self):

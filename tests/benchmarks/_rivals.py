@@ -13,6 +13,7 @@ from sklearn.linear_model import (
 from sklearn.model_selection import GridSearchCV, KFold
 
 from sklearn_vbjfa import InstrumentalVariables, StepwiseRegressor
+from sklearn_vbjfa.robot import FitOptions
 
 # Rows are in time order, so unshuffled folds are blocks of time.
 BLOCKS = KFold(5)
@@ -53,4 +54,8 @@ def regressors():
 
 def settings_of(name):
     """Return settings of a `RobotIdentifier` with one of the regressors."""
-    return {"regressor": regressors()[name], "projector": None, "alike": None}
+    return {
+        "regressor": regressors()[name],
+        "projector": None,
+        "options": FitOptions(alike=None),
+    }

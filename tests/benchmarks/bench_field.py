@@ -79,6 +79,7 @@ from scipy import signal
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, StateEstimator
 from sklearn_vbjfa.datasets import fetch_emps
+from sklearn_vbjfa.robot import FitOptions
 
 KEYS = ("set", "peer")
 GO2 = "unitree_go2"
@@ -324,7 +325,11 @@ def by_the_board(data_home):
     parts = [recording.select(name) for name in (emps.FITTED, emps.JUDGED)]
     states = [emps.authors_states(part.q[:, 0], part.dt) for part in parts]
     rows = [["published, least squares", *fixed(emps.PUBLISHED_ERRORS[1:], 2), ""]]
-    settings = {"friction": emps.FRICTION, "cutoff": emps.CUTOFF, "standstill": None}
+    settings = {
+        "friction": emps.FRICTION,
+        "cutoff": emps.CUTOFF,
+        "options": FitOptions(standstill=None),
+    }
     chosen = {OURS: {}, SEARCH: {}}
     chosen |= {name: settings_of(name) for name in RIVALS}
     for name, own in chosen.items():

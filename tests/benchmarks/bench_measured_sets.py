@@ -29,6 +29,7 @@ Methods, all with the four terms:
 
 import time
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from _perhaps import undecided
@@ -41,6 +42,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import FitOptions
 
 SETS = {
     "development": ("emps", "ur5", "staubli_tx40", "bam_xl330", "tflex_1dof"),
@@ -78,7 +80,7 @@ def load(name, data_home):
         dt=recording.dt,
         friction=DECLARED,
         cutoff=CUTOFFS.get(name, protocol.cutoff),
-        standstill=protocol.standstill,
+        options=FitOptions(standstill=protocol.standstill),
     )
     return recording, rows, identifier
 
@@ -125,7 +127,10 @@ def judge(q, tau, groups, identifier):
     if not np.allclose(declared, loop.error_before_, atol=SAME, equal_nan=True):
         raise RuntimeError("the declared model was not judged on the same rows")
     fuller = clone(identifier).set_params(friction=PLAIN)
-    plain = clone(fuller).set_params(bodies="free", alike=None).fit(X, y, groups=labels)
+    plain = clone(fuller).set_params(
+        bodies="free", options=replace(fuller.fit_options, alike=None)
+    )
+    plain.fit(X, y, groups=labels)
     errors = {
         "declared": loop.error_before_,
         "four terms": error(plain),

@@ -40,6 +40,7 @@ from sklearn_vbjfa import (
 )
 from sklearn_vbjfa.datasets import rigid_torques
 from sklearn_vbjfa.physical import ProjectionError
+from sklearn_vbjfa.robot import FitOptions
 
 FRICTION = ("viscous",)
 OURS = "VB, correlated inputs"
@@ -140,7 +141,8 @@ def run(name, seed, *, duration=60.0, tracked=10.0, names=None, state_cutoff=Non
     plant, nominal = recording.plant, recording.nominal
     shared = {}
     if state_cutoff is not None:
-        shared = {"state_cutoff": state_cutoff, "cutoff": None}
+        options = FitOptions(state_cutoff=state_cutoff)
+        shared = {"options": options, "cutoff": None}
     chosen = {**methods(), COMPLETED: {}}
     rows = {}
 

@@ -17,6 +17,7 @@ from scipy import signal
 
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 from sklearn_vbjfa.datasets import fetch_emps
+from sklearn_vbjfa.robot import FitOptions
 
 FITTED, JUDGED = "DATA_EMPS", "PULSES"
 POSITION_CUTOFF = 100.0  # Hz
@@ -78,7 +79,7 @@ def fit_models(recording, **settings):
         dt=recording.dt,
         friction=FRICTION,
         cutoff=CUTOFF,
-        standstill=None,
+        options=FitOptions(standstill=None),
     )
     loop = EffectDiscovery(robot, random_state=0, **settings)
     loop.fit(recording.q, recording.tau)

@@ -41,7 +41,7 @@ import numpy as np
 
 import sklearn_vbjfa
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, datasets, effects
-from sklearn_vbjfa.robot import PDDrive
+from sklearn_vbjfa.robot import FitOptions, PDDrive
 
 HERE = Path(__file__).resolve()
 TOLERANCE, DIGITS = 1e-9, 1e-6
@@ -51,7 +51,7 @@ SETS = {
     "demo": ({"friction": ("viscous", "coulomb")}, (), np.inf),
     "emps": ({"cutoff": 20.0}, ("DATA_EMPS",), np.inf),
     "staubli_tx40": ({"cutoff": 25.0}, (), np.inf),
-    "ur5": ({"cutoff": 8.0, "standstill": 0.03}, ("No6",), 25.0),
+    "ur5": ({"cutoff": 8.0, "options": FitOptions(standstill=0.03)}, ("No6",), 25.0),
 }
 FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
 FITTED += ("torque_noise_", "input_noise_torque_", "output_noise_", "cutoff_")
@@ -275,10 +275,16 @@ def identifiers(data_home):
         "geometry": (moved, {"effects": (effects.BaseTilt(), effects.JointZero(1))}),
         "gain": (scaled, {"effects": (effects.TorqueGain(1),)}),
         "gains": (scaled, {"gains": "unknown"}),
-        "known mass": (scaled, {"gains": "unknown", "known_masses": {"lower": 2.0}}),
+        "known mass": (
+            scaled,
+            {"gains": "unknown", "options": FitOptions(known_masses={"lower": 2.0})},
+        ),
         "payload": (plain, {"effects": (payload,)}),
         "stribeck": (plain, {"effects": (effects.Stribeck(0), effects.Ripple(1))}),
-        "output error": (plain, {"criterion": "simulation", "window": 0.3}),
+        "output error": (
+            plain,
+            {"criterion": "simulation", "options": FitOptions(window=0.3)},
+        ),
     }
     found = {}
     known = set(inspect.signature(RobotIdentifier).parameters)

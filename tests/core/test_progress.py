@@ -9,6 +9,7 @@ from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa._core import _progress
 from sklearn_vbjfa._core._progress import counted, say, show_progress, stage
 from sklearn_vbjfa.datasets import load_demo_recording
+from sklearn_vbjfa.robot import FitOptions
 
 
 class Terminal(io.StringIO):
@@ -67,7 +68,9 @@ def test_silence(silent, terminal, monkeypatch):
 def test_stages_of_a_fit(terminal):
     pytest.importorskip("pinocchio")
     recording = load_demo_recording().select(0)
-    robot = RobotIdentifier(recording.urdf, dt=recording.dt, verbose=1)
+    robot = RobotIdentifier(
+        recording.urdf, dt=recording.dt, options=FitOptions(verbose=1)
+    )
     robot.fit(recording.q, recording.tau)
     for text in ("states", "equations", "consistent bodies"):
         assert text in terminal.getvalue()

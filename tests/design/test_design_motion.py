@@ -13,6 +13,7 @@ from sklearn_vbjfa.design import (
     worth,
 )
 from sklearn_vbjfa.recording import find_repetition
+from sklearn_vbjfa.robot import FitOptions
 from tests.design._chains import chain, posed, problem_of
 
 pin = pytest.importorskip("pinocchio")
@@ -363,7 +364,9 @@ def test_noise_of_the_equations_is_that_of_torques_and_encoders(tmp_path):
     inertia = pin.crba(model, model.createData(), np.zeros(1))[0, 0]
     for encoder, torque, close in ((3e-3, 0.01, 0.15), (0.0, 0.2, 1e-3)):
         q, tau = swung(path, encoder)
-        robot = RobotIdentifier(path, dt=dt, torque_noise=torque).fit(q, tau)
+        robot = RobotIdentifier(
+            path, dt=dt, options=FitOptions(torque_noise=torque)
+        ).fit(q, tau)
         task = posed(robot, limits=limits_of(1), duration=3.0, dt=dt)
         highest = task.problem.curve.highest
         band = 3.0 * highest

@@ -10,6 +10,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.design import design_motion  # noqa: E402
 from sklearn_vbjfa.effects import Ripple, Spring  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.design._chains import chain, posed  # noqa: E402
 
 DT, STIFFNESS = 0.01, 12.0
@@ -96,7 +97,10 @@ def test_an_identified_robot_brings_its_torques_and_its_noise(loop, path):
     np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
     # Louder joints count less, as their variance.
     loud = RobotIdentifier(
-        path, dt=DT, torque_noise=np.array([0.1, 0.4]), friction=("viscous",)
+        path,
+        dt=DT,
+        options=FitOptions(torque_noise=np.array([0.1, 0.4])),
+        friction=("viscous",),
     )
     loud.fit(*recording_of(path))
     precision = posed(loud).problem.precision

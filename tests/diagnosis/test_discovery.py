@@ -16,6 +16,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
 from sklearn_vbjfa.diagnosis.explain import split_in_time
 from sklearn_vbjfa.effects import Effect, Shaped
 from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.diagnosis.report._pages import text_of
@@ -300,7 +301,7 @@ def test_the_model_that_is_handed_over_knows_all_data(springy):
         effects=(effect.effect,),
         friction=springy.baseline_.features_.friction_,
         cutoff=springy.judged_.cutoff_,
-        standstill=springy.judged_.standstill_,
+        options=FitOptions(standstill=springy.judged_.standstill_),
     ).fit(ARM.position, torque)
     assert_allclose(again.theta_, springy.identifier_.theta_, rtol=1e-9)
     assert not np.allclose(

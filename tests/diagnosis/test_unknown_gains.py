@@ -12,6 +12,7 @@ from sklearn_vbjfa import EffectDiscovery, RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.effects import Payload  # noqa: E402
 from sklearn_vbjfa.recording import RecordingRefused  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.diagnosis.report._pages import text_of  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
@@ -48,7 +49,7 @@ def close(recording, masses, effects, declared=(PAYLOAD,)):
         dt=DT,
         effects=declared,
         gains="unknown",
-        known_masses=masses,
+        options=FitOptions(known_masses=masses),
         cutoff=None,
         friction=("viscous",),
     )

@@ -23,6 +23,7 @@ from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings
 from sklearn_vbjfa.recording import take_arrays
+from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.recording._bags import states, write_ros2
 
@@ -117,8 +118,8 @@ def assert_same(found, expected):
     "settings",
     [
         {},
-        {"cutoff": 4.0, "state_cutoff": 6.0, "standstill": 0.01},
-        {"cutoff": None, "input_noise": None, "standstill": None},
+        {"cutoff": 4.0, "options": FitOptions(state_cutoff=6.0, standstill=0.01)},
+        {"cutoff": None, "input_noise": None, "options": FitOptions(standstill=None)},
     ],
 )
 def test_files_are_the_recordings_in_memory(recording, folder, settings):

@@ -8,7 +8,7 @@ from scipy.special import logsumexp
 from scipy.stats import multivariate_normal
 
 from sklearn_vbjfa import RobotIdentifier
-from sklearn_vbjfa.robot import _alike
+from sklearn_vbjfa.robot import FitOptions, _alike
 from sklearn_vbjfa.robot._bodies import DESCRIBED, SCALES, Site
 
 LEGS = ("FL", "FR", "RL", "RR")
@@ -70,9 +70,10 @@ def off(model, share, seed):
     return out
 
 
-def fitted(model, recording, **settings):
+def fitted(model, recording, alike="auto", **settings):
     settings = {"friction": TERMS, "cutoff": 8.0, **settings}
-    return RobotIdentifier(model, dt=DT, **settings).fit(*recording)
+    options = FitOptions(alike=alike)
+    return RobotIdentifier(model, dt=DT, options=options, **settings).fit(*recording)
 
 
 def found_drives(robot, terms=(10, 11, 13)):
@@ -244,7 +245,9 @@ def test_the_posterior_has_what_is_shared(model, recording):
 
 
 def groups_of(model, alike="auto", **settings):
-    robot = RobotIdentifier(model, dt=DT, alike=alike, **settings).build_model()
+    robot = RobotIdentifier(
+        model, dt=DT, options=FitOptions(alike=alike), **settings
+    ).build_model()
     return {one.name: one.joints for one in robot._shared_drives}
 
 

@@ -10,6 +10,7 @@ from scipy.optimize import minimize
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from sklearn_vbjfa.robot._armature import WIDTH, most_probable  # noqa: E402
 from tests.robot.test_drives import (  # noqa: E402
     ARM,
@@ -55,7 +56,12 @@ def described(armature):
 
 def rotors(model, recording, drive):
     """Return the rotor inertias of a fit, and their deviations."""
-    robot = RobotIdentifier(model, drive=drive, dt=DT, **EXACT, alike=None)
+    robot = RobotIdentifier(
+        model,
+        drive=drive,
+        dt=DT,
+        **{**EXACT, "options": FitOptions(standstill=None, alike=None)},
+    )
     robot.fit_recording(recording)
     at = [robot.parameter_names_.index(f"joint_{k}:rotor_inertia") for k in (1, 2, 3)]
     return robot.theta_unconstrained_[at], robot.theta_std_[at]

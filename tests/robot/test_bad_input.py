@@ -1,5 +1,7 @@
 """Wrong and poor input: what was expected, what came, what to do."""
 
+from dataclasses import fields
+
 import numpy as np
 import pytest
 
@@ -7,6 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import demo_arm_urdf, make_robot_recording
+from sklearn_vbjfa.robot import FitOptions
 
 
 @pytest.fixture(scope="module")
@@ -14,8 +17,12 @@ def recording():
     return make_robot_recording(duration=12.0, dt=0.01, frequency=1.0, random_state=3)
 
 
+OPTIONS = {one.name for one in fields(FitOptions)}
+
+
 def identify(recording, q=None, tau=None, groups=None, **settings):
-    settings = {"dt": recording.dt, **settings}
+    options = {k: settings.pop(k) for k in OPTIONS & set(settings)}
+    settings = {"dt": recording.dt, "options": FitOptions(**options), **settings}
     robot = RobotIdentifier(demo_arm_urdf(), **{"friction": ("viscous",), **settings})
     return robot.fit(
         recording.q if q is None else q,
@@ -130,7 +137,11 @@ def test_too_few_equations(recording):
         ValueError, match=r"60 equations .* fewer than the 66 parameters; record for"
     ):
         identify(
-            recording, q=states, tau=recording.tau[:10], standstill=None, bodies="free"
+            recording,
+            q=states,
+            tau=recording.tau[:10],
+            standstill=None,
+            bodies="free",
         )
 
 

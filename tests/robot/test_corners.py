@@ -11,7 +11,11 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier, StateEstimator, load_identified  # noqa: E402
 from sklearn_vbjfa.effects import Rest, mean_sign  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
-from sklearn_vbjfa.robot import PDDrive, _fit  # noqa: E402
+from sklearn_vbjfa.robot import (  # noqa: E402
+    FitOptions,
+    PDDrive,
+    _fit,
+)
 from sklearn_vbjfa.robot._fit import jump  # noqa: E402
 
 DT = 0.005
@@ -108,7 +112,12 @@ def wheel():
 
 
 def fitted(drive, recording, **settings):
-    given = {"dt": DT, "cutoff": 3.0, "state_cutoff": 6.0, "bodies": "fixed"}
+    given = {
+        "dt": DT,
+        "cutoff": 3.0,
+        "options": FitOptions(state_cutoff=6.0),
+        "bodies": "fixed",
+    }
     robot = RobotIdentifier(wheel(), drive=drive, **{**given, **settings})
     if drive is not None:
         recording = drive.driven(recording)

@@ -20,6 +20,7 @@ from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
+    FitOptions,
     PDDrive,
     RecordingStates,
 )
@@ -34,7 +35,12 @@ KP, KD = np.array([40.0, 60.0, 20.0]), np.array([1.0, 2.0, 0.5])
 ARMATURE, VISCOUS = np.array([0.1, 0.2, 0.05]), np.array([0.4, 0.6, 0.2])
 FRICTION = ("viscous", "rotor_inertia")
 # States as they are, all rows, no filter and no projection.
-EXACT = {"projector": None, "cutoff": None, "standstill": None, "friction": FRICTION}
+EXACT = {
+    "projector": None,
+    "cutoff": None,
+    "options": FitOptions(standstill=None),
+    "friction": FRICTION,
+}
 
 
 def states(t, seed=0):
@@ -288,7 +294,12 @@ def test_samples_of_delay_and_damping_belong_together(tmp_path):
     weight = np.ones(recording.q.shape)
     weight[:20] = weight[-20:] = 0.0
     recording = replace(recording, tau=recording.tau + 0.4 * noise, weight=weight)
-    robot = identify(recording, stiff, bodies="fixed", joint_weights=None)
+    robot = identify(
+        recording,
+        stiff,
+        bodies="fixed",
+        options=FitOptions(standstill=None, joint_weights=None),
+    )
     expected, at = literal_covariance(recording, robot, 0.4)
     size = np.sqrt(np.diagonal(expected))
     correlation = expected / np.outer(size, size)
@@ -431,7 +442,12 @@ def bob():
 def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     """Whether the controller applied the encoder's noise, or the log alone has it."""
     drive, recording = pendulum(where)
-    settings = {"dt": DT, "cutoff": 40.0, "state_cutoff": 70.0, "bodies": "fixed"}
+    settings = {
+        "dt": DT,
+        "cutoff": 40.0,
+        "options": FitOptions(state_cutoff=70.0),
+        "bodies": "fixed",
+    }
 
     def rotor(recording, **more):
         robot = RobotIdentifier(bob(), drive=drive, **settings, **more)
@@ -448,7 +464,12 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
 @pytest.mark.parametrize("where", ["log", "loop"])
 def test_commands_are_instruments_of_the_motion(where):
     drive, recording = pendulum(where)
-    settings = {"dt": DT, "cutoff": 40.0, "state_cutoff": 70.0, "projector": None}
+    settings = {
+        "dt": DT,
+        "cutoff": 40.0,
+        "options": FitOptions(state_cutoff=70.0),
+        "projector": None,
+    }
 
     def off(regressor):
         """How far inertia, damping and dry friction are off, as shares."""
@@ -469,7 +490,12 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
     """Written out, row by row, from the even and the odd samples."""
     drive, recording = pendulum("log", seconds=20.0)
     robot = RobotIdentifier(
-        bob(), dt=DT, cutoff=None, standstill=None, bodies="fixed", drive=drive
+        bob(),
+        dt=DT,
+        cutoff=None,
+        options=FitOptions(standstill=None),
+        bodies="fixed",
+        drive=drive,
     ).fit_recording(recording)
     estimator = robot.state_estimator_
     even, odd = estimator.split_transform(recording.q, groups=recording.groups)

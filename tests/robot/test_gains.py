@@ -11,6 +11,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
+    FitOptions,
     joint_moments,
 )
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
@@ -20,7 +21,12 @@ from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
 # States as they are, all rows, no filter and no projection.
-EXACT = {"projector": None, "cutoff": None, "standstill": None, "dt": DT}
+EXACT = {
+    "projector": None,
+    "cutoff": None,
+    "options": FitOptions(standstill=None),
+    "dt": DT,
+}
 ARM = arm("ZYYX")
 NV = 4
 VISCOUS = np.array([0.8, 0.5, 0.3, 0.4])
@@ -67,7 +73,9 @@ def relative(gains, found):
 
 def test_gains_are_those_of_nonlinear_least_squares():
     tau = torques()
-    found = fit(tau, joint_weights=None, input_noise=None).gains_
+    found = fit(
+        tau, options=FitOptions(standstill=None, joint_weights=None), input_noise=None
+    ).gains_
     (first,) = found.references
     # Base parameters by a singular value decomposition.
     flat = PHI.reshape(-1, PHI.shape[2])

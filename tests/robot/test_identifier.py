@@ -13,6 +13,7 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 from tests.simulation._machines import wheel  # noqa: E402
 
@@ -48,7 +49,9 @@ def test_predicts_another_motion_and_is_a_possible_robot(identified, new_motion)
 
 
 def test_noiseless_states_and_torques_give_the_torque_exactly(simulated, new_motion):
-    robot = RobotIdentifier(simulated.urdf, friction=FRICTION, standstill=None)
+    robot = RobotIdentifier(
+        simulated.urdf, friction=FRICTION, options=FitOptions(standstill=None)
+    )
     robot.fit(simulated.states, simulated.tau_clean, groups=simulated.groups)
     # relevance determination may drop what explains less than about 1e-5
     error = squared_error(robot, new_motion.states, new_motion.tau_clean)
@@ -193,7 +196,9 @@ def test_standing_samples_are_left_out(simulated, cutoff):
     # what is left is exact; the projection of exact parameters moves them by rounding
     assert np.all(masked.normalised_error() < 1e-5)
     everything = (
-        clone(robot).set_params(standstill=None).fit(states, tau, groups=groups)
+        clone(robot)
+        .set_params(options=FitOptions(standstill=None))
+        .fit(states, tau, groups=groups)
     )
     np.testing.assert_array_equal(everything.standstill_, -1.0)
     np.testing.assert_array_less(
@@ -350,7 +355,10 @@ def test_torque_noise_is_what_passes_the_low_pass(simulated):
     # White noise up to the cut-off, but for the slope of the filter.
     cutoff, noise = 5.0, np.linspace(0.1, 0.6, 6)
     robot = RobotIdentifier(
-        simulated.urdf, dt=simulated.dt, cutoff=cutoff, torque_noise=noise
+        simulated.urdf,
+        dt=simulated.dt,
+        cutoff=cutoff,
+        options=FitOptions(torque_noise=noise),
     )
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     expected = noise * np.sqrt(2 * cutoff * simulated.dt)

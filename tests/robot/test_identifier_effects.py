@@ -12,7 +12,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.robot import _plan
+from sklearn_vbjfa.robot import FitOptions, _plan
 from tests.effects._arms import (
     arm,
     inverse_dynamics,
@@ -34,7 +34,7 @@ EXACT = {
     "regressor": LinearRegression(),
     "projector": None,
     "cutoff": None,
-    "standstill": None,
+    "options": FitOptions(standstill=None),
     "dt": DT,
 }
 NOISE = 0.05 * np.random.default_rng(0).normal(size=DECLARED.shape)

@@ -5,7 +5,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.model import body_names
-from sklearn_vbjfa.robot import body_masses, note_of_masses
+from sklearn_vbjfa.robot import FitOptions, body_masses, note_of_masses
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 
@@ -16,7 +16,11 @@ def fitted(axes, noise=0.01, friction=(), bodies="free"):
     torque = inverse_dynamics(model, states)
     torque += noise * np.random.default_rng(0).normal(size=torque.shape)
     robot = RobotIdentifier(
-        model, dt=0.01, friction=friction, standstill=None, bodies=bodies
+        model,
+        dt=0.01,
+        friction=friction,
+        options=FitOptions(standstill=None),
+        bodies=bodies,
     )
     return robot.fit(states, torque), states
 

@@ -8,6 +8,7 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.effects import Payload  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02
@@ -15,7 +16,6 @@ EXACT = {
     "friction": ("viscous",),
     "projector": None,
     "cutoff": None,
-    "standstill": None,
     "dt": DT,
 }
 ARM = arm("ZYX")
@@ -40,11 +40,15 @@ def recorded(model=ARM, gains=GAINS, payload=MASS, noise=0.01, seed=0, states=ST
     return exact + noise * exact.std(axis=0) * white
 
 
-def fit(tau, masses, model=ARM, effects=None, states=STATES, **given):
+def fit(tau, masses, model=ARM, effects=None, states=STATES, **options):
     if effects is None:
         effects = [Payload(joint=model.nv - 1, instant=PICKED, centre=tuple(CENTRE))]
     robot = RobotIdentifier(
-        model, effects=effects, gains="unknown", known_masses=masses, **EXACT, **given
+        model,
+        effects=effects,
+        gains="unknown",
+        options=FitOptions(standstill=None, known_masses=masses, **options),
+        **EXACT,
     )
     return robot.fit(states, tau)
 
@@ -109,16 +113,16 @@ def test_a_mass_that_turns_does_not():
 
 
 @pytest.mark.parametrize(
-    ("given", "message"),
+    ("gains", "masses", "message"),
     [
-        ({"gains": None}, "needs gains='unknown'; got gains=None"),
-        ({"known_masses": {"arm": 1.0}}, "names 'arm'; expected one of joint_1, .*pay"),
-        ({"known_masses": {"joint_1": -1.0}}, r"positive masses \[kg\]; got -1.0 for"),
-        ({"known_masses": {"payload": np.nan}}, "got nan for payload"),
+        (None, {"payload": 1.0}, "needs gains='unknown'; got gains=None"),
+        ("unknown", {"arm": 1.0}, "names 'arm'; expected one of joint_1, .*pay"),
+        ("unknown", {"joint_1": -1.0}, r"positive masses \[kg\]; got -1.0 for"),
+        ("unknown", {"payload": np.nan}, "got nan for payload"),
     ],
 )
-def test_other_masses_are_refused(given, message):
-    given = {"gains": "unknown", "known_masses": {"payload": 1.0}, **given}
-    robot = RobotIdentifier(ARM, **EXACT, **given)
+def test_other_masses_are_refused(gains, masses, message):
+    options = FitOptions(known_masses=masses)
+    robot = RobotIdentifier(ARM, **EXACT, gains=gains, options=options)
     with pytest.raises(ValueError, match=message):
         robot.fit(STATES, recorded())

@@ -9,6 +9,7 @@ import pytest
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.robot import FitOptions
 from tests.benchmarks._protocols import protocols
 
 # One bench and one robot are in the quick tests.
@@ -42,7 +43,7 @@ def evaluate(measured_data_home):
             dt=recording.dt,
             friction=protocol.friction,
             cutoff=protocol.cutoff,
-            standstill=protocol.standstill,
+            options=FitOptions(standstill=protocol.standstill),
             bodies=bodies,
         )
         robot.fit(recording.q[train], recording.tau[train], recording.groups[train])

@@ -29,6 +29,7 @@ from sklearn_vbjfa.effects import (
     Signal,
     TorqueGain,
 )
+from sklearn_vbjfa.robot import FitOptions
 
 DT = 0.01
 
@@ -87,7 +88,7 @@ def fitted_gains(recording):
         recording.urdf,
         dt=DT,
         gains="unknown",
-        known_masses={"elbow": 4.0},
+        options=FitOptions(known_masses={"elbow": 4.0}),
         friction=("viscous",),
     )
     return robot.fit(recording.q, recording.tau, groups=recording.groups), {}
@@ -95,7 +96,11 @@ def fitted_gains(recording):
 
 def fitted_states(recording):
     robot = RobotIdentifier(
-        recording.urdf, dt=DT, friction=("coulomb",), regressor=Ridge(), standstill=None
+        recording.urdf,
+        dt=DT,
+        friction=("coulomb",),
+        regressor=Ridge(),
+        options=FitOptions(standstill=None),
     )
     return robot.fit(recording.states, recording.tau), {}
 

@@ -18,6 +18,7 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     TorqueGain,
 )
 from sklearn_vbjfa.robot import (  # noqa: E402
+    FitOptions,
     ModelValues,
     joint_moments,
 )
@@ -32,7 +33,7 @@ EXACT = {
     "friction": ("viscous",),
     "projector": None,
     "cutoff": None,
-    "standstill": None,
+    "options": FitOptions(standstill=None),
     "dt": DT,
 }
 ARM, SLIDING = arm("ZYX"), arm("ZyX")
@@ -184,7 +185,10 @@ def test_values_are_those_of_nonlinear_least_squares(truth):
     states = STATES[::2]
     tau = torques(ARM, truth, states, noise=0.2)
     expected, std, columns = literal_least_squares(ARM, truth, tau, states)
-    given = {"joint_weights": None, "input_noise": None}
+    given = {
+        "options": FitOptions(standstill=None, joint_weights=None),
+        "input_noise": None,
+    }
     robot = fit(ARM, idle(truth), tau, states, **given)
     # A value stays within a tenth of its standard error.
     assert np.all(np.abs(values(robot) - expected) < 0.12 * std)
@@ -226,7 +230,11 @@ def test_a_weight_of_two_is_a_row_twice():
     rng = np.random.default_rng(0)
     twice = rng.random(T.size) < 0.3
     rows = np.repeat(np.arange(T.size), 1 + twice)
-    given = {"joint_weights": None, "input_noise": None, "bodies": "free"}
+    given = {
+        "options": FitOptions(standstill=None, joint_weights=None),
+        "input_noise": None,
+        "bodies": "free",
+    }
     weighted = fit(ARM, idle(TRUTH), NOISY, weight=1.0 + twice, **given)
     repeated = fit(ARM, idle(TRUTH), NOISY[rows], STATES[rows], **given)
     plain = fit(ARM, idle(TRUTH), NOISY, **given)

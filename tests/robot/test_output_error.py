@@ -14,6 +14,7 @@ from sklearn_vbjfa.effects import (
     Stribeck,
 )
 from sklearn_vbjfa.robot import (
+    FitOptions,
     PDDrive,
     RecordingStates,
     slopes,
@@ -36,7 +37,12 @@ DT = 0.01
 VISCOUS, COULOMB = np.array([1.5, 0.8, 0.6]), np.array([1.0, 0.7, 0.3])
 FRICTION = ("viscous", "coulomb")
 # States as they are, all rows, no filter.
-EXACT = {"dt": DT, "friction": FRICTION, "cutoff": None, "standstill": None}
+EXACT = {
+    "dt": DT,
+    "friction": FRICTION,
+    "cutoff": None,
+    "options": FitOptions(standstill=None),
+}
 
 
 def planned(model, duration=12.0, seed=3):
@@ -175,7 +181,12 @@ def simulated(model, duration=12.0, seed=3, noise=2e-4, torque_noise=0.0):
     return q, tau + torque_noise * rng.normal(size=tau.shape), groups, truth, made
 
 
-SETTINGS = {"dt": DT, "friction": FRICTION, "criterion": "simulation", "window": 1.0}
+SETTINGS = {
+    "dt": DT,
+    "friction": FRICTION,
+    "criterion": "simulation",
+    "options": FitOptions(window=1.0),
+}
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +204,9 @@ def test_torque_is_the_default_and_changes_nothing(pair):
     assert plain.criterion == "torque"
     assert not hasattr(plain, "criteria_")
     q, tau, groups = data
-    other = RobotIdentifier(arm("ZY"), dt=DT, friction=FRICTION, window=3.0)
+    other = RobotIdentifier(
+        arm("ZY"), dt=DT, friction=FRICTION, options=FitOptions(window=3.0)
+    )
     assert_array_equal(other.fit(q, tau, groups).theta_, plain.theta_)
     assert (refined.theta_ != plain.theta_).any()
 
@@ -377,9 +390,21 @@ def test_a_controlled_mass_follows_the_solution_of_its_equation():
 
 BAD = {
     "criterion": ({"criterion": "position"}, {}, "criterion must be 'torque' or"),
-    "window": ({"window": -1.0}, {}, "window must be 'auto' or a positive"),
-    "window in words": ({"window": "long"}, {}, "window must be 'auto'"),
-    "long window": ({"window": 100.0}, {}, "longer than the longest recording"),
+    "window": (
+        {"options": FitOptions(window=-1.0)},
+        {},
+        "window must be 'auto' or a positive",
+    ),
+    "window in words": (
+        {"options": FitOptions(window="long")},
+        {},
+        "window must be 'auto'",
+    ),
+    "long window": (
+        {"options": FitOptions(window=100.0)},
+        {},
+        "longer than the longest recording",
+    ),
     "dt": ({"dt": None}, {}, "give dt in seconds"),
 }
 

@@ -16,6 +16,7 @@ from sklearn_vbjfa import (
 )
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.physical import Options
+from sklearn_vbjfa.robot import FitOptions
 
 FRICTION = ("viscous", "coulomb")
 
@@ -91,8 +92,7 @@ def test_the_identifier_is_the_same_chain(recording):
         friction=FRICTION,
         projector=None,
         cutoff=5.0,
-        state_cutoff=6.0,
-        standstill=None,
+        options=FitOptions(state_cutoff=6.0, standstill=None),
         regressor=LinearRegression(),
     ).fit(recording.q, recording.tau, groups=groups)
     states = StateEstimator(recording.dt, cutoff=6.0).fit_transform(

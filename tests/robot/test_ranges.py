@@ -10,7 +10,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.robot import SignalRanges
+from sklearn_vbjfa.robot import FitOptions, SignalRanges
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 MODEL = arm("ZYX")
@@ -25,7 +25,7 @@ EXACT = {
     "regressor": LinearRegression(),
     "projector": None,
     "cutoff": None,
-    "standstill": None,
+    "options": FitOptions(standstill=None),
 }
 SPRING = effects.Spring(joint=1)
 RIPPLE = effects.Ripple(joint=1, period=0.3)
@@ -168,7 +168,11 @@ def test_rest_is_no_speed():
     t = np.arange(0, 4.0, DT)
     ramp = np.column_stack([0.5 * t, np.full_like(t, 0.5), 0 * t])
     own = RobotIdentifier(
-        arm("Z"), dt=DT, standstill=0.01, projector=None, friction=("viscous",)
+        arm("Z"),
+        dt=DT,
+        options=FitOptions(standstill=0.01),
+        projector=None,
+        friction=("viscous",),
     )
     own.fit(ramp, ramp[:, 1:2] + 0.1 * ramp[:, :1])
     (viscous,) = own.effect_ranges_

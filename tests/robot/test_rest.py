@@ -7,6 +7,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import load_demo_recording, make_robot_recording
+from sklearn_vbjfa.robot import FitOptions
 
 EPS = np.finfo(float).eps
 FRICTION = ("viscous", "coulomb")
@@ -84,7 +85,7 @@ def test_reversals_keep_their_sign(robot, recording):
 def test_nothing_masked_is_the_mean_for_the_noise_alone(recording):
     model = load_demo_recording().robot_model()
     robot = RobotIdentifier(
-        model, dt=recording.dt, friction=FRICTION, standstill=None
+        model, dt=recording.dt, friction=FRICTION, options=FitOptions(standstill=None)
     ).fit(recording.q, recording.tau)
     states = recording.states[:100].copy()
     states[:, recording.nv :] = 1e-9

@@ -13,7 +13,7 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import BlockAssignment, _equations
+from sklearn_vbjfa.robot import BlockAssignment, FitOptions, _equations
 from tests.model._trees import build, by_sample
 
 FRICTION = ("viscous", "coulomb")
@@ -120,7 +120,7 @@ def test_equal_to_the_whole_matrix(whole, recording):
 def test_any_pieces_and_blocks(recording, chunk, block):
     with pytest.MonkeyPatch.context() as patch:
         # without a low-pass the memory of a block decides on its length
-        settings = {"cutoff": None, "state_cutoff": 10.0}
+        settings = {"cutoff": None, "options": FitOptions(state_cutoff=10.0)}
         expected = fit(recording, **settings)
         patch.setattr(_equations, "CHUNK_BYTES", chunk)
         patch.setattr(_lowpass, "_BLOCK_BYTES", block)

@@ -11,6 +11,7 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
+from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion, with_changed_body
 
 MODEL = arm("ZYX")
@@ -23,7 +24,7 @@ EXACT = {
     "friction": ("viscous",),
     "projector": None,
     "cutoff": None,
-    "standstill": None,
+    "options": FitOptions(standstill=None),
 }
 D, CONSTANT = 2.0, 12.0
 START = 5.0  # of the clock [s]

@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import BlockAssignment, _identifier
+from sklearn_vbjfa.robot import BlockAssignment, FitOptions, _identifier
 from tests._quick import one_in
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -47,7 +47,7 @@ def test_ninety_per_cent_hold_the_truth(n):
     """Behind the low-pass and without one, in white and in slow residuals."""
     inside = {}
     for rho in (0.0, 0.9):
-        for settings in ({}, {"cutoff": None, "standstill": None}):
+        for settings in ({}, {"cutoff": None, "options": FitOptions(standstill=None)}):
             cell = inside.setdefault((rho, len(settings)), [])
             for seed in range(n):
                 model, states, tau = pendulum(seed, rho)
@@ -70,7 +70,9 @@ def test_size_for_white_residuals():
     ratio = []
     for seed in range(40):
         model, states, tau = pendulum(seed, 0.0)
-        robot = fitted(model, states, tau, cutoff=None, standstill=None)
+        robot = fitted(
+            model, states, tau, cutoff=None, options=FitOptions(standstill=None)
+        )
         _, v, a = states.T
         columns = np.column_stack([a, v, np.sign(v)])
         expected = 0.05 * np.sqrt(np.diagonal(np.linalg.inv(columns.T @ columns)))
@@ -193,7 +195,12 @@ def test_predicted_deviations_are_those_of_least_squares():
     """They are s^2 (1 + w x (X'X)^-1 x'), w for the scatter between blocks of time."""
     model, states, tau = pendulum(3, 0.0, duration=4.0)
     robot = RobotIdentifier(
-        model, dt=DT, friction=FRICTION, cutoff=None, standstill=None, bodies="free"
+        model,
+        dt=DT,
+        friction=FRICTION,
+        cutoff=None,
+        options=FitOptions(standstill=None),
+        bodies="free",
     ).fit(states, tau)
     new = 1.5 * pendulum(4, 0.0, duration=4.0)[1]
     predicted, std = robot.predict(new, return_std=True)
@@ -220,7 +227,11 @@ def test_a_joint_that_stood_has_no_finite_deviation_elsewhere():
     stood[:, [1, 3, 5]] = 0.0
     tau = inverse_dynamics(model, stood)
     tau += 0.05 * np.random.default_rng(0).normal(size=tau.shape)
-    settings = {"cutoff": None, "standstill": None, "friction": ("viscous",)}
+    settings = {
+        "cutoff": None,
+        "options": FitOptions(standstill=None),
+        "friction": ("viscous",),
+    }
     robot = fitted(model, stood, tau, **settings)
     assert np.isfinite(robot.predict(stood, return_std=True)[1]).all()
     # Viscous friction of joint 2 was never seen.

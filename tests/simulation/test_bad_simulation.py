@@ -8,6 +8,7 @@ import pytest
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.effects import Elastic, Jerk, Spring
+from sklearn_vbjfa.robot import FitOptions
 from sklearn_vbjfa.simulation import SimulationError, simulate
 from tests.simulation._machines import Arm, machine, pendulum, point, slider, wheel
 
@@ -62,7 +63,7 @@ def test_a_joint_that_stops_more_often_than_is_followed_is_told(dt):
         friction=("coulomb",),
         effects=[Spring(0)],
         cutoff=None,
-        standstill=None,
+        options=FitOptions(standstill=None),
     ).fit(states, tau[:, None])
     rest = robot.theta_[-1] / robot.theta_[-2]
     torques, start = np.zeros((round(6 / dt) + 1, 1)), [rest + 0.5]

@@ -186,9 +186,11 @@ def _amount(identifier, recording, parts):
     estimator, dt = None, identifier.dt or 1.0
     if recording.states is None:
         known = recording.q, recording.groups
-        estimator = fit_states(identifier.dt, identifier.state_cutoff, *known)
+        estimator = fit_states(
+            identifier.dt, identifier.fit_options.state_cutoff, *known
+        )
     states, facts = observe(recording, estimator, False, identifier.n_jobs)
-    limit = resolve_standstill(identifier.standstill, facts.fast())
+    limit = resolve_standstill(identifier.fit_options.standstill, facts.fast())
     cutoff = resolve_cutoff(
         identifier.cutoff,
         max(part.stop - part.start for part in parts),

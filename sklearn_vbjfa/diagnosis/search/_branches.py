@@ -12,7 +12,7 @@ from sklearn_vbjfa.model import import_pinocchio
 # A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
 _TOGETHER = 7
-# Parameters of an identifier that may have a value for each joint.
+# Options of an identifier that may have a value for each joint.
 _BY_JOINT = ("state_cutoff", "joint_weights", "torque_noise")
 # Fields of a recording that have a column for each joint.
 _COLUMNS = ("q", "tau", "v", "weight", "torque_noise", "command", "feedback")
@@ -27,14 +27,14 @@ class Branch:
 
     def identifier(self, declared):
         """Return the declared model of the branch, not fitted, in the robot's band."""
-        asked = declared.get_params(deep=False)
-        own = {name: self._own(asked[name]) for name in _BY_JOINT}
+        options = declared.fit_options
+        parts = {name: self._own(getattr(options, name)) for name in _BY_JOINT}
+        parts["standstill"] = declared.standstill_[self.joints]
         cutoff = declared.cutoff_
         return clone(declared).set_params(
             model=self.model,
             cutoff=float(cutoff) if np.isfinite(cutoff) else None,
-            standstill=declared.standstill_[self.joints],
-            **own,
+            options=replace(options, **parts),
         )
 
     def _own(self, value):

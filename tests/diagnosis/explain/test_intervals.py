@@ -17,7 +17,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     named_values,
 )
 from sklearn_vbjfa.effects import AsymmetricFriction
-from sklearn_vbjfa.robot import TorqueResiduals
+from sklearn_vbjfa.robot import FitOptions, TorqueResiduals
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
 
@@ -156,7 +156,12 @@ def test_equal_models_do_not_differ():
 # -- effects, through the loop
 
 STEP = 0.02
-STATES = {"friction": ("viscous",), "dt": STEP, "cutoff": None, "standstill": None}
+STATES = {
+    "friction": ("viscous",),
+    "dt": STEP,
+    "cutoff": None,
+    "options": FitOptions(standstill=None),
+}
 
 
 def pendulum(seed, rho=0.0, duration=60.0):

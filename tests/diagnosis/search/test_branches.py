@@ -14,6 +14,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search._branches import branches_of, root_joints
 from sklearn_vbjfa.effects import Coupling, Effect, resolve
+from sklearn_vbjfa.robot import FitOptions
 
 AXES = ("RY", "RX", "RZ", "RY")
 
@@ -60,7 +61,9 @@ def two_arms():
         random_state=1,
     )
     # The arms are alike; what one lacks is looked for without the other.
-    robot = RobotIdentifier(model, dt=recording.dt, friction=("viscous",), alike=None)
+    robot = RobotIdentifier(
+        model, dt=recording.dt, friction=("viscous",), options=FitOptions(alike=None)
+    )
     return recording, robot.fit(recording.q, recording.tau)
 
 

@@ -14,7 +14,7 @@ from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.search import RecordingView
 from sklearn_vbjfa.diagnosis.search import _view as _thinned
-from sklearn_vbjfa.robot import RobotIdentifier
+from sklearn_vbjfa.robot import FitOptions, RobotIdentifier
 from tests.diagnosis.report._pages import text_of
 
 LOWPASS = _lowpass.design(0.001, 5.0)
@@ -134,7 +134,8 @@ def test_a_long_recording_has_the_same_name_and_errors_of_all_rows(few, recorded
     # Parameters are those of all rows.
     whole = identifier(recorded).set_params(effects=[thinned.effects_[0].effect])
     whole.set_params(cutoff=thinned.identifier_.cutoff_)
-    whole.set_params(standstill=thinned.identifier_.standstill_)
+    standstill = thinned.identifier_.standstill_
+    whole.set_params(options=FitOptions(standstill=standstill))
     whole.fit(recorded.q, recorded.tau)
     n = [one.estimator_.statistics_.n for one in (whole, thinned.identifier_)]
     assert_array_equal(*n)

@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
 from types import NoneType, UnionType
 from typing import get_args, get_origin, get_type_hints
@@ -30,10 +30,35 @@ from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1
-
-
 # What follows from the rest, or is of no use elsewhere.
 _NOT_SAVED = frozenset({"features_", "source", "_stepper"})
+# What is saved of a fitted `StateEstimator`.
+_OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
+# What JSON has no number for.
+_SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+_WORDS = {bool: "true or false", int: "a whole number", str: "a text"}
+# Shapes of arrays: numbers of joints, of friction terms, of parameters, ...
+_SHAPES = {
+    "p": "theta_ theta_unconstrained_ theta_std_ identifiable_",
+    "load": "load_parameters",
+    "nv": "noise_floor_ torque_noise_ output_noise_ joint_weights plan.standstill "
+    "plan.fastest_period plan.corners gains_.gain gains_.std gains_.reference "
+    "prediction_covariance.through prediction_covariance.rest",
+    "nv m": "powers.friction",
+    "p p": "prediction_covariance.covariance",
+    "k": "recording_variance.places recording_variance.size",
+    "scales k": "recording_variance.weights",
+}
+# Width of a line that a list or an object of plain values stays on.
+_WIDTH = 240
+
+
+class _Wrong(ValueError):
+    """A key with a wrong value; the file is added where it is known."""
+
+
+def _wrong(at, what):
+    return _Wrong(f"key {at!r} {what}" if at else f"it {what}")
 
 
 # -- robots ----------------------------------------------------------------------------
@@ -65,150 +90,148 @@ def write(path, robot):
 def read(path, effects=()):
     """Read an `IdentifiedRobot`; ValueError for missing or wrong keys."""
     # effects: classes of those that are not in the library.
-    file = read_place(path)
-    if not isinstance(file.value, dict) or file.value.get("format") != FORMAT:
+    classes, name = _classes(effects), str(path)
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+        content = json.loads(text, parse_constant=_no_number)
+    except FileNotFoundError:
+        raise FileNotFoundError(f"There is no file {name!r}.") from None
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{name!r} is not JSON: {error}.") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise ValueError(
-            f"{file.path!r} is not an identified robot: its key 'format' is not "
+            f"{name!r} is not an identified robot: its key 'format' is not "
             f"{FORMAT!r}. Files of that format are written by RobotIdentifier.save."
         )
-    version = file["version"].value
-    if version != VERSION:
-        raise file["version"].wrong(
-            f"is {quoted(version)}, and this release reads version {VERSION}: identify "
-            "the robot again, or install the release that wrote it"
-        )
-    classes = _classes(effects)
     try:
-        values = decode_fields(file, IdentifiedRobot, classes)
-        friction = decode(file["friction"], tuple[str, ...])
+        return _robot_of(content, name, classes)
+    except _Wrong as error:
+        raise ValueError(f"{name!r}: {error}.") from error
     except RecursionError:
-        raise file.wrong("is nested too deeply") from None
+        raise ValueError(f"{name!r}: it is nested too deeply.") from None
+
+
+def _no_number(name):
+    raise ValueError(f"it holds {name} for a number, JSON has none of that name")
+
+
+def _robot_of(content, name, classes):
+    version = _value(content, "version")
+    if version != VERSION:
+        raise _wrong(
+            "version",
+            f"is {quoted(version)}, and this release reads version {VERSION}: identify "
+            "the robot again, or install the release that wrote it",
+        )
+    head = {
+        key: decode(_value(content, key), tuple[str, ...], key)
+        for key in ("joints", "friction", "parameters")
+    }
+    values = decode_fields(content, IdentifiedRobot, "", classes)
+    gravity = _array(_value(content, "gravity"), "gravity")
+    _check_shape("gravity", gravity, (6,))
     try:
-        features = RigidBodyFeatures(_nominal(file), friction).load()
+        model = in_order(load_text(values["text"], name), head["joints"])
     except ValueError as error:
-        raise file["friction"].wrong(f"is of no use: {error}") from error
-    _check_joints(file["plan"]["effects"], values["plan"].effects, features.n_joints_)
-    features = features.corrected(values["plan"].effects)
-    robot = IdentifiedRobot(features_=features, **values)
-    _check(file, robot)
+        raise _wrong("text", f"holds no such robot: {error}") from error
+    motion = model.gravity.copy()
+    motion.linear, motion.angular = np.split(gravity, 2)
+    model.gravity = motion
+    try:
+        features = RigidBodyFeatures(model, head["friction"]).load()
+    except ValueError as error:
+        raise _wrong("friction", f"is of no use: {error}") from error
+    effects = values["plan"].effects
+    _check_joints(effects, features.n_joints_)
+    robot = IdentifiedRobot(features_=features.corrected(effects), **values)
+    if head["parameters"] != robot.parameter_names_:
+        raise _wrong(
+            "parameters",
+            "must hold the names of the parameters of the joints, the friction and the "
+            "effects in their order",
+        )
+    _check_plan(robot.plan)
+    _check_shapes(robot)
     return robot
 
 
-def _nominal(file):
-    """Build the model of the description, with its joints in the order of the file."""
-    urdf, joints = decode(file["text"], str), decode(file["joints"], tuple[str, ...])
-    try:
-        model = in_order(load_text(urdf, file.path), joints)
-    except ValueError as error:
-        raise file["text"].wrong(f"holds no such robot: {error}") from error
-    values = file["gravity"].array((6,))
-    gravity = model.gravity.copy()
-    gravity.linear, gravity.angular = np.split(values, 2)
-    model.gravity = gravity
-    return model
-
-
-def _check_joints(place, effects, nv):
+def _check_joints(effects, nv):
     """Refuse effects of joints that the robot does not have."""
-    for one, effect in zip(place.items(), effects):
+    for k, effect in enumerate(effects):
+        at = f"plan.effects[{k}]"
         if effect.joint not in range(nv):
-            raise one["joint"].wrong(f"must be one of the {nv} joints, from zero")
+            raise _wrong(f"{at}.joint", f"must be one of the {nv} joints, from zero")
         for key in effect.partners if isinstance(effect, Shaped) else ():
             partner = getattr(effect, key)
             if partner == effect.joint or partner not in range(nv):
-                raise one["shape"][key].wrong(
-                    f"must be another joint, counted from zero; it is {partner!r}"
+                raise _wrong(
+                    f"{at}.shape.{key}",
+                    f"must be another joint, counted from zero; it is {partner!r}",
                 )
 
 
-def _check(file, robot):
-    """Refuse values that do not suit the joints, the friction and the effects."""
-    names = decode(file["parameters"], tuple[str, ...])
-    if names != robot.parameter_names_:
-        raise file["parameters"].wrong(
-            "must hold the names of the parameters of the joints, the friction and the "
-            "effects in their order"
-        )
-    nv, m, p = len(robot.joint_names_), len(robot.features_.friction_), len(names)
-    widths = [len(effect.coefficients) for effect in robot.effects_]
-    file["known_"].items(p)
-    file["effect_ranges_"].items(nv * m + len(widths))
-    file["coefficient_covariances"].items(len(widths))
-    for key in ("theta_", "theta_unconstrained_"):
-        file[key].array((p,))
-    for key in ("theta_std_", "identifiable_"):
-        file[key].array((p,), finite=False)
-    plain = np.array([is_plain(effect) for effect in robot.effects_], bool)
-    load = robot.features_.n_parameters_ + int(np.sum(np.array(widths)[plain]))
-    shapes = {
-        "load_parameters": (load,),
-        "noise_floor_": (nv,),
-        "torque_noise_": (nv,),
-        "output_noise_": (nv,),
-        "joint_weights": (nv,),
-        "plan.standstill": (nv,),
-        "plan.fastest_period": (nv,),
-        "plan.corners": (nv,),
-        "gains_.gain": (nv,),
-        "gains_.std": (nv,),
-        "gains_.reference": (nv,),
-        "powers.friction": (nv, m),
-        "prediction_covariance.covariance": (p, p),
-        "prediction_covariance.through": (nv,),
-        "prediction_covariance.rest": (nv,),
-    }
-    for k, width in enumerate(widths):
-        size = width + len(robot.coefficient_covariances[k].shape)
-        shapes[f"coefficient_covariances.{k}.covariance"] = size, size
-        shapes[f"powers.effects.{k}"] = nv, width, width
-    between = robot.recording_variance
-    if between is not None:
-        k, m = between.places.size, between.scales.size
-        shapes["recording_variance.size"] = (k,)
-        shapes["recording_variance.weights"] = m, k
-    for key, shape in shapes.items():
-        place = file.part(key)
-        if place is not None:
-            place.array(shape, finite=False)
-    for key, n in (("recording_variance.places", p), ("gains_.reference", nv)):
-        place = file.part(key)
-        if place is not None and not np.isin(place.numbers(), np.arange(n)).all():
-            raise place.wrong(f"must hold whole numbers from 0 to {n - 1}")
-    _check_plan(file["plan"], robot.plan)
-
-
-def _check_plan(place, plan):
+def _check_plan(plan):
     """Refuse an invalid sample period or cut-off."""
     if plan.dt is not None and not 0 < plan.dt < math.inf:
-        raise place["dt"].wrong("must be greater than zero")
+        raise _wrong("plan.dt", "must be greater than zero")
     try:
-        found = plan.lowpass
-    except (ValueError, ZeroDivisionError) as error:
-        raise place["cutoff"].wrong(f"is of no use: {error}") from error
-    if not np.isfinite(found.taps).all():
-        raise place["cutoff"].wrong("is of no use")
+        good = np.isfinite(plan.lowpass.taps).all()
+    except (ValueError, ZeroDivisionError):
+        good = False
+    if not good:
+        raise _wrong("plan.cutoff", "is of no use")
 
 
-# -- how positions were smoothed -------------------------------------------------------
+def _check_shapes(robot):
+    """Refuse values that do not suit the joints, the friction and the effects."""
+    effects, between = robot.effects_, robot.recording_variance
+    widths = [len(effect.coefficients) for effect in effects]
+    plain = sum(w for effect, w in zip(effects, widths) if is_plain(effect))
+    nv, m = len(robot.joint_names_), len(robot.features_.friction_)
+    sizes = {"nv": nv, "m": m, "p": len(robot.parameter_names_), "k": 0, "scales": 0}
+    sizes["load"] = robot.features_.n_parameters_ + plain
+    if between is not None:
+        sizes["k"], sizes["scales"] = between.places.size, between.scales.size
+    for key, n in (
+        ("known_", sizes["p"]),
+        ("effect_ranges_", nv * m + len(widths)),
+        ("coefficient_covariances", len(widths)),
+    ):
+        if len(getattr(robot, key)) != n:
+            raise _wrong(key, f"must hold {n} values, not {len(getattr(robot, key))}")
+    for key in _SHAPES["p"].split():
+        if getattr(robot, key) is None:
+            raise _wrong(key, "must hold a number, not None")
+    for dimensions, keys in _SHAPES.items():
+        shape = tuple(sizes[name] for name in dimensions.split())
+        for key in keys.split():
+            _check_shape(key, _at(robot, key), shape)
+    for key in ("theta_", "theta_unconstrained_"):
+        if not np.isfinite(getattr(robot, key)).all():
+            raise _wrong(key, "must hold finite numbers")
+    for k, (width, spread) in enumerate(zip(widths, robot.coefficient_covariances)):
+        size = width + len(spread.shape)
+        key = f"coefficient_covariances[{k}].covariance"
+        _check_shape(key, spread.covariance, (size, size))
+        if robot.powers is not None:
+            squares = robot.powers.effects[k]
+            _check_shape(f"powers.effects[{k}]", squares, (nv, width, width))
+    for key, n in (("recording_variance.places", sizes["p"]), ("gains_.reference", nv)):
+        value = _at(robot, key)
+        if value is not None and not np.isin(value, np.arange(n)).all():
+            raise _wrong(key, f"must hold whole numbers from 0 to {n - 1}")
 
-_OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
+
+def _at(value, keys):
+    """Return the value at keys with dots between them; None at or below None."""
+    for key in keys.split("."):
+        value = None if value is None else getattr(value, key)
+    return value
 
 
-def _encode_states(estimator):
-    """Return a fitted `StateEstimator` as a dict."""
-    values = {name: encode(getattr(estimator, name)) for name in _OF_STATES}
-    return {"dt": estimator.dt} | values
-
-
-def _decode_states(place):
-    """Return a fitted `StateEstimator`."""
-    cutoffs = place["cutoff_"].numbers()
-    given = [c if np.isfinite(c) else None for c in np.ravel(cutoffs)]
-    estimator = StateEstimator(place["dt"].number(), cutoff=given)
-    estimator.n_features_in_ = len(given)
-    for name in _OF_STATES:
-        setattr(estimator, name, place[name].array((len(given),), finite=False))
-    return estimator
+def _check_shape(key, value, shape):
+    if value is not None and value.shape != shape:
+        raise _wrong(key, f"must hold numbers of shape {shape}, not {value.shape}")
 
 
 # -- effects ---------------------------------------------------------------------------
@@ -237,7 +260,6 @@ def _of_library(name):
 
 
 def _encode_effect(effect):
-    """Return what an effect is set to, a dict."""
     shape = effect.get_params(deep=False)
     shape.pop("joint")
     for key, value in shape.items():
@@ -250,7 +272,7 @@ def _encode_effect(effect):
         "name": effect.name,
         "of_library": type(effect) is _of_library(effect.name),
         "joint": effect.joint,
-        "shape": {key: _encode_setting(value) for key, value in shape.items()},
+        "shape": encode(shape),
     }
 
 
@@ -261,58 +283,41 @@ def _is_setting(value):
     return value is None or isinstance(value, (bool, int, float, str, np.generic))
 
 
-def _encode_setting(value):
-    """Return a parameter of an effect as JSON has it."""
-    if isinstance(value, (tuple, list)):
-        return [_encode_setting(one) for one in value]
-    plain = encode(value)
-    # Texts stay texts, so that numbers that JSON lacks are objects.
-    changed = isinstance(plain, str) and not isinstance(value, str)
-    return {"number": plain} if changed else plain
-
-
-def _decode_setting(place):
+def _decode_setting(value):
     """Return a parameter of an effect, lists as tuples."""
-    if isinstance(place.value, list):
-        return tuple(_decode_setting(one) for one in place.items())
-    if isinstance(place.value, dict):
-        return place["number"].number()
-    return place.value
+    if isinstance(value, list):
+        return tuple(map(_decode_setting, value))
+    return _SPELLED.get(value, value) if isinstance(value, str) else value
 
 
-def _decode_effect(place, classes):
-    """Return an effect."""
-    name = decode(place["name"], str)
-    if decode(place["of_library"], bool):
+def _decode_effect(value, at, classes):
+    name = decode(_value(value, "name", at), str, f"{at}.name")
+    if decode(_value(value, "of_library", at), bool, f"{at}.of_library"):
         kind = _of_library(name)
         if kind is None:
-            raise place["name"].wrong(
-                f"is {name!r}, which the library of this release does not have"
+            raise _wrong(
+                f"{at}.name",
+                f"is {name!r}, which the library of this release does not have",
             )
     elif name in classes:
         kind = classes[name]
     else:
-        raise place["name"].wrong(
+        raise _wrong(
+            f"{at}.name",
             f"is {name!r}, an effect that is not in the library: give its class, "
-            "load_identified(path, effects=[...])"
+            "load_identified(path, effects=[...])",
         )
-    joint = decode(place["joint"], int)
-    shape = {key: _decode_setting(one) for key, one in place["shape"].parts().items()}
+    joint = decode(_value(value, "joint", at), int, f"{at}.joint")
+    shape = _object(_value(value, "shape", at), f"{at}.shape")
     try:
-        effect = kind(joint=joint, **shape)
+        effect = kind(joint=joint, **{k: _decode_setting(x) for k, x in shape.items()})
         effect.check()
     except (TypeError, ValueError) as error:
-        raise place["shape"].wrong(f"does not suit {name!r}: {error}") from error
+        raise _wrong(f"{at}.shape", f"does not suit {name!r}: {error}") from error
     return effect
 
 
 # -- values of declared types ----------------------------------------------------------
-
-# What JSON has no number for.
-_SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
-_WORDS = {bool: "true or false", int: "a whole number", str: "a text"}
-# Width of a line that a list or an object of plain values stays on.
-_WIDTH = 240
 
 
 def encode(value):
@@ -320,7 +325,7 @@ def encode(value):
     if isinstance(value, Effect):
         return _encode_effect(value)
     if isinstance(value, StateEstimator):
-        return _encode_states(value)
+        return {name: encode(getattr(value, name)) for name in ("dt", *_OF_STATES)}
     if is_dataclass(value):
         return {name: encode(getattr(value, name)) for name in _saved(type(value))}
     if isinstance(value, Mapping):
@@ -334,41 +339,45 @@ def encode(value):
     return value
 
 
-def decode(place, kind, classes=None):
-    """Return the value of a type that `encode` wrote; ValueError if it is another."""
-    # classes: of effects that are not in the library, by name.
+def decode(value, kind, at, classes=None):
+    """Return the value of a type that `encode` wrote; refuse another."""
+    # at: where it is, such as ``plan.effects[3]``; classes: of effects, by name.
     origin, options = get_origin(kind), get_args(kind)
     if origin is UnionType:
-        return _decode_one_of(place, options, classes)
+        return _decode_one_of(value, options, at, classes)
     if origin is Mapping:
-        parts = place.parts()
-        return {key: decode(one, options[1], classes) for key, one in parts.items()}
+        parts = _object(value, at).items()
+        return {k: decode(one, options[1], f"{at}.{k}", classes) for k, one in parts}
     if origin is tuple:
         n = None if options[1] is Ellipsis else len(options)
-        return tuple(decode(one, options[0], classes) for one in place.items(n))
+        parts = enumerate(_list(value, at, n))
+        return tuple(decode(x, options[0], f"{at}[{k}]", classes) for k, x in parts)
     if kind is Effect:
-        return _decode_effect(place, classes)
+        return _decode_effect(value, at, classes)
     if kind is StateEstimator:
-        return _decode_states(place)
+        return _decode_states(value, at)
     if is_dataclass(kind):
-        values = decode_fields(place, kind, classes)
+        values = decode_fields(value, kind, at, classes)
         try:
             return kind(**values)
         except ValueError as error:
-            raise place.wrong(f"is of no use: {error}") from error
+            raise _wrong(at, f"is of no use: {error}") from error
     if kind is np.ndarray:
-        return place.numbers()
+        return _array(value, at)
     if kind is float:
-        return place.number()
-    if type(place.value) is not kind:
-        raise place.wrong(f"must hold {_WORDS[kind]}, not {quoted(place.value)}")
-    return place.value
+        return _number(value, at)
+    if type(value) is not kind:
+        raise _wrong(at, f"must hold {_WORDS[kind]}, not {quoted(value)}")
+    return value
 
 
-def decode_fields(place, kind, classes):
+def decode_fields(value, kind, at, classes):
     """Return the values of a dataclass by the names of its fields."""
-    hints = get_type_hints(kind)
-    return {name: decode(place[name], hints[name], classes) for name in _saved(kind)}
+    hints, before = get_type_hints(kind), f"{at}." if at else ""
+    return {
+        name: decode(_value(value, name, at), hints[name], f"{before}{name}", classes)
+        for name in _saved(kind)
+    }
 
 
 def _saved(kind):
@@ -377,133 +386,81 @@ def _saved(kind):
     return [name for name in names if name not in _NOT_SAVED]
 
 
-def _decode_one_of(place, kinds, classes):
+def _decode_one_of(value, kinds, at, classes):
     """Return a value of one of several types, the first that it suits."""
-    if place.value is None and NoneType in kinds:
+    if value is None and NoneType in kinds:
         return None
     *others, last = (kind for kind in kinds if kind is not NoneType)
     for kind in others:
         try:
-            return decode(place, kind, classes)
-        except ValueError:
+            return decode(value, kind, at, classes)
+        except _Wrong:
             continue
-    return decode(place, last, classes)
+    return decode(value, last, at, classes)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Place:
-    """A value in a file."""
-
-    path: str
-    at: str  # where the value is, such as ``parameters[3].value``
-    value: object  # what the JSON holds
-
-    def wrong(self, what):
-        """Return the error that says what is wrong with the value."""
-        where = f"key {self.at!r} " if self.at else "it "
-        return ValueError(f"{self.path!r}: {where}{what}.")
-
-    def parts(self):
-        """Return the values of an object by their keys."""
-        if not isinstance(self.value, dict):
-            raise self.wrong("must hold an object")
-        before = f"{self.at}." if self.at else ""
-        return {
-            key: Place(path=self.path, at=f"{before}{key}", value=value)
-            for key, value in self.value.items()
-        }
-
-    def __getitem__(self, key):
-        """Return the value of a key of an object, a `Place`."""
-        parts = self.parts()
-        if key not in parts:
-            at = f"{self.at}.{key}" if self.at else key
-            raise Place(path=self.path, at=at, value=None).wrong("is missing")
-        return parts[key]
-
-    def part(self, keys):
-        """Return the value at keys with dots between them; None at or below null."""
-        place = self
-        for key in keys.split("."):
-            place = place.items()[int(key)] if key.isdigit() else place[key]
-            if place.value is None:
-                return None
-        return place
-
-    def items(self, n=None):
-        """Return the values of a list, of n values where that is given."""
-        if not isinstance(self.value, list):
-            raise self.wrong("must hold a list")
-        if n is not None and len(self.value) != n:
-            raise self.wrong(f"must hold {n} values, not {len(self.value)}")
-        return [
-            Place(path=self.path, at=f"{self.at}[{k}]", value=value)
-            for k, value in enumerate(self.value)
-        ]
-
-    def number(self):
-        """Return a float; "nan", "inf" and "-inf" are read as these values."""
-        value = self.value
-        if isinstance(value, str):
-            value = _SPELLED.get(value)
-        if isinstance(value, bool) or not isinstance(value, (int, float)):
-            raise self.wrong(f"must hold a number, not {quoted(self.value)}")
-        try:
-            return float(value)
-        except OverflowError:
-            raise self.wrong("holds a number that is too large") from None
-
-    def numbers(self):
-        """Return the numbers, or the truths, of lists within lists, ndarray."""
-        if isinstance(self.value, list) and self.value:
-            if all(isinstance(one, bool) for one in self.value):
-                return np.array(self.value)
-        nested = self._nested()
-        try:
-            return np.array(nested, int if _whole(nested) else float)
-        except (ValueError, OverflowError):
-            raise self.wrong("must hold rows of the same length") from None
-
-    def array(self, shape, *, finite=True):
-        """Return the numbers of an array of this shape."""
-        found = self.numbers()
-        if found.shape != shape:
-            raise self.wrong(f"must hold numbers of shape {shape}, not {found.shape}")
-        if finite and not np.isfinite(found).all():
-            raise self.wrong("must hold finite numbers")
-        return found
-
-    def _nested(self):
-        """Return the numbers as nested lists, whole ones as they are."""
-        if isinstance(self.value, list):
-            return [one._nested() for one in self.items()]
-        number = self.number()
-        return self.value if type(self.value) is int else number
+def _decode_states(value, at):
+    found = {}
+    for name in _OF_STATES:
+        found[name] = np.atleast_1d(_array(_value(value, name, at), f"{at}.{name}"))
+        _check_shape(f"{at}.{name}", found[name], found["cutoff_"].shape)
+    given = [c if np.isfinite(c) else None for c in found["cutoff_"]]
+    dt = _number(_value(value, "dt", at), f"{at}.dt")
+    estimator = StateEstimator(dt, cutoff=given)
+    vars(estimator).update(found, n_features_in_=len(given))
+    return estimator
 
 
-def _whole(nested):
-    """Whether all numbers of nested lists are whole, and there are any."""
-    if isinstance(nested, list):
-        return bool(nested) and all(map(_whole, nested))
-    return isinstance(nested, int)
+def _object(value, at):
+    if not isinstance(value, dict):
+        raise _wrong(at, "must hold an object")
+    return value
 
 
-def read_place(path):
-    """Read a JSON file, a `Place`; ValueError if it is not JSON."""
-    name = str(path)
+def _value(value, key, at=""):
+    """Return the value of a key of an object."""
+    if key not in _object(value, at):
+        raise _wrong(f"{at}.{key}" if at else key, "is missing")
+    return value[key]
+
+
+def _list(value, at, n=None):
+    if not isinstance(value, list):
+        raise _wrong(at, "must hold a list")
+    if n is not None and len(value) != n:
+        raise _wrong(at, f"must hold {n} values, not {len(value)}")
+    return value
+
+
+def _number(value, at):
+    """Return a float; "nan", "inf" and "-inf" are read as these values."""
+    found = _SPELLED.get(value) if isinstance(value, str) else value
+    if isinstance(found, bool) or not isinstance(found, (int, float)):
+        raise _wrong(at, f"must hold a number, not {quoted(value)}")
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        return Place(
-            path=name, at="", value=json.loads(text, parse_constant=_no_number)
-        )
-    except FileNotFoundError:
-        raise FileNotFoundError(f"There is no file {name!r}.") from None
-    except (ValueError, RecursionError) as error:
-        raise ValueError(f"{name!r} is not JSON: {error}.") from error
+        return float(found)
+    except OverflowError:
+        raise _wrong(at, "holds a number that is too large") from None
 
 
-def _no_number(name):
-    raise ValueError(f"it holds {name} for a number, JSON has none of that name")
+def _array(value, at):
+    """Return the numbers, or the truths, of lists within lists, ndarray."""
+    if isinstance(value, list) and value and all(type(one) is bool for one in value):
+        return np.array(value)
+    try:
+        return np.array(_numbers(value, at))
+    except _Wrong:
+        raise
+    except ValueError:
+        raise _wrong(at, "must hold rows of the same length") from None
+
+
+def _numbers(value, at):
+    """Return numbers as nested lists, whole ones as they are."""
+    if isinstance(value, list):
+        return [_numbers(one, f"{at}[{k}]") for k, one in enumerate(value)]
+    number = _number(value, at)
+    return value if type(value) is int else number
 
 
 def readable(value, indent=0):

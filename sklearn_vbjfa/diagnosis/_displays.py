@@ -550,7 +550,7 @@ def _signals(robot, X, groups, t, index, joints):
     rigid = robot.theta_[: robot.features_.n_parameters_]
     motion = make_motion(
         robot.features_,
-        robot.robot_.query(X, groups)[0],
+        robot.robot_.states(X, groups),
         clock,
         parts,
         rigid,

@@ -39,7 +39,7 @@ _MODULES = {
         "corrections_of",
         "note_of_corrections",
     ),
-    "_equations": ("Equations", "TorqueResiduals", "collect_residuals", "is_plain"),
+    "_equations": ("Equations", "TorqueResiduals", "is_plain"),
     "_estimate": ("estimate", "project"),
     "_features": ("RigidBodyFeatures",),
     "_fit": ("ModelValues",),
@@ -49,7 +49,6 @@ _MODULES = {
     "_joint_moments": (
         "JointMoments",
         "BlockAssignment",
-        "joint_moments",
         "piece_moments",
         "sum_moments",
     ),

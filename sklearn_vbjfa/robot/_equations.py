@@ -802,11 +802,6 @@ def compare(segments, lowpasses, theta):
     return [_joined(pieces) for pieces in found]
 
 
-def collect_residuals(pieces, theta):
-    """Residuals of pieces of `Equations`, which may be an iterator."""
-    return _joined((one.index, one.tau, one.Phi @ theta, one.weight) for one in pieces)
-
-
 def _joined(found):
     """Put residuals (index, torque, predicted, weight) one after the other."""
     index, torque, predicted, weight = (np.concatenate(x) for x in zip(*found))

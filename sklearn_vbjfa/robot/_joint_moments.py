@@ -198,18 +198,7 @@ class JointMoments:
 
     def __add__(self, other):
         """Merge the moments of disjoint rows."""
-        return JointMoments(
-            n=self.n + other.n,
-            n_rows=self.n_rows + other.n_rows,
-            G=self.G + other.G,
-            g=self.g + other.g,
-            yy=self.yy + other.yy,
-            noise=None if self.noise is None else self.noise + other.noise,
-            in_common=_sum_or_none(self.in_common, other.in_common),
-            blocks=_merge_blocks(self.blocks, other.blocks),
-            recordings=_merge_blocks(self.recordings, other.recordings),
-            ranges=sum_ranges([self.ranges, other.ranges]),
-        )
+        return sum_moments([self, other])
 
     def in_stretches(self):
         """Keep the blocks of a single recording as those of stretches of it."""
@@ -287,16 +276,11 @@ class JointMoments:
         return np.einsum("j,jik->ik", weight, self.noise) / total
 
 
-def joint_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
-    """Accumulate rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
+def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
+    """Moments of rows Phi (n, nv, p), tau (n, nv) with weights (n, nv)."""
     # difference (n, nv, p): of two regressors from separate halves of the samples; it
     # has the noise of both, their mean a quarter of its square. parts: blocks of time
     # of the rows, see `BlockAssignment.parts`; recording: see there.
-    return sum_moments([piece_moments(Phi, tau, weight, difference, parts, recording)])
-
-
-def piece_moments(Phi, tau, weight, difference=None, parts=None, recording=None):
-    """Accumulate rows for `sum_moments`, see `joint_moments`."""
     n, nv, p = Phi.shape
     entries = []
     for j in range(nv):

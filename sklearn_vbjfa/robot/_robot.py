@@ -137,12 +137,6 @@ class Inputs:
         return min(rows, int(_EDGE_SHARE * n))
 
 
-def split_effects(effects, coefs):
-    """Split coefficients of effects into those of each, a list."""
-    widths = [len(effect.coefficients) for effect in effects]
-    return np.split(coefs, np.cumsum(widths)[:-1]) if widths else []
-
-
 def recording_of(names, dt, X, y, groups=None, weight=None, t=None, signals=None):
     """Make a `Recording` of checked arrays; zero torques where none are given."""
     nv = len(names)
@@ -223,11 +217,6 @@ class IdentifiedRobot:
     left_out_ : tuple of LeftOutEffect
         Effects that `step` does without, as they need what comes after a state, each
         with `name`, `joint` (from zero) and `reason`.
-
-    See Also
-    --------
-    load_identified : Reads it from a file.
-    RobotIdentifier : Identifies robots.
 
     Examples
     --------
@@ -463,46 +452,10 @@ class IdentifiedRobot:
         return torques, np.concatenate(spreads)
 
     def effects_of_time(self, X, groups=None, t=None, signals=None):
-        """Return what effects of time add to a prediction, and how well it is known.
+        """Return the `EffectOfTime` of each drift and payload; arguments of `predict`.
 
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states, as for `predict`.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, as for `predict`.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `fit`.
-
-        Returns
-        -------
-        tuple of EffectOfTime
-            One for each effect of time in `effects_` (a drift, a payload), with `name`,
-            `joint`, `torque` and its standard deviation `std`, (n_samples, nv) [N m or
-            N], and `beyond`, the time of each row after the fit [s]. The deviation
-            counts shape parameters (the time constant) as given, unless
-            `EffectDiscovery` tuned them.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import make_robot_recording
-        >>> from sklearn_vbjfa.effects import Drift
-        >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-        >>> drift = Drift(joint=0, of="offset", time_constant=10.0)
-        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, effects=[drift])
-        >>> tau = recording.tau.copy()
-        >>> tau[:, 0] += 5.0 * np.exp(-recording.t / 10.0)
-        >>> robot = robot.fit(recording.q, tau)
-        >>> later = recording.t + 10.0
-        >>> (found,) = robot.robot_.effects_of_time(recording.q, t=later)
-        >>> float(found.beyond.max().round(6))
-        10.0
-        >>> bool((found.std[:, 0] > 0).all())
-        True
+        Each has `name`, `joint`, `torque` and its standard deviation `std`, (n_samples,
+        nv) [N m or N], and `beyond`, the time of each row after the fit [s].
         """
         X, signals = self.checked(X, signals)
         return self.of_time(self.prepare(X, groups, t, signals=signals))
@@ -763,25 +716,6 @@ class IdentifiedRobot:
         its `saturation`. Where a robot is followed closely, positions say little of
         its parameters: compare the errors with the range of what was commanded minus
         what was reached.
-
-        Examples
-        --------
-        >>> import numpy as np
-        >>> from dataclasses import replace
-        >>> from sklearn_vbjfa import RobotIdentifier
-        >>> from sklearn_vbjfa.datasets import make_robot_recording
-        >>> from sklearn_vbjfa.robot import PDDrive
-        >>> recording = make_robot_recording(duration=6.0, dt=0.01, random_state=0)
-        >>> kp = np.array([1000.0, 2000.0, 1000.0, 100.0, 100.0, 10.0])
-        >>> v = np.gradient(recording.q, recording.dt, axis=0)
-        >>> aim = recording.q + (recording.tau + kp / 50.0 * v) / kp
-        >>> recording = replace(recording, signals={"q_desired": aim})
-        >>> drive = PDDrive(kp=kp, kd=kp / 50.0, delay=0.0)
-        >>> robot = RobotIdentifier(recording.urdf, dt=recording.dt, drive=drive)
-        >>> robot = robot.fit_recording(drive.driven(recording))
-        >>> states = robot.follow(recording, window=0.5)
-        >>> bool(np.abs(states[:, :6] - recording.q).max() < 0.1)
-        True
         """
         if not isinstance(drive, PDDrive):
             raise ValueError(
@@ -844,10 +778,6 @@ class IdentifiedRobot:
         ValueError
             If a body has no mass.
 
-        See Also
-        --------
-        to_mjcf : A file for MuJoCo, with springs, couplings and offsets.
-
         Notes
         -----
         Joints of the description that follow others (``mimic``) carry no bodies.
@@ -871,21 +801,6 @@ class IdentifiedRobot:
         ValueError
             If that URDF has changed, `model` is a `pinocchio.Model` with a joint type
             that URDF lacks, or a custom effect has a parameter that JSON cannot hold.
-
-        See Also
-        --------
-        load_identified : Read the file.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> from sklearn_vbjfa import load_identified
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     robot.save(f"{folder}/arm.json")
-        ...     load_identified(f"{folder}/arm.json")
-        <IdentifiedRobot: 6 joints, effects: none>
         """
         # What reads a robot makes one.
         from sklearn_vbjfa.robot import _model_file
@@ -917,10 +832,6 @@ class IdentifiedRobot:
         ValueError
             If n is less than one, or `regressor` gives no ``coef_cov_``.
 
-        See Also
-        --------
-        ranges : Intervals of the parameters, and ``ranges.json`` for simulators.
-
         Notes
         -----
         A row is
@@ -943,13 +854,6 @@ class IdentifiedRobot:
         redrawn by Gibbs sampling (200 sweeps). Inconsistent bodies of a row are
         projected in the metric of their posterior, and the other parameters are drawn
         given them.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> robot.sample(5, random_state=0).shape
-        (5, 84)
         """
         n = check_number("n", n, 1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))
@@ -974,10 +878,6 @@ class IdentifiedRobot:
         ------
         ValueError
             If the level is not between 0 and 1, or `regressor` gives no ``coef_cov_``.
-
-        See Also
-        --------
-        sample : Draws of all parameters together.
 
         Notes
         -----
@@ -1039,20 +939,6 @@ class IdentifiedRobot:
         ValueError
             If `model` is a `pinocchio.Model`, which has no URDF, or the parameters are
             not physically consistent.
-
-        See Also
-        --------
-        to_mjcf : The same for MuJoCo, with armature, springs and couplings.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     left_out = robot.to_urdf(f"{folder}/identified.urdf")
-        >>> sorted({one.name for one in left_out})
-        ['offset', 'rotor_inertia']
         """
         robot, which = self._sampled(sample, random_state)
         notes = [
@@ -1106,10 +992,6 @@ class IdentifiedRobot:
         ValueError
             If the parameters are not physically consistent, or a joint is helical.
 
-        See Also
-        --------
-        to_urdf : The same as URDF.
-
         Notes
         -----
         Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
@@ -1117,15 +999,6 @@ class IdentifiedRobot:
         grows in proportion to the speed below. Joint limits are those of the
         description, shifted by an encoder's zero; limits of speed are not written, and
         of torque only the ``saturation`` of the drive.
-
-        Examples
-        --------
-        With the robot of the example of `RobotIdentifier`:
-
-        >>> import tempfile
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     robot.to_mjcf(f"{folder}/identified.xml")
-        ()
         """
         robot, which = self._sampled(sample, random_state)
         model = robot.torque_model()
@@ -1187,7 +1060,9 @@ class IdentifiedRobot:
     def split(self, parameters):
         """Split parameters (p,) into those of each effect, a list."""
         # In the first of several passes effects of the load are missing.
-        return split_effects(self.effects_, parameters[self.features_.n_parameters_ :])
+        ends = np.cumsum([len(effect.coefficients) for effect in self.effects_])
+        coefficients = parameters[self.features_.n_parameters_ :]
+        return np.split(coefficients, ends[:-1]) if self.effects_ else []
 
     def bodies(self, parameters):
         """Inertial and friction parameters of each joint, (nv, 10 + n_friction)."""
@@ -1228,22 +1103,15 @@ class IdentifiedRobot:
             estimator = fit_states(dt, self.state_cutoff, X, groups)
         return smooth_to(estimator, self.plan.cutoff) if in_band else estimator
 
-    def smoothed(self, X, groups, estimator):
-        """States (n, 3 nv) by an estimator, and the `Rest` of their velocities."""
-        rest = self._rest(estimator)
-        if estimator is None:
-            return X, rest
-        return estimator.transform(X, groups=groups), rest
-
     def _rest(self, estimator):
-        """Return the `Rest` of the velocities of an estimator, or of given ones."""
         if estimator is None:
             return self.plan.rest(np.zeros(self.features_.n_joints_))
         return self.plan.rest(estimator.velocity_noise(), estimator)
 
-    def query(self, X, groups):
-        """States (n, 3 nv) of a query as the fit smooths, and the `Rest` of them."""
-        return self.smoothed(X, groups, self.smoother(X, groups))
+    def states(self, X, groups):
+        """States (n, 3 nv) of positions, smoothed as in the fit; given ones stay."""
+        estimator = self.smoother(X, groups)
+        return X if estimator is None else estimator.transform(X, groups=groups)
 
     def recording(self, X, y=None, groups=None, weight=None, t=None, signals=None):
         """Make a `Recording` of checked arrays; zero torques where none are given."""
@@ -1262,9 +1130,13 @@ class IdentifiedRobot:
         """Make the `Inputs` of a recording."""
         inputs, groups = recording.inputs, recording.groups
         smoother = self.smoother(inputs, groups, in_band=True)
-        states, rest = self.smoothed(inputs, groups, smoother)
-        recording = self._on_clock(recording)
-        return Inputs(recording=recording, states=states, rest=rest, smoother=smoother)
+        states = inputs if smoother is None else smoother.transform(inputs, groups)
+        return Inputs(
+            recording=self._on_clock(recording),
+            states=states,
+            rest=self._rest(smoother),
+            smoother=smoother,
+        )
 
     def _on_clock(self, recording):
         """Return a recording with the clock of the fit, where an effect needs one."""
@@ -1357,19 +1229,15 @@ class IdentifiedRobot:
         )
 
     def _load(self):
-        """Return the `Load` of the effects, or None."""
         if self.load_parameters is None:
             return None
         bodies = self.bodies(self.load_parameters)
-        rest, coefficients = self.load_parameters[self.features_.n_parameters_ :], []
-        for effect in self.effects_:
-            width = len(effect.coefficients) if is_plain(effect) else 0
-            own, rest = np.split(rest, [width])
-            coefficients.append(own)
+        plain = self.load_parameters[self.features_.n_parameters_ :]
+        widths = [len(e.coefficients) * is_plain(e) for e in self.effects_]
         return Load(
             bodies=np.ascontiguousarray(bodies[:, :10]),
             friction=bodies[:, 10:].copy(),
-            coefficients=tuple(coefficients),
+            coefficients=tuple(np.split(plain, np.cumsum(widths))[:-1]),
         )
 
     def corrected(self, effects):
@@ -1410,7 +1278,7 @@ class IdentifiedRobot:
         fits to correct them; they have no part in what is predicted.
         """
         if states is None:
-            states = self.query(recording.inputs, recording.groups)[0]
+            states = self.states(recording.inputs, recording.groups)
         plan = replace(self.plan, tangents=True)
         made = RecordingStates.of_rows(recording.segments, states)
         made = build_segments(
@@ -1432,10 +1300,6 @@ class IdentifiedRobot:
             residual = y - self.torques(asked, n_jobs)
             found.append(noise_facts(residual, y, asked.states, *band, n_jobs))
         return found
-
-    def outside_of(self, recording):
-        """Find where a recording leaves what was fitted, tuple of `OutsideRange`."""
-        return self.outside(self.prepare_recording(recording))
 
 
 def _note_of_gravity(gravity):
@@ -1473,10 +1337,6 @@ def load_identified(path, effects=()):
         something in it is missing or wrong; the message names the key.
     ImportError
         If Pinocchio is not installed.
-
-    See Also
-    --------
-    RobotIdentifier.save : Writes the file.
 
     Examples
     --------

@@ -18,20 +18,10 @@ _CLEARLY = 0.05
 
 @dataclass(frozen=True, kw_only=True)
 class FailedWindow:
-    """A window whose simulation ended before its end.
+    """A window whose simulation ended before its end."""
 
-    Attributes
-    ----------
-    window : int
-        Its number, from zero.
-    time : float
-        Time at which it was given up [s]; that of its start if it did not begin.
-    message : str
-        Why.
-    """
-
-    window: int
-    time: float
+    window: int  # its number, from zero
+    time: float  # at which it was given up [s]; that of its start if it did not begin
     message: str
 
 
@@ -39,8 +29,8 @@ class FailedWindow:
 class SimulatedWindows:
     """Measured and simulated motion over windows of equal length.
 
-    `simulate_windows` makes them. Printed, they say how many windows failed, and on
-    which joints they are not clearly better than a robot without a model.
+    Printed, they say how many windows failed, and on which joints they are not clearly
+    better than a robot without a model.
 
     Attributes
     ----------
@@ -62,7 +52,7 @@ class SimulatedWindows:
         Simulated states [q | v | a]; nan in windows that failed.
     failures : tuple of FailedWindow
         Outcome of these.
-    told : ndarray of shape (n_windows, m, nv) or None, default=None
+    commanded : ndarray of shape (n_windows, m, nv) or None, default=None
         Commanded positions [rad or m], where these alone drove the robot under its
         drive; None where torques did.
     """
@@ -76,7 +66,7 @@ class SimulatedWindows:
     start_positions: np.ndarray
     simulated: np.ndarray
     failures: tuple = ()
-    told: np.ndarray | None = None
+    commanded: np.ndarray | None = None
 
     def __repr__(self):
         """Tell the windows, those that failed, and whether a model was needed."""
@@ -98,11 +88,7 @@ class SimulatedWindows:
 
     @property
     def errors(self):
-        """Root mean square position error of each window, (n_windows, nv).
-
-        nan in windows that failed: whoever averages over the others leaves out the
-        worst ones, and should say how many.
-        """
+        """Root mean square position errors (n_windows, nv), nan where one failed."""
         nv = len(self.joint_names)
         return _rms(self.simulated[..., :nv] - self.positions, 1)
 
@@ -114,21 +100,16 @@ class SimulatedWindows:
 
     @property
     def run_away(self):
-        """Joints that ran away in windows, (n_windows, nv), bool.
-
-        Those with a larger error than any of `rivals` has on this joint in any window.
-        """
+        """Joints (n_windows, nv) further off than `rivals` are in any window, bool."""
         worst = [rival.errors.max(axis=0) for rival in self.rivals.values()]
         return self.errors > np.max(worst, axis=0)
 
     @property
     def clearly_better(self):
-        """Joints on which it is clearly better than all robots without a model, (nv,).
+        """Joints (nv,) on which it is clearly better than each of `rivals`.
 
-        Better than each of `rivals`: the mean of the windows' errors is smaller, by
-        Student's t of their differences window by window at a level of 5 %, neighbours
-        being correlated. A window that failed counts as the worst error that any of
-        these has in any window.
+        The mean of the windows' errors is smaller, by Student's t of their differences
+        at a level of 5 %; a window that failed counts as the worst error of `rivals`.
         """
         rivals = [one.errors for one in self.rivals.values()]
         worst = np.max(rivals, axis=(0, 1))
@@ -136,16 +117,10 @@ class SimulatedWindows:
         return np.all([clearly_smaller(own, other) for other in rivals], axis=0)
 
     def verdict(self):
-        """Say whether it is clearly better than all robots without a model.
-
-        Returns
-        -------
-        str
-            Without a full stop; names the joints on which it is not.
-        """
+        """Say whether it is clearly better than all robots without a model."""
         better = self.clearly_better
         without = "a robot that stays and one that keeps its velocity"
-        if self.told is not None:
+        if self.commanded is not None:
             without = "a robot at its commanded positions"
         if better.all():
             return f"clearly better than {without} on every joint"
@@ -155,58 +130,26 @@ class SimulatedWindows:
 
     @property
     def rivals(self):
-        """The same windows of robots without a model, by what they do.
-
-        Driven by torques, of one that ``"stays"`` and one that ``"goes on"``; driven by
-        positions, of one that follows at once, ``"as told"``.
-        """
-        if self.told is None:
-            return {"stays": self.staying(), "goes on": self.going_on()}
-        v = np.gradient(self.told, self.t[0, 1] - self.t[0, 0], axis=1)
-        states = np.concatenate([self.told, v, np.zeros_like(v)], axis=2)
+        """The same windows of robots without a model, by what they do."""
+        # Driven by torques, of one that stays and one that goes on; driven by
+        # positions, of one that follows at once.
+        if self.commanded is None:
+            v = self.velocities[:, 0]
+            return {"stays": self._moving(0.0 * v), "goes on": self._moving(v)}
+        v = np.gradient(self.commanded, self.t[0, 1] - self.t[0, 0], axis=1)
+        states = np.concatenate([self.commanded, v, np.zeros_like(v)], axis=2)
         return {"as told": replace(self, simulated=states, failures=())}
 
     @property
     def scales(self):
-        """Factors (nv,) of errors, and the units that they are then in.
-
-        Millimetres where joints slide; else degrees, and mrad for robots with position
-        commands.
-        """
+        """Factors (nv,) of errors, and the units that they are then in."""
+        # Millimetres where joints slide; else degrees, and mrad for robots with
+        # position commands.
         factor, unit = (180 / np.pi, "degrees")
-        if self.told is not None:
+        if self.commanded is not None:
             factor, unit = 1e3, "mrad"
         units = tuple("mm" if slides else unit for slides in self.prismatic)
         return np.where(self.prismatic, 1e3, factor), units
-
-    def staying(self):
-        """Return the same windows of a robot that stays where it was."""
-        return self._moving(np.zeros_like(self.velocities[:, 0]))
-
-    def going_on(self):
-        """Return the same windows of a robot that keeps its velocity."""
-        return self._moving(self.velocities[:, 0])
-
-    def select(self, chosen):
-        """Return some of the windows, in their order.
-
-        chosen (n_windows,), bool : which.
-        """
-        numbers = {int(k): i for i, k in enumerate(np.flatnonzero(chosen))}
-        failures = [one for one in self.failures if one.window in numbers]
-        return replace(
-            self,
-            starts=self.starts[chosen],
-            t=self.t[chosen],
-            positions=self.positions[chosen],
-            velocities=self.velocities[chosen],
-            start_positions=self.start_positions[chosen],
-            simulated=self.simulated[chosen],
-            failures=tuple(
-                replace(one, window=numbers[one.window]) for one in failures
-            ),
-            told=None if self.told is None else self.told[chosen],
-        )
 
     def _moving(self, v0):
         since = self.t - self.t[:, :1]
@@ -313,7 +256,7 @@ joint_5, joint_6
     else:
         made = _taken_over(beside, X, names)
 
-    def driven(k, rows):
+    def simulated(k, rows):
         return robot.simulate(
             y[rows],
             made.start_positions[k],
@@ -322,7 +265,7 @@ joint_5, joint_6
             signals={name: x[rows] for name, x in (signals or {}).items()} or None,
         )
 
-    return _run(made, driven)
+    return _run(made, simulated)
 
 
 def follow_windows(
@@ -338,16 +281,16 @@ def follow_windows(
     follower.tell_left_out(stacklevel=2)
     if beside is None:
         made = _measured(predictor, X, recording.groups, t, signals, window)
-        told = recording.signals[drive.told].reshape(recording.q.shape)
-        made = replace(made, told=told[_rows_of(made)])
+        commanded = recording.signals[drive.told].reshape(recording.q.shape)
+        made = replace(made, commanded=commanded[_rows_of(made)])
     else:
         made = _taken_over(beside, X, predictor.joint_names_)
 
-    def driven(k, rows):
+    def simulated(k, rows):
         start = np.r_[made.start_positions[k], made.velocities[k, 0]]
         return follower.run(slice(rows[0], rows[-1] + 1), start, made.t[k])
 
-    return _run(made, driven)
+    return _run(made, simulated)
 
 
 def _rows_of(made):
@@ -355,9 +298,9 @@ def _rows_of(made):
     return made.starts[:, None] + np.arange(made.t.shape[1])
 
 
-def _run(made, driven):
+def _run(made, simulated_window):
     """Simulate windows one by one, noting those that fail."""
-    # driven: of the number of a window and its rows, the states (m, 3 nv).
+    # simulated_window: of the number of a window and its rows, the states (m, 3 nv).
     rows = _rows_of(made)
     simulated = np.full((*rows.shape, 3 * len(made.joint_names)), np.nan)
     failures, refusals = [], []
@@ -365,7 +308,7 @@ def _run(made, driven):
         warnings.simplefilter("always")
         for k, own in enumerate(rows):
             try:
-                simulated[k] = driven(k, own)
+                simulated[k] = simulated_window(k, own)
             except SimulationError as error:
                 failures.append(
                     FailedWindow(window=k, time=error.time, message=str(error))
@@ -389,7 +332,7 @@ def _measured(predictor, X, groups, t, signals, window):
     clock = _times(t, len(X))
     if clock is None:
         clock = predictor.clock(None, len(X))
-    states, _ = predictor.query(X, groups)
+    states = predictor.states(X, groups)
     length = None if window is None else _length(window, dt)
     rows = _rows(asked, predictor.plan.standstill, length, dt)
     return SimulatedWindows(
@@ -570,7 +513,7 @@ def follow(robot, drive, recording, window=None):
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = Follower(robot, drive, recording), recording.clock()
     follower.tell_left_out(stacklevel=3)
-    measured, _ = robot.query(recording.inputs, recording.groups)
+    measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples
     if window is not None:
         length = max(round(window / recording.dt), 2)

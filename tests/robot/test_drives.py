@@ -501,7 +501,7 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
     even, odd = estimator.split_transform(recording.q, groups=recording.groups)
     own = RecordingStates.of_rows(
         recording.segments,
-        robot.robot_.query(recording.q, recording.groups)[0],
+        robot.robot_.states(recording.q, recording.groups),
         (even, odd),
     )
     (segment,) = build_segments(recording, own, robot.robot_.plan, robot.features_)

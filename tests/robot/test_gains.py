@@ -12,7 +12,8 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     FitOptions,
-    joint_moments,
+    piece_moments,
+    sum_moments,
 )
 from sklearn_vbjfa.robot._gains import (  # noqa: E402
     relative_gains,
@@ -105,7 +106,7 @@ def test_least_squares_takes_noise_of_the_torques_for_signal():
     """Inverse gains h of h_j y_j = Phi_j theta, all other channels as inputs."""
     _, states = motion(NV, duration=160.0, dt=2 * DT, seed=1)
     tau, rows = torques(0.1, seed=3, states=states), regressor(states)
-    moments = joint_moments(rows, tau, np.ones_like(tau))
+    moments = sum_moments([piece_moments(rows, tau, np.ones_like(tau))])
     found = relative_gains(moments)
     (first,) = found.references
     others = np.delete(np.arange(NV), first)

@@ -20,7 +20,8 @@ from sklearn_vbjfa.effects import (  # noqa: E402
 from sklearn_vbjfa.robot import (  # noqa: E402
     FitOptions,
     ModelValues,
-    joint_moments,
+    piece_moments,
+    sum_moments,
 )
 from tests._quick import one_in  # noqa: E402
 from tests.effects._arms import arm, motion  # noqa: E402
@@ -195,7 +196,7 @@ def test_values_are_those_of_nonlinear_least_squares(truth):
     # Noise in blocks of time varies by chance, and the deviations with it.
     assert_allclose(own(robot, robot.theta_std_), std, rtol=0.5)
     # Without blocks, where there is nothing left to correct, they are the same.
-    moments = joint_moments(columns, tau, np.ones_like(tau))
+    moments = sum_moments([piece_moments(columns, tau, np.ones_like(tau))])
     found = ModelValues.of(moments, with_values(truth, expected), 33, None)
     assert_allclose(found.std, std, rtol=1e-4)
     assert np.all(np.abs(found.step) < 0.02 * std)

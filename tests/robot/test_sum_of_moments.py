@@ -3,7 +3,11 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa.robot import joint_moments, piece_moments, sum_moments
+from sklearn_vbjfa.robot import piece_moments, sum_moments
+
+
+def joint_moments(*rows):
+    return sum_moments([piece_moments(*rows)])
 
 
 def pieces(rng, sizes=(30, 1, 20)):

@@ -55,7 +55,7 @@ def commands_alone(models, stretches, recording):
     if sum(lengths) * dt > _SIMULATED:
         most = max(int(_SIMULATED / dt / len(lengths)), 2)
     parts = [slice(x.start, min(x.start + most, x.stop)) for x in stretches]
-    measured, _ = models.judged.robot_.query(recording.inputs, recording.groups)
+    measured = models.judged.robot_.states(recording.inputs, recording.groups)
     known = {"before": models.declared, "plain": models.plain, "after": models.judged}
     found, failed, left_out = {}, {}, ()
     with warnings.catch_warnings(record=True) as caught:
@@ -307,7 +307,7 @@ def judge(models, found, split, near, whole, commanded):
         n_undecided=count - len(kept.stretches),
         guard=float(guard * dt),
         cost=cost,
-        outside=completed.robot_.outside_of(rest),
+        outside=completed.robot_.outside(completed.robot_.prepare_recording(rest)),
         spectra=told,
         looked_at=_looked_at(model.view, split),
         alone=alone,

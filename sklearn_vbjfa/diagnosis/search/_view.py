@@ -165,7 +165,7 @@ class RecordingView:
         self.declared = robot.features_.friction_
         self.floor = robot.noise_floor_**2
         clock = check_clock(recording.t, recording.n_samples, robot.dt)
-        states = robot.query(recording.inputs, recording.groups)[0]
+        states = robot.states(recording.inputs, recording.groups)
         self._lowpass = robot.plan.lowpass
         self.step = (robot.dt or 1.0) * self._lowpass.step
         self._begins, self.repetition = begins, repetition

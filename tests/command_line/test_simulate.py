@@ -99,7 +99,7 @@ def test_the_rest_of_a_recording_is_simulated(good, urdf, recording, capsys):
     assert list(positions) == ["shoulder", "elbow"]
     for j, name in enumerate(positions):
         own = np.rad2deg(np.median(found.errors[:, j]))
-        rivals = found.staying(), found.going_on()
+        rivals = found.rivals["stays"], found.rivals["goes on"]
         expected = [rms_degrees(found.errors)[j], own]
         expected += [rms_degrees(rival.errors)[j] for rival in rivals]
         np.testing.assert_allclose(positions[name], expected, rtol=2e-2)

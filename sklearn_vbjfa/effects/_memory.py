@@ -22,6 +22,8 @@ _WIDTHS = (0.0005, 0.001, 0.002, 0.004, 0.008, 0.016, 0.032, 0.064, 0.13)
 _COUNT, _SMALLEST, _LARGEST = 14, 3e-5, 0.25
 # Stribeck speeds of the bank to try, as shares of the joint's fastest speed.
 _SPEEDS = (0.04, 0.08, 0.16, 0.32)
+# Points of the curve on which the displacement at half of the friction is looked for.
+_CURVE = 200
 
 
 def _turning_points(q):
@@ -60,6 +62,38 @@ def _at_turns(q, d, start):
     return found
 
 
+def elements(q, displacements, level=None, creeps=False, before=()):
+    """States (n, k) of elements that slip, or creep, towards a level (n,), or one."""
+    if level is None and not creeps:
+        return stops(q, displacements, before)
+    d = np.asarray(displacements, dtype=float)
+    out = np.zeros((q.size, d.size))
+    if len(before):
+        out[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
+    level = np.ones(q.size) if level is None else level
+    follow = _creep if creeps else _slip
+    for a, b in itertools.pairwise(_turning_points(q)):
+        rows, way = slice(a + 1, b + 1), 1.0 if q[b] >= q[a] else -1.0
+        moved = np.abs(q[rows] - q[a])[:, None] / d
+        out[rows] = way * follow(way * out[a], moved, level[rows, None])
+    return out
+
+
+def _slip(z, moved, level):
+    """Elements z (k,), moved (n, k) forward, that slip at a level (n, 1)."""
+    return moved + np.minimum(z, np.minimum.accumulate(level - moved))
+
+
+def _creep(z, moved, level):
+    """Elements z (k,), moved (n, k) forward, that approach a level (n, 1)."""
+    # z' = level + (z - level) exp(-step), summed in logarithms, which do not overflow.
+    steps = np.diff(moved, axis=0, prepend=0.0) / level
+    way = np.cumsum(steps, axis=0)
+    with np.errstate(divide="ignore"):
+        gains = np.log(level) + way + np.log(-np.expm1(-steps))
+    return np.exp(np.logaddexp.accumulate(gains) - way) + z * np.exp(-way)
+
+
 def play(q, width):
     """Play operator: the position follows q within half the width."""
     out = np.empty_like(q)
@@ -75,12 +109,13 @@ def play(q, width):
 
 
 class MaxwellSlip(Shaped, Stateful):
-    """Dry friction with memory, tau = sum_k F_k z_k(q) with stop operators z_k.
+    """Dry friction with memory, tau = sum_k F_k z_k of elements that stick and slip.
 
-    Each element sticks up to a displacement d_k and then slips,
-    z' = clip(z + dq / d, -1, 1): the Maxwell slip model, of which Coulomb friction is
-    the limit of small displacements [1]_. The elements depend on the positions alone:
-    a joint at rest holds the torque with which it stopped.
+    Moving forward each element sticks up to a displacement d_k and then slips at its
+    level g, z' = min(z + dq / d, g): the Maxwell slip model, of which Coulomb friction
+    is the limit of small displacements [1]_. Or it creeps towards its level, z' = g +
+    (z - g) exp(-dq / (d g)), as bristles do [2]_. The level is 1, or falls with speed,
+    g = 1 + exp(-(v / vs)^2). A joint at rest holds the torque with which it stopped.
 
     Parameters
     ----------
@@ -92,9 +127,11 @@ class MaxwellSlip(Shaped, Stateful):
         Displacements of elements whose size is proportional to the load,
         mu_k abs(tau_load).
     falling : tuple of float, default=()
-        Displacements of elements whose size falls with speed, S_k exp(-(v / vs)^2).
+        Displacements of elements S_k whose level falls with speed, from 2 to 1.
     vs : float, default=0.1
         Stribeck speed [rad/s or m/s] of the falling elements.
+    element : {"stop", "bristle"}, default="stop"
+        Whether elements slip (Maxwell slip, GMS) or creep (Dahl, LuGre).
 
     Notes
     -----
@@ -106,6 +143,9 @@ class MaxwellSlip(Shaped, Stateful):
     ----------
     .. [1] F. Al-Bender, V. Lampaert, J. Swevers, "The generalized Maxwell-slip model",
        IEEE Trans. Automatic Control 50(11), 2005. :doi:`10.1109/TAC.2005.858676`
+    .. [2] C. Canudas de Wit, H. Olsson, K. J. Astrom, P. Lischinsky, "A new model for
+       control of systems with friction", IEEE Trans. Automatic Control 40(3), 1995.
+       :doi:`10.1109/9.376053`
 
     Examples
     --------
@@ -118,8 +158,9 @@ class MaxwellSlip(Shaped, Stateful):
     name = "maxwell_slip"
     label = "dry friction with memory"
     formula = (
-        r"\sum_k (F_k + \mu_k|\tau_\mathrm{load}| + S_k e^{-(v/v_s)^2})\,z_k(q),"
-        r" \quad z_k = \mathrm{clip}(z_k + \Delta q / d_k, -1, 1)"
+        r"\sum_k (F_k + \mu_k|\tau_\mathrm{load}|)\,z_k(q; 1)"
+        r" + S_k\,z_k(q; 1 + e^{-(v/v_s)^2}),"
+        r" \quad z_k(q; g) = \mathrm{clip}(z_k + \Delta q / d_k, -g, g)"
     )
     shape_units = (
         ("displacements", POSITION),
@@ -148,12 +189,18 @@ class MaxwellSlip(Shaped, Stateful):
         loaded=(),
         falling=(),
         vs=0.1,
+        element="stop",
     ):
         super().__init__(joint)
         self.displacements = displacements
         self.loaded = loaded
         self.falling = falling
         self.vs = vs
+        self.element = element
+
+    @property
+    def _creeps(self):
+        return self.element == "bristle"
 
     @property
     def _banks(self):
@@ -194,20 +241,19 @@ class MaxwellSlip(Shaped, Stateful):
     @property
     def named_units(self):
         """Units of what `parameters` returns."""
-        return tuple(
-            (name, unit)
-            for names, units, bank in zip(
-                (("Fc", "half"), ("mu",), ("Fs",)),
-                ((TORQUE, POSITION), (("", ""),), (TORQUE,)),
-                self._banks,
-            )
-            if bank
-            for name, unit in zip(names, units)
-        )
+        names = ["Fc", "half"] * bool(self.displacements or self.falling)
+        names += ["mu"] * bool(self.loaded) + ["Fs"] * bool(self.falling)
+        units = {"half": POSITION, "mu": ("", "")}
+        return tuple((name, units.get(name, TORQUE)) for name in names)
 
     def check(self):
         """Raise ValueError for displacements that are not positive, too."""
         super().check()
+        if self.element not in ("stop", "bristle"):
+            raise ValueError(
+                f'element of {self.name} must be "stop" or "bristle"; got '
+                f"{self.element!r}."
+            )
         for name in ("displacements", "loaded", "falling"):
             for value in getattr(self, name):
                 if not (isinstance(value, Real) and 0 < value < np.inf):
@@ -222,16 +268,19 @@ class MaxwellSlip(Shaped, Stateful):
 
     def columns(self, motion):
         j = self.joint
-        q, v = motion.q[:, j], motion.v[:, j]
-        d = np.concatenate(self._banks)
+        q = motion.q[:, j]
+        fixed, falling = (*self.displacements, *self.loaded), self.falling
+        level = 1.0 + np.exp(-((motion.v[:, j] / self.vs) ** 2))
         before = [own[:, j] for own in motion.before] or [()] * len(motion.parts)
-        own = zip(motion.parts, before, strict=True)
-        z = np.concatenate([stops(q[part], d, known) for part, known in own])
-        _, loaded, falling = self._split(z.T)
-        if loaded.size:
-            loaded *= np.abs(motion.load[:, j])
-        if falling.size:
-            falling *= np.exp(-((v / self.vs) ** 2))
+        z = np.empty((q.size, len(fixed) + len(falling)))
+        for part, known in zip(motion.parts, before, strict=True):
+            known = self._creeps, known
+            z[part, : len(fixed)] = elements(q[part], fixed, None, *known)
+            if falling:
+                z[part, len(fixed) :] = elements(q[part], falling, level[part], *known)
+        if self.loaded:
+            loaded = slice(len(self.displacements), len(fixed))
+            z[:, loaded] *= np.abs(motion.load[:, [j]])
         return z
 
     def _split(self, values):
@@ -240,26 +289,30 @@ class MaxwellSlip(Shaped, Stateful):
         return np.split(values, edges[:-1])
 
     def law(self, maths):
-        j, vs, exp = self.joint, self.vs, maths.exp
+        j, vs, exp, creeps = self.joint, self.vs, maths.exp, self._creeps
         plain, loaded, falling = self._banks
         d = [float(one) for one in (*plain, *loaded, *falling)]
         first, second = len(plain), len(plain) + len(loaded)
-        last, z = None, [0.0] * len(d)
+        last, way, z = None, 1.0, [0.0] * len(d)
 
         def torque(state):
-            nonlocal last
+            nonlocal last, way
             q = state.q[j]
             step = 0.0 if last is None else q - last
             last = q
+            if step:
+                way = 1.0 if step > 0 else -1.0
+            fall = 1.0 + exp(-((state.v[j] / vs) ** 2)) if falling else 1.0
             for k, displacement in enumerate(d):
-                z[k] = min(max(z[k] + step / displacement, -1.0), 1.0)
+                level = fall if k >= second else 1.0
+                own, moved = way * z[k], way * step / displacement
+                if creeps:
+                    own = level + (own - level) * exp(-moved / level)
+                else:
+                    own = min(own + moved, level)
+                z[k] = way * own
             load = abs(state.load[j]) if loaded else 0.0
-            fall = exp(-((state.v[j] / vs) ** 2)) if falling else 0.0
-            return (
-                *z[:first],
-                *(load * one for one in z[first:second]),
-                *(fall * one for one in z[second:]),
-            )
+            return *z[:first], *(load * one for one in z[first:second]), *z[second:]
 
         return torque
 
@@ -269,7 +322,7 @@ class MaxwellSlip(Shaped, Stateful):
         kinds = zip(self._banks, coef, (0.0, 0.0, self.vs), (0.0, 1.0, 0.0))
         for bank, sizes, vs, of_load in kinds:
             for d, size in zip(bank, sizes):
-                table.add("stop", self.joint, float(size), d, vs, of_load)
+                table.add(self.element, self.joint, float(size), d, vs, of_load)
         return True
 
     def shapes(self, motion):
@@ -278,10 +331,16 @@ class MaxwellSlip(Shaped, Stateful):
         bank = tuple(reach * np.geomspace(_SMALLEST, _LARGEST, _COUNT))
         if not (reach > 0 and fast > 0):
             return []
-        plain = {"displacements": bank, "loaded": (), "falling": ()}
+        plain = {"displacements": bank, "loaded": (), "falling": (), "element": "stop"}
         plain["vs"] = _SPEEDS[0] * fast
-        found = [plain] + [plain | {"falling": bank, "vs": s * fast} for s in _SPEEDS]
-        return found if motion.load is None else [*found, plain | {"loaded": bank}]
+        found = [
+            plain | {"falling": bank, "vs": s * fast, "element": element}
+            for element in ("stop", "bristle")
+            for s in _SPEEDS
+        ]
+        if motion.load is not None:
+            found.append(plain | {"loaded": bank})
+        return [plain, *found]
 
     def key(self):
         """All banks are one use of the effect."""
@@ -303,7 +362,7 @@ class MaxwellSlip(Shaped, Stateful):
         """Return the effect with other displacements."""
         names = "displacements", "loaded", "falling"
         found = {name: tuple(bank.tolist()) for name, bank in zip(names, banks)}
-        return type(self)(joint=self.joint, vs=self.vs, **found)
+        return type(self)(**self.get_params(deep=False) | found)
 
     def completed(self, motion):
         """Return the effect with an element of the smallest displacement."""
@@ -314,10 +373,9 @@ class MaxwellSlip(Shaped, Stateful):
         return type(self)(**self.get_params(deep=False) | {"displacements": more})
 
     def in_file(self, coef):
-        """Return the sizes of the elements of constant size, zero for the others."""
-        found = np.array(coef, dtype=float)
-        found[len(self.displacements) :] = 0.0
-        return found
+        """Return the sizes of the elements at high speed, zero for the loaded ones."""
+        plain, loaded, falling = self._split(np.array(coef, dtype=float))
+        return np.concatenate([plain, 0.0 * loaded, falling])
 
     def virgin_curve(self, coef, displacement):
         """Compute the torque of a relaxed joint that is moved in one direction.
@@ -332,19 +390,20 @@ class MaxwellSlip(Shaped, Stateful):
         Returns
         -------
         ndarray of shape (n,)
-            Torques of the elements of constant size [N m or N].
+            Torques [N m or N] of the elements that do not follow the load, well above
+            the Stribeck speed.
         """
-        return self.virgin_columns(displacement) @ self._split(np.asarray(coef))[0]
-
-    def virgin_columns(self, displacement):
-        """Columns (n, k) of `virgin_curve`, for its standard deviation."""
-        x = np.asarray(displacement, dtype=float)
-        d = np.asarray(self.displacements, dtype=float)
-        return np.clip(x[:, None] / d, -1.0, 1.0)
+        plain, _, falling = self._split(np.asarray(coef, dtype=float))
+        moved = np.asarray(displacement, dtype=float)[:, None] / np.concatenate(
+            [self.displacements, self.falling]
+        )
+        curve = 1.0 - np.exp(-moved) if self._creeps else np.minimum(moved, 1.0)
+        return curve @ np.concatenate([plain, falling])
 
     def unresolved(self, resolution):
         """Displacements below the resolution [rad or m] of an encoder, a tuple."""
-        return tuple(d for d in self.displacements if d < resolution)
+        own = sorted({*self.displacements, *self.loaded, *self.falling})
+        return tuple(d for d in own if d < resolution)
 
     def parameters(self, coef):
         """Total friction Fc, displacement `half` at half of it, and sums mu and Fs.
@@ -357,15 +416,18 @@ class MaxwellSlip(Shaped, Stateful):
         Returns
         -------
         dict of str to float
-            Values by symbol.
+            Values by symbol: friction Fc well above the Stribeck speed, and Fs more at
+            very low speed.
         """
         plain, loaded, falling = self._split(np.asarray(coef, dtype=float))
         found = {}
-        if plain.size:
-            ends = np.r_[0.0, np.sort(self.displacements)]
+        if plain.size or falling.size:
+            d = np.concatenate([self.displacements, self.falling])
+            fine = np.geomspace(d.min() / 10, d.max() * 10, _CURVE)
+            ends = np.unique(np.r_[0.0, d, fine])
             curve = self.virgin_curve(coef, ends)
             half = np.interp(0.5 * curve[-1], curve, ends) if curve[-1] > 0 else 0.0
-            found |= {"Fc": float(plain.sum()), "half": float(half)}
+            found |= {"Fc": float(plain.sum() + falling.sum()), "half": float(half)}
         if loaded.size:
             found["mu"] = float(loaded.sum())
         if falling.size:

@@ -156,14 +156,14 @@ class ForwardDynamics:
         """Put together what compiled steps take of the robot."""
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
 
-    def remember(self, q):
-        """Move memory on to positions q (nv,), to which no joint turned round."""
+    def remember(self, q, v):
+        """Move memory on to a state q, v (nv,), to which no joint turned round."""
         if not self._remembers:
             return
         if self.compiled is not None:
-            self.compiled.remember(*self._own, q)
+            self.compiled.remember(*self._own, q, v)
         else:
-            remember(*self._own, q.tolist())
+            remember(*self._own, q.tolist(), v.tolist())
 
     def potential_energy(self, q):
         """Potential energy of the bodies at positions q (nv,) [J]."""

@@ -232,7 +232,7 @@ class Integrator:
         self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)
         np.multiply(_TOLERANCE, self._fast, out=self._exact)
-        self._dynamics.remember(self.q)
+        self._dynamics.remember(self.q, self.v)
         if hit is None:
             self._arrive(slope)
             return

@@ -21,18 +21,19 @@ from sklearn_vbjfa.model import is_prismatic
 _NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
 _NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
 _NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
-_NAMES += ("coupled_spring",)
+_NAMES += ("coupled_spring", "bristle")
 KINDS = {name: kind for kind, name in enumerate(_NAMES)}
 _STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
 _HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)
-_COUPLED_SPRING = 13
+_COUPLED_SPRING, _BRISTLE = 13, 14
 _DRY = _STRIBECK, _LEVEL_DRY
-_REMEMBERING = _STOP, _BACKLASH
-_FRICTION = (*_DRY, _ABSOLUTE, _QUADRATIC, _STOP, _VISCOUS)
+_ELEMENTS = _STOP, _BRISTLE
+_REMEMBERING = (*_ELEMENTS, _BACKLASH)
+_FRICTION = (*_DRY, _ABSOLUTE, _QUADRATIC, *_ELEMENTS, _VISCOUS)
 # What needs no table.
 _LINES = ("constant", "dry", "load_dry", "armature")
-# Where a term of a stop operator says whether its size is proportional to the load.
+# Where an element with memory says whether its size is proportional to the load.
 _OF_LOAD = 3
 # What changes with time, and the kind of its term.
 _LEVELS = {"offset": "level", "coulomb": "level_dry", "viscous": "viscous"}
@@ -133,7 +134,9 @@ class TermTable:
     def add(self, name, joint, *numbers):
         """Add a term, its size first, and return whether that can be done."""
         # name: one of `KINDS`, see `add_terms`, or what needs no table.
-        of_load = name == "load_dry" or (name == "stop" and numbers[_OF_LOAD] > 0)
+        of_load = name == "load_dry"
+        if KINDS.get(name) in _ELEMENTS:
+            of_load = numbers[_OF_LOAD] > 0
         # All friction of a joint over the load is held within the same ends.
         if of_load and self._load_ends.setdefault(joint, self._ends) != self._ends:
             return False
@@ -158,8 +161,8 @@ class TermTable:
     @property
     def of_load(self):
         """Whether friction depends on the load."""
-        stops = self._numbers[self.kinds == _STOP]
-        return bool(self.load_dry.any() or stops[:, _OF_LOAD].any())
+        elements = self._numbers[np.isin(self.kinds, _ELEMENTS)]
+        return bool(self.load_dry.any() or elements[:, _OF_LOAD].any())
 
     @property
     def is_timed(self):
@@ -256,22 +259,31 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             c, s = math.cos(waves * x), math.sin(waves * x)
             placed[j] += size * c + row[1] * s
             by_position[j] += moves_x * waves * (row[1] * c - size * s)
-        elif kind == _STOP:
-            z = memory[i][1] + (q[j] - memory[i][0]) / row[1]
-            slope = size / row[1] if abs(z) < 1.0 else 0.0
-            z = max(min(z, 1.0), -1.0)
-            bend = 0.0
+        elif kind == _STOP or kind == _BRISTLE:
+            # Its state z on the way `way`, its level, and the slopes of both.
+            step = (q[j] - memory[i][0]) / row[1]
+            way = 1.0 if step > 0.0 or (step == 0.0 and v[j] > 0.0) else -1.0
+            level, bend = 1.0, 0.0
             if row[2] > 0:
                 r = v[j] / row[2]
-                size *= math.exp(-r * r)
-                bend = -2.0 * r * size * z / row[2]
-            if row[_OF_LOAD] > 0:
-                load_smooth[j] += size * z
-                load_by_position[j] += slope
+                level += math.exp(-r * r)
+                bend = -2.0 * r * (level - 1.0) / row[2]
+            z = way * memory[i][1]
+            if kind == _BRISTLE:
+                left = math.exp(-way * step / level)
+                z = level + (z - level) * left
+                slope, bend = (level - z) / (level * row[1]), bend * (1.0 - left)
+            elif z + way * step < level:
+                z, slope, bend = z + way * step, 1.0 / row[1], 0.0
             else:
-                smooth[j] += size * z
-                by_position[j] += slope
-                by_velocity[j] += bend
+                z, slope = level, 0.0
+            if row[_OF_LOAD] > 0:
+                load_smooth[j] += size * way * z
+                load_by_position[j] += size * slope
+            else:
+                smooth[j] += size * way * z
+                by_position[j] += size * slope
+                by_velocity[j] += size * way * bend
         elif kind == _BACKLASH:
             half = 0.5 * row[1]
             p = max(min(memory[i][1], x + half), x - half)
@@ -297,13 +309,21 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             by_position[j] += moves_x * size
 
 
-def remember(kinds, joints, numbers, memory, q):
+def remember(kinds, joints, numbers, memory, q, v):
     """Move the memory of a table on to positions q; no joint turned on the way."""
     for i in range(len(kinds)):
         kind, j = kinds[i], joints[i]
-        if kind == _STOP:
-            z = memory[i][1] + (q[j] - memory[i][0]) / numbers[i][1]
-            memory[i][1] = max(min(z, 1.0), -1.0)
+        if kind == _STOP or kind == _BRISTLE:
+            step, level = (q[j] - memory[i][0]) / numbers[i][1], 1.0
+            if numbers[i][2] > 0:
+                level += math.exp(-((v[j] / numbers[i][2]) ** 2))
+            way = 1.0 if step > 0.0 else -1.0
+            z = way * memory[i][1]
+            if kind == _BRISTLE:
+                z = level + (z - level) * math.exp(-way * step / level)
+            elif step != 0.0:
+                z = min(z + way * step, level)
+            memory[i][1] = way * z
             memory[i][0] = q[j]
         elif kind == _BACKLASH:
             half, low, high = 0.5 * numbers[i][1], numbers[i][_LOW], numbers[i][_HIGH]

@@ -144,12 +144,25 @@ def last_body_regressor(model, states):
     )
 
 
-def stops_sample_by_sample(q, displacement):
-    """Stop operator by its definition."""
+def stops_sample_by_sample(q, displacement, level=None):
+    """Stop operator by its definition; moving, it is at most at its level (n,)."""
+    level, z = np.ones(q.size) if level is None else level, np.zeros_like(q)
+    for i in range(1, q.size):
+        z[i] = z[i - 1] + (q[i] - q[i - 1]) / displacement
+        if q[i] > q[i - 1]:
+            z[i] = min(z[i], level[i])
+        elif q[i] < q[i - 1]:
+            z[i] = max(z[i], -level[i])
+    return z
+
+
+def bristles_sample_by_sample(q, displacement, level):
+    """Bristle of LuGre, z' = dq / d (1 - sign(dq) z / level), by its exact step."""
     z = np.zeros_like(q)
     for i in range(1, q.size):
-        moved = z[i - 1] + (q[i] - q[i - 1]) / displacement
-        z[i] = min(max(moved, -1.0), 1.0)
+        end = np.sign(q[i] - q[i - 1]) * level[i]
+        left = np.exp(-abs(q[i] - q[i - 1]) / (displacement * level[i]))
+        z[i] = end + (z[i - 1] - end) * left
     return z
 
 

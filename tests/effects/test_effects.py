@@ -14,6 +14,7 @@ from sklearn_vbjfa.effects import Effect, Motion, play, stops
 from tests.effects._arms import (
     Derivatives,
     arm,
+    bristles_sample_by_sample,
     inverse_dynamics,
     last_body_regressor,
     motion,
@@ -218,7 +219,15 @@ def closed_forms():
                 stops_sample_by_sample(q, 0.02),
                 stops_sample_by_sample(q, 0.3),
                 np.sqrt(load**2) * stops_sample_by_sample(q, 0.1),
-                np.exp(-(v**2) / 0.01) * stops_sample_by_sample(q, 0.05),
+                stops_sample_by_sample(q, 0.05, 1 + np.exp(-(v**2) / 0.01)),
+            ],
+        ),
+        "maxwell_slip bristle": (
+            {"displacements": (0.02,), "falling": (1e-4, 0.05), "element": "bristle"},
+            [
+                bristles_sample_by_sample(q, 0.02, one),
+                bristles_sample_by_sample(q, 1e-4, 1 + np.exp(-(v**2) / 0.01)),
+                bristles_sample_by_sample(q, 0.05, 1 + np.exp(-(v**2) / 0.01)),
             ],
         ),
         "backlash": ({"width": 0.07}, [play_sample_by_sample(q, 0.07), one]),

@@ -19,6 +19,7 @@ def random_shape(effect, rng, nv, length):
     others = [j for j in range(nv) if j != effect.joint]
     values = {
         "falling": (float(rng.choice([0.02, 0.05, 0.3])),),
+        "element": str(rng.choice(["stop", "bristle"])),
         "vs": rng.uniform(0.05, 0.5),
         "k": int(rng.integers(1, 3)),
         "displacements": (0.02, rng.uniform(0.01, 0.3)),

@@ -38,8 +38,7 @@ def design(arguments, folder):
     """Design a motion, print what it decides, and write it."""
     if arguments.purpose == "gravity":
         return _gravity.design_poses(arguments, folder)
-    from sklearn_vbjfa.design import _summary
-    from sklearn_vbjfa.design._open_questions import read_report
+    from sklearn_vbjfa.design import _summary, read_report
 
     if arguments.urdf is None and arguments.report is None:
         raise ValueError(
@@ -88,7 +87,6 @@ def _motion(arguments, robot, found):
 
     names = robot.known.joint_names
     limits = _limits(arguments, robot)
-    start = _per_joint(arguments, "start", names, limits=False)
     task = f"designing {arguments.duration:g} s for {len(names)} joints"
     if not _has_shapes(robot):
         task += ", SELF-COLLISION IS NOT CHECKED"
@@ -100,13 +98,12 @@ def _motion(arguments, robot, found):
             limits=limits,
             effects=arguments.effects or (),
             report=found,
-            start=start,
             random_state=arguments.seed,
         )
     if not motion.within_limits:
         raise ValueError(
             f"no motion within the limits was found: {_summary.exceeded(motion)}; "
-            "give another --start, a longer --duration or another --seed."
+            "give a longer --duration or another --seed."
         )
     return motion
 
@@ -122,20 +119,17 @@ def _has_shapes(robot):
     return True
 
 
-def _per_joint(arguments, option, names, *, limits):
-    """Return the numbers of an option for each joint (nv,), None for none."""
+def _per_joint(arguments, option, names):
+    """Return the limits of an option for each joint (nv,), None for none."""
     values = getattr(arguments, option)
     if values is None:
         return None
-    found = np.full(len(names), values[0]) if limits and len(values) == 1 else values
-    found = np.array(found)
-    if not (found.size == len(names) and np.isfinite(found).all()) or (
-        limits and (found <= 0).any()
-    ):
-        kind = "positive numbers" if limits else "positions"
+    found = np.array(len(names) * values if len(values) == 1 else values)
+    if found.size != len(names) or not (np.isfinite(found) & (found > 0)).all():
         raise ValueError(
-            f"{spelled(option)} must be {kind}, one for each of {', '.join(names)}, "
-            f"with commas between them; got {arguments.typed[option]}."
+            f"{spelled(option)} must be positive numbers, one for each of "
+            f"{', '.join(names)}, with commas between them; got "
+            f"{arguments.typed[option]}."
         )
     return found
 
@@ -230,8 +224,7 @@ def _period(robot, found):
 
 def _limits(arguments, robot):
     """Collect the limits, joints in the order of the robot."""
-    from sklearn_vbjfa.design import MotionLimits
-    from sklearn_vbjfa.design._limits import MotionRefused
+    from sklearn_vbjfa.design import MotionLimits, MotionRefused
     from sklearn_vbjfa.model import joint_names
 
     # Limits of the description are in its own order.
@@ -240,7 +233,7 @@ def _limits(arguments, robot):
     back = [described.index(name) for name in names]
     typed = {}
     for name in _LIMITS:
-        values = _per_joint(arguments, name, names, limits=True)
+        values = _per_joint(arguments, name, names)
         typed[name] = None if values is None else values[order]
     if robot.is_relative and typed["acceleration"] is typed["torque"] is None:
         raise Refused(

@@ -234,8 +234,6 @@ _OPTIONS = {
     "none (default: auto, from the motion)",
     "--window S": "length of a window [s] (default: 1)",
     "--duration S": f"length of the motion [s] (default: {DURATION:g})",
-    "--start POSITIONS": "positions at both ends [rad or m], one for each joint with "
-    "commas between them (default: the best)",
     "--velocity LIMITS": "limits of velocity [rad/s or m/s], one for each joint with "
     "commas between them, or one for all",
     "--acceleration LIMITS": "limits of acceleration [rad/s^2 or m/s^2]",
@@ -283,7 +281,6 @@ _READ_BY = {
     "--scale": _share,
     "--seed": _seed,
     "--signals": _distinct,
-    "--start": _numbers,
     "--torque": _numbers,
     "--velocity": _numbers,
     "--window": _positive("seconds"),
@@ -370,8 +367,8 @@ COMMANDS = {
         "SI units). Takes a minute or two.",
         {
             "robot": f"{_ROBOT['robot']} --report",
-            "motion": "--duration --dt --start --velocity --acceleration --torque "
-            "--scale --effects --seed --for --poses",
+            "motion": "--duration --dt --velocity --acceleration --torque --scale "
+            "--effects --seed --for --poses",
             "output": "--out=FILE --force --quiet",
         },
         "_design:design",

@@ -1,35 +1,36 @@
 """Design of exciting trajectories."""
 
+import json
+import os
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
+from sklearn.base import clone
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.design._collisions import Clearance
-from sklearn_vbjfa.design._criterion import (
-    Questions,
-    condition_number,
-    information_of,
-    promise,
-    worth,
-)
-from sklearn_vbjfa.design._equations import IN_SPAN, EquationModel
-from sklearn_vbjfa.design._known_robot import KnownRobot
-from sklearn_vbjfa.design._limits import (
+from sklearn_vbjfa.design._motion import (
     POSES,
+    DesignedMotion,
+    FourierCurve,
     MotionLimits,
     MotionRefused,
     rounded_up,
 )
-from sklearn_vbjfa.design._motion import DesignedMotion, FourierCurve
-from sklearn_vbjfa.design._open_questions import (
-    asked_effects,
-    is_steered,
-    open_effects,
-    read_report,
+from sklearn_vbjfa.design._optimise import (
+    DECIDED,
+    INSIDE,
+    Problem,
+    Questions,
+    information_of,
+    optimise,
+    shrunk,
+    worth,
 )
-from sklearn_vbjfa.design._optimise import INSIDE, Problem, excess, optimise, shrunk
+from sklearn_vbjfa.design._robot import IN_SPAN, EquationModel, KnownRobot
+from sklearn_vbjfa.effects import resolve
 from sklearn_vbjfa.recording import check_dt
 
 # Harmonics: few keep the motion smooth, many give it slow and fast parts.
@@ -39,17 +40,58 @@ _FEWEST, _MOST = 5, 25
 _SPREAD = 2.0
 # The low-pass of the fit, at five times the bandwidth, needs that many samples.
 _PER_SAMPLE = 0.06
-# Random motions of which the best is improved, and states at which columns are
-# compared.
-_DRAWN, _STARTS, _REFERENCE = 40, 3, 600
+# Random motions of which the best is improved, share of the limits within which they
+# are drawn, and states at which columns are compared.
+_DRAWN, _DRAWN_INSIDE, _REFERENCE = 40, 0.95, 600
 # Share of the torque limits that may go into holding a start.
 _HELD = 0.85
-# Share of the limits within which motions are drawn.
-_DRAWN_INSIDE = 0.95
 # Margin to all limits at ten times the sampling of the design.
 MARGIN, _FINER = 0.02, 10
 # Smallest distance between bodies of a motion [m].
 ROOM = 0.01
+# Why no motion shows an effect.
+SAME_COLUMNS = "absorbed by other parameters"
+# How much what the report names counts, and all else that a joint might have.
+_ASKED, _POSSIBLE = 1.0, 0.2
+# Effects whose columns follow the robot's geometry or what lies in time: the motion is
+# not bent for them, and what it shows of them is reported afterwards.
+_NOT_STEERED: tuple[str, ...] = (
+    "base_tilt",
+    "joint_zero",
+    "joint_axis",
+    "payload",
+    "drift",
+    "signal",
+)
+_NOT_STEERED += ("torque_gain", "delay", "torque_filter", "jerk", "elastic")
+# Effects that any joint may have, in forms that a motion can tell apart.
+_COMMON = (
+    "viscous",
+    "coulomb",
+    "asymmetric_friction",
+    "stribeck",
+    "viscous_quadratic",
+    "load_friction",
+    "spring",
+    "ripple",
+    "rotor_inertia",
+    "offset",
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ShownEffect:
+    """An effect that a motion shows, or why no motion does."""
+
+    name: str
+    joint: int  # from zero
+    joint_name: str
+    # smallest root mean square of its torque, in the most active conditions, that
+    # is distinguishable from the model and its nearest rival [N m or N]
+    least: float = np.inf
+    rival: str = ""  # empty if there is none
+    is_asked: bool = False  # whether the report or the caller asks for both
+    reason: str = ""
 
 
 def design_motion(
@@ -60,7 +102,6 @@ def design_motion(
     limits=None,
     effects=(),
     report=None,
-    start=None,
     random_state=None,
 ):
     r"""Design an exciting trajectory.
@@ -88,8 +129,6 @@ def design_motion(
     report : EffectDiscovery, Report, str or os.PathLike, default=None
         Open questions: a fitted search, its report, or the folder that the command
         ``identify`` wrote.
-    start : array-like of shape (nv,), default=None
-        Positions at the start and end [rad or m]; None chooses them.
     random_state : int, RandomState instance or None, default=None
         Seed of the initial motions.
 
@@ -103,8 +142,8 @@ def design_motion(
     TypeError
         If `limits` is not a `MotionLimits`, or `report` is not a report.
     ValueError
-        If the limits are missing or infeasible, `start` is outside them, or `duration`
-        is too short for the slowest joint.
+        If the limits are missing or infeasible, or `duration` is too short for the
+        slowest joint.
 
     Warns
     -----
@@ -151,14 +190,13 @@ def design_motion(
         limits=limits,
         effects=effects,
         report=report,
-        start=start,
         rng=rng,
     )
-    problem = task.problem
-    fine = np.arange(_FINER * problem.times().size) * (problem.times()[1] / _FINER)
-    found, first = optimise(problem, best_drawn(problem, rng), fine, 1.0 - MARGIN)
-    z = shrunk(problem, found, fine, 1.0 - MARGIN)
-    return _made(task, z, first, fine)
+    problem, times = task.problem, task.problem.times()
+    fine = np.arange(_FINER * times.size) * (times[1] / _FINER)
+    first = best_drawn(problem, rng)
+    z = shrunk(problem, optimise(problem, first), fine, 1.0 - MARGIN)
+    return _finished(task, z, first, fine)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -172,141 +210,115 @@ class DesignTask:
     no_clearance: str  # why nothing is known of the distance between bodies
 
 
-def pose(model, *, duration, dt, limits, effects, report, start, rng):
+def pose(model, *, duration, dt, limits, effects, report, rng):
     """Return the `DesignTask` of arguments as those of `design_motion`."""
     robot = KnownRobot.of(model)
     dt, names = check_dt(dt), robot.joint_names
-    duration = _checked_duration(duration, dt)
-    if limits is None:
-        limits = MotionLimits.of(robot.features.model_)
-    elif not isinstance(limits, MotionLimits):
-        raise TypeError(f"limits must be MotionLimits; got {type(limits).__name__}.")
-    limits.check_for(names)
-    limits.check_duration(duration, names)
-    if start is not None:
-        start = limits.check_start(start, names)
-    n_harmonics = _harmonics(robot, limits, duration, dt)
-    curve = FourierCurve(duration, n_harmonics, robot.n_joints, start)
-    reference = _reference(robot, limits, curve.highest, rng)
-    noise = robot.noise(limits, reference, curve.highest, dt)
-    asked = asked_effects(effects, robot.n_joints)
-    if report is not None:
-        asked += open_effects(read_report(report), names)
-    members, candidates = _parted(robot, asked)
-    band = robot.band(curve.highest, dt)
-
-    equations = EquationModel(
-        robot.features,
-        robot.inertial,
-        [effect for effect, _ in members] + [one.effect for one in candidates],
-        n_own=len(members),
-        still=robot.still(limits),
-        reference=reference,
-        bandwidth=band,
-    )
-    clearance, no_clearance = _clearance(robot)
-    problem = Problem(
-        curve=curve,
-        model=equations,
-        questions=_questions(equations, candidates, reference, noise),
-        limits=limits,
-        coefficients=_coefficients(robot, equations, members, reference),
-        precision=2 * band / noise**2,
-        still=robot.still(limits),
-        clearance=clearance,
-        room=ROOM,
-    )
-    _check_held(problem, names, rng)
-    return DesignTask(
-        problem=problem,
-        robot=robot,
-        noise=noise,
-        dt=dt,
-        no_clearance=no_clearance,
-    )
-
-
-def _clearance(robot):
-    """Return the distances between bodies, or None and why they are not known."""
-    if robot.description is None:
-        return None, "no URDF file was given, so that nothing is known of its shapes"
-    return Clearance.of(robot.description, model=robot.features.model_, margin=ROOM)
-
-
-def _checked_duration(duration, dt):
-    """Return the duration, a whole number of samples."""
     duration = float(duration)
     if not (np.isfinite(duration) and duration >= 10 * dt):
         raise ValueError(
             f"duration must be ten samples of dt={dt:g} s at least; got {duration:g}."
         )
-    return round(duration / dt) * dt
+    duration = round(duration / dt) * dt
+    if limits is None:
+        limits = MotionLimits.of(robot.features.model_)
+    elif not isinstance(limits, MotionLimits):
+        raise TypeError(f"limits must be MotionLimits; got {type(limits).__name__}.")
+    limits.check_for(names, duration)
+    curve = FourierCurve(
+        duration, _harmonics(robot, limits, duration, dt), robot.n_joints
+    )
+    reference = _reference(limits, curve.highest, rng)
+    noise = robot.noise(limits, reference, curve.highest, dt)
+    asked = asked_effects(effects, robot.n_joints)
+    if report is not None:
+        asked += open_effects(read_report(report), names)
+    members, candidates = _parted(robot, asked)
+    band, still = robot.band(curve.highest, dt), robot.still(limits)
+    equations = EquationModel(
+        robot.features,
+        robot.inertial,
+        [effect for effect, _ in members] + [one.effect for one in candidates],
+        n_members=len(members),
+        still=still,
+        reference=reference,
+        bandwidth=band,
+    )
+    rows = equations(reference)
+    clearance, why = None, "no URDF file was given: shapes are unknown"
+    if robot.description is not None:
+        shaped = robot.features.model_
+        clearance, why = Clearance.of(robot.description, model=shaped, margin=ROOM)
+    problem = Problem(
+        curve=curve,
+        model=equations,
+        questions=_questions(equations, rows, candidates, noise),
+        limits=limits,
+        coefficients=_coefficients(robot, equations, rows, members),
+        precision=2 * band / noise**2,
+        still=still,
+        clearance=clearance,
+        room=ROOM,
+    )
+    _check_held(problem, names, rng)
+    return DesignTask(
+        problem=problem, robot=robot, noise=noise, dt=dt, no_clearance=why
+    )
 
 
 def _harmonics(robot, limits, duration, dt):
     """Return the number of harmonics that limits and sampling allow."""
-    inertia = np.diag(robot.inertia(_at_rest(limits, robot.n_joints)))
-    with np.errstate(divide="ignore"):
-        by_torque = limits.torque / np.maximum(inertia, 1e-12)
-    reach = np.minimum(limits.acceleration, by_torque)
+    low, high = limits.position.T
+    poses = np.random.default_rng(0).uniform(low, high, size=(100, robot.n_joints))
+    inertia = np.maximum(np.diag(robot.inertia(poses)), 1e-12)
+    reach = np.minimum(limits.acceleration, limits.torque / inertia)
     turn = np.median(reach / (2 * np.pi * limits.velocity))
     highest = min(_SPREAD * turn, _PER_SAMPLE / dt)
     return int(np.clip(highest * duration, _FEWEST, _MOST))
 
 
-def _at_rest(limits, nv):
-    """States of rest in random poses (100, 3 nv)."""
-    low, high = limits.position.T
-    q = np.random.default_rng(0).uniform(low, high, size=(100, nv))
-    return np.hstack([q, np.zeros((100, 2 * nv))])
-
-
-def _reference(robot, limits, highest, rng):
+def _reference(limits, highest, rng):
     """States as the limits allow them (n, 3 nv)."""
     low, high = limits.position.T
-    shape = (_REFERENCE, robot.n_joints)
+    shape = (_REFERENCE, low.size)
     fastest = np.minimum(limits.velocity, np.pi * highest * (high - low))
     quickest = np.minimum(limits.acceleration, 2 * np.pi * highest * fastest)
-    return np.hstack(
-        [
-            rng.uniform(low, high, size=shape),
-            fastest * rng.uniform(-1, 1, size=shape),
-            quickest * rng.uniform(-1, 1, size=shape),
-        ]
-    )
+    q = rng.uniform(low, high, size=shape)
+    v, a = (size * rng.uniform(-1, 1, size=shape) for size in (fastest, quickest))
+    return np.hstack([q, v, a])
 
 
 def _parted(robot, asked):
     """Split effects into those of the model and further candidates."""
-    # What a report found is a candidate again: the next recording may say otherwise.
+    # What a report found is a candidate again, in the shape that it has in the model:
+    # the next recording may say otherwise.
+    found = {(effect.name, effect.joint): effect for effect in robot.effects}
     doubted = {(one.effect.name, one.effect.joint) for one in asked if one.doubted}
     members = [
-        (effect, coef)
+        (effect, np.atleast_1d(coef))
         for effect, coef in zip(robot.effects, robot.coefficients)
         if (effect.name, effect.joint) not in doubted and is_steered(effect)
     ]
     taken = {effect.key() for effect, _ in members}
-    found = {(effect.name, effect.joint): effect for effect in robot.effects}
     candidates = []
     for one in asked:
         if one.doubted:
-            # in the shape that it has in the model
-            known = found.get((one.effect.name, one.effect.joint), one.effect)
-            one = replace(one, effect=known)
+            key = one.effect.name, one.effect.joint
+            one = replace(one, effect=found.get(key, one.effect))
         if one.effect.key() not in taken:
             taken.add(one.effect.key())
             candidates.append(one)
     return members, candidates
 
 
-def _questions(equations, candidates, reference, noise):
+def _questions(equations, rows, candidates, noise):
     """Return the questions: each candidate against the model and against its rivals."""
-    rows = equations(reference)
-    weight = np.broadcast_to(1.0 / (len(reference) * noise**2), rows.motion.q.shape)
+    n, nv = rows.motion.q.shape
+    weight = np.broadcast_to(1.0 / (n * noise**2), (n, nv))
     M = information_of(rows, equations.places, equations.n_columns, weight)
     power = np.diag(M)
     scale = np.where(power > 0, 1.0 / np.sqrt(or_one(power)), 1.0)
-    spans = tuple(equations.spans[equations.n_own :])
+    spans = tuple(equations.spans[equations.n_members :])
     m = len(spans)
     blank = Questions(equations.n_model, scale, spans, np.zeros(m), np.zeros((m, m)))
     # What no motion shows, and nested effects, are no questions.
@@ -319,16 +331,15 @@ def _questions(equations, candidates, reference, noise):
     return replace(blank, alone=weight * shown, beside=np.outer(weight, weight) * apart)
 
 
-def _coefficients(robot, equations, members, reference):
+def _coefficients(robot, equations, rows, members):
     """Coefficients of all columns (n_columns,), which give the robot's torques."""
     # Zero are those of effects that it may have; those that it has count, also where
     # they are in doubt.
-    rows = equations(reference)
-    n = equations.n_model
+    n, load = equations.n_model, rows.motion.load
+    effects = np.zeros(n)
+    if members:
+        effects[len(equations.base) :] = np.concatenate([coef for _, coef in members])
     A, y = [], []
-    load = rows.motion.load
-    coefs = [np.atleast_1d(coef) for _, coef in members]
-    effects = np.concatenate([np.zeros(len(equations.base)), *coefs])
     for j, (part, place) in enumerate(zip(rows.rows, equations.places)):
         full = np.zeros((part.shape[1], n))
         mine = place < n
@@ -336,119 +347,61 @@ def _coefficients(robot, equations, members, reference):
         A.append(full)
         y.append(load[:, j] + full @ effects)
     A, y = np.concatenate(A), np.concatenate(y)
-    size = np.sqrt((A**2).mean(axis=0))
-    size[size == 0] = 1.0
+    size = or_one(np.sqrt((A**2).mean(axis=0)))
     found = np.zeros(equations.n_columns)
     found[:n] = np.linalg.lstsq(A / size, y, rcond=None)[0] / size
-    known = {
-        effect.key(): np.atleast_1d(coef)
-        for effect, coef in zip(robot.effects, robot.coefficients)
-    }
-    for span, one in zip(
-        equations.spans[len(members) :], equations.effects[len(members) :]
-    ):
+    known = {e.key(): coef for e, coef in zip(robot.effects, robot.coefficients)}
+    further = equations.effects[len(members) :]
+    for span, one in zip(equations.spans[len(members) :], further):
         found[span] = known.get(one.effect.key(), 0.0)
     return found
 
 
-def _tell_collision(problem, poses, is_start):
-    """Refuse a start in which bodies meet."""
-    one = problem.clearance.nearest(poses[:1])
-    where = "the start" if is_start else f"all of {len(poses)} random poses"
-    raise ValueError(
-        f"The limits leave no room: bodies meet in {where}; {one.first} and "
-        f"{one.second} are {1e3 * one.distance:.0f} mm apart, where "
-        f"{1e3 * problem.room:.0f} mm are kept. Give "
-        + ("another start." if is_start else "other limits of position.")
-    )
+# -- motions to set out from -----------------------------------------------------------
 
 
 def best_drawn(problem, rng):
-    """Draw motions that touch a limit, and return the best by the criterion, a list."""
+    """Draw motions that touch a limit, and return the best by the criterion."""
     t = problem.times()
     basis = problem.curve.basis(t)
     found = []
     for k in range(_DRAWN):
         z = _drawn(problem, rng, basis, t)
-        if not (basis[1] @ z.T).any():
-            # drawn about a pose that torques do not hold
-            continue
-        M = problem.information(problem.curve.states(z, basis), t[1])
-        found.append((-worth(M, problem.questions).value, k, z))
+        # Not those about a pose that torques do not hold.
+        if (basis[1] @ z.T).any():
+            M = problem.information(problem.curve.states(z, basis), t[1])
+            found.append((-worth(M, problem.questions).value, k, z))
     if not found:
         raise ValueError(
             f"The limits leave no room: torques hold the robot in few poses, and none "
-            f"of {_DRAWN} random motions starts in one. Give larger torque limits, or "
-            "a start."
+            f"of {_DRAWN} random motions starts in one. Give larger torque limits."
         )
-    return [z for _, _, z in sorted(found, key=lambda one: one[:2])[:_STARTS]]
+    return min(found, key=lambda one: one[:2])[-1]
 
 
 def _drawn(problem, rng, basis, t):
     """Draw a motion, each joint as large as its limits allow, all as large together."""
-    curve, limits = problem.curve, problem.limits
-    z = rng.normal(size=(problem.model.nv, curve.size))
-    if curve.start is None:
-        low, high = _inner(limits)
-        z[:, -1] = 0.0
-        tops, bottoms = _ends(basis, z)
-        room = (high - low) / np.maximum(tops - bottoms, 1e-12)
-        z *= (0.9 * _reach(limits, basis, z, room))[:, None]
-        tops, bottoms = _ends(basis, z)
-        z[:, -1] = _held_pose(problem, low - bottoms, high - tops, rng)
-    else:
-        z = _about_start(problem, z, basis, t)
+    limits, (low, high) = problem.limits, problem.limits.position.T
+    left = 0.5 * (1.0 - _DRAWN_INSIDE) * (high - low)
+    low, high = low + left, high - left
+    z = rng.normal(size=(problem.model.nv, problem.curve.size))
+    z[:, -1] = 0.0
+    q, v, a = basis @ z.T
+    sizes = np.ptp(q, axis=0), np.abs(v).max(axis=0), np.abs(a).max(axis=0)
+    largest = high - low, limits.velocity, limits.acceleration
+    z *= (
+        0.9
+        * np.min([x / np.maximum(y, 1e-12) for x, y in zip(largest, sizes)], 0)[:, None]
+    )
+    q = basis[0] @ z.T
+    z[:, -1] = _held_pose(problem, low - q.min(axis=0), high - q.max(axis=0), rng)
     return shrunk(problem, z, t, _DRAWN_INSIDE, apart=False)
 
 
-def _inner(limits):
-    """Range of positions (nv,), (nv,) within which motions are drawn."""
-    low, high = limits.position.T
-    left = 0.5 * (1.0 - _DRAWN_INSIDE) * (high - low)
-    return low + left, high - left
-
-
-def _ends(basis, z):
-    """Highest and lowest positions of motions, (nv,) each."""
-    q = basis[0] @ z.T
-    return q.max(axis=0), q.min(axis=0)
-
-
-def _reach(limits, basis, z, room):
-    """Factors (nv,) by which motions may grow, of which `room` positions allow."""
-    fastest, quickest = np.abs(basis[1:] @ z.T).max(axis=1)
-    return np.minimum(
-        room,
-        np.minimum(
-            limits.velocity / np.maximum(fastest, 1e-12),
-            limits.acceleration / np.maximum(quickest, 1e-12),
-        ),
-    )
-
-
-def _about_start(problem, z, basis, t):
-    """Scale motions about a given start, half of them, and half to the wider side."""
-    start, limits = problem.curve.start, problem.limits
-    low, high = limits.position.T
-    tops, bottoms = _ends(basis, z)
-    room = np.minimum(
-        (high - start) / np.maximum(tops, 1e-12),
-        (low - start) / np.minimum(bottoms, -1e-12),
-    )
-    z = z * (0.45 * _reach(limits, basis, z, room))[:, None]
-    # There and back, at rest at both ends: it has room even if the start is a limit.
-    way = np.sin(np.pi * t / problem.curve.period) ** 4
-    way = np.linalg.lstsq(basis[0], way, rcond=None)[0][None]
-    aside = np.where(high - start > start - low, high - start, low - start)
-    grown = way * np.sign(aside)[:, None]
-    grown *= (0.45 * _reach(limits, basis, grown, np.abs(aside)))[:, None]
-    return z + grown
-
-
-def _held_pose(problem, lowest, highest, rng):
+def _held_pose(problem, low, high, rng):
     """Draw a pose between two that the torques hold against gravity, or anywhere."""
-    for low, high in ((lowest, highest), _inner(problem.limits)):
-        poses = rng.uniform(low, high, size=(POSES, lowest.size))
+    for ends in ((low, high), problem.limits.position.T):
+        poses = rng.uniform(*ends, size=(POSES, low.size))
         held, strain = _strain(problem, poses)
         if held.any():
             return poses[np.flatnonzero(held)[0]]
@@ -469,61 +422,63 @@ def _strain(problem, poses):
 
 
 def _check_held(problem, names, rng):
-    """Refuse torque limits that do not hold the robot where the motion may start."""
-    start, limits = problem.curve.start, problem.limits
-    low, high = limits.position.T
-    poses = rng.uniform(low, high, size=(POSES, len(names)))
-    poses = poses if start is None else start[None]
+    """Refuse limits that hold the robot in no pose."""
+    limits = problem.limits
+    poses = rng.uniform(*limits.position.T, size=(POSES, len(names)))
     held, strain = _strain(problem, poses)
     if held.any():
         return
     best = strain[np.argmin(strain.max(axis=1))]
     j = int(np.argmax(best))
     if best[j] < _HELD:
-        _tell_collision(problem, poses, start is not None)
-    where = f"any of {POSES} random poses" if start is None else "the start"
-    enough = np.maximum(limits.torque, best * limits.torque / _HELD)
+        one = problem.clearance.nearest(poses[:1])
+        raise ValueError(
+            f"The limits leave no room: bodies meet in all of {POSES} random poses; "
+            f"{one.first} and {one.second} are {1e3 * one.distance:.0f} mm apart, "
+            f"where {1e3 * problem.room:.0f} mm are kept. Give others of position."
+        )
+    enough = rounded_up(np.maximum(limits.torque, best * limits.torque / _HELD))
     raise MotionRefused(
-        f"The limits leave no room: to hold the robot still at {where}, {names[j]} "
-        f"needs {best[j] * limits.torque[j]:.3g} of at most {limits.torque[j]:.3g}. "
-        f"Give a torque limit of {rounded_up(enough)[j]:g} or more"
-        + ("." if start is None else ", or another start."),
-        {"torque": rounded_up(enough)},
+        f"The limits leave no room: to hold the robot still at any of {POSES} random "
+        f"poses, {names[j]} needs {best[j] * limits.torque[j]:.3g} of at most "
+        f"{limits.torque[j]:.3g}. Give a torque limit of {enough[j]:g} or more.",
+        {"torque": enough},
     )
 
 
-def _made(task, z, first, fine):
+# -- the motion ------------------------------------------------------------------------
+
+
+def _finished(task, z, first, fine):
     """Collect the motion and what it promises."""
     problem, robot, dt = task.problem, task.robot, task.dt
-    curve, limits = problem.curve, problem.limits
+    curve, samples = problem.curve, problem.times()
     t = np.arange(round(curve.period / dt)) * dt
     states = curve.states(z, curve.basis(t))
-    equations = problem.model(states, t)
-    nv = robot.n_joints
-    dense = curve.states(z, curve.basis(fine))
-    margins, within = _margins(problem, dense, fine)
-    samples = problem.times()
-    design = curve.states(z, curve.basis(samples))
-    start = curve.states(first, curve.basis(samples))
+    q, v, a = np.split(states, 3, axis=1)
+    margins, within = _margins(problem, curve.states(z, curve.basis(fine)), fine)
+    design, start = (curve.states(x, curve.basis(samples)) for x in (z, first))
+    shows, invisible = _shown(problem, robot, design, samples[1], task.noise)
     return DesignedMotion(
         t=t,
-        q=states[:, :nv],
-        v=states[:, nv : 2 * nv],
-        a=states[:, 2 * nv :],
-        tau=problem.torques(equations),
+        q=q,
+        v=v,
+        a=a,
+        tau=problem.torques(problem.model(states, t)),
         joint_names=robot.joint_names,
         slides=tuple(map(bool, problem.model.prismatic)),
         dt=dt,
         duration=curve.period,
-        limits=limits,
-        condition_number=condition_number(problem, design),
-        start_condition_number=condition_number(problem, start),
+        limits=problem.limits,
+        condition_number=_condition_number(problem, design),
+        start_condition_number=_condition_number(problem, start),
         within_limits=within,
         margins=margins,
         no_clearance=task.no_clearance,
         noise=task.noise,
         band=robot.band(curve.highest, dt),
-        **promise(problem, robot, design, samples[1], task.noise),
+        shows=shows,
+        invisible=invisible,
         curve=curve,
         coordinates=z,
     )
@@ -531,15 +486,173 @@ def _made(task, z, first, fine):
 
 def _margins(problem, states, t):
     """Smallest distances to the limits over the limits, and whether all are kept."""
-    torques = problem.torques(problem.model(states, t))
-    sides = [g for g, _ in excess(problem, states, torques, 1.0)]
-    margins = {}
-    for k, name in enumerate(("position", "velocity", "acceleration", "torque")):
-        over = np.maximum(sides[2 * k].max(axis=0), sides[2 * k + 1].max(axis=0))
-        margins[name] = -over
+    over, _ = problem.excess(states, problem.torques(problem.model(states, t)), 1.0)
+    margins = -over.max(axis=(1, 2))
+    margins = dict(zip(("position", "velocity", "acceleration", "torque"), margins))
     within = all((value >= MARGIN - 1e-6).all() for value in margins.values())
     if problem.clearance is not None:
         nearest = problem.clearance.smallest(states[:, : problem.model.nv])
         margins["clearance"] = nearest
         within &= nearest >= problem.room - 1e-6
     return margins, within
+
+
+def _condition_number(problem, states):
+    """Condition number of the model's columns, rows over their noise."""
+    # Columns are over their sizes at random states within the limits, the same for all
+    # motions.
+    n = problem.model.n_model
+    scale = problem.questions.scale[:n]
+    M = problem.information(states, 1.0)[:n, :n] * np.outer(scale, scale)
+    values = np.linalg.eigvalsh(M)
+    if not values[0] > 1e-14 * values[-1]:
+        return float("inf")
+    return float(np.sqrt(values[-1] / values[0]))
+
+
+def _shown(problem, robot, states, step, noise):
+    """Effects that a motion shows, and those that no motion does."""
+    questions = problem.questions
+    if not questions.effects:
+        return (), ()
+    judged = worth(problem.information(states, step), questions)
+    effects = [one.effect for one in problem.model.effects[problem.model.n_members :]]
+    shows, invisible = [], []
+    for k, effect in enumerate(effects):
+        joint = effect.joint
+        one = ShownEffect(
+            name=effect.name, joint=joint, joint_name=robot.joint_names[joint]
+        )
+        if not questions.alone[k] > 0:
+            invisible.append(replace(one, reason=SAME_COLUMNS))
+            continue
+        evidence, rival = judged.alone[k], ""
+        # Rivals that the report names come before those that any joint may have.
+        asked = bool((questions.beside[k] >= _ASKED).any())
+        pool = questions.beside[k] >= _ASKED if asked else questions.beside[k] > 0
+        beside = np.where(pool, judged.beside[k], np.inf)
+        i = int(np.argmin(beside))
+        if beside[i] < evidence:
+            evidence, rival = beside[i], effects[i].name
+        # A torque as large as the noise has this evidence.
+        least = float(noise[joint] * np.sqrt(DECIDED / max(evidence, 1e-12)))
+        shows.append(replace(one, least=least, rival=rival, is_asked=asked))
+    return tuple(shows), tuple(invisible)
+
+
+# -- what a report leaves open ---------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class OpenEffect:
+    """An effect that the robot may have."""
+
+    effect: object  # at its joint
+    weight: float = _ASKED  # how much it matters whether it is there
+    # whether the model has it, and the next recording has to confirm it
+    doubted: bool = False
+
+
+def is_steered(effect):
+    """Whether a motion is bent for an effect: it is one of the joint's own torque."""
+    return effect.name not in _NOT_STEERED
+
+
+def read_report(report):
+    """Return a report, its search or what its file holds as a dict of `to_dict`."""
+    if isinstance(report, (str, os.PathLike)):
+        return _read_folder(Path(report))
+    report = getattr(report, "report_", report)
+    if hasattr(report, "to_dict"):
+        return report.to_dict()
+    if isinstance(report, dict) and "effects" in report:
+        return report
+    raise TypeError(
+        "report must be a fitted EffectDiscovery, its report_, or the folder that "
+        f"identify wrote; got {type(report).__name__}."
+    )
+
+
+def _read_folder(path):
+    """Read report.json of a folder."""
+    file = path / "report.json" if path.is_dir() else path
+    if not file.is_file():
+        raise FileNotFoundError(
+            f"No report at {str(file)!r}; expected the folder that identify wrote, "
+            "with report.json in it."
+        )
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise ValueError(f"{str(file)!r} is not readable as JSON: {error}.") from error
+    if not isinstance(found, dict) or not {"effects", "joint_names"} <= set(found):
+        raise ValueError(
+            f"{str(file)!r} is not a report of identify: it lacks 'effects' or "
+            "'joint_names'."
+        )
+    return found
+
+
+def asked_effects(effects, nv):
+    """Return `OpenEffect`s declared by hand: names and classes count for all joints."""
+    found = []
+    if isinstance(effects, str) or not hasattr(effects, "__iter__"):
+        effects = (effects,)
+    for one in effects:
+        (effect,) = resolve((one,))
+        if not is_steered(effect):
+            raise ValueError(
+                f"No motion is designed for {effect.name!r}: it follows the robot's "
+                "geometry, the time or the whole torque, and shows in any motion that "
+                "shows the rest. Leave it out of effects."
+            )
+        everywhere = isinstance(one, (str, type))
+        for joint in range(nv) if everywhere else [effect.joint]:
+            if not 0 <= joint < nv:
+                raise ValueError(
+                    f"{effect.name} is on joint {joint}, counted from zero; the robot "
+                    f"has {nv} joints."
+                )
+            placed = clone(effect).set_params(joint=joint)
+            found.append(OpenEffect(placed))
+    return found
+
+
+def open_effects(data, names):
+    """Return what a report leaves open, and then what else the joints may have."""
+    if list(data["joint_names"]) != list(names):
+        raise ValueError(
+            f"The report is of joints {', '.join(data['joint_names'])}; the robot has "
+            f"{', '.join(names)}. Give the robot that the report was made with."
+        )
+    completed = (*data["effects"], *data.get("possible", ()))
+    # Weights and shapes by effect and joint; what was found comes first, and has the
+    # shape that it was found with.
+    doubted = {(one["name"], one["joint"]): one.get("parameters") for one in completed}
+    trials = [trial for one in completed for trial in one.get("trials", ())]
+    shapes = {(one["name"], one["joint"]): one["shape"] for one in trials} | doubted
+    hidden = [x for x in data.get("hidden", ()) if x["reason"] == "excitation"]
+    weights = dict.fromkeys([*doubted, *shapes], _ASKED)
+    weights |= {(one["name"], one["joint"]): _ASKED for one in hidden}
+    above = {one["joint"] for one in data.get("unexplained", ())}
+    for joint in range(len(names)):
+        for name in _COMMON:
+            weights.setdefault((name, joint), _ASKED if joint in above else _POSSIBLE)
+    found = []
+    for key, weight in weights.items():
+        effect = None if key[0] in _NOT_STEERED else _made(*key, shapes.get(key) or {})
+        if effect is not None:
+            found.append(OpenEffect(effect, weight, key in doubted))
+    return sorted(found, key=lambda one: -one.weight)
+
+
+def _made(name, joint, shape):
+    """Make an effect of the library; None for one's own class, which is not known."""
+    try:
+        (effect,) = resolve((name,))
+    except ValueError:
+        return None
+    known = {
+        k: v for k, v in shape.items() if k in effect.get_params() and v is not None
+    }
+    return clone(effect).set_params(joint=joint, **known)

@@ -1,12 +1,30 @@
-"""A designed motion: a finite Fourier series, and what can be asked of it."""
+"""A designed motion, a finite Fourier series, and the limits that it keeps."""
 
-import csv
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.linalg import null_space
 
 from sklearn_vbjfa._core import write_whole
+from sklearn_vbjfa.model import (
+    is_prismatic,
+    joint_names,
+    load_model,
+    nominal_parameters,
+)
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+
+# A joint that turns without end gets one turn about its zero [rad].
+_ONE_TURN = np.pi
+# What a description says instead of "no limit".
+_NO_LIMIT = 1e9
+# Share of each joint's range that a motion covers, there and back.
+_LEAST_SHARE = 0.25
+# Suggested torque limit over that of holding still.
+_TO_MOVE = 1.5
+# Poses in which the torque of holding still is looked at.
+POSES = 200
 
 
 @dataclass(frozen=True, eq=False, kw_only=True, repr=False)
@@ -21,10 +39,8 @@ class DesignedMotion:
         Positions [rad or m], velocities and accelerations.
     tau : ndarray of shape (n, nv)
         Torques that the model expects [N m or N].
-    joint_names : tuple of str
-        Joints.
-    slides : tuple of bool
-        Whether each slides, so that its units are m and N.
+    joint_names, slides : tuple of str, tuple of bool
+        Joints, and whether each slides, so that its units are m and N.
     dt, duration : float
         Sample period and length, one period of the motion [s].
     limits : MotionLimits
@@ -37,24 +53,21 @@ class DesignedMotion:
         of the range): ``"position"``, ``"velocity"``, ``"acceleration"``, ``"torque"``;
         and with geometry ``"clearance"``, the smallest distance between bodies [m].
     no_clearance : str
-        Why nothing is known of the distance between bodies; empty if it is.
+        Why the distance between bodies is not known; empty if it is.
     condition_number, start_condition_number : float
         Condition number of the base regressor with friction: of the motion, and of the
         one that it was improved from. Columns are over their sizes at random states
-        within the limits, which are the same for all motions; rows are over their
-        noise. With columns in other units it is another number, so that it compares
-        motions within these limits and nothing else.
+        within the limits, rows over their noise: it compares motions within the same
+        limits.
     noise : ndarray of shape (nv,)
-        Deviation of the noise that the equations of each joint were weighted by, in the
-        band of the fit [N m or N].
+        Standard deviation of the noise of each joint's equations in the band of the fit
+        [N m or N].
     band : float
         That band [Hz].
-    shows : tuple of Visible
-        Effects that the motion will show, joint by joint.
-    parts : tuple of Parted
-        Pairs of effects that it was asked to tell apart.
-    invisible : tuple of Invisible
-        Effects that no motion shows, or not this one, and why.
+    shows : tuple of ShownEffect
+        Effects that the motion excites, with the least torque that is distinguishable.
+    invisible : tuple of ShownEffect
+        Effects that no motion excites, with `reason`.
     """
 
     t: np.ndarray
@@ -75,10 +88,9 @@ class DesignedMotion:
     band: float
     no_clearance: str = ""
     shows: tuple = ()
-    parts: tuple = ()
     invisible: tuple = ()
-    curve: object = field(default=None)
-    coordinates: np.ndarray | None = field(default=None)
+    curve: object = None
+    coordinates: np.ndarray | None = None
 
     def __repr__(self):
         """Tell its size, and whether it keeps its limits."""
@@ -111,22 +123,13 @@ class DesignedMotion:
         path : str or os.PathLike
             File to write; one that exists is replaced.
         """
-        heads = ["t"] + [
-            f"{kind}_{name}" for kind in ("q", "v", "a") for name in self.joint_names
-        ]
+        import pandas as pd
+
+        heads = [f"{kind}_{name}" for kind in "qva" for name in self.joint_names]
         rows = np.column_stack([self.t, self.q, self.v, self.a])
-        write_whole(path, _csv(heads, rows))
-
-
-def _csv(heads, rows):
-    """Write a table as text."""
-    import io
-
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(heads)
-    writer.writerows([[f"{value:.9g}" for value in row] for row in rows.tolist()])
-    return text.getvalue()
+        table = pd.DataFrame(rows, columns=["t", *heads])
+        text = table.to_csv(index=False, float_format="%.9g", lineterminator="\n")
+        write_whole(path, text)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,13 +138,12 @@ class FourierCurve:
 
     # q_j(t) = s_j + sum_(k=1..K) a_jk (cos k w t - 1) + b_jk sin k w t, w = 2 pi / T,
     # with zero velocity and acceleration at its ends, sum_k k b_jk = sum_k k^2 a_jk =
-    # 0. What is free are the coordinates of the pairs (a, b) that fulfil this, and the
-    # start s (nv,) where it is None. K, n_harmonics, is two at least.
+    # 0. Coordinates are those of the pairs (a, b) that fulfil this, and the start s_j,
+    # which comes last. K, n_harmonics, is two at least.
 
     period: float
     n_harmonics: int
     n_joints: int
-    start: np.ndarray | None = None
     _free: np.ndarray = field(init=False, repr=False)
 
     def __post_init__(self):
@@ -156,7 +158,7 @@ class FourierCurve:
     @property
     def size(self):
         """Coordinates of one joint."""
-        return self._free.shape[1] + (self.start is None)
+        return self._free.shape[1] + 1
 
     @property
     def highest(self):
@@ -165,31 +167,233 @@ class FourierCurve:
 
     def basis(self, t):
         """Positions, velocities, accelerations of unit coordinates, (3, n, size)."""
-        # The start comes last, where it is free.
         t = np.asarray(t, dtype=float)
         w = 2 * np.pi / self.period * np.arange(1, self.n_harmonics + 1)
         c, s = np.cos(np.outer(t, w)), np.sin(np.outer(t, w))
-        made = np.array(
-            [
-                np.hstack([c - 1, s]) @ self._free,
-                np.hstack([-w * s, w * c]) @ self._free,
-                np.hstack([-(w**2) * c, -(w**2) * s]) @ self._free,
-            ]
-        )
-        if self.start is None:
-            constant = np.zeros((3, t.size, 1))
-            constant[0] = 1.0
-            made = np.concatenate([made, constant], axis=2)
+        made = np.zeros((3, t.size, self.size))
+        made[0, :, :-1] = np.hstack([c - 1, s]) @ self._free
+        made[1, :, :-1] = np.hstack([-w * s, w * c]) @ self._free
+        made[2, :, :-1] = np.hstack([-(w**2) * c, -(w**2) * s]) @ self._free
+        made[0, :, -1] = 1.0
         return made
 
     def states(self, z, basis):
         """States [q | v | a] (n, 3 nv) of coordinates (nv, size) on a `basis`."""
-        q, v, a = basis @ z.T
-        if self.start is not None:
-            q = q + self.start
-        return np.hstack([q, v, a])
+        return np.hstack(list(basis @ z.T))
 
     def pulled_back(self, by_states, basis):
         """Gradient by the coordinates (nv, size) from that by the states (n, 3 nv)."""
         parts = np.split(by_states, 3, axis=1)
         return sum(part.T @ one for part, one in zip(parts, basis))
+
+
+# -- limits ----------------------------------------------------------------------------
+
+
+class MotionRefused(ValueError):
+    """Limits or a duration that leave no motion."""
+
+    # options: what would do, by the names of arguments; lacks: the argument that is
+    # missing, if one is; wrong: the message without what to give for it.
+
+    def __init__(self, wrong, options, *, lacks="", advice=""):
+        super().__init__(f"{wrong} {advice}".strip())
+        self.wrong, self.lacks, self.options = wrong, lacks, options
+
+
+@dataclass(frozen=True, eq=False)
+class MotionLimits:
+    """Limits of a motion, joint by joint in the order of the robot.
+
+    Parameters
+    ----------
+    position : array-like of shape (nv, 2)
+        Lowest and highest positions [rad or m].
+    velocity : array-like of shape (nv,)
+        Largest speeds [rad/s or m/s], finite.
+    acceleration : array-like of shape (nv,), default=None
+        Largest accelerations [rad/s^2 or m/s^2]; None or infinity where there is no
+        limit but that of the torque.
+    torque : array-like of shape (nv,), default=None
+        Largest torques [N m or N]; None or infinity where there is no limit but that
+        of the acceleration.
+
+    Raises
+    ------
+    ValueError
+        If shapes differ, limits leave no room, or a joint has neither a limit of
+        acceleration nor one of torque.
+
+    Examples
+    --------
+    >>> from sklearn_vbjfa.design import MotionLimits
+    >>> limits = MotionLimits([[-1.0, 1.0]], [2.0], torque=[10.0])
+    >>> limits.acceleration
+    array([inf])
+    """
+
+    position: np.ndarray
+    velocity: np.ndarray
+    acceleration: np.ndarray | None = None
+    torque: np.ndarray | None = None
+
+    def __post_init__(self):
+        position = np.array(self.position, dtype=float)
+        if position.ndim != 2 or position.shape[1] != 2 or not position.size:
+            raise ValueError(
+                "position must hold the lowest and the highest position of each joint, "
+                f"shape (nv, 2); got shape {position.shape}."
+            )
+        object.__setattr__(self, "position", position)
+        for name in ("velocity", "acceleration", "torque"):
+            limit = getattr(self, name)
+            limit = np.full(len(position), np.inf) if limit is None else limit
+            limit = np.array(limit, dtype=float)
+            if limit.shape != position.shape[:1]:
+                raise ValueError(
+                    f"{name} must hold one limit per joint, shape "
+                    f"({len(position)},) like position; got shape {limit.shape}."
+                )
+            object.__setattr__(self, name, limit)
+            _refuse(~(limit > 0), f"has no room: {name} must be positive", limit)
+        low, high = position.T
+        _refuse(~(low < high), "has no room: position must hold low < high", position)
+        _refuse(
+            ~np.isfinite(position).all(axis=1),
+            "turns without end: give two finite positions, such as -3.14 and 3.14",
+            position,
+        )
+        _refuse(np.isinf(self.velocity), "has no limit of velocity", self.velocity)
+        endless = np.isinf(self.acceleration) & np.isinf(self.torque)
+        _refuse(endless, "needs a limit of acceleration or of torque", self.torque)
+
+    @classmethod
+    def of(cls, model, *, velocity=None, acceleration=None, torque=None):
+        """Take the limits of a robot description.
+
+        Parameters
+        ----------
+        model : str, os.PathLike or pinocchio.Model
+            Path of a URDF file, or a model. A joint that turns without end gets one
+            turn about its zero.
+        velocity, acceleration, torque : array-like of shape (nv,), default=None
+            Limits to take in place of those of the description, which has none of
+            acceleration; nan keeps one.
+
+        Returns
+        -------
+        MotionLimits
+            Limits; infinite where the description has none.
+
+        Raises
+        ------
+        ValueError
+            If the description has no velocity limit of a joint, or, with no
+            `acceleration` given, no torque limit.
+        """
+        model = load_model(model)
+        names, sliding = joint_names(model), is_prismatic(model)
+        low, high = np.array([model.lowerPositionLimit, model.upperPositionLimit])
+        endless = ~np.isfinite(low) | ~np.isfinite(high)
+        endless |= (low < -_NO_LIMIT) | (high > _NO_LIMIT) | (low == high)
+        for j in np.flatnonzero(endless & sliding):
+            raise MotionRefused(
+                f"The description gives no range of positions of {names[j]}, which "
+                "slides;",
+                {},
+                lacks="position",
+                advice="give limits=MotionLimits(...) with its range in metres.",
+            )
+        low = np.where(endless, -_ONE_TURN, low)
+        high = np.where(endless, _ONE_TURN, high)
+
+        def listed(values, lacking, unit):
+            units = np.where(sliding, *unit)
+            chosen = np.flatnonzero(lacking)
+            return ", ".join(f"{names[j]} ({values[j]:.3g} {units[j]})" for j in chosen)
+
+        velocity = _given(velocity, _known(model.velocityLimit))
+        lacking, half = np.isinf(velocity), 0.5 * (high - low)
+        if lacking.any():
+            raise MotionRefused(
+                "The description gives no velocity limit of "
+                f"{listed(half, lacking, ('m/s', 'rad/s'))}: in brackets, what it "
+                "takes through half of the range in one second.",
+                {"velocity": rounded_up(np.where(lacking, half, velocity))},
+                lacks="velocity",
+                advice="Give limits=MotionLimits(...) with velocities.",
+            )
+        effort = _given(torque, _known(model.effortLimit))
+        acceleration = _given(acceleration, np.full(effort.shape, np.inf))
+        lacking = np.isinf(acceleration) & np.isinf(effort)
+        if lacking.any():
+            weight = _holding(model, low, high)
+            wanted = _TO_MOVE * np.maximum(weight, 0.1 * weight.max())
+            raise MotionRefused(
+                "The description gives no torque limit of "
+                f"{listed(weight, lacking, ('N', 'N m'))}: in brackets, what it takes "
+                "to hold the robot still in any pose.",
+                {"torque": rounded_up(np.where(np.isinf(effort), wanted, effort))},
+                lacks="torque",
+                advice="Give limits=MotionLimits(...) with torques above that, or "
+                "accelerations.",
+            )
+        return cls(np.column_stack([low, high]), velocity, acceleration, effort)
+
+    def check_for(self, names, duration):
+        """Refuse another number of joints, and a duration too short for the slowest."""
+        if len(self.position) != len(names):
+            raise ValueError(
+                f"limits are for {len(self.position)} joints; the robot has "
+                f"{len(names)}: {', '.join(names)}."
+            )
+        half = 0.5 * _LEAST_SHARE * np.ptp(self.position, axis=1)
+        # half (1 - cos(2 pi t / T)) has the speed 2 pi half / T, and (2 pi / T)^2 half
+        needed = np.maximum(half / self.velocity, np.sqrt(half / self.acceleration))
+        needed = 2 * np.pi * needed
+        slowest = int(np.argmax(needed))
+        if duration < needed[slowest]:
+            enough = float(np.ceil(needed[slowest]))
+            raise MotionRefused(
+                f"duration={duration:g} s is too short for {names[slowest]}, which "
+                f"takes {needed[slowest]:.3g} s through {_LEAST_SHARE:.0%} of its "
+                f"range and back. Give duration={enough:g} or more, or a smaller "
+                "range.",
+                {"duration": enough},
+            )
+
+
+def _refuse(wrong, reason, values):
+    """Refuse the first joint whose limits are wrong (nv,)."""
+    for j in np.flatnonzero(wrong):
+        raise ValueError(f"Joint {j + 1} {reason}; got {values[j]}.")
+
+
+def _given(limit, described):
+    """Limits that are given (nv,), and where they are nan or None those described."""
+    limit = np.nan if limit is None else np.asarray(limit, dtype=float)
+    return np.where(np.isnan(limit), described, limit)
+
+
+def _known(limit):
+    """Limits of a description, infinite where it has zero or a huge number."""
+    limit = np.array(limit, dtype=float)
+    return np.where((limit > 0) & (limit < _NO_LIMIT), limit, np.inf)
+
+
+def _holding(model, low, high):
+    """Largest torques (nv,) that hold a robot still in random poses."""
+    features = RigidBodyFeatures(model, friction=()).load()
+    poses = np.random.default_rng(0).uniform(low, high, size=(POSES, model.nv))
+    still, inertial = np.zeros_like(poses), nominal_parameters(model)
+    return np.abs(features.torques(poses, still, still, inertial)).max(axis=0)
+
+
+def rounded_up(limits):
+    """Return limits with three digits that are no smaller, for a message."""
+    found = []
+    for limit in map(float, limits):
+        size = 10.0 ** (math.floor(math.log10(limit)) - 2) if 0 < limit < 1e12 else 0.0
+        rounded = math.ceil(limit / size - 1e-9) * size if size else limit
+        found.append(float(f"{rounded:.6g}"))
+    return tuple(found)

@@ -1,7 +1,15 @@
-"""The best motion within limits, by gradients: augmented Lagrangian over L-BFGS.
+"""What a motion is worth, and the best motion within limits.
 
-SciPy's solvers for constraints (SLSQP, trust-constr) keep matrices of all constraints:
-a limit at every sample of every joint makes some ten thousand of them. The augmented
+With rows x_tj, weights w_tj and noise sigma_j the information on all coefficients is M
+= sum_tj w_tj x_tj x_tj' / sigma_j^2, that on the model alone its block M_AA, of n
+columns over their sizes at random states. It is worth log det M_AA / 2 - 2 n log
+kappa(M_AA^(1/2)), the D-criterion less a smooth condition number kappa, which keeps one
+direction from being seen badly for many that are seen well. Of columns C that the model
+lacks, it cannot imitate S = M_CC - M_CA M_AA^-1 M_AC: a coefficient c of one effect i
+leaves c' S_ii c, in squared standard errors, given the model, and c' (S_ii - S_ik
+S_kk^-1 S_ki) c given the model with a rival k, the largest difference of the two.
+
+Limits at every sample of every joint make some ten thousand constraints. An augmented
 Lagrangian (Nocedal and Wright, Numerical optimization, 2006, chapter 17) needs one
 number for each, and unconstrained steps, which L-BFGS-B does.
 """
@@ -9,18 +17,25 @@ number for each, and unconstrained steps, which L-BFGS-B does.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import cho_factor, cho_solve
 from scipy.optimize import minimize
 
 from sklearn_vbjfa._core._progress import say, stage
-from sklearn_vbjfa.design._criterion import information_of, worth
 
+# Evidence at which two causes count as told apart: a sum of squared differences of 50
+# noise variances is a difference of log likelihoods of 25.
+DECIDED = 50.0
+# What remains to be gained where nothing shows at all, of that.
+_HOPELESS = 1e-3
+_RIDGE, _LEAST = 1e-9, 1e-9
+# Worth of a condition number that is smaller by a factor e, for each parameter [nats],
+# and the power of its means of eigenvalues.
+BALANCE, _POWER = 2.0, 6.0
 # Motions are kept this far inside the limits while they are improved: between samples
 # they go a little further, and a margin is to be left.
-INSIDE = 0.97
+INSIDE = 0.95
 # Rounds of multipliers, steps in each, and the factor between penalties.
 _ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
-# Rounds in which limits are kept between the samples as well, with this to spare.
-_MORE_ROUNDS, _SPARE = 4, 1e-3
 # By how much a motion is made smaller, step by step.
 _GAPS = 1e-4 * 1.6 ** np.arange(20)
 # Penalty at first: an excess of one per cent at one sample costs this much [nats].
@@ -29,6 +44,138 @@ _FIRST_COST = 0.02
 _SKIPPED = 2
 # Excess over a limit that is left to the last shrinking, relative.
 _TOLERATED = 2e-3
+
+
+@dataclass(frozen=True, eq=False)
+class Questions:
+    """What a motion is to decide."""
+
+    n_model: int  # the first columns are those of the model
+    # (n_columns,): sizes of coefficients in which columns are compared
+    scale: np.ndarray
+    effects: tuple = ()  # columns of effects that the model may lack
+    # (n_effects,): how much it counts that each shows beside the model
+    alone: np.ndarray | None = None
+    # (n_effects, n_effects): the same for the row beside the model with the column
+    beside: np.ndarray | None = None
+
+    @property
+    def weight(self):
+        """All weights together."""
+        return float(self.alone.sum() + self.beside.sum()) if self.effects else 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Worth:
+    """Value of a criterion."""
+
+    value: float  # to be made large [nats]
+    # (n_columns, n_columns): its derivative by the information, symmetric
+    by_information: np.ndarray
+    # (n_effects,): evidence for each effect beside the model, in squared standard
+    # errors: the mean over coefficients of the effect at random
+    alone: np.ndarray
+    # (n_effects, n_effects): the same beside the model with each rival
+    beside: np.ndarray
+
+
+def worth(information, questions):
+    """Judge an information matrix (n_columns, n_columns) of scaled columns."""
+    D = questions.scale
+    M = information * np.outer(D, D)
+    # A motion that hardly moves has next to no information, which is still a number.
+    M[np.diag_indices_from(M)] += _LEAST
+    a = slice(0, questions.n_model)
+    n = questions.n_model
+    A = M[a, a]
+    size = np.sqrt(np.diag(A))
+    factor = cho_factor(A / np.outer(size, size) + _RIDGE * np.eye(n), lower=True)
+    value = float(np.log(np.diag(factor[0])).sum() + np.log(size).sum())
+    inverse = cho_solve(factor, np.eye(n)) / np.outer(size, size)
+    by = np.zeros_like(M)
+    by[a, a] = 0.5 * inverse
+    balance, by_model = _balance(A)
+    value += n * BALANCE * balance
+    by[a, a] += n * BALANCE * by_model
+    alone, beside = np.zeros(0), np.zeros((0, 0))
+    if questions.effects:
+        C = M[n:, :n]
+        S = M[n:, n:] - C @ inverse @ C.T
+        decided, by_left, alone, beside = _decisions(S, questions)
+        if questions.weight > 0:
+            # Together they count as much as the parameters of the model.
+            share = n / questions.weight
+            value += share * decided
+            L = np.hstack([-C @ inverse, np.eye(len(S))])
+            by += share * (L.T @ by_left @ L)
+    return Worth(value, by * np.outer(D, D), alone, beside)
+
+
+def _balance(A):
+    """Minus the logarithm of a smooth condition number, and its derivative by A."""
+    # Power means of the eigenvalues stand for the largest and the smallest.
+    values, vectors = np.linalg.eigh(A)
+    values = np.maximum(values, 1e-12 * values[-1])
+    high = (values / values[-1]) ** _POWER
+    low = (values[0] / values) ** _POWER
+    value = -0.5 * (
+        np.log(values[-1] / values[0])
+        + (np.log(high.sum()) + np.log(low.sum())) / _POWER
+    )
+    slope = -0.5 * (high / high.sum() - low / low.sum()) / values
+    return value, (vectors * slope) @ vectors.T
+
+
+def _decisions(S, questions):
+    """Value of all decisions, its derivative by S, and the evidence in each."""
+    n, m = questions.n_model, len(questions.effects)
+    spans = [slice(block.start - n, block.stop - n) for block in questions.effects]
+    # Mean over the columns of each effect, (m, n_columns).
+    mean = np.zeros((m, len(S)))
+    for row, span in zip(mean, spans):
+        row[span] = 1.0 / (span.stop - span.start)
+    alone = mean @ np.diag(S)
+    value, slope = _value_of(alone)
+    total = float(questions.alone @ value)
+    by = np.diag((questions.alone * slope) @ mean)
+    beside = np.zeros((m, m))
+    for k, span in enumerate(spans):
+        block = S[span, span]
+        ridge = _RIDGE * np.trace(block) / len(block) + np.finfo(float).tiny
+        W = np.linalg.solve(block + ridge * np.eye(len(block)), S[span])
+        left = np.diag(S) - np.einsum("kc,kc->c", S[span], W)
+        beside[:, k] = mean @ np.maximum(left, 0.0)
+        weight = questions.beside[:, k]
+        if not weight.any():
+            continue
+        value, slope = _value_of(beside[:, k])
+        total += float(weight @ value)
+        each = (weight * slope) @ mean
+        by += np.diag(each)
+        cross = -W * each
+        by[span] += cross
+        by[:, span] += cross.T
+        by[span, span] += (W * each) @ W.T
+    return total, by, alone, beside
+
+
+def _value_of(evidence):
+    """Value of evidence, -log(1 + DECIDED / evidence) / 2, and its derivative."""
+    # Nearly all is gained once the evidence is larger than what decides, and where it
+    # is small a doubling is worth the same everywhere.
+    e = evidence + _HOPELESS * DECIDED
+    return -0.5 * np.log1p(DECIDED / e), 0.5 * DECIDED / (e * (e + DECIDED))
+
+
+def information_of(equations, places, n_columns, weight):
+    """Information matrix (n_columns, n_columns) of rows with weights (n, nv)."""
+    M = np.zeros((n_columns, n_columns))
+    for j, (rows, place) in enumerate(zip(equations.rows, places)):
+        M[np.ix_(place, place)] += (rows * weight[:, j]) @ rows.T
+    return M
+
+
+# -- motions within limits -------------------------------------------------------------
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,45 +218,33 @@ class Problem:
 
     def torques(self, equations):
         """Torques (n, nv) of the model."""
-        return np.column_stack(
-            [
-                self._own(place) @ rows
-                for rows, place in zip(equations.rows, self.model.places)
-            ]
-        )
+        pairs = zip(equations.rows, self.model.places)
+        return np.column_stack([self.coefficients[at] @ rows for rows, at in pairs])
 
-    def _own(self, place):
-        """Coefficients of the columns of a joint; zero of those not known."""
-        known = np.zeros(self.model.n_columns)
-        known[: self.coefficients.size] = self.coefficients
-        return known[place]
+    def excess(self, states, torques, inside=INSIDE):
+        """How far shares of the limits are exceeded, relative, (4, 2, n, nv).
 
+        Also returns what each exceeds by one unit of the signal, (4, nv); of the second
+        side it is the negative.
+        """
+        limits = self.limits
+        low, high = limits.position.T
+        signals = np.stack([*np.split(states, 3, axis=1), torques])
+        signals[0] -= 0.5 * (low + high)
+        sizes = 0.5 * (high - low), limits.velocity, limits.acceleration, limits.torque
+        slope = 1.0 / (inside * np.array(sizes))
+        scaled = signals * slope[:, None]
+        return np.stack([scaled - 1.0, -scaled - 1.0], axis=1), slope
 
-def excess(problem, states, torques, inside=INSIDE):
-    """How far limits are exceeded, relative: a list of (n, nv) for each side."""
-    # Each with its slope: what it gains by one unit of the signal. Kept are shares
-    # `inside` of the limits: one, or of each of the four and each joint, (4, nv).
-    limits = problem.limits
-    shares = np.broadcast_to(inside, (4, len(limits.velocity)))
-    q, v, a = np.split(states, 3, axis=1)
-    low, high = limits.position.T
-    middle, half = 0.5 * (low + high), 0.5 * (high - low)
-    if problem.curve.start is not None:
-        # A start near an end of the range keeps the margin that it has.
-        reach = np.abs(problem.curve.start - middle)
-        half = np.maximum(half, np.minimum(reach, half) / shares[0])
-    found = []
-    for signal, centre, size, share in (
-        (q, middle, half, shares[0]),
-        (v, 0.0, limits.velocity, shares[1]),
-        (a, 0.0, limits.acceleration, shares[2]),
-        (torques, 0.0, limits.torque, shares[3]),
-    ):
-        scaled = (signal - centre) / (share * size)
-        slope = 1.0 / (share * size)
-        found.append((scaled - 1.0, slope))
-        found.append((-scaled - 1.0, -slope))
-    return found
+    def keeps(self, z, t, inside, *, apart=True):
+        """Whether a motion keeps its limits at times, and its bodies apart."""
+        states = self.curve.states(z, self.curve.basis(t))
+        torques = self.torques(self.model(states, t))
+        if self.excess(states, torques, inside)[0].max() > 1e-9:
+            return False
+        if not apart or self.clearance is None:
+            return True
+        return self.clearance.smallest(states[:, : self.model.nv]) >= self.room
 
 
 class Lagrangian:
@@ -120,59 +255,41 @@ class Lagrangian:
         self.t = problem.times()
         self.step = self.t[1]
         self.basis = problem.curve.basis(self.t)
-        self.inside = np.full((4, problem.model.nv), INSIDE)
-        self.multipliers = None
+        self.multipliers = 0.0
         self.penalty = 2 * _FIRST_COST / 1e-4
         self.shape = (problem.model.nv, problem.curve.size)
 
-    def states(self, z):
-        return self.problem.curve.states(z.reshape(self.shape), self.basis)
-
     def __call__(self, x):
         """Return value and gradient of what is to be made small."""
-        problem = self.problem
-        z = x.reshape(self.shape)
+        problem, z, nv = self.problem, x.reshape(self.shape), self.shape[0]
         states = problem.curve.states(z, self.basis)
-        nv = self.shape[0]
         equations = problem.model(states, self.t)
         weight, by_speed = problem.weights(states, self.step)
         places = problem.model.places
         M = information_of(equations, places, problem.model.n_columns, weight)
         judged = worth(M, problem.questions)
-        value = -judged.value
-        by_rows, by_states = [], np.zeros_like(states)
+        cost, by_signals = self._penalised(states, problem.torques(equations))
+        by_states, by_torque = by_signals[:, : 3 * nv], by_signals[:, 3 * nv :]
+        by_rows = []
         for j, (rows, place) in enumerate(zip(equations.rows, places)):
             G = judged.by_information[np.ix_(place, place)] @ rows
             by_rows.append(-2 * G * weight[:, j])
+            by_rows[j] += np.outer(problem.coefficients[place], by_torque[:, j])
             by_states[:, nv + j] -= (rows * G).sum(axis=0) * by_speed[:, j]
-        torques = problem.torques(equations)
-        cost, by_signals = self._penalised(states, torques)
-        value += cost
-        by_states += by_signals[:, : 3 * nv]
-        by_torque = by_signals[:, 3 * nv :]
-        for j, place in enumerate(places):
-            by_rows[j] += np.outer(problem._own(place), by_torque[:, j])
         if problem.clearance is not None:
-            cost, by_q = self._near(states[:, :nv])
-            value += cost
+            near, by_q = self._near(states[:, :nv])
+            cost += near
             by_states[:, :nv] += by_q
-        more, by_z = problem.model.pulled_back(
-            equations, by_rows, problem.curve, z, self.basis
-        )
+        more, by_z = problem.model.pulled_back(equations, by_rows, z, self.basis)
         gradient = problem.curve.pulled_back(by_states + more, self.basis) + by_z
-        return value, gradient.ravel()
+        return cost - judged.value, gradient.ravel()
 
     def _penalised(self, states, torques):
         """Cost of the limits, and its derivative by states and torques (n, 4 nv)."""
-        found = excess(self.problem, states, torques, self.inside)
-        if self.multipliers is None:
-            self.multipliers = [np.zeros_like(g) for g, _ in found]
-        cost, by = 0.0, [0.0] * 4
-        for k, ((g, slope), multiplier) in enumerate(zip(found, self.multipliers)):
-            pressed = np.maximum(multiplier + self.penalty * g, 0.0)
-            cost += ((pressed**2 - multiplier**2) / (2 * self.penalty)).sum()
-            by[k // 2] = by[k // 2] + pressed * slope
-        return cost, np.hstack(by)
+        over, slope = self.problem.excess(states, torques)
+        pressed = np.maximum(self.multipliers + self.penalty * over, 0.0)
+        cost = (pressed**2 - self.multipliers**2).sum() / (2 * self.penalty)
+        return cost, np.hstack(list((pressed[:, 0] - pressed[:, 1]) * slope[:, None]))
 
     def _near(self, q):
         """Cost of bodies that come too near each other, and its derivative by q."""
@@ -188,138 +305,64 @@ class Lagrangian:
 
     def tighten(self, x):
         """Raise multipliers and penalty; return the largest excess."""
-        states = self.states(x)
-        torques = self.problem.torques(self.problem.model(states, self.t))
-        worst = 0.0
-        found = excess(self.problem, states, torques, self.inside)
-        for k, (g, _) in enumerate(found):
-            self.multipliers[k] = np.maximum(
-                self.multipliers[k] + self.penalty * g, 0.0
-            )
-            worst = max(worst, float(g.max(initial=0.0)))
-        self.penalty *= _HARDER
-        return worst
-
-    def keep_between(self, x, fine, inside):
-        """Keep back what samples in between, at times `fine`, need of the limits."""
-        # Returns by how much they exceed the share `inside` of the limits.
         problem = self.problem
-        basis = problem.curve.basis(fine)
-        states = problem.curve.states(x.reshape(self.shape), basis)
-        torques = problem.torques(problem.model(states, fine))
-        sides = [g for g, _ in excess(problem, states, torques, inside)]
-        over = np.maximum(np.max(sides[::2], axis=1), np.max(sides[1::2], axis=1))
-        self.inside /= 1.0 + np.where(over > 0, over + _SPARE, 0.0)
+        states = problem.curve.states(x.reshape(self.shape), self.basis)
+        torques = problem.torques(problem.model(states, self.t))
+        over, _ = problem.excess(states, torques)
+        self.multipliers = np.maximum(self.multipliers + self.penalty * over, 0.0)
+        self.penalty *= _HARDER
         return over.max()
 
 
-def optimise(problem, starts, fine, inside):
-    """Improve motions, coordinates (nv, size) each, and the best of them to the end."""
-    # At the times `fine`, many more than those of the design, it keeps the share
-    # `inside` of the limits, which it may exceed by a trace: see `shrunk`. Returns its
-    # coordinates and the motion that it was improved from.
-    most = len(starts) + _ROUNDS - 1 + _MORE_ROUNDS
-    with stage("improving", most, "rounds") as step:
-        return _optimised(problem, starts, fine, inside, step)
-
-
-def _optimised(problem, starts, fine, inside, step):
-    """Improve as `optimise` does, and count the rounds."""
-    tried = []
-    for z in starts:
-        say(f"start {len(tried) + 1}")
-        lagrangian = Lagrangian(problem)
-        x, value = _improved(lagrangian, np.array(z, dtype=float).ravel())
-        tried.append((value, len(tried), x, lagrangian))
-        step()
-    _, best, x, lagrangian = min(tried, key=lambda one: one[:2])
-    lagrangian.tighten(x)
-    before = np.inf
-    for _ in range(_ROUNDS - 1):
-        say("within the limits")
-        x, value = _improved(lagrangian, x)
-        worst = lagrangian.tighten(x)
-        step()
-        settled = abs(before - value) < 0.05
-        before = value
-        if worst < _TOLERATED and settled:
-            break
-    # Where friction turns round at the load's peak, torques jump between samples.
-    for _ in range(_MORE_ROUNDS):
-        say("between the samples")
-        if lagrangian.keep_between(x, fine, inside) <= 0.0:
-            break
-        x, _ = _improved(lagrangian, x)
-        lagrangian.tighten(x)
-        step()
-    return x.reshape(lagrangian.shape), starts[best]
-
-
-def _improved(lagrangian, x):
-    """Return the result of one round and its value."""
-    found = minimize(
-        lagrangian,
-        x,
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": _STEPS, "maxcor": 20},
-    )
-    return found.x, found.fun
+def optimise(problem, z):
+    """Improve a motion, coordinates (nv, size), within its limits."""
+    lagrangian, x, before = Lagrangian(problem), np.ravel(z), np.inf
+    options = {"maxiter": _STEPS, "maxcor": 20}
+    with stage("improving", _ROUNDS, "rounds") as step:
+        for _ in range(_ROUNDS):
+            found = minimize(
+                lagrangian, x, jac=True, method="L-BFGS-B", options=options
+            )
+            x, worst = found.x, lagrangian.tighten(found.x)
+            say(f"limits exceeded by {max(worst, 0.0):.1%}")
+            step()
+            if worst < _TOLERATED and abs(before - found.fun) < 0.05:
+                break
+            before = found.fun
+    return x.reshape(lagrangian.shape)
 
 
 def shrunk(problem, z, t, inside, *, apart=True):
-    """Scale a motion until it keeps all limits at the times t."""
-    # It is scaled about its start if that is given, else about the pose in it that is
-    # furthest from the limits. With `apart` its bodies keep their distance as well.
-    basis = problem.curve.basis(t)
-    about = _roomiest(problem, z, basis)
-
-    def keeps(factor):
-        states = problem.curve.states(_scaled(problem, z, factor, about), basis)
-        torques = problem.torques(problem.model(states, t))
-        over = max(
-            float(g.max(initial=-1.0))
-            for g, _ in excess(problem, states, torques, inside)
-        )
-        if over <= 1e-9 and apart and problem.clearance is not None:
-            q = states[:, : problem.model.nv]
-            over = 1.0 - problem.clearance.smallest(q) / problem.room
-        return over <= 1e-9
-
-    if keeps(1.0):
+    """Scale a motion about its roomiest pose until it keeps its limits at times."""
+    if problem.keeps(z, t, inside, apart=apart):
         return z
+    about = _roomiest(problem, z, problem.curve.basis(t))
+
+    def scaled(factor):
+        made = factor * z
+        # The last coordinate is the start itself.
+        made[:, -1] += (1.0 - factor) * about
+        return made
+
     # A smaller motion may take a larger torque, nearer to a pose that is hard to hold:
     # the largest factor is looked for from above.
-    high = 1.0
+    low, high = 0.0, 1.0
     for gap in _GAPS:
-        low = 1.0 - gap
-        if keeps(low):
+        if problem.keeps(scaled(1.0 - gap), t, inside, apart=apart):
+            low = 1.0 - gap
             break
-        high = low
-    else:
-        low = 0.0
+        high = 1.0 - gap
     for _ in range(6):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if keeps(middle) else (low, middle)
-    return _scaled(problem, z, low, about)
+        kept = problem.keeps(scaled(middle), t, inside, apart=apart)
+        low, high = (middle, high) if kept else (low, middle)
+    return scaled(low)
 
 
 def _roomiest(problem, z, basis):
     """Pose (nv,) of a motion at rest in which it is furthest from its limits."""
-    if problem.curve.start is not None:
-        return problem.curve.start
     states = problem.curve.states(z, basis)
     states[:, problem.model.nv :] = 0.0
     torques = problem.torques(problem.model(states))
-    sides = [g for g, _ in excess(problem, states, torques)]
-    worst = np.max(sides, axis=(0, 2))
+    worst = problem.excess(states, torques)[0].max(axis=(0, 1, 3))
     return states[np.argmin(worst), : problem.model.nv]
-
-
-def _scaled(problem, z, factor, about):
-    """Make the motion smaller about a pose."""
-    scaled = factor * z
-    if problem.curve.start is None:
-        # The last coordinate is the start itself.
-        scaled[:, -1] += (1.0 - factor) * about
-    return scaled

@@ -5,23 +5,28 @@ import textwrap
 
 import numpy as np
 
-from sklearn_vbjfa.design._criterion import SAME_COLUMNS
-from sklearn_vbjfa.design._design import MARGIN, ROOM
+from sklearn_vbjfa.design._design import MARGIN, ROOM, SAME_COLUMNS
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.effects import resolve
 
 # Characters of a line.
 _WIDTH = 88
-_QUANTITIES = ("position", "velocity", "acceleration", "torque")
-_BARE = {"position": "range", "velocity": "speed"}
+# Margins and what tables call them.
+_QUANTITIES = {
+    "position": "range",
+    "velocity": "speed",
+    "acceleration": "acceleration",
+    "torque": "torque",
+}
 
 
 def summary(motion, robot, measured, found=None):
     """Say what a motion is, which limits it uses, and what it decides, lines of str."""
     # measured (nv,): joints of which the torque noise was measured; found: the report
     # that the motion was designed for, as a dict.
+    found = found or {}
     texts = [
-        *_decides(motion, found),
+        *_decides(motion),
         *(f"{words.capital(one)}." for one in undecided(motion)),
         *_never(motion, found),
         *_repeated(motion, found),
@@ -31,6 +36,11 @@ def summary(motion, robot, measured, found=None):
             "Noise was not measured: 1 % of the torque limits is assumed, and what "
             "depends on it is as uncertain."
         )
+    apart = unchecked(motion) or [
+        f"Bodies stay {words.number(1e3 * motion.margins['clearance'])} mm apart (at "
+        f"least {1e3 * ROOM:g} mm are kept); the surroundings of the robot are not "
+        "known."
+    ]
     return [
         f"Motion of {robot}: {words.plural(len(motion.joint_names), 'joint')}, "
         f"{motion.duration:g} s at {1 / motion.dt:.4g} Hz",
@@ -39,7 +49,7 @@ def summary(motion, robot, measured, found=None):
         "random states)",
         "",
         *_shares(motion),
-        *wrapped(_clearance(motion), ""),
+        *wrapped(apart[0], ""),
         "",
         *(line for text in texts for line in wrapped(text)),
     ]
@@ -50,42 +60,27 @@ def wrapped(text, indent="  "):
     return textwrap.wrap(text, _WIDTH, subsequent_indent=indent, break_on_hyphens=False)
 
 
-# -- limits ----------------------------------------------------------------------------
-
-
 def _shares(motion):
     """Tabulate the shares of the limits that each joint uses."""
     from tabulate import tabulate
 
-    rows = [
-        [words.joint_label(motion.joint_names, j)]
-        + [
+    rows = []
+    for j in range(len(motion.joint_names)):
+        shares = [
             words.whole_percent(1.0 - motion.margins[name][j])
             if np.isfinite(getattr(motion.limits, name)[j]).all()
             else "-"
             for name in _QUANTITIES
         ]
-        for j in range(len(motion.joint_names))
-    ]
+        rows.append([words.joint_label(motion.joint_names, j), *shares])
     table = tabulate(
         rows,
-        headers=["of the limits", *(_BARE.get(name, name) for name in _QUANTITIES)],
+        headers=["of the limits", *_QUANTITIES.values()],
         tablefmt="plain",
         disable_numparse=True,
         colalign=("left", *4 * ["right"]),
     )
     return table.splitlines()
-
-
-def _clearance(motion):
-    """Say how near bodies come, or why that is not known."""
-    if "clearance" not in motion.margins:
-        return unchecked(motion)[0]
-    nearest = words.number(1e3 * motion.margins["clearance"])
-    return (
-        f"Bodies stay {nearest} mm apart (at least {1e3 * ROOM:g} mm are kept); "
-        "the surroundings of the robot are not known."
-    )
 
 
 def unchecked(motion):
@@ -113,15 +108,15 @@ def exceeded(motion):
     """Name the limit that a motion exceeds the most, or with too small a margin."""
     worst = min(_QUANTITIES, key=lambda name: motion.margins[name].min())
     j = int(np.argmin(motion.margins[worst]))
-    label = words.joint_label(motion.joint_names, j)
     margin = float(motion.margins[worst][j])
-    nearest = motion.margins.get("clearance", math.inf)
     if margin >= MARGIN - 1e-6:
+        nearest = motion.margins.get("clearance", math.inf)
         return (
             f"bodies come as near as {1e3 * nearest:.3g} mm, where {1e3 * ROOM:g} mm "
             "are kept"
         )
-    limit = f"the limit of {_BARE.get(worst, worst)} of {label}"
+    label = words.joint_label(motion.joint_names, j)
+    limit = f"the limit of {_QUANTITIES[worst]} of {label}"
     if margin < 0:
         return f"{limit} is exceeded by {words.percent(-margin)}"
     return f"{limit} is kept with {words.percent(margin)} to spare, not {MARGIN:.0%}"
@@ -130,21 +125,11 @@ def exceeded(motion):
 # -- what it decides -------------------------------------------------------------------
 
 
-def _decides(motion, found):
+def _decides(motion):
     """List the effects that are distinguished, or from which torques on."""
-    pairs = [one for one in motion.parts if one.least <= _has(motion, one.joint)]
-    if pairs:
-        named = _rivals(found or {})
-        # What the report names as rivals comes first.
-        pairs.sort(key=lambda one: (frozenset(one.names), one.joint) not in named)
-        return [
-            "It tells apart causes that exceed these torques",
-            *(
-                f"- {words.joint_label(motion.joint_names, one.joint)}, from "
-                f"{_newtons(motion, one.least, one.joint)}: {_causes(one)}"
-                for one in pairs
-            ),
-        ]
+    parted = _pairs(motion, decided=True)
+    if parted:
+        return ["It tells apart causes that exceed these torques", *parted]
     if not motion.shows:
         return ["It determines the model; name effects that it shall show by --effects"]
     by_joint = {}
@@ -162,29 +147,32 @@ def _decides(motion, found):
     ]
 
 
-def _rivals(found):
-    """Return pairs that a report could not tell apart, ({name, name}, joint)."""
-    return {
-        (frozenset((one["name"], trial["name"])), one["joint"])
-        for one in found.get("effects") or ()
-        for trial in one.get("trials") or ()
-    }
-
-
-def _has(motion, j):
-    """Largest torque of a joint: its limit, or without one that in the motion."""
-    limit = motion.limits.torque[j]
-    return limit if np.isfinite(limit) else np.abs(motion.tau[:, j]).max()
+def _pairs(motion, *, decided):
+    """Rivals of the report that a motion distinguishes, or does not, each pair once."""
+    pairs = {}
+    for one in sorted(motion.shows, key=lambda one: one.least):
+        limit = motion.limits.torque[one.joint]
+        largest = np.abs(motion.tau[:, one.joint]).max()
+        has = limit if np.isfinite(limit) else largest
+        if one.is_asked and one.rival and (one.least <= has) == decided:
+            pairs[one.joint, frozenset((one.name, one.rival))] = one
+    texts = []
+    for one in pairs.values():
+        joint = words.joint_label(motion.joint_names, one.joint)
+        torque = _newtons(motion, one.least, one.joint)
+        causes = f"{effect_label(one.name)} or {effect_label(one.rival)}"
+        texts.append(
+            f"- {joint}, from {torque}: {causes}"
+            if decided
+            else f"not told apart on {joint}, except by {torque}, more than it has: "
+            f"{causes}"
+        )
+    return texts
 
 
 def undecided(motion):
     """Name the effects that a motion does not distinguish, a list of str."""
-    return [
-        f"not told apart on {words.joint_label(motion.joint_names, one.joint)}, except "
-        f"by {_newtons(motion, one.least, one.joint)}, more than it has: {_causes(one)}"
-        for one in motion.parts
-        if one.least > _has(motion, one.joint)
-    ]
+    return _pairs(motion, decided=False)
 
 
 def unseen(motion, names):
@@ -201,7 +189,7 @@ def unseen(motion, names):
 def _never(motion, found):
     """Say what no motion shows, effects with the same reason together; one or none."""
     hidden = [(one.reason, one.name, one.joint) for one in motion.invisible]
-    for one in (found or {}).get("hidden") or ():
+    for one in found.get("hidden") or ():
         if one["reason"] == "span":
             hidden.append((SAME_COLUMNS, one["name"], one["joint"]))
         elif one["reason"] == "together":
@@ -224,7 +212,7 @@ def _repeated(motion, found):
     """Say why to record another motion, once, where the recorded one repeats."""
     periods = [
         f"{one['count']:.3g} times {words.number(one['seconds'])} s"
-        for one in (found or {}).get("repeated") or ()
+        for one in found.get("repeated") or ()
     ]
     if not periods:
         return []
@@ -233,9 +221,6 @@ def _repeated(motion, found):
         f"lacks repeats with it. This one does not within its {motion.duration:g} s: "
         "record it once, and others by another --seed."
     ]
-
-
-# -- words -----------------------------------------------------------------------------
 
 
 def effect_label(name):
@@ -247,11 +232,7 @@ def effect_label(name):
     return effect.describe({}, lambda joint: f"joint {joint + 1}")
 
 
-def _causes(pair):
-    return " or ".join(effect_label(name) for name in pair.names)
-
-
 def _newtons(motion, value, joint):
     """Write a torque or force with its unit."""
-    unit = "N" if motion.slides[joint] else "N m"
-    return f"{words.number(value, 2)} {unit}"
+    slides = motion.slides[joint]
+    return f"{words.number(value, 2)} {'N' if slides else 'N m'}"

@@ -210,12 +210,10 @@ def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     argv = ["--urdf", "arm.urdf", "--joints", "shoulder,elbow", *QUICK]
     argv += ["--velocity", "2", "--scale", "0.5", "--dt", "0.02"]
     argv += ["--duration", "5"]
-    argv += ["--start=-1,0", "--effects", "stribeck,spring", "--seed", "3"]
+    argv += ["--effects", "stribeck,spring", "--seed", "3"]
     assert main(["design", *argv]) == UNCHECKED
     text = capsys.readouterr().out
     found = read(here / "motion.csv")
-    assert found["q_shoulder"][0] == -1
-    assert found["q_elbow"][0] == 0
     assert np.abs(found["v_shoulder"]).max() <= 0.98
     assert np.abs(found["a_elbow"]).max() <= 0.98 * 1.5
     assert np.diff(found["t"])[0] == pytest.approx(0.02)
@@ -297,7 +295,7 @@ def test_what_a_robot_lacks_is_a_number_that_works(
     old, new, said, option, here, capsys
 ):
     Path("arm.urdf").write_text(URDF.replace(old, new))
-    line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2], "--start", "0,0")
+    line = refusal(capsys, "--urdf", "arm.urdf", *QUICK[:2])
     assert said in line
     argv = offered(line)
     assert option in argv
@@ -342,7 +340,7 @@ def test_what_a_slow_motion_does_not_tell_apart_is_said(home, here, capsys):
     assert "; not told apart on joint 1 (shoulder)" in line
 
 
-def test_durations_and_starts_that_would_do(here, capsys):
+def test_durations_that_would_do(here, capsys):
     short = ("--urdf", "arm.urdf", "--duration", "0.5", "--acceleration", "3")
     line = refusal(capsys, *short)
     assert "too short for shoulder" in line
@@ -352,12 +350,6 @@ def test_durations_and_starts_that_would_do(here, capsys):
     assert wanted == np.ceil(2 * np.pi * np.sqrt(0.75 / 3))
     assert main(argv) == UNCHECKED
     capsys.readouterr()
-    out = ("--out", "other.csv")
-    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start=-4,0.5")
-    assert "shoulder at -4, outside its limits [-3, 3]" in line
-    assert "--start=-3,0.5" in offered(line)
-    line = refusal(capsys, "--urdf", "arm.urdf", *out, *QUICK, "--start", "1")
-    assert "must be positions, one for each of shoulder, elbow" in line
 
 
 @pytest.mark.parametrize(
@@ -422,6 +414,5 @@ def test_a_motion_outside_its_limits_is_not_written(here, capsys, monkeypatch):
     monkeypatch.setattr("sklearn_vbjfa.design.design_motion", lambda *_, **__: found)
     line = refusal(capsys, "--urdf", "arm.urdf", *QUICK)
     assert "speed of joint 2 (elbow) is exceeded by 3.1 %" in line
-    assert "--start" in line
     assert "--seed" in line
     assert [x.name for x in here.iterdir()] == ["arm.urdf"]

@@ -157,26 +157,6 @@ def test_seven_joints_have_a_motion_to_set_out_from(tmp_path):
     assert np.isfinite(worth(M, problem.questions).value)
 
 
-def test_a_start_is_kept(tmp_path):
-    path = chain(tmp_path, ("continuous",), effort=60.0)
-    start = np.array([0.4])
-    motion = design_motion(path, start=start, **SHORT)
-    np.testing.assert_allclose(motion.q[0], start, atol=1e-9)
-    np.testing.assert_allclose(motion.states([3.0])[0, :1], start, atol=1e-9)
-    np.testing.assert_allclose(motion.states([0.0, 3.0])[:, 1:], 0.0, atol=1e-8)
-    assert motion.within_limits
-    assert np.ptp(motion.q, axis=0).min() > 0.3
-
-
-@pytest.mark.parametrize("end", [-1.5, 1.5])
-def test_a_start_at_a_limit_leaves_a_motion(tmp_path, end):
-    path = chain(tmp_path, ("revolute", "revolute"), effort=60.0)
-    problem, z = problem_of(path, start=[end, 0.0])
-    q = problem.curve.states(z, problem.curve.basis(problem.times()))[:, :2]
-    assert np.all(np.abs(q) <= 1.5 + 1e-9)
-    assert np.ptp(q, axis=0).min() > 0.05
-
-
 @pytest.mark.slow
 def test_a_motion_repeats_neither_itself_nor_that_of_another_seed(path, motion):
     other = design_motion(path, limits=limits_of(3), **{**SHORT, "random_state": 1})

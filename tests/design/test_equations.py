@@ -124,11 +124,6 @@ def test_gradient_of_the_whole_lagrangian(designed):
     assert gradient_error(problem, z) < 1e-5
 
 
-def test_gradient_with_a_start(path):
-    problem, z = problem_of(path, start=[0.2, -0.1, 0.5])
-    assert gradient_error(problem, z) < 1e-5
-
-
 def test_gradient_with_effects_to_part(path):
     problem, z = problem_of(path, effects=SMOOTH)
     assert len(problem.questions.effects) == 3 * len(SMOOTH)

@@ -53,7 +53,7 @@ def moving_states():
 
 def asked_of(task):
     problem = task.problem
-    effects = problem.model.effects[problem.model.n_own :]
+    effects = problem.model.effects[problem.model.n_members :]
     return {
         (one.effect.name, one.effect.joint): weight
         for one, weight in zip(effects, problem.questions.alone)

@@ -2,6 +2,7 @@
 
 import math
 import textwrap
+from dataclasses import replace
 
 import numpy as np
 
@@ -150,14 +151,17 @@ def _decides(motion):
 def _pairs(motion, *, decided):
     """Rivals of the report that a motion distinguishes, or does not, each pair once."""
     pairs = {}
-    for one in sorted(motion.shows, key=lambda one: one.least):
+    for one in motion.shows:
+        if one.is_asked and one.rival:
+            pair = one.joint, frozenset((one.name, one.rival))
+            first = pairs.setdefault(pair, one)
+            pairs[pair] = replace(first, least=max(first.least, one.least))
+    texts = []
+    for one in sorted(pairs.values(), key=lambda one: (one.joint, one.least)):
         limit = motion.limits.torque[one.joint]
         largest = np.abs(motion.tau[:, one.joint]).max()
-        has = limit if np.isfinite(limit) else largest
-        if one.is_asked and one.rival and (one.least <= has) == decided:
-            pairs[one.joint, frozenset((one.name, one.rival))] = one
-    texts = []
-    for one in pairs.values():
+        if (one.least <= (limit if np.isfinite(limit) else largest)) != decided:
+            continue
         joint = words.joint_label(motion.joint_names, one.joint)
         torque = _newtons(motion, one.least, one.joint)
         causes = f"{effect_label(one.name)} or {effect_label(one.rival)}"

@@ -40,9 +40,9 @@ _FEWEST, _MOST = 5, 25
 _SPREAD = 2.0
 # The low-pass of the fit, at five times the bandwidth, needs that many samples.
 _PER_SAMPLE = 0.06
-# Random motions of which the best is improved, share of the limits within which they
-# are drawn, and states at which columns are compared.
-_DRAWN, _DRAWN_INSIDE, _REFERENCE = 40, 0.95, 600
+# Random motions of which the best are improved, how many of these, share of the limits
+# within which they are drawn, and states at which columns are compared.
+_DRAWN, _STARTS, _DRAWN_INSIDE, _REFERENCE = 40, 3, 0.95, 600
 # Share of the torque limits that may go into holding a start.
 _HELD = 0.85
 # Margin to all limits at ten times the sampling of the design.
@@ -194,8 +194,8 @@ def design_motion(
     )
     problem, times = task.problem, task.problem.times()
     fine = np.arange(_FINER * times.size) * (times[1] / _FINER)
-    first = best_drawn(problem, rng)
-    z = shrunk(problem, optimise(problem, first), fine, 1.0 - MARGIN)
+    found, first = optimise(problem, best_drawn(problem, rng))
+    z = shrunk(problem, found, fine, 1.0 - MARGIN)
     return _finished(task, z, first, fine)
 
 
@@ -361,7 +361,7 @@ def _coefficients(robot, equations, rows, members):
 
 
 def best_drawn(problem, rng):
-    """Draw motions that touch a limit, and return the best by the criterion."""
+    """Draw motions that touch a limit, and return the best by the criterion, a list."""
     t = problem.times()
     basis = problem.curve.basis(t)
     found = []
@@ -376,7 +376,7 @@ def best_drawn(problem, rng):
             f"The limits leave no room: torques hold the robot in few poses, and none "
             f"of {_DRAWN} random motions starts in one. Give larger torque limits."
         )
-    return min(found, key=lambda one: one[:2])[-1]
+    return [z for _, _, z in sorted(found, key=lambda one: one[:2])[:_STARTS]]
 
 
 def _drawn(problem, rng, basis, t):

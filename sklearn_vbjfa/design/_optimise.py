@@ -314,22 +314,32 @@ class Lagrangian:
         return over.max()
 
 
-def optimise(problem, z):
-    """Improve a motion, coordinates (nv, size), within its limits."""
-    lagrangian, x, before = Lagrangian(problem), np.ravel(z), np.inf
-    options = {"maxiter": _STEPS, "maxcor": 20}
-    with stage("improving", _ROUNDS, "rounds") as step:
-        for _ in range(_ROUNDS):
-            found = minimize(
-                lagrangian, x, jac=True, method="L-BFGS-B", options=options
-            )
-            x, worst = found.x, lagrangian.tighten(found.x)
-            say(f"limits exceeded by {max(worst, 0.0):.1%}")
+def optimise(problem, starts):
+    """Improve motions, coordinates (nv, size) each, and the best within its limits.
+
+    Returns it, and the one that it was improved from.
+    """
+    lagrangian = Lagrangian(problem)
+
+    def improved(x):
+        options = {"maxiter": _STEPS, "maxcor": 20}
+        return minimize(lagrangian, x, jac=True, method="L-BFGS-B", options=options)
+
+    with stage("improving", len(starts) + _ROUNDS - 1, "rounds") as step:
+        tried = []
+        for z in starts:
+            tried.append(improved(z.ravel()))
             step()
+        first = int(np.argmin([one.fun for one in tried]))
+        found, before = tried[first], np.inf
+        for _ in range(_ROUNDS - 1):
+            worst = lagrangian.tighten(found.x)
             if worst < _TOLERATED and abs(before - found.fun) < 0.05:
                 break
-            before = found.fun
-    return x.reshape(lagrangian.shape)
+            say(f"limits exceeded by {max(worst, 0.0):.1%}")
+            found, before = improved(found.x), found.fun
+            step()
+    return found.x.reshape(lagrangian.shape), starts[first]
 
 
 def shrunk(problem, z, t, inside, *, apart=True):

@@ -54,4 +54,4 @@ def problem_of(model, **kwargs):
     """Return the problem of a design, and the best motion that it sets out from."""
     rng = check_random_state(kwargs.pop("random_state", 0))
     problem = posed(model, random_state=rng, **kwargs).problem
-    return problem, best_drawn(problem, rng)
+    return problem, best_drawn(problem, rng)[0]

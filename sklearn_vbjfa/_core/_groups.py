@@ -50,23 +50,27 @@ def log_orthant(mean, covariance):
     # is taken for normal with the moments of the truncated distribution (Mendell and
     # Elston, Biometrics 30, 1974, doi 10.2307/2529616). It is good to half a nat while
     # the probability is not below e^-10 or so, and too high beyond.
-    mean, covariance = np.array(mean), np.array(covariance)
+    # Of the covariance only the diagonal and one column a step are made.
+    mean, done = np.array(mean), np.zeros(covariance.shape)
+    variance = np.diagonal(covariance, axis1=-2, axis2=-1).copy()
     left = np.ones(mean.shape, dtype=bool)
     total = np.zeros(mean.shape[:-1])
-    for _ in range(mean.shape[-1]):
-        variance = np.diagonal(covariance, axis1=-2, axis2=-1)
+    for i in range(mean.shape[-1]):
         deviation = np.sqrt(np.maximum(variance, np.finfo(float).tiny))
         ratio = np.where(left, mean / deviation, np.inf)
         at = np.argmin(ratio, axis=-1)[..., None]
         z = np.take_along_axis(ratio, at, -1)
-        size = np.take_along_axis(deviation, at, -1)
-        column = np.take_along_axis(covariance, at[..., None], -1)[..., 0] / size
+        column = np.take_along_axis(covariance, at[..., None], -2)[..., 0, :]
+        past = np.take_along_axis(done[..., :i, :], at[..., None], -1)
+        column = column - (past.swapaxes(-1, -2) @ done[..., :i, :])[..., 0, :]
+        column /= np.take_along_axis(deviation, at, -1)
         log_share = log_ndtr(z)
         moved = np.exp(-0.5 * z**2 - 0.5 * np.log(2 * np.pi) - log_share)
         total += log_share[..., 0]
         mean += moved * column
-        shrunk = moved * (moved + z)
-        covariance -= shrunk[..., None] * column[..., :, None] * column[..., None, :]
+        column *= np.sqrt(np.maximum(moved * (moved + z), 0.0))
+        done[..., i, :] = column
+        variance -= column**2
         np.put_along_axis(left, at, False, -1)
     return total
 
@@ -94,6 +98,11 @@ class Groups:
         # lambda_k))) over the eigenvalues of the group's block (Tipping and Faul,
         # AISTATS 2003, eq. 18, for a single column).
         return np.logaddexp.reduce(self._along(scale), axis=0)
+
+    def most_evidence(self, scale):
+        """Upper bounds (c,) of the evidence that take less time for positive groups."""
+        # No scale has more than the best coefficients.
+        return 0.5 * self.gain() if self.positive else self.evidence(scale)
 
     def discounted(self, excess):
         """Return the moments of a likelihood discounted for overdispersion."""
@@ -154,8 +163,8 @@ class Groups:
         value, rest, vectors = self._spectral
         s = scales[:, None, None]
         precision = 1.0 + s**2 * value
-        mean = np.einsum("cab,scb->sca", vectors, s * rest / precision)
-        covariance = np.einsum("cab,scb,cdb->scad", vectors, 1 / precision, vectors)
+        mean = (vectors @ (s * rest / precision)[..., None])[..., 0]
+        covariance = (vectors / precision[:, :, None]) @ vectors.transpose(0, 2, 1)
         return log_orthant(mean, covariance) + mean.shape[-1] * np.log(2.0)
 
     @functools.cached_property

@@ -54,7 +54,7 @@ class Estimate:
     input_noise: np.ndarray | None
     # of the fit; of a single recording the stretches in place of blocks of time
     moments: JointMoments
-    regressor: object
+    regressor: object  # None where the description is the prior
     # (p, p): posterior, with one factor for residuals correlated in time; infinite on
     # the diagonal where nothing tells a parameter, None if the regressor has none
     covariance: np.ndarray | None = None
@@ -141,19 +141,26 @@ def estimate(
     joint_weights="auto",
     rows=(),
     forward=None,
+    described=False,
 ):
     """Estimate one parameter vector from the equations of all joints; not projected."""
     # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
     # the equations themselves, if the regressor needs them; forward: (regressor, rows,
-    # weights) -> keyword arguments of its `fit`.
-    regressor = default_regressor() if regressor is None else clone(regressor)
+    # weights) -> keyword arguments of its `fit`; described: whether the description
+    # will be the prior, so that the equations alone count here.
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
-    if from_moments(regressor):
-        theta, std, covariance = _fit_moments(regressor, total, noise)
+    metric = total.S_xx.copy() if noise is None else denoised(total, noise)
+    covariance = None
+    if described:
+        theta = scaled_eigen(metric, IDENTIFIABLE).solve(total.S_xy)
+        regressor, std = None, np.full(theta.shape, np.nan)
     else:
-        theta, std = _fit_rows(regressor, rows, weight, total, forward)
-        covariance = None
+        regressor = default_regressor() if regressor is None else clone(regressor)
+        if from_moments(regressor):
+            theta, std, covariance = _fit_moments(regressor, total, noise)
+        else:
+            theta, std = _fit_rows(regressor, rows, weight, total, forward)
     wider, pooled = _correlation(moments, weight, theta)
     return Estimate(
         theta=theta,
@@ -161,7 +168,7 @@ def estimate(
         std=std * wider,
         covariance=None if covariance is None else pooled * covariance,
         joint_weights=weight,
-        metric=total.S_xx.copy() if noise is None else denoised(total, noise),
+        metric=metric,
         input_noise=noise,
         moments=moments.in_stretches(),
         regressor=regressor,

@@ -232,6 +232,7 @@ class Recipe:
             self.regressor,
             joint_weights=self.joint_weights,
             rows=[one.zeroed(zeros) for one in rows],
+            described=self.description is not None,
         )
         if self.description is not None:
             found = beside_description(found, self.description, self.bodies)

@@ -159,7 +159,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Effects beyond rigid bodies and friction, see `sklearn_vbjfa.effects`.
         `EffectDiscovery` finds the required ones.
     regressor : estimator, default=None
-        Linear regressor, see `JointTorqueRegressor`. None is
+        Linear regressor, see `JointTorqueRegressor`. None is weighted least squares
+        with the description as prior or, without one (see `bodies`),
         ``VBJFARegressor(latent="correlated", input_noise=0.0)``. If its `fit` takes
         `instruments` (`InstrumentalVariables`), these are the commanded motion of the
         `drive`, or the odd samples without a drive.

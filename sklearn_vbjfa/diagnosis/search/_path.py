@@ -6,6 +6,7 @@ import numpy as np
 from scipy.special import logit
 from sklearn.base import clone
 
+from sklearn_vbjfa._core._groups import Overdispersion
 from sklearn_vbjfa._core._progress import counted, say
 from sklearn_vbjfa.diagnosis.search._held_out import HeldOut
 from sklearn_vbjfa.diagnosis.search._problem import (
@@ -161,6 +162,9 @@ class Path:
         """Discount the evidence of a candidate by its scatter in time."""
         if candidate.tempered:
             return candidate
+        candidate = self._exact(fit, candidate)
+        if candidate is None:
+            return None
         family, best, coef = candidate.family, candidate.best, candidate.coef
         if isinstance(candidate.effect, Shaped) and candidate.effect.jumping:
             # Beside its instant a jump leaves a residual of its own size.
@@ -177,6 +181,13 @@ class Path:
         if strict is None:
             return None
         return replace(strict, tempered=True, order=usual.order)
+
+    def _exact(self, fit, candidate):
+        """Return a candidate with its evidence where it has an upper bound."""
+        if not candidate.effect.bank:
+            return candidate
+        taken = self._taken(fit)
+        return self._candidate(fit, candidate.family, taken, Overdispersion())
 
     def _surest(self, fit, candidates, margin=0.0):
         """Return tempered candidates within a margin of the best, the best first."""
@@ -742,12 +753,16 @@ class Path:
             added, self._noise = [], fit
             for joint in self.families:
                 candidates = self._candidates(fit, joint)
-                if self.view.repetition:
-                    # What comes again with each phase would all be taken for effects.
-                    candidates = self._surest(fit, candidates)
                 # One is expected of each joint here.
                 count = max(len(self.families[joint]), 1)
                 least = self.log_prior - np.log(self.settings.expected / count)
+                candidates = [o for o in candidates if o.log_odds > least]
+                if self.view.repetition:
+                    # What comes again with each phase would all be taken for effects.
+                    candidates = self._surest(fit, candidates)
+                else:
+                    found = (self._exact(fit, o) for o in candidates)
+                    candidates = [o for o in found if o is not None]
                 best = max(candidates, key=lambda o: o.log_odds, default=None)
                 if best is not None and best.log_odds > least:
                     found = best.family.member(best.best, self.settings.scale)

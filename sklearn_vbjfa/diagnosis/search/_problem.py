@@ -525,11 +525,11 @@ class Fit:
         return self._beside[family.moments][0]
 
     def evidence(self, family, scale):
-        """Log evidence of a family's shapes beside this model, (c,)."""
+        """Log evidence (c,) of a family's shapes beside this model; of a bank, most."""
         if family.stack is not None:
             return self.evidence(family.stack, scale)[family.at]
         if family.moments not in self._evidence:
-            self._evidence[family.moments] = self.groups(family).evidence(scale)
+            self._evidence[family.moments] = self.groups(family).most_evidence(scale)
         return self._evidence[family.moments]
 
     def _products(self, moments):

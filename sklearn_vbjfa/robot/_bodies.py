@@ -227,24 +227,25 @@ class _Problem:
     def solved(self, sites):
         """Return the `_Solution` with some sites."""
         # The size of all bodies together is known to the usual share from `common`:
-        # what a torque channel calls a newton metre is sometimes not known at all.
+        # what a torque channel calls a newton metre is sometimes not known at all. It
+        # is the last unknown, beside a matrix in which branches are apart.
         p, centre = self.b.size, self.centre
-        total, right = np.zeros((p + 1, p + 1)), np.zeros(p + 1)
-        total[:p, :p] = self.A
-        total[p, :p] = total[:p, p] = self.A @ centre
-        total[p, p] = centre @ total[:p, p]
-        right[:p] = self.b - total[:p, p]
-        right[p] = centre @ right[:p]
-        total[:p, :p] += self.precision(sites)
-        total[p, p] += DESCRIBED**-2
+        across = self.A @ centre
+        right = self.b - across
+        of_size = centre @ right
         own = np.array([site.right for site in sites])
         root = self.description.root
         right[self.description.places] += np.einsum("kij,ki->kj", root, own)
         # A direction that neither torques nor description tell stays where it is.
-        if self.sized:
-            total[p], total[:, p], right[p] = 0.0, 0.0, 0.0
-        eigen = scaled_eigen(total, _RANK)
-        return _Solution(eigen.solve(right), eigen.inverse())
+        eigen = scaled_eigen(self.A + self.precision(sites), _RANK)
+        mean, covariance = np.zeros(p + 1), np.zeros((p + 1, p + 1))
+        mean[:p], covariance[:p, :p] = eigen.solve(right), eigen.inverse()
+        if not self.sized:
+            moved = np.append(-eigen.solve(across), 1.0)
+            precision = centre @ across + DESCRIBED**-2 + across @ moved[:p]
+            mean += moved * (of_size - across @ mean[:p]) / precision
+            covariance += np.outer(moved, moved) / precision
+        return _Solution(mean, covariance)
 
     def common(self):
         """Size of all bodies together by least squares, all else free; or one."""

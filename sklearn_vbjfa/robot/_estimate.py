@@ -236,8 +236,8 @@ def beside_description(found, description, bodies="prior"):
     # Deviations: what the prior leaves, and the noise as it scatters in time.
     covariance = posterior.covariance
     finite = np.where(np.isfinite(covariance), covariance, 0.0)
-    of_prior = np.einsum("ij,jk,ki->i", finite, posterior.prior, finite)
-    of_noise = np.einsum("ij,jk,ki->i", finite, found.metric / noise, finite)
+    of_prior = ((finite @ posterior.prior) * finite.T).sum(axis=1)
+    of_noise = ((finite @ (found.metric / noise)) * finite.T).sum(axis=1)
     wider = found.wider**2 / max(found.pooled, 1.0)
     std = np.sqrt(of_prior + np.maximum(of_noise, 0.0) * wider)
     std = np.where(np.isfinite(np.diagonal(covariance)), std, np.inf)

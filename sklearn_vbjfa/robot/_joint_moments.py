@@ -234,7 +234,7 @@ class JointMoments:
     def residual_squares(self, theta):
         """Weighted sum of squared residuals of each joint, ndarray of shape (nv,)."""
         squares = self.yy - 2 * self.g @ theta
-        squares += np.einsum("i,jik,k->j", theta, self.G, theta)
+        squares += (self.G @ theta) @ theta
         # A difference of sums: below this fraction of yy it is rounding.
         return np.maximum(squares, 1e-13 * self.yy)
 
@@ -245,7 +245,7 @@ class JointMoments:
         n = np.where(self.n > 0, self.n, np.nan)
         through = np.zeros(n.size)
         if self.noise is not None:
-            through = np.einsum("i,jik,k->j", theta, self.noise, theta) / n
+            through = (self.noise @ theta) @ theta / n
             through = np.maximum(through, 0.0)  # rounding
         rest = self.residual_squares(theta) / n - through
         return np.sqrt(through), np.sqrt(np.maximum(rest, 0.0))

@@ -144,7 +144,7 @@ class HeldOutFit:
     def _squares(self, blocks, theta):
         """Squared errors (n, nj) of some blocks."""
         full = np.r_[theta, -1.0]
-        return np.einsum("p,bjpq,q->bj", full, self._moments[blocks], full)
+        return (self._moments[blocks] @ full) @ full
 
     @functools.cached_property
     def squares(self):

@@ -17,7 +17,11 @@ from sklearn_vbjfa.diagnosis.explain import (
     split_in_time,
 )
 from sklearn_vbjfa.diagnosis.report._report import Report
-from sklearn_vbjfa.diagnosis.search._branches import branches_of, put_together
+from sklearn_vbjfa.diagnosis.search._branches import (
+    branches_of,
+    put_together,
+    tuned_apart,
+)
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
@@ -461,11 +465,11 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         # As many effects are expected of all branches together as of one robot.
         share = replace(settings, expected=settings.expected / max(len(heard), 1))
         found = []
-        for branch in heard:
+        for k, branch in enumerate(heard):
             own = branch.recording(part)
             plain = _fitted(branch.identifier(self.baseline_), own)
-            mute = branch.local(silent)
-            alone = RecordingView(plain, own, mute, **given)
+            heard[k] = replace(branch, fitted=plain)
+            alone = heard[k].view(part, silent, **given)
             found.append(search(alone, library, share, self.alpha))
         if not found:
             return search(view, (), settings, self.alpha)
@@ -503,7 +507,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         origin = whole.groups[rows]
         given = {"origin": origin, "all_samples": True, **known}
         view = RecordingView(self.baseline_, seen, silent, **given)
-        effects = tuned_on(view, found.effects, found.settings)
+        if found.branches:
+            effects = tuned_apart(found, lambda b: b.view(seen, silent, **given))
+        else:
+            effects = tuned_on(view, found.effects, found.settings)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))

@@ -5,7 +5,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from sklearn.base import clone
 
+from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel
+from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import import_pinocchio
 
@@ -24,6 +26,7 @@ class Branch:
 
     joints: list  # its joints among those of the robot, rising
     model: object
+    fitted: object = None  # declared model with which it was searched
 
     def identifier(self, declared):
         """Return the declared model of the branch, not fitted, in the robot's band."""
@@ -57,6 +60,11 @@ class Branch:
             whole = getattr(recording, name)
             columns[name] = tuple(whole[j] for j in self.joints)
         return replace(recording, **columns)
+
+    def view(self, recording, leave_out, **known):
+        """Return the `RecordingView` of the branch in a recording of the robot."""
+        mute, own = self.local(leave_out), self.recording(recording)
+        return RecordingView(self.fitted, own, mute, **known)
 
     def local(self, joints):
         """Numbers in the branch of those of some joints that belong to it."""
@@ -153,6 +161,20 @@ def put_together(view, motion, branches, found):
         library=first.library,
         branches=tuple(zip(branches, found)),
     )
+
+
+def tuned_apart(found, view_of):
+    """Return a robot's effects with shapes that suit another recording."""
+    # view_of: makes the `RecordingView` of a branch in that recording.
+    known = {}
+    for branch, own in found.branches:
+        if own.effects:
+            tuned = tuned_on(view_of(branch), own.effects, own.settings)
+            for before, after in zip(own.effects, tuned):
+                known.setdefault(
+                    branch.on_robot(before).key(), branch.on_robot(after)
+                )
+    return tuple(known[effect.key()] for effect in found.effects)
 
 
 def _on_robot(finding, branch):

@@ -171,9 +171,7 @@ def tuned_apart(found, view_of):
         if own.effects:
             tuned = tuned_on(view_of(branch), own.effects, own.settings)
             for before, after in zip(own.effects, tuned):
-                known.setdefault(
-                    branch.on_robot(before).key(), branch.on_robot(after)
-                )
+                known.setdefault(branch.on_robot(before).key(), branch.on_robot(after))
     return tuple(known[effect.key()] for effect in found.effects)
 
 

@@ -1,6 +1,7 @@
 """Fixtures that several folders of tests share."""
 
 import contextlib
+import importlib.util
 import os
 import pickle
 from pathlib import Path
@@ -46,6 +47,28 @@ def once(tmp_path_factory):
             return pickle.loads(path.read_bytes())
 
     return made
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _kernels(once):
+    """Have one worker compile the simulator, whose machine code the others read."""
+    needed = ("numba", "pinocchio")
+    if "PYTEST_XDIST_WORKER" in os.environ and all(
+        map(importlib.util.find_spec, needed)
+    ):
+        once("kernels", _compile)
+
+
+def _compile():
+    from sklearn_vbjfa.effects import Coupling, MaxwellSlip
+    from sklearn_vbjfa.simulation import simulate
+    from tests.simulation._machines import Arm
+
+    remembered = MaxwellSlip(0, (0.02, 0.1), (), ()), [0.3, 0.2]
+    coupled = Coupling(1, 0, "sum"), [0.05, 0.1, 0.02]
+    for effects in ([], [remembered], [coupled]):
+        robot = Arm().robot({"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4]}, effects)
+        simulate(robot, [[0.0, 0.0]] * 3, [0.4, -0.6], [1.0, -2.0])
 
 
 @pytest.fixture(scope="session")

@@ -106,6 +106,7 @@ def test_the_loop_is_closed_on_commands(run, tmp_path):
     assert "Commands act" in page
 
 
+@pytest.mark.slow
 def test_the_report_has_positions_from_commands_alone(run, told, tmp_path):
     """Gains of the log; without dry friction, the declared model is farther off."""
     gains = {f"k{x}_{j}": np.full(len(told["t"]), one) for x, j, one in GAINS}
@@ -203,6 +204,7 @@ def test_a_simulation_without_gains_is_refused(run, drive):
     assert missing.get(drive, "kd is missing: give kd=") in err
 
 
+@pytest.mark.slow
 def test_a_known_delay_is_said_and_saturated_samples_are_counted(run, told):
     t, q = told["t"], told["q_shoulder"]
     aim = np.interp(t - DELAY, t, told["q_desired_shoulder"])

@@ -264,6 +264,7 @@ def test_a_simulation_goes_without_an_effect(here, capsys):
     assert "The simulation leaves out jerk on shoulder" in err[-1]
 
 
+@pytest.mark.slow
 def test_a_motion_for_effects_that_no_motion_shows(here, capsys):
     argv = ("--urdf", "arm.urdf", "--duration", "4", "--acceleration", "20")
     code, out, err = run(capsys, "design", *argv, "--effects", "rotor_inertia")

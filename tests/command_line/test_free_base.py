@@ -49,6 +49,7 @@ def run(folder, monkeypatch, tmp_path, capsys):
     return call
 
 
+@pytest.mark.slow
 def test_the_orientation_is_that_of_the_loop(run, tmp_path):
     argv = ("identify", "--effects", "none", "--out", "out")
     # Gravity from below is not that of the recording.

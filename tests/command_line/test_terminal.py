@@ -49,6 +49,7 @@ def close_loop(capsys, *more):
     return code, lines_on_a_terminal(capsys.readouterr()), report
 
 
+@pytest.mark.slow
 def test_a_log_with_two_problems(arm, log, capsys):
     """The first is in the verdict with its remedy, both are in the last line."""
     tau = arm.tau.copy()

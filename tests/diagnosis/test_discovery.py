@@ -706,6 +706,7 @@ def test_the_search_works_on_torques():
 # -- torques of a drive
 
 
+@pytest.mark.slow
 def test_channels_that_a_drive_has_not_are_not_looked_for():
     """Torques that lag: a lag of their channel, which only measured ones have."""
     told = drives.told(duration=20.0)

@@ -158,6 +158,7 @@ def test_a_declared_tilt_is_found_by_the_identifier():
     assert "base_tilt" not in {e.name for e in loop.effects_}
 
 
+@pytest.mark.slow
 def test_a_description_without_masses_is_enough():
     empty = ARM.model.copy()
     for i in range(1, 4):

@@ -97,6 +97,7 @@ def true_of_a_complete_robot(loop):
     assert all(v.status == "floor" for v in loop.report_.joints)
 
 
+@pytest.mark.slow
 def test_a_robot_that_comes_to_rest():
     t = seconds(60.0)
     q, tau = measure(t, pauses(t, [(2, 38)], [(2, 38)]), extra=elbow_spring)
@@ -151,6 +152,7 @@ def pace_of(number, t):
     return pace * (1.0 if number == 0 else 0.9)
 
 
+@pytest.mark.slow
 def test_groups_that_differ_in_temperature():
     """A third less friction in the second: never "nothing is missing"."""
     q, tau, groups = two(

@@ -76,6 +76,7 @@ def test_an_effect_that_the_phases_show_is_named():
     assert [e.name for e in closed(q, tau).effects_] == ["stribeck"]
 
 
+@pytest.mark.slow
 def test_commands_tell_of_a_motion_that_the_positions_do_not_show():
     pandas = pytest.importorskip("pandas")
     q, tau = recorded(1, disturbance=0.02)

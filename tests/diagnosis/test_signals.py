@@ -168,6 +168,7 @@ def test_the_report_names_the_signals(both, warm):
     assert not [one for one in outcome["hidden"] if one["name"] == "signal"]
 
 
+@pytest.mark.slow
 def test_what_remains_varies_with_a_signal_without_a_name():
     loop = close(heated(CYCLES), {"temperature": CYCLES}, ["coulomb"])
     (rest,) = loop.unexplained_

@@ -101,6 +101,7 @@ def test_the_reference_stays_and_gains_are_not_searched(recording):
     assert high - low < 0.1 * found.parameters["k"]
 
 
+@pytest.mark.slow
 def test_a_doubt_about_the_unit_of_torques_is_none(recording):
     model, X, y = recording
     loop = close((model, X[:, :NV], 40.0 * y), None, ["spring"])
@@ -113,9 +114,9 @@ def test_a_doubt_about_the_unit_of_torques_is_none(recording):
     [
         ("N m", None, {"gains": (-1, 1, 1, 1, 1, 1)}),
         # Signs as gains would declare currents to be in N m.
-        ("A", None, {}),
+        pytest.param("A", None, {}, marks=pytest.mark.slow),
         ("A", "unknown", {}),
-        ("N m", "unknown", {}),
+        pytest.param("N m", "unknown", {}, marks=pytest.mark.slow),
     ],
 )
 def test_signs_are_offered_as_gains_of_torques_alone(unit, gains, options):

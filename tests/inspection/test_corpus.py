@@ -86,7 +86,7 @@ def graves(findings):
     return {f.kind for f in findings if f.severity in {"error", "doubt"}}
 
 
-@pytest.mark.parametrize("name", one_in(3, FAULTS))
+@pytest.mark.parametrize("name", one_in(5, FAULTS))
 def test_every_fault_is_noticed(name):
     fault = FAULTS[name]
     seen, named, can = 0, 0, 0
@@ -167,6 +167,7 @@ def put_into(measured_data_home, name, faults):
     return missed
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore:The robot description")
 def test_faults_of_a_measured_robot(measured_data_home):
     some = ["encoder counts, one joint", "dt in ms", "wrapped angle"]

@@ -111,7 +111,7 @@ def test_nothing_is_found_in_any_of_many_sound_recordings(seed, options):
     assert findings == ()
 
 
-@pytest.mark.parametrize("name", one_in(9, MEASURED))
+@pytest.mark.parametrize("name", one_in(20, MEASURED))
 def test_nothing_wrong_is_found_in_measured_recordings(measured_data_home, name):
     recording = getattr(datasets, f"fetch_{name}")(
         data_home=measured_data_home, download_if_missing=False

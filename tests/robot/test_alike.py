@@ -183,6 +183,7 @@ def test_where_there_is_no_scatter_a_group_has_one_value(model, recording, monke
 # -- robots ----------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_legs_are_found_and_their_values_are_nearer_to_the_truth():
     model = a_quadruped()
     away = {}

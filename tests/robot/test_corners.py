@@ -124,6 +124,7 @@ def fitted(drive, recording, **settings):
     return robot.fit_recording(recording)
 
 
+@pytest.mark.slow
 def test_what_was_smoothed_is_not_taken_for_inertia(tmp_path):
     drive, recording = driven()
 

@@ -438,7 +438,7 @@ def bob():
     return model
 
 
-@pytest.mark.parametrize("where", ["log", "loop"])
+@pytest.mark.parametrize("where", ["log", pytest.param("loop", marks=pytest.mark.slow)])
 def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     """Whether the controller applied the encoder's noise, or the log alone has it."""
     drive, recording = pendulum(where)
@@ -461,7 +461,7 @@ def test_noise_in_inputs_and_torques_is_taken_off_both(where):
     assert rotor(recording, input_noise=None) < -0.5
 
 
-@pytest.mark.parametrize("where", ["log", "loop"])
+@pytest.mark.parametrize("where", ["log", pytest.param("loop", marks=pytest.mark.slow)])
 def test_commands_are_instruments_of_the_motion(where):
     drive, recording = pendulum(where)
     settings = {
@@ -519,6 +519,7 @@ def test_noise_in_common_is_a_quarter_of_the_products_of_differences():
 # -- the closed loop, from commands alone ----------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_robot_follows_its_commands_as_it_did():
     recording = told(0.011, duration=6.0)
     # Torques are held for a period, which is a delay of half of it.

@@ -98,6 +98,7 @@ def test_every_robot_becomes_possible_at_little_cost(evaluate, name):
     assert np.abs(ours.robot.theta_unconstrained_).max() < 1e6
 
 
+@pytest.mark.slow
 def test_held_out_errors_of_the_ur5(evaluate):
     # The figures that a least-squares fit of the same recordings is known for, in % of
     # each torque's deviation. Reached today: 9.2 8.5 10.2 17.7 14.7 17.6, that is,
@@ -121,6 +122,7 @@ def test_a_description_costs_little_torque(evaluate, name):
     assert np.nanmean(prior.error) < most * np.nanmean(free.error)
 
 
+@pytest.mark.slow
 def test_consistency_rescues_what_the_motion_does_not_excite(evaluate):
     # The KR300 is fitted to one motion and tested on another: unconstrained, the
     # directions that the first hardly excites take the second to absurd torques.

@@ -333,6 +333,7 @@ def test_deviations_are_those_of_fits_that_are_repeated(W, rows, r, least, most)
     assert 0.95 < ratio < (1.15 if W >= 3 * r else 3.0)
 
 
+@pytest.mark.slow
 def test_what_the_simulation_does_not_see_stays():
     """A mass that never accelerates in the windows keeps its torque fit."""
     model = arm("z", gravity=0.0)

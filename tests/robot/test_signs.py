@@ -65,6 +65,7 @@ def test_an_unsigned_current_is_identified_as_one_with_its_sign(constant):
         assert other.gains_ is not None
 
 
+@pytest.mark.slow
 def test_signs_of_rows_that_were_not_fitted_follow_from_the_model():
     drive = CurrentDrive(1.0, signed=False)
     half = slice(0, len(ARM.q) // 2)

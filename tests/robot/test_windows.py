@@ -148,6 +148,7 @@ def test_a_saved_robot_is_simulated_alike(found, robot, recording, tmp_path):
     np.testing.assert_array_equal(again.simulated, found.simulated)
 
 
+@pytest.mark.slow
 def test_robots_are_compared_on_the_same_windows(found, recording):
     poor = RobotIdentifier(recording.urdf, dt=DT, friction=(), cutoff=3.0)
     poor.fit(recording.q, recording.tau, groups=recording.groups)

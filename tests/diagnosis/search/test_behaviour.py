@@ -111,6 +111,7 @@ def test_a_spring_of_the_first_third_is_none():
 # -- odds
 
 
+@pytest.mark.slow
 def test_alpha_is_the_probability_that_a_name_needs():
     """The same recording at two levels, between which its probability lies."""
 

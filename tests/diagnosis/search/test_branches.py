@@ -122,6 +122,7 @@ def test_effects_are_numbered_by_the_robot(two_arms):
     assert second.local([1, 2, 7]) == [0, 3]
 
 
+@pytest.mark.slow
 def test_what_a_branch_lacks_is_found_on_the_robot(two_arms):
     recording, robot = two_arms
     loop = EffectDiscovery(

@@ -75,6 +75,7 @@ def test_a_column_twice_is_that_column():
     assert sum(loop.effects_[0].parameters.values()) == pytest.approx(4.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_the_size_of_a_column_does_not_matter():
     odds = []
     for factor in (1.0, 1e6):
@@ -118,6 +119,7 @@ def test_a_recording_of_two_seconds_names_nothing_that_is_not_there():
     assert set(named(loop)) <= set(SPRING)
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_a_joint_that_never_moves_has_nothing():
     """Its encoder reads one value, or that and noise: the other joint is searched."""

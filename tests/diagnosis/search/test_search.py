@@ -136,6 +136,7 @@ def test_a_smoothed_torque_is_not_late():
     assert (now.effects[0].kind, now.effects[0].of) == ("smooth", "torque")
 
 
+@pytest.mark.slow
 def test_a_short_lag_is_one_or_a_delay_and_nothing_else():
     loop = FAST.discover(lagged(FAST.torque(), 0.015), CHANNELS)
     (effect,) = loop.effects_

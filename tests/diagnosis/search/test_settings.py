@@ -80,6 +80,7 @@ def test_the_report_prints_what_was_applied(springy):
     assert "it removes at least 2 % of the squared error" in said
 
 
+@pytest.mark.slow
 def test_half_the_expected_effects_are_half_the_odds(springy):
     half = close(settings=SearchSettings(expected=0.5))
     (one,), (other,) = springy.effects_, half.effects_
@@ -90,6 +91,7 @@ def test_half_the_expected_effects_are_half_the_odds(springy):
     assert "candidates, of which 0.5 is expected a priori" in said
 
 
+@pytest.mark.slow
 def test_what_a_name_must_save_and_how_surely(springy):
     (effect,) = springy.effects_
     for name, value in (

@@ -6,6 +6,7 @@ FIRST = (
     "plot_mujoco.py",
     "plot_gridsearch_regressors.py",
     "plot_commands_alone.py",
+    "plot_gravity.py",
     "plot_design_motion.py",
     "plot_known_noise.py",
     "plot_ting2011_synthetic.py",

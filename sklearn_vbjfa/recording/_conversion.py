@@ -1,47 +1,36 @@
 """The table of a file as a recording: order, units, signs of time, one time grid."""
 
+import re
 from dataclasses import replace
 from os import fspath
 
 import numpy as np
 
 from sklearn_vbjfa.recording._columns import as_numbers
-from sklearn_vbjfa.recording._layout import (
-    ESTIMATES,
-    channel_unit,
-    name_and_unit,
-    seconds_of_dates,
-)
+from sklearn_vbjfa.recording._layout import ESTIMATES, channel_unit, name_and_unit
 from sklearn_vbjfa.recording._names import (
-    Joints,
     ReadOptions,
     channels_of,
-    checked_names,
     is_current,
     laid_out,
-    names_and_slides,
     refuse_two,
     unit_is_wrong,
     unit_of_steps,
     usual_step,
 )
 from sklearn_vbjfa.recording._presets import currents_as_efforts
-from sklearn_vbjfa.recording._recording import Recording
-from sklearn_vbjfa.recording._rows import (
-    refuse_codes,
-    with_commands_held,
-    without_blank_rows,
-    without_second_source,
-)
-from sklearn_vbjfa.recording._sampling import (
-    SAME_DT,
-    check_given,
-    in_order,
-    on_grid,
-)
+from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
+from sklearn_vbjfa.recording._sampling import SAME_DT, check_given, in_order, on_grid
 from sklearn_vbjfa.recording._several import ReadFile
-from sklearn_vbjfa.recording._table import RecordingRefused, Table, listed, quoted
+from sklearn_vbjfa.recording._table import (
+    RecordingRefused,
+    Table,
+    listed,
+    pandas_of,
+    quoted,
+)
 from sklearn_vbjfa.recording._units import (
+    KINDS,
     MEASURED,
     TIME_UNITS,
     TURNS,
@@ -51,28 +40,18 @@ from sklearn_vbjfa.recording._units import (
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
 _LARGEST = 1e12
-# Units of torque; a motor is recorded in others.
-_TORQUES = ("N m", "N")
-
-
-def _of_robot(table, options):
-    """Return joints in the order of the columns, those of the model, and slides."""
-    names, model = options.names, options.model
-    if options.joint_names is None and "joint_names" in table.scalars:
-        own = np.atleast_1d(table.scalars["joint_names"])
-        names = checked_names([str(x) for x in own])
-        model = names_and_slides(options.urdf, names)
-    model_names, prismatic = model
-    # Columns with numbers are in the order of the file, which may name what a joint
-    # carries before the joint.
-    in_file = tuple(name for name in options.movable if name in model_names)
-    return Joints(names=names or in_file, chosen=bool(names)), model_names, prismatic
+# Rows that lack a number are left out up to this share of all.
+_LACKING = 0.1
+# Steps of angles above the first share of a turn are wraps if all of them, and no less,
+# are above the second; a wrapped angle stays within a turn.
+_JUMP, _WRAP = 0.5, 0.8
+_DAY = 86400.0
 
 
 def is_recording(table: Table, options: ReadOptions):
     """Whether a table has all channels, or would have with other options."""
     try:
-        robot, _, _ = _of_robot(table, options)
+        robot = options.robot(table)
         layout = laid_out(table, options, robot)
         # Without time it is one, too, and refused for that.
         channels_of(table, layout, replace(options, dt=1.0), robot, [])
@@ -86,15 +65,14 @@ def is_recording(table: Table, options: ReadOptions):
 def recording_of(table: Table, options: ReadOptions) -> ReadFile:
     """Return the recording in a table, complete, and what a user should know of it."""
     notes = list(table.notes)
-    robot, model_names, prismatic = _of_robot(table, options)
-    dt = _given_period(table, options.dt)
-    options = replace(options, dt=dt)
+    robot = options.robot(table)
+    options = replace(options, dt=_given_period(table, options.dt))
     layout = laid_out(table, options, robot)
-    table = _without_odd_rows(table, layout, options, notes)
+    table, rows = _without_odd_rows(table, layout, options, notes)
     found, robot = channels_of(table, layout, options, robot, notes)
     names = _check_joints(table, found, robot)
     channels, units = _in_units(table, layout, found, options, notes)
-    slides = _check_units(table, found, units, names, model_names, prismatic)
+    slides = _check_units(table, found, units, names, robot)
     own_units = ["N" if slide else "N m" for slide in slides]
     recorded = [x or y for x, y in zip(units.get("tau", own_units), own_units)]
     torque_units = recorded
@@ -103,27 +81,32 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
         channels["tau"] = channels["tau"] * _factors(table, options.gains, names)
     # Of a drive the torques are made when all files are read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
-    if model_names:
+    if robot.in_model:
         # The order of the model, whatever that of the file.
-        order = sorted(range(len(names)), key=lambda j: model_names.index(names[j]))
+        order = sorted(range(len(names)), key=lambda j: robot.in_model.index(names[j]))
         names, slides, torque_units, recorded = (
             [x[j] for j in order] for x in (names, slides, torque_units, recorded)
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = _time(table, layout, options)
     labels, segment = _segments(table, layout)
-    taken = {role.column for own in layout.channels.values() for role in own.roles}
+    _unwrap(channels, names, slides, labels, notes)
+    taken = {role.column for kind in layout.channels for role in layout.roles(kind)}
     taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}
     taken |= {x for role in layout.times if layout.what for x in role.columns}
     signals, left_out = _signals(table, taken, notes)
     said = _what_was_taken(table, layout, options, found, time, torque_units)
     notes = [*said, *notes, *_unit_notes(table, layout, options, names, torque_units)]
-    channels |= signals
+    stamped = t is not None
+    if not stamped and rows is not None:
+        # Without stamps the places of the rows that are left are their times.
+        t = options.dt * rows
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
+    channels |= signals
     if t is not None and labels is None:
         t, channels, table = in_order(table, t, channels, notes)
-    fields = on_grid(table, t, labels, dt, channels, notes)
+    fields = on_grid(table, t, labels, options.dt, channels, notes)
     recording = Recording(
         name=_stem(table.path),
         joint_names=tuple(names),
@@ -138,33 +121,110 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
         path=table.path,
         recording=recording,
         notes=tuple(notes),
-        stamped=t is not None,
+        stamped=stamped,
         torque_units=tuple(recorded),
     )
 
 
 def _stem(path):
     """Return the name of a recording, without any of its endings."""
-    stem = path.stem
-    return (
-        stem.rpartition(".")[0] or stem
-        if path.suffix in (".gz", ".bz2", ".xz")
-        else stem
-    )
+    return re.sub(r"(?<=.)\.[^.]*(\.(gz|bz2|xz))?$", "", path.name) or path.name
+
+
+# -- rows ------------------------------------------------------------------------------
+
+# Rows of a second source are this share of all, ...
+_LEAST_SHARE, _MOST_SHARE = 0.02, 0.9
+# ... come in this many places and in runs no longer than this in the median.
+_PLACES, _RUN = 10, 3
 
 
 def _without_odd_rows(table, layout, options, notes):
-    """Hold commands, leave out blank rows and those of a second source."""
-    roles = {kind: own.roles for kind, own in layout.channels.items()}
-    q, tau = roles.get("q", []), roles.get("tau", [])
-    if options.drive is None:
-        table = without_blank_rows(table, [*q, *tau], notes)
-        return without_second_source(table, q, tau, notes)
-    commands = [
-        x for kind in options.recorded if kind != "tau" for x in roles.get(kind, [])
-    ]
-    table = with_commands_held(table, commands, notes)
-    return without_blank_rows(table, q, notes)
+    """Leave out rows without numbers and of a second source; places of those left."""
+    n, q, tau = table.n_rows, layout.roles("q"), layout.roles("tau")
+    if options.drive is not None:
+        kinds = [kind for kind in options.recorded if kind != "tau"]
+        commands = [role for kind in kinds for role in layout.roles(kind)]
+        table, tau = _with_commands_held(table, commands, notes), []
+    begin = n - table.n_rows
+    values = _matrix(table, [*q, *tau])
+    if values is None:
+        return table, None
+    keep = ~np.isnan(values).all(axis=1)
+    if not keep.any():
+        return table, None
+    if not keep.all():
+        notes.append(
+            f"{(~keep).sum()} row(s) without any position or torque are left out."
+        )
+    lacking = np.isnan(values).any(axis=1) & keep
+    if 0 < lacking.sum() <= _LACKING * keep.sum():
+        row = int(np.argmax(lacking))
+        column = [*q, *tau][int(np.argmax(np.isnan(values[row])))].column
+        notes.append(
+            f"{lacking.sum()} row(s) lack a number, the first in {table.where(row)}, "
+            f"column {column!r}: left out."
+        )
+        keep &= ~lacking
+    second = _second_source(values[:, : len(q)], values[:, len(q) :], keep)
+    if second.any():
+        notes.append(
+            f"{second.sum()} row(s) ({100 * second.sum() / keep.sum():.0f} %) in which "
+            "all torques are exactly zero while joints move are left out: a second "
+            "source writes to the same log."
+        )
+        keep &= ~second
+    if keep.all():
+        return table, None
+    rows = np.flatnonzero(keep)
+    # Rows of other topics are no samples that are missing.
+    lost = begin == 0 and rows.size >= (1 - _LACKING) * n
+    return table.take(rows), rows if lost else None
+
+
+def _matrix(table, roles):
+    """Return columns as a matrix of numbers, None if there are none."""
+    values = [table.values(role.column) for role in roles]
+    if not values or any(x.dtype.kind not in "iuf" for x in values):
+        return None
+    return np.column_stack(values).astype(float)
+
+
+def _with_commands_held(table, commands, notes):
+    """Hold commands that have separate rows until the next one comes."""
+    known = table.frame[[role.column for role in commands]]
+    known = known.select_dtypes("number").dropna(axis=1, how="all")
+    known = known.loc[:, known.isna().any()]
+    if known.empty:
+        return table
+    rows = int(known.notna().sum().max())
+    begin = int(known.notna().to_numpy().argmax(axis=0).max())
+    notes.append(
+        f"commands stand in {rows} of {table.n_rows} rows: each holds until the next "
+        f"one comes{f'; {begin} row(s) before the first are left out' * (begin > 0)}."
+    )
+    return replace(table, frame=table.frame.assign(**known.ffill()).iloc[begin:])
+
+
+def _second_source(q, tau, keep):
+    """Return rows whose torques are all zero amid others while joints move."""
+    empty = (tau == 0).all(axis=1)[keep]
+    none = np.zeros(keep.size, dtype=bool)
+    if not tau.size or not _LEAST_SHARE < empty.mean() < _MOST_SHARE:
+        return none
+    edges = np.flatnonzero(np.diff(np.r_[0, empty.astype(int), 0]))
+    first, last = edges[::2], edges[1::2]
+    inside = (first > 0) & (last < empty.size)
+    if inside.sum() < _PLACES or np.median((last - first)[inside]) > _RUN:
+        return none
+    q = q[keep]
+    moves = (q[last[inside]] != q[first[inside] - 1]).any(axis=1)
+    if moves.mean() >= 0.5:
+        none[keep] = empty
+    return none
+
+
+# -- units -----------------------------------------------------------------------------
 
 
 def _in_units(table, layout, found, options, notes):
@@ -177,13 +237,14 @@ def _in_units(table, layout, found, options, notes):
                 role if role.unit else replace(role, unit=other.unit)
                 for role, other in zip(own, of)
             ]
+    if "supply" in found and len(found["supply"]) == 1:
+        # One for all joints.
+        found["supply"] = found["supply"] * len(found["q"])
     channels, units = {}, {}
     for kind, roles in found.items():
-        if kind == "supply" and len(roles) == 1:
-            # One for all joints.
-            roles = found[kind] = roles * len(found["q"])
         if roles:
-            channels[kind], units[kind] = _values(table, kind, roles)
+            columns, units[kind] = zip(*(_values(table, kind, role) for role in roles))
+            channels[kind] = np.column_stack(columns)
     if options.drive is not None:
         most = float(np.abs(channels["q"]).max())
         if layout.question and most > TURNS and not any(units["q"]):
@@ -196,48 +257,22 @@ def _in_units(table, layout, found, options, notes):
     return channels, units
 
 
-def _unit_notes(table, layout, options, names, torque_units):
-    """Yield what a user should know of the unit of the torques."""
-    if options.gains is not None or options.drive is not None:
-        return
-    is_effort = bool(table.joints) or layout.what.startswith("/joint_states")
-    maker = currents_as_efforts(names) if is_effort else ""
-    if maker:
-        yield (
-            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
-            "[A] under this name: if this one did, give gains (command line: --gain "
-            "unknown, or the factors)."
-        )
-    motor = [unit for unit in torque_units if unit not in _TORQUES]
-    if motor:
-        yield (
-            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
-            "or identify them (gains='unknown'; command line: --gain unknown)."
-        )
-
-
-def _values(table: Table, kind, roles):
-    """Return the columns of one kind (n_rows, nv) in the package's units, and these."""
-    # The second is the base of the unit of each column, None where nothing tells.
-    columns, bases = [], []
-    for role in roles:
-        unit = channel_unit(table, kind, role)
-        if unit is None and kind == "tau" and is_current(role.column):
+def _values(table: Table, kind, role):
+    """Return a column (n_rows,) in the package's units, and the base of its unit."""
+    values, unit = _numbers(table, role.column), channel_unit(table, kind, role)
+    if kind == "tau":
+        _refuse_codes(table, role.column, values)
+        if unit is None and is_current(role.column):
             unit = unit_of("tau", "A")
-        values = _numbers(table, role.column)
-        if kind == "tau":
-            refuse_codes(table, role.column, values)
-        if unit is not None:
-            values = values * unit.factor
-        far = np.flatnonzero(np.abs(values) > _LARGEST)
-        if far.size:
-            raise ValueError(
-                f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
-                f"{role.column!r}, is beyond all robots; correct or remove that row."
-            )
-        columns.append(values)
-        bases.append(None if unit is None else unit.base)
-    return np.column_stack(columns), bases
+    if unit is not None:
+        values = values * unit.factor
+    far = np.flatnonzero(np.abs(values) > _LARGEST)
+    if far.size:
+        raise ValueError(
+            f"{table.path}: {values[far[0]]:.3g} in {table.where(far[0])}, column "
+            f"{role.column!r}, is beyond all robots; correct or remove that row."
+        )
+    return values, None if unit is None else unit.base
 
 
 def _numbers(table: Table, column: str):
@@ -258,6 +293,40 @@ def _numbers(table: Table, column: str):
             "remove those rows."
         )
     return values
+
+
+# Bits of integers whose sign was lost, and bits that are the sign.
+_REGISTERS, _SIGN_BITS = (8, 16, 32), (10, 11, 15)
+# Values of either sign fill no more than this share of a register.
+_FILLED = 0.45
+
+
+def _refuse_codes(table: Table, column, values):
+    """Refuse integers whose sign was lost: two's complement, or a bit for the sign."""
+    if not values.size or values.min() < 0 or (values != np.round(values)).any():
+        return
+    codes = [(bits, 2.0 ** (bits - 1), True) for bits in _REGISTERS]
+    codes += [(bit, 2.0**bit, False) for bit in _SIGN_BITS]
+    for bits, half, is_register in codes:
+        high, low = values[values >= half], values[values < half]
+        if not (high.size and low.size and high.max() < 2 * half):
+            continue
+        if is_register:
+            # Values step from near zero to near the end of the register.
+            largest = max(low.max(), 2 * half - high.min())
+            is_code = (np.abs(np.diff(values)) > half).any()
+            what = f"integers of {bits} bits whose sign was lost"
+            remedy = f"Subtract {2 * half:.0f} from those above {half - 1:.0f}"
+        else:
+            largest, is_code = max(low.max(), high.max() - half), 0 < low.max()
+            what = f"bit {bits} is their sign"
+            remedy = f"Replace those from {half:.0f} on by {half:.0f} - x"
+        if is_code and largest < (2 if is_register else 1) * _FILLED * half:
+            raise ValueError(
+                f"{table.path}: the values of column {column!r} lie from 0 to "
+                f"{low.max():.0f} and from {high.min():.0f} to {high.max():.0f}: "
+                f"{what}. {remedy}."
+            )
 
 
 def _constant_channels(table: Table, options, channels, notes):
@@ -294,13 +363,13 @@ def _check_joints(table: Table, found, robot):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
-        remedy = (
-            "leave out surplus columns, or name one joint per column in joint_names"
-            if nv > len(names)
-            else "name those recorded, in the order of the columns, in joint_names "
-            f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others are "
-            "then held at zero"
-        )
+        remedy = "leave out surplus columns, or name as many joints in joint_names"
+        if nv < len(names):
+            remedy = (
+                "name those recorded, in the order of the columns, in joint_names "
+                f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others "
+                "are then held at zero"
+            )
         fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
@@ -310,35 +379,54 @@ def _check_joints(table: Table, found, robot):
     return names
 
 
-def _check_units(table: Table, found, units, names, model_names, prismatic):
+def _check_units(table: Table, found, units, names, robot):
     """Return which joints slide, list of bool; refuse units that deny it."""
     slides = []
     for j, joint in enumerate(names):
         slide = units["q"][j] == "m"
-        if model_names:
-            slide = bool(prismatic[model_names.index(joint)])
+        if robot.in_model:
+            slide = bool(robot.slides[robot.in_model.index(joint)])
         elif units["q"][j] is None:
             slide = "tau" in units and units["tau"][j] == "N"
         slides.append(slide)
         for kind, roles in found.items():
             measured = MEASURED.get(kind, kind)
-            wrong = {"tau": ("N", "N m")}.get(measured, ("m", "rad"))[slide]
-            if roles and measured in _EXPECTED and units[kind][j] == wrong:
+            bases = ("N m", "N") if measured == "tau" else ("rad", "m")
+            if roles and measured in KINDS and units[kind][j] == bases[not slide]:
+                order = {"v": "/s", "a": "/s^2"}.get(measured, "")
                 raise ValueError(
                     f"{table.path}: column {roles[j].column!r} is in {roles[j].unit}, "
                     f"but {joint} {'slides' if slide else 'turns'}; expected "
-                    f"{_EXPECTED[measured][slide]}. Correct the unit, or the order of "
-                    "the joints."
+                    f"{bases[slide]}{order}. Correct the unit, or the order of the "
+                    "joints."
                 )
     return slides
 
 
-_EXPECTED = {
-    "q": ("rad or deg", "m or mm"),
-    "v": ("rad/s or deg/s", "m/s or mm/s"),
-    "a": ("rad/s^2 or deg/s^2", "m/s^2 or mm/s^2"),
-    "tau": ("N m", "N"),
-}
+def _unwrap(channels, names, slides, labels, notes):
+    """Continue angles that jump by a whole turn, and their commands, beyond it."""
+    q, turn, found = channels["q"], 2 * np.pi, []
+    for j in np.flatnonzero(~np.array(slides)):
+        jumps, wraps = [], []
+        for rows in contiguous_groups(labels, len(q)):
+            step = np.abs(np.diff(q[rows, j]))
+            jumps.append((step > _JUMP * turn).sum())
+            wraps.append((np.abs(step - turn) < (1 - _WRAP) * turn).sum())
+        if not sum(jumps) or jumps != wraps or np.ptp(q[:, j]) > 1.01 * turn:
+            continue
+        found.append(names[j])
+        before = q[:, j].copy()
+        for rows in contiguous_groups(labels, len(q)):
+            whole = np.unwrap(q[rows, j])
+            q[rows, j] = whole - turn * np.round(whole.mean() / turn)
+        if "q_desired" in channels:
+            ahead = channels["q_desired"][:, j] - before
+            channels["q_desired"][:, j] = q[:, j] + (ahead + np.pi) % turn - np.pi
+    if found:
+        notes.append(
+            f"the angle(s) of {listed(found)} jump by whole turns: they are continued "
+            "beyond them."
+        )
 
 
 def _factors(table: Table, gains, names):
@@ -380,6 +468,26 @@ def _signals(table: Table, taken, notes):
             f"column(s) {listed(left_out)} hold no finite numbers and are left out."
         )
     return signals, left_out
+
+
+def _unit_notes(table, layout, options, names, torque_units):
+    """Yield what a user should know of the unit of the torques."""
+    if options.gains is not None or options.drive is not None:
+        return
+    is_effort = bool(table.joints) or layout.what.startswith("/joint_states")
+    maker = currents_as_efforts(names) if is_effort else ""
+    if maker:
+        yield (
+            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
+            "[A] under this name: if this one did, give gains (command line: --gain "
+            "unknown, or the factors)."
+        )
+    motor = [unit for unit in torque_units if unit not in ("N m", "N")]
+    if motor:
+        yield (
+            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
+            "or identify them (gains='unknown'; command line: --gain unknown)."
+        )
 
 
 def _what_was_taken(table, layout, options, found, time, torque_units):
@@ -447,7 +555,7 @@ def _time(table: Table, layout, options):
             {"columns": f"t={times[0].column}"},
         )
     for role in times:
-        dates = None if role.nanoseconds else seconds_of_dates(table, role.column)
+        dates = None if role.nanoseconds else _seconds_of_dates(table, role.column)
         if dates is not None:
             return dates, replace(role, unit="s")
         seconds = _numbers(table, role.column)
@@ -503,3 +611,34 @@ def _given_period(table: Table, dt):
     except ValueError as error:
         raise ValueError(f"{table.path}: {error}") from None
     return float(own) if dt is None else dt
+
+
+def _seconds_of_dates(table: Table, column: str):
+    """Return dates with times of day as seconds from the first, None for others."""
+    pandas = pandas_of(table.path)
+    values = table.frame[column]
+    if values.dtype.kind != "M":
+        if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
+            return None
+        text = values.astype(str).str.replace(",", ".")
+        dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
+        if pandas.isna(dates.iloc[0]):
+            return _seconds_of_day(pandas, text)
+        wrong = np.flatnonzero(dates.isna())
+        if wrong.size:
+            raise ValueError(
+                f"{table.path}: {quoted(values.iloc[wrong[0]])} in "
+                f"{table.where(wrong[0])}, column {column!r}, is not a date and time "
+                "like the others; correct or remove that row."
+            )
+        values = dates
+    return (values - values.iloc[0]).dt.total_seconds().to_numpy()
+
+
+def _seconds_of_day(pandas, text):
+    """Return times of day as seconds from the first, past midnight; None for others."""
+    if not text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
+        return None
+    seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
+    midnights = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
+    return seconds + _DAY * midnights - seconds[0]

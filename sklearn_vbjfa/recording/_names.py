@@ -1,4 +1,4 @@
-"""The columns of a file as channels of the robot's joints, in their order."""
+"""The columns of a file as channels of the robot's joints, in their order; offers."""
 
 import difflib
 import functools
@@ -9,9 +9,14 @@ from os import PathLike
 
 import numpy as np
 
-from sklearn_vbjfa.recording import _layout
 from sklearn_vbjfa.recording._drives import COMMANDS, Drive
-from sklearn_vbjfa.recording._layout import Layout, by_mapping, by_names, by_preset
+from sklearn_vbjfa.recording._layout import (
+    Layout,
+    by_mapping,
+    by_names,
+    by_preset,
+    matches,
+)
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
 from sklearn_vbjfa.recording._units import KINDS, TIME_UNITS, split_unit, unit_of
@@ -22,20 +27,12 @@ _FASTEST, _SLOWEST = 2e-5, 1.0
 _STRAIGHT = 0.02
 # Words in names that are not recognised, for the offer of a refusal alone.
 _CURRENT = ("current", "curr", "amp", "ampere", "i")
-COMMAND_WORDS: tuple[str, ...] = (
-    "target",
-    "cmd",
-    "command",
-    "desired",
-    "des",
-    "ref",
-    "reference",
-    "goal",
-)
-COMMAND_WORDS += ("setpoint", "sp", "action")
+COMMAND_WORDS = ("target", "cmd", "command", "desired", "des", "ref", "reference")
+COMMAND_WORDS += ("goal", "setpoint", "sp", "action")
 _WORDS = {
     "q": ("q", "pos", "position", "angle", "theta", "encoder"),
-    "tau": ("tau", "torque", "trq", "effort", "moment", "force", "load", *_CURRENT),
+    "tau": ("tau", "torque", "trq", "effort", "eff", "moment", "force", "load")
+    + _CURRENT,
     "command": COMMAND_WORDS,
     "other": ("velocity", "vel", "speed", "qd", "dq", "acceleration", "acc", "error")
     + ("temperature", "temp", "voltage", "external", "ext", "limit", "cartesian", "tcp")
@@ -53,6 +50,16 @@ UNSIGNED = "current signed=no"
 
 
 @dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The joints that columns are looked for of."""
+
+    names: tuple[str, ...] = ()  # in the order of the columns
+    chosen: bool = False  # whether the user, or the file, names them
+    in_model: tuple[str, ...] = ()  # those of the description, in its order
+    slides: tuple[bool, ...] = ()  # which of these are prismatic
+
+
+@dataclass(frozen=True, kw_only=True)
 class ReadOptions:
     """The checked arguments of `read_recording`."""
 
@@ -67,12 +74,7 @@ class ReadOptions:
     drive: Drive | None  # its channels stand in place of torques
 
     @functools.cached_property
-    def names(self):
-        """Joints that the user names, tuple of str."""
-        return checked_names(self.joint_names)
-
-    @functools.cached_property
-    def movable(self):
+    def _movable(self):
         """Joints of the description that can move, empty without one."""
         if self.urdf is None:
             return ()
@@ -81,13 +83,36 @@ class ReadOptions:
         return movable_joints(self.urdf)
 
     @functools.cached_property
-    def model(self):
-        """Joints of the description that are used, and which of them slide."""
-        return names_and_slides(self.urdf, self.names)
-
     def joints(self):
-        """Return the robot's joints as far as they are known."""
-        return self.names or self.movable
+        """Joints of the robot as far as they are known, tuple of str."""
+        return _distinct(self.joint_names) or self._movable
+
+    def robot(self, table):
+        """Return the robot of a file, which may name its joints."""
+        names = _distinct(self.joint_names)
+        if self.joint_names is None and "joint_names" in table.scalars:
+            own = np.atleast_1d(table.scalars["joint_names"])
+            names = _distinct([str(x) for x in own])
+        if self.urdf is None:
+            return Robot(names=names, chosen=bool(names))
+        from sklearn_vbjfa.model import (
+            is_prismatic,
+            joint_names,
+            load_model,
+            load_reduced,
+        )
+
+        model = load_reduced(self.urdf, names) if names else load_model(self.urdf)
+        in_model = joint_names(model)
+        # Columns with numbers are in the order of the file, which may name what a joint
+        # carries before the joint.
+        in_file = tuple(name for name in self._movable if name in in_model)
+        return Robot(
+            names=names or in_file,
+            chosen=bool(names),
+            in_model=in_model,
+            slides=is_prismatic(model),
+        )
 
     @property
     def recorded(self):
@@ -98,75 +123,48 @@ class ReadOptions:
         return ("tau" if drive.spelled else drive.told, *drive.beside)
 
     @property
-    def needed(self):
-        """Kinds without which there is no recording."""
-        return "q", self.recorded[0]
-
-    @property
     def kinds(self):
-        """All kinds of channels, in order."""
+        """All kinds of channels, in order; the first two must be there."""
         return "q", *self.recorded, "v", "a"
 
 
-@dataclass(frozen=True, kw_only=True)
-class Joints:
-    """The joints that columns are looked for of, and whether the user chose them."""
-
-    names: tuple[str, ...] = ()
-    chosen: bool = False
-
-
-def checked_names(joint_names):
+def _distinct(joint_names):
     """Return joint names as a tuple of str, empty for None."""
-    if joint_names is None:
-        return ()
     if isinstance(joint_names, str):
         raise ValueError(
             f"joint_names must be several names, one per column, got {joint_names!r}."
         )
-    names = tuple(str(x) for x in joint_names)
+    names = tuple(str(x) for x in joint_names or ())
     if len(set(names)) < len(names):
         raise ValueError(f"joint_names must differ from one another, got {names}.")
     return names
 
 
-def names_and_slides(urdf, names):
-    """Return joint names and which are prismatic, empty without a description."""
-    # Of the description's joints only those with `names` count, if there are any.
-    if urdf is None:
-        return (), ()
-    from sklearn_vbjfa.model import is_prismatic, joint_names, load_model, load_reduced
-
-    model = load_reduced(urdf, names) if names else load_model(urdf)
-    return joint_names(model), is_prismatic(model)
-
-
-def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
+def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
     """Assign columns to channels; refuse what does not fit."""
     preset, names = options.preset, (*robot.names, *table.joints)
-    kinds = (*options.kinds, *(x for x in KINDS if x not in options.kinds))
     if preset is not None and options.mapping:
         raise RecordingRefused(
             "give columns or a preset, not both: a preset is a mapping.",
             {"preset": None},
         )
+    kinds = dict.fromkeys((*options.kinds, *KINDS))
     plain = by_names(table, names, kinds, options.drive)
-    known = robot.names, options.recorded, robot.chosen
+    known = plain, robot.names, options.recorded, robot.chosen
     if options.mapping:
         if options.drive is not None:
             rest = list(by_preset(table, None, *known).values())
             plain = rest[0] if len(rest) == 1 else plain
         try:
             return by_mapping(table, options.mapping, plain)
-        except _layout.MappingRefused as error:
-            raise RecordingRefused(
-                f"{table.path}: {error}.", _otherwise(table, options, robot)
-            ) from None
+        except RecordingRefused as error:
+            offer = _without_mapping(table, options, robot)
+            raise RecordingRefused(error.reason, offer) from None
     if table.nameless:
         raise _without_names(table, robot.names)
     if table.joints:
         return replace(plain, certain=True)
-    if preset is None and any(kind in plain.channels for kind in options.needed):
+    if preset is None and any(kind in plain.channels for kind in options.kinds[:2]):
         return plain
     fitted = by_preset(table, preset, *known)
     if len(fitted) > 1:
@@ -175,16 +173,14 @@ def laid_out(table: Table, options: ReadOptions, robot: Joints) -> Layout:
             f"give preset={' or '.join(repr(x) for x in fitted)}.",
             {"preset": next(iter(fitted))},
         )
-    if fitted:
-        return next(iter(fitted.values()))
-    if preset is None:
-        return plain
+    if fitted or preset is None:
+        return next(iter(fitted.values()), plain)
     first = options.recorded[0]
     expected = [f"{x.q} and {x.commands.get(first, x.tau)}" for x in PRESETS[preset]]
     raise RecordingRefused(
         f"{table.path}: does not fit the preset {preset!r}, which expects columns "
         f"{' or '.join(expected)}; found {listed(table.names)}.",
-        _otherwise(table, options, robot),
+        _without_mapping(table, options, robot),
     )
 
 
@@ -203,26 +199,34 @@ def channels_of(table: Table, layout, options, robot, notes):
     """Return the roles of each kind, listed in the order of the joints, and those."""
     # Refuses, all at once, what is missing.
     robot = replace(robot, names=robot.names or layout.own_joints)
-    missing = [kind for kind in options.needed if kind not in layout.channels]
-    no_time = not (options.dt or layout.times)
-    channels = {x: layout.channels[x] for x in options.kinds if x in layout.channels}
-    for kind, own in channels.items():
-        # Certain names of joints that the robot lacks are no channels of it.
-        known = {x: y for x, y in own.by_joint.items() if x in robot.names}
-        channels[kind] = replace(own, by_joint=known)
-        if kind in options.needed and not (known or own.by_number):
-            missing.append(kind)
-    if missing or no_time:
-        raise _all_missing(table, layout, options, robot, missing, no_time)
+    channels, missing = _known(layout, options, robot)
+    if missing:
+        raise _all_missing(table, layout, options, robot, missing)
     for own in channels.values():
         _refuse_both(table, own, robot.names)
-    if any(own.by_joint for own in channels.values()):
+    if any(isinstance(key, str) for own in channels.values() for key in own):
         robot = _held(layout, robot, channels, notes)
     found = {kind: [] for kind in options.kinds}
     for kind, own in channels.items():
-        if own.roles:
+        if own:
             found[kind] = _in_order(table, kind, own, robot.names)
     return found, robot
+
+
+def _known(layout, options, robot):
+    """Return the channels of the robot's joints, and what is missing, with "t"."""
+    # Certain names of joints that the robot lacks are no channels of it.
+    channels = {
+        kind: {
+            key: roles
+            for key, roles in layout.channels[kind].items()
+            if isinstance(key, int) or key in robot.names
+        }
+        for kind in options.kinds
+        if kind in layout.channels
+    }
+    missing = [kind for kind in options.kinds[:2] if not channels.get(kind)]
+    return channels, missing + ["t"] * (not (options.dt or layout.times))
 
 
 def _held(layout, robot, channels, notes):
@@ -232,7 +236,7 @@ def _held(layout, robot, channels, notes):
         notes.append(
             f"joint(s) {listed(others)} are not joints of the robot and are left out."
         )
-    having = {x for own in channels.values() for x in own.by_joint}
+    having = {key for own in channels.values() for key in own}
     held = [x for x in robot.names if x not in having]
     if robot.chosen or not held:
         return robot
@@ -242,33 +246,31 @@ def _held(layout, robot, channels, notes):
 
 def _refuse_both(table, channel, names):
     """Refuse several columns for one joint, or numbers and names."""
-    for roles in (*channel.by_joint.values(), *channel.by_number.values()):
+    for roles in channel.values():
         for other in roles[1:]:
             refuse_two(table, roles[0].column, other.column)
-    if channel.by_joint and channel.by_number:
-        name, (named, *_) = next(iter(channel.by_joint.items()))
-        number = str(names.index(name) + 1)
-        first = next(iter(channel.by_number.values()))
-        numbered = channel.by_number.get(number, first)[0]
-        refuse_two(table, named.column, numbered.column)
+    named = [key for key in channel if isinstance(key, str)]
+    numbers = [key for key in channel if isinstance(key, int)]
+    if named and numbers:
+        number = names.index(named[0]) + 1
+        other = channel.get(number, channel[numbers[0]])[0]
+        refuse_two(table, channel[named[0]][0].column, other.column)
 
 
-def _in_order(table: Table, kind, channel, names):
+def _in_order(table: Table, kind, found, names):
     """Return the roles of one kind in the order of the joints."""
-    found = channel.by_joint or channel.by_number
-    first = 0 if channel.by_joint or "0" in found else 1
-    roles = []
-    for k in range(len(names if channel.by_joint else found)):
-        key = names[k] if channel.by_joint else str(first + k)
-        if key not in found:
-            missing = f"{kind}_{names[k]}" if channel.by_joint else f"{kind}{key}"
-            others = listed([role.column for (role, *_) in found.values()])
-            raise ValueError(
-                f"{table.path}: column {missing!r} is missing beside {others}; every "
-                "joint needs one, in order."
-            )
-        roles.append(found[key][0])
-    return roles
+    named = any(isinstance(key, str) for key in found)
+    first = 0 if 0 in found else 1
+    keys = names if named else range(first, first + len(found))
+    missing = [key for key in keys if key not in found]
+    if missing:
+        others = listed([role.column for (role, *_) in found.values()])
+        name = f"{kind}_{missing[0]}" if named else f"{kind}{missing[0]}"
+        raise ValueError(
+            f"{table.path}: column {name!r} is missing beside {others}; every joint "
+            "needs one, in order."
+        )
+    return [found[key][0] for key in keys]
 
 
 def refuse_two(table, one, other):
@@ -286,29 +288,25 @@ def refuse_two(table, one, other):
 _WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
 
 
-def _all_missing(table, layout, options, robot, missing, no_time):
+def _all_missing(table, layout, options, robot, missing):
     """Return the refusal that lists everything that is missing."""
-    needed = [*missing, *["t"] * no_time]
-    near = {kind: _nearest(table, kind, robot.names) for kind in needed}
-    if missing == ["tau"] and options.drive is None and not near["tau"]:
+    near = {kind: _nearest(table, kind, robot.names) for kind in missing}
+    kinds = [kind for kind in missing if kind != "t"]
+    if kinds == ["tau"] and options.drive is None and not near["tau"]:
         _refuse_commands(table, layout, options, robot)
+    known = by_preset(table, options.preset, layout, (), options.recorded)
+    own = next(iter(known.values()), layout)
     parts = []
-    known = list(by_preset(table, options.preset, (), options.recorded).values())
-    own = (known or [layout])[0]
-    if missing and own.own_joints and own.own_joints != robot.names:
+    if kinds and own.own_joints and own.own_joints != robot.names:
         parts.append(
             f"its joints {listed(own.own_joints)} are not those of the robot, "
             f"{listed(robot.names)}"
         )
     nearest = {k: f" (nearest: {listed(x)})" if x else "" for k, x in near.items()}
-    for kind in missing:
-        what = _WHAT.get(kind, kind)
-        parts.append(
-            f"no {what}: expected columns {kind}1, {kind}2, ...{nearest[kind]}"
-        )
-    if no_time and missing:
-        parts.append(f"no time: expected a column t, or dt{nearest['t']}")
-    elif no_time:
+    for kind in kinds:
+        what = f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
+        parts.append(what + nearest[kind])
+    if "t" in missing:
         parts.append(
             f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
             "give the sample period dt in seconds (command line: --dt 0.002)"
@@ -316,29 +314,43 @@ def _all_missing(table, layout, options, robot, missing, no_time):
     offered = _offered(table, options, robot, near) or _by_place(
         table, own, options, robot
     )
-    found = f"; found {listed(table.names)}" if missing else ""
-    if missing and not offered:
-        second = options.needed[1]
-        found += (
-            "; rename them in the header, or give "
-            f'columns="q=NAME{{i}},{second}=NAME{{i}},t=NAME"'
+    if kinds:
+        parts.append(f"found {listed(table.names)}")
+    if kinds and not offered:
+        parts.append(
+            "rename them in the header, or give "
+            f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"'
         )
-    return RecordingRefused(f"{table.path}: {'; '.join(parts)}{found}.", offered)
+    return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", offered)
+
+
+def _works(table, options, robot):
+    """Whether columns are found for all that is needed, with some options."""
+    if any("," in x or "=" in x for x in options.mapping.values()):
+        return False
+    try:
+        layout = laid_out(table, options, robot)
+        known = replace(robot, names=robot.names or layout.own_joints)
+        if _known(layout, options, known)[1]:
+            return False
+        found, own = channels_of(table, layout, options, robot, [])
+    except ValueError:
+        return False
+    counts = {len(found[kind]) for kind in options.kinds[:2]}
+    return len(counts) == 1 and counts <= {len(own.names) or max(counts)}
+
+
+def _text_of(mapping):
+    return ",".join(f"{key}={pattern}" for key, pattern in mapping.items())
 
 
 def _offered(table, options, robot, near):
     """Return options that read the file, tried, by the nearest columns; or {}."""
     # near: the nearest patterns by kind; of several nobody knows which is meant.
-    found = [
-        options.mapping | dict(zip(near, patterns))
-        for patterns in itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
-    ]
-    found = [
-        mapping
-        for mapping in found
-        if not any("," in x or "=" in x for x in mapping.values())
-        and _works(table, replace(options, mapping=mapping, preset=None), robot)
-    ]
+    products = itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
+    found = [options.mapping | dict(zip(near, patterns)) for patterns in products]
+    tried = (replace(options, mapping=mapping, preset=None) for mapping in found)
+    found = [x.mapping for x in tried if _works(table, x, robot)]
     if len(found) != 1:
         return {}
     (mapping,), more = found, {}
@@ -346,47 +358,28 @@ def _offered(table, options, robot, near):
         unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
         more = {} if unit in ("", "s") else {"time_unit": unit}
     if "tau" in near and options.gains is None:
-        more |= _of_currents(table, mapping["tau"], robot)
-    columns = ",".join(f"{kind}={pattern}" for kind, pattern in mapping.items())
-    return {"columns": columns, **more}
+        more |= _of_currents(table, mapping["tau"])
+    return {"columns": _text_of(mapping), **more}
 
 
 def _by_place(table, layout, options, robot):
     """Return the mapping of a known log whose joints have other names, tried, or {}."""
     mapping = {
         f"{kind}{j + 1}": role.column
-        for kind in options.needed
-        if kind in layout.channels
-        for j, role in enumerate(layout.channels[kind].roles)
+        for kind in options.kinds[:2]
+        for j, role in enumerate(layout.roles(kind))
     }
     if layout.times:
         mapping["t"] = layout.times[0].column
     tried = replace(options, mapping=mapping, preset=None)
-    if any("," in x or "=" in x for x in mapping.values()) or not (
-        layout.own_joints and _works(table, tried, robot)
-    ):
-        return {}
-    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items())}
+    works = layout.own_joints and _works(table, tried, robot)
+    return {"columns": _text_of(mapping)} if works else {}
 
 
-def _works(table, options, robot):
-    """Whether columns are found for all that is needed, with some options."""
-    try:
-        layout = laid_out(table, options, robot)
-        found, own = channels_of(table, layout, options, robot, [])
-    except ValueError:
-        return False
-    counts = {len(found[kind]) for kind in options.needed}
-    return len(counts) == 1 and counts <= {len(own.names) or max(counts)}
-
-
-def _otherwise(table, options, robot):
-    """Return options that read a file of which the user says something else, or {}."""
-    said = {"columns": options.mapping, "preset": options.preset}
-    nothing = {key: None for key, value in said.items() if value}
+def _without_mapping(table, options, robot):
+    """Return options that read a file without the mapping or preset given, or {}."""
     free = replace(options, mapping={}, preset=None)
-    if table.nameless:
-        return {}
+    nothing = {"columns": None} if options.mapping else {"preset": None}
     try:
         channels_of(table, laid_out(table, free, robot), free, robot, [])
     except RecordingRefused as error:
@@ -396,9 +389,9 @@ def _otherwise(table, options, robot):
     return nothing
 
 
-def _of_currents(table, pattern, robot):
+def _of_currents(table, pattern):
     """Return the options that currents need: gains, or a drive without their signs."""
-    found = _layout.matches(pattern, table, "tau")
+    found = matches(pattern, table, "tau")
     bases = {unit.base for x in found if (unit := unit_of("tau", x.unit))}
     if not bases and is_current(pattern):
         bases = {"A"}
@@ -411,22 +404,20 @@ def _of_currents(table, pattern, robot):
 def _refuse_commands(table, layout, options, robot):
     """Refuse a file that has commands in place of torques: a drive is missing."""
     own = by_names(table, robot.names, (*KINDS, *COMMANDS))
-    known = by_preset(table, None, robot.names, COMMANDS)
-    found = {}
-    for one in (own, *known.values()):
-        if "q_desired" in one.channels and not found:
-            for kind in COMMANDS:
-                roles = one.channels[kind].roles if kind in one.channels else []
-                if roles:
-                    more = f" ... {roles[-1].column}" if len(roles) > 1 else ""
-                    found[kind] = f"{roles[0].column}{more}"
-    offered = {}
+    known = by_preset(table, None, layout, robot.names, COMMANDS)
+    having = [x for x in (own, *known.values()) if "q_desired" in x.channels]
+    found, offered = {}, {}
+    for kind in COMMANDS if having else ():
+        columns = [role.column for role in having[0].roles(kind)]
+        if columns:
+            more = f" ... {columns[-1]}" if len(columns) > 1 else ""
+            found[kind] = f"{columns[0]}{more}"
     if not found:
-        near = {"q_desired": _nearest(table, "q_desired", robot.names)}
-        if not near["q_desired"]:
+        near = _nearest(table, "q_desired", robot.names)
+        if not near:
             return
-        found = {"q_desired": near["q_desired"][0]}
-        offered = {"columns": f"q_desired={found['q_desired']}"}
+        found = {"q_desired": near[0]}
+        offered = {"columns": f"q_desired={near[0]}"}
     gains = [x for x in ("kp", "kd") if x not in found and x not in table.scalars]
     drive = " ".join(["pd", *(f"{kind}=..." for kind in gains)])
     more = "".join(f", {key}={value!r}" for key, value in offered.items())
@@ -493,7 +484,7 @@ def _families(table, joints):
         if joint is not None:
             groups.setdefault(name.replace(joint, "{joint}", 1), {})[joint] = column
         # Any of its numbers may be the joint's.
-        for match in re.finditer(r"\d+", name):
+        for match in re.finditer(r"\d{1,6}", name):
             pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
             groups.setdefault(pattern, {})[int(match[0])] = column
         if len(joints) == 1:
@@ -536,9 +527,8 @@ def is_clock(values):
         return False
     values = values.astype(float)
     step = np.diff(values)
-    if not ((step >= 0).all() and step.sum() > 0) or not unit_of_steps(
-        usual_step(values)
-    ):
+    rises = (step >= 0).all() and step.sum() > 0
+    if not rises or not unit_of_steps(usual_step(values)):
         return False
     line = np.linspace(values[0], values[-1], values.size)
     return bool(np.abs(values - line).max() <= _STRAIGHT * (values[-1] - values[0]))

@@ -19,11 +19,12 @@ class KnownLog:
     # another prefix
     commands: Mapping[str, str] = field(default_factory=dict)
     # columns, the best first; two with a plus between are seconds and nanoseconds
+    # with the unit in brackets where it is not seconds
     times: tuple[str, ...]
-    time_unit: str = "s"
     # unit of what is proportional to torques; "" where they are in N m or N
     motor_unit: str = ""
-    # column with all joints' names, or pattern of those with one of them each
+    # regular expression of columns with joints' names; its group is a number, empty
+    # for a column with all of them
     joints: str = ""
     # parts of the names of joints, in the order in which motors are numbered
     motors: tuple[str, ...] = ()
@@ -97,74 +98,53 @@ def _unitree():
         yield f"*{state}{place}", tau, f"*{command}{place}", kp, kd
 
 
+_STAMPS = (
+    "header.stamp.secs+header.stamp.nsecs",
+    "header.stamp.sec+header.stamp.nanosec",
+)
 # sensor_msgs/JointState has positions in rad or m and efforts in N m or N
-# (docs.ros.org, message definition).
+# (docs.ros.org, message definition). By the pattern of its fields: what writes them,
+# where this comes from, and columns of time, the best first.
+_JOINT_STATES = {
+    "field.{}{{i}}": (
+        ", written by rostopic echo -p",
+        f"{_ROSTOPIC}; github.com/jmscslgroup/catvehicle/issues/9",
+        ("field.header.stamp [ns]", "%time [ns]"),
+    ),
+    "{}_{{i}}": (
+        " as a table",
+        "bagpy/bagreader.py of github.com/jmscslgroup/bagpy; message_to_csv in "
+        "rosidl_runtime_py/convert.py of github.com/ros2/rosidl_runtime_py, values "
+        "without a header, in the order of the message",
+        (*_STAMPS, "Time"),
+    ),
+    "{}{{i}}": (
+        " as JSON",
+        "sensor_msgs/msg/JointState.msg of github.com/ros2/common_interfaces, its "
+        "fields as rosidl_runtime_py/convert.py writes them",
+        _STAMPS,
+    ),
+    "*/{{joint}}/{}": (
+        ", exported from PlotJuggler",
+        _PLOTJUGGLER,
+        ("*/header/stamp", "__time"),
+    ),
+    "*{}[{{i}}]": (" without names", _PLOTJUGGLER, ("*header/stamp", "__time")),
+}
+
 PRESETS: dict[str, tuple[KnownLog, ...]] = {
-    "ros": (
+    "ros": tuple(
         KnownLog(
-            what="/joint_states, written by rostopic echo -p",
-            source=f"{_ROSTOPIC}; github.com/jmscslgroup/catvehicle/issues/9",
-            q="field.position{i}",
-            v="field.velocity{i}",
-            tau="field.effort{i}",
-            times=("field.header.stamp", "%time"),
-            time_unit="ns",
-            joints="field.name{i}",
-            no_signals=(r"%time", r"field\.(header|name).*"),
-        ),
-        KnownLog(
-            what="/joint_states, converted from a bag",
-            source="bagpy/bagreader.py of github.com/jmscslgroup/bagpy",
-            q="position_{i}",
-            v="velocity_{i}",
-            tau="effort_{i}",
-            times=("header.stamp.secs+header.stamp.nsecs", "Time"),
-            joints="name",
-            no_signals=(r"Time", r"header\..*", r"name"),
-        ),
-        KnownLog(
-            what="/joint_states, written by ros2 topic echo --csv",
-            source="message_to_csv in rosidl_runtime_py/convert.py of github.com/ros2/"
-            "rosidl_runtime_py: values without a header, in the order of the message",
-            q="position_{i}",
-            v="velocity_{i}",
-            tau="effort_{i}",
-            times=("header.stamp.sec+header.stamp.nanosec",),
-            joints="name_{i}",
-            no_signals=(r"header\..*", r"name_\d+"),
-        ),
-        KnownLog(
-            what="/joint_states as JSON",
-            source="sensor_msgs/msg/JointState.msg of github.com/ros2/common_interfaces"
-            ", its fields as rosidl_runtime_py/convert.py writes them",
-            q="position{i}",
-            v="velocity{i}",
-            tau="effort{i}",
-            times=(
-                "header.stamp.sec+header.stamp.nanosec",
-                "header.stamp.secs+header.stamp.nsecs",
-            ),
-            joints="name{i}",
-            no_signals=(r"header\..*", r"name\d+"),
-        ),
-        KnownLog(
-            what="/joint_states, exported from PlotJuggler",
-            source=_PLOTJUGGLER,
-            q="*/{joint}/position",
-            v="*/{joint}/velocity",
-            tau="*/{joint}/effort",
-            times=("*/header/stamp", "__time"),
-            no_signals=(r"__time", r".*/header/.*"),
-        ),
-        KnownLog(
-            what="/joint_states without names, exported from PlotJuggler",
-            source=_PLOTJUGGLER,
-            q="*/position[{i}]",
-            v="*/velocity[{i}]",
-            tau="*/effort[{i}]",
-            times=("*/header/stamp", "__time"),
-            no_signals=(r"__time", r".*/header/.*"),
-        ),
+            what=f"/joint_states{what}",
+            source=source,
+            q=pattern.format("position"),
+            v=pattern.format("velocity"),
+            tau=pattern.format("effort"),
+            times=times,
+            joints=r"(?:field\.)?name_?(\d*)",
+            no_signals=(r"%?time|Time|__time", r"(.*[./])?(header|name)([./_\d].*)?"),
+        )
+        for pattern, (what, source, times) in _JOINT_STATES.items()
     ),
     "ur": (
         KnownLog(
@@ -194,8 +174,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             q="state.q[{i}]",
             v="state.dq[{i}]",
             tau="state.tau_J[{i}]",
-            times=("time",),
-            time_unit="ms",
+            times=("time [ms]",),
             no_signals=(r"success_rate", r"(state|cmd)\..*"),
         ),
         KnownLog(
@@ -205,8 +184,7 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             q="field.q{i}",
             v="field.dq{i}",
             tau="field.tau_J{i}",
-            times=("field.header.stamp", "%time"),
-            time_unit="ns",
+            times=("field.header.stamp [ns]", "%time [ns]"),
             no_signals=(r"%time", r"field\..*"),
         ),
     ),

@@ -1,6 +1,5 @@
 """A user's recording out of files and folders."""
 
-import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -151,6 +150,10 @@ def read_recording(
     """
     if dt is not None:
         check_dt(dt)
+    if time_unit is not None and time_unit not in TIME_UNITS:
+        raise ValueError(
+            f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
+        )
     options = ReadOptions(
         mapping={} if columns is None else parse_mapping(columns),
         preset=_checked_preset(preset),
@@ -168,10 +171,6 @@ def read_recording(
             "gains out (command line: --gain), or the drive.",
             {"gains": None},
         )
-    if time_unit is not None and time_unit not in TIME_UNITS:
-        raise ValueError(
-            f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
-        )
     is_one = isinstance(path, (str, PathLike))
     given = [path] if isinstance(path, (str, PathLike)) else [Path(x) for x in path]
     paths = list(dict.fromkeys(given))
@@ -179,7 +178,8 @@ def read_recording(
         raise ValueError("path must name one file or more, got none.")
     notes: list[str] = []
     if join:
-        files = [_side_by_side(paths, options)]
+        tables = [one for path in paths for one in tables_in(path) or [Path(path)]]
+        files = [_joined([_table(one, options) for one in tables], options)]
     else:
         files = _read(paths, options, notes)
     if len(files) == 1 and (join or is_one):
@@ -250,67 +250,43 @@ def _of_folder(folder, paths, options, notes):
     return files or [_joined(parts, options)]
 
 
-def _side_by_side(paths, options):
-    """Read files that are one recording."""
-    files = [one for path in paths for one in tables_in(path) or [Path(path)]]
-    return _joined([_table(one, options) for one in files], options)
-
-
 def _joined(tables, options):
     """Return the recording of tables side by side."""
     if len(tables) == 1:
         return recording_of(tables[0], options)
     first, *others = [table.path for table in tables]
-    shown = f"{first.name}+{others[0].name}"
-    if len(others) > 1:
-        shown = f"{first.name} and {len(others)} more"
-    table = joined(tables, options.joints(), first.parent / shown)
-    read = recording_of(table, options)
-    name = common_folder([one.path for one in tables])
-    if not name:
-        return read
+    more = others[0].name if len(others) == 1 else f" {len(others)} more"
+    shown = f"{first.name}{'+' if len(others) == 1 else ' and'}{more}"
+    read = recording_of(joined(tables, options.joints, first.parent / shown), options)
+    name = common_folder([one.path for one in tables]) or read.recording.name
     return replace(read, recording=replace(read.recording, name=name))
 
 
 def _table(path, options):
     """Read the table of a file that nobody writes to meanwhile."""
-    commanded = "q_desired" in options.recorded
-    with _finished(path):
-        return read_table(path, options.topic, options.joints, commanded)
-
-
-@contextlib.contextmanager
-def _finished(path):
-    """Refuse a file that is written to while it is read."""
-    before = _version(path)
+    before, broken, table = _version(path), None, None
     try:
-        yield
+        commanded = "q_desired" in options.recorded
+        table = read_table(path, options.topic, lambda: options.joints, commanded)
     except ValueError as error:
-        if _version(path) == before:
-            raise
-        raise _unfinished(path) from error
+        broken = error
     if _version(path) != before:
-        raise _unfinished(path)
+        raise ValueError(
+            f"{path} was written to while it was read; wait until the recording has "
+            "ended, then read it again."
+        ) from broken
+    if broken is not None:
+        raise broken
+    return table
 
 
 def _version(path):
     """Return size and time of a file, or of all in a folder; None for what is none."""
     path = expanded(path)
-    if path.is_file():
-        found = [path.stat()]
-    elif path.is_dir():
-        found = [file.stat() for file in path.rglob("*") if file.is_file()]
-    else:
-        return None
-    size = sum(one.st_size for one in found)
-    return len(found), size, max((one.st_mtime_ns for one in found), default=0)
-
-
-def _unfinished(path):
-    return ValueError(
-        f"{path} was written to while it was read; wait until the recording has ended, "
-        "then read it again."
-    )
+    found = [path] if path.is_file() else path.rglob("*") if path.is_dir() else []
+    stats = [file.stat() for file in found if file.is_file()]
+    size = sum(one.st_size for one in stats)
+    return len(stats), size, max((one.st_mtime_ns for one in stats), default=0)
 
 
 def _checked_preset(name):

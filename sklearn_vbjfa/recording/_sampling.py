@@ -1,10 +1,11 @@
 """Sample times by time stamps, and recordings on a uniform time grid."""
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from sklearn_vbjfa.recording._drives import COMMANDS
 from sklearn_vbjfa.recording._recording import check_dt, labels_of
@@ -18,8 +19,8 @@ GAP_PERIODS = 5.0
 # A slower clock [s] records no motion: stamps in ms or ns come out like that.
 _SLOWEST = 1.0
 # Relative difference that is refused, between `dt` as given and as stamped, and between
-# the periods of segments.
-_DT_TOLERANCE = 0.05
+# the periods of segments; and below which periods count as one.
+_DT_TOLERANCE, SAME_DT = 0.05, 1e-3
 # Steps this near to whole periods, nine in ten of them, tell how many rows are missing.
 _NEAR, _NEARLY_ALL = 0.15, 0.9
 # Rows over which the period is averaged, against late stamps; and over which it is
@@ -33,10 +34,10 @@ _CLEARLY = 0.2
 # Rows are sorted by their stamps if the sum of second differences falls below this
 # share.
 _SMOOTHER = 0.99
-# Beside a given period: beyond the first many of them a sample is missing, beyond the
-# second share of one a step is worth a warning. Accelerations go with the square of a
-# wrong period: this share of it, and no less than a row over a recording, is refused.
-_MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
+# Fewer samples than this between two gaps cannot be differentiated and held out from.
+_MIN_SAMPLES = 16
+# The lower quartile of the size of a normal variable, in standard deviations.
+_QUARTILE = 0.3186
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,21 +45,19 @@ class TimeStamps:
     """What the time stamps of one recording tell."""
 
     dt: float  # sample period [s]
-    # whether the stamps are those of a steady clock, but for rounding and gaps, and no
-    # row is missing between gaps
-    uniform: bool
     # whether the robot was sampled at the time of the stamps, else steadily
     sampled: bool
     late: bool  # whether stamps are irregular while the sampling was steady
     # period in which each row was sampled, from 0 on in each piece between gaps;
     # without meaning if `sampled`
     slots: np.ndarray
-    jitter: float  # standard deviation of the steps from the period, gaps left out [s]
-    # shortest and longest step, gaps left out [s]
-    shortest: float
-    longest: float
-    doubled: int  # number of stamps equal to the one before
+    steps: np.ndarray  # between stamps, gaps left out [s]
     gaps: np.ndarray  # rows after which more than five periods are missing
+
+    @property
+    def jitter(self):
+        """Standard deviation of the steps from the period [s]."""
+        return float(np.sqrt(np.mean((self.steps - self.dt) ** 2)))
 
 
 def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
@@ -77,30 +76,22 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
     if period >= _SLOWEST:
         raise ValueError(
             f"time steps by {period:.6g} s at the median, too slow for a motion; t "
-            f"must be in seconds, {_other_unit(period)}."
+            "must be in seconds: give its unit (--time-unit ms, us or ns)."
         )
     gaps = _gaps(t, step, period)
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
     steady, own = _steady(t, step, pieces, period)
-    sampled = False
-    if steady:
-        slots = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
-    else:
+    slots, sampled = _counted(pieces), False
+    if not steady:
         own, slots, sampled = _when(t, pieces, period, whole, positions, where)
     check_given(own, dt)
-    missing = np.delete(np.diff(slots), gaps) > 1
-    inside = np.delete(step, gaps)
     off = [np.ptp(t[x] - own * slots[x]) for x in pieces]
     return TimeStamps(
         dt=float(f"{own:.7g}") if dt is None else float(dt),
-        uniform=steady and not missing.any(),
         sampled=sampled,
         late=not steady and not sampled and max(off) > 2 * STEADY * own,
         slots=slots,
-        jitter=float(np.sqrt(np.mean((inside - own) ** 2))) if inside.size else 0.0,
-        shortest=float(inside.min(initial=np.inf)),
-        longest=float(inside.max(initial=0.0)),
-        doubled=int((step == 0).sum()),
+        steps=np.delete(step, gaps),
         gaps=gaps,
     )
 
@@ -126,41 +117,21 @@ def _check_order(t, step, where):
         )
 
 
-def _other_unit(period):
-    """Return the unit of stamps with this period."""
-    units = (
-        ("milliseconds", "ms", 1e-3),
-        ("microseconds", "us", 1e-6),
-        ("nanoseconds", "ns", 1e-9),
-    )
-    for name, unit, factor in units:
-        if period * factor < 0.1:
-            return (
-                f"in {name} this would be a period of {period * factor:.4g} s: "
-                f"give the unit (--time-unit {unit}), or multiply t by {factor:g}"
-            )
-    return "which these are not"
-
-
 def _first_period(t, step):
     """Return a first period [s], and whether steps are whole multiples of it."""
-    some = step[step > 0]
-    usual = float(np.median(some))
-    counts = np.round(step / usual)
-    near = (np.abs(step / usual - counts) < _NEAR) & (counts > 0)
+    period = float(np.median(step[step > 0]))
+    counts = np.round(step / period)
+    near = (np.abs(step / period - counts) < _NEAR) & (counts > 0)
     if near.mean() >= _NEARLY_ALL:
-        return _whole_period(step[near & (counts <= GAP_PERIODS)], usual), True
+        near &= counts <= GAP_PERIODS
+        for _ in range(2):
+            count = np.maximum(np.round(step[near] / period), 1.0).sum()
+            period = float(step[near].sum() / count)
+        return period, True
     m = min(_WINDOW, step.size)
     period = float(np.median(t[m:] - t[:-m])) / m
     # Many rows with one stamp, and then a long step.
     return (period if period > 0 else (t[-1] - t[0]) / step.size), False
-
-
-def _whole_period(step, period):
-    """Average the period over steps of one or several of them [s]."""
-    for _ in range(2):
-        period = float(step.sum() / np.maximum(np.round(step / period), 1.0).sum())
-    return period
 
 
 def _gaps(t, step, period):
@@ -181,20 +152,15 @@ def _gaps(t, step, period):
 def _steady(t, step, pieces, period):
     """Whether stamps are equidistant but for rounding; their period [s]."""
     rows = sum(x.stop - x.start - 1 for x in pieces)
-    if rows < 1:
-        return True, period
-    own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / rows
+    own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / max(rows, 1)
     if own <= 0:
-        return False, period
+        return rows < 1, period
     steady = max(2 * STEADY * own, 1.01 * _resolution(t, own))
     if np.mean(step == 0) > 1 - _NEARLY_ALL:
         # A clock that ticks more slowly than the robot is sampled.
         steady = max(steady, 1.01 * float(np.median(step[step > 0])))
-    worst = 0.0
-    for piece in pieces:
-        late = t[piece] - t[piece.start] - own * np.arange(piece.stop - piece.start)
-        worst = max(worst, float(np.ptp(late)))
-    return worst <= steady, own
+    late = [t[x] - t[x.start] - own * np.arange(x.stop - x.start) for x in pieces]
+    return max(float(np.ptp(x)) for x in late) <= steady, own
 
 
 def _resolution(t, dt):
@@ -227,6 +193,11 @@ def check_given(own, dt, what="time steps by", tolerance=_DT_TOLERANCE):
 # -- when rows were sampled ------------------------------------------------------------
 
 
+def _counted(pieces):
+    """Count the rows of each piece from 0."""
+    return np.concatenate([np.arange(x.stop - x.start) for x in pieces])
+
+
 def _followed_slots(t, dt, whole):
     """Count periods, following a clock that wanders and stamps that are late."""
     # Stamps at whole periods begin at one; among late ones the first may be the latest.
@@ -255,11 +226,11 @@ def _when(t, pieces, period, whole, positions, where):
             own = took / slots[-1] if slots[-1] and took > 0 else own
         followed.append(slots)
     # Late stamps may look like missing rows, also among others that are whole.
-    plain = np.concatenate([np.arange(x.stop - x.start) for x in pieces])
-    candidates = [plain, np.concatenate(followed)]
+    candidates = [_counted(pieces), np.concatenate(followed)]
     if whole:
         candidates.reverse()
-    periods = [_average_period(t, pieces, slots) for slots in candidates]
+    took = sum(t[x.stop - 1] - t[x.start] for x in pieces)
+    periods = [took / sum(one[x.stop - 1] for x in pieces) for one in candidates]
     times = [dt * slots for dt, slots in zip(periods, candidates)]
     rough = np.zeros(len(times) + 1)
     if positions is not None:
@@ -271,32 +242,19 @@ def _when(t, pieces, period, whole, positions, where):
     return periods[best], candidates[best], False
 
 
-def _average_period(t, pieces, slots):
-    """Average the period over pieces [s]."""
-    ends = [x for x in pieces if x.stop - x.start > 1]
-    took = sum(t[x.stop - 1] - t[x.start] for x in ends)
-    count = sum(int(slots[x.stop - 1] - slots[x.start]) for x in ends)
-    return took / count
-
-
 def _check_rate(t, pieces, dt, slots, where):
     """Refuse stamps whose period changes."""
-    rates, rows = [], []
-    for piece in pieces:
-        ends = np.arange(piece.start, piece.stop, _LONG_WINDOW)
-        if ends.size > 1:
-            rates.append(np.diff(t[ends]) / np.diff(slots[ends]) / dt)
-            rows.append(ends[:-1])
-    if rates:
-        rate, row = np.concatenate(rates), np.concatenate(rows)
-        if rate.size > 3 and np.std(rate) > _CHANGES:
-            slow, fast = row[rate.argmax()], row[rate.argmin()]
-            raise ValueError(
-                f"time steps by {rate.min() * dt:.4g} s on average after "
-                f"{where(fast)} and by {rate.max() * dt:.4g} s after {where(slow)}, "
-                "and the positions do not follow these stamps; correct t, or mark "
-                "recordings of different periods in a column segment."
-            )
+    ends = [np.arange(x.start, x.stop, _LONG_WINDOW) for x in pieces]
+    rate = np.concatenate([np.diff(t[x]) / np.diff(slots[x]) / dt for x in ends])
+    row = np.concatenate([x[:-1] for x in ends])
+    if rate.size > 3 and np.std(rate) > _CHANGES:
+        slow, fast = row[rate.argmax()], row[rate.argmin()]
+        raise ValueError(
+            f"time steps by {rate.min() * dt:.4g} s on average after {where(fast)} and "
+            f"by {rate.max() * dt:.4g} s after {where(slow)}, and the positions do not "
+            "follow these stamps; correct t, or mark recordings of different periods "
+            "in a column segment."
+        )
 
 
 def _roughness(times, pieces, positions):
@@ -335,7 +293,12 @@ def prediction_errors(t, values):
     return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
 
 
-# -- stamps against a known period ----------------------------------------------------
+# -- stamps against a known period -----------------------------------------------------
+
+# Beside a given period: beyond the first many of them a sample is missing, beyond the
+# second share of one a step is worth a warning. Accelerations go with the square of a
+# wrong period: this share of it, and no less than a row over a recording, is refused.
+_MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 
 def check_time_stamps(t, dt, parts):
@@ -345,8 +308,7 @@ def check_time_stamps(t, dt, parts):
     # rise.
     if t is None:
         return
-    time = np.asarray(t, dtype=float)
-    n = parts[-1].stop
+    time, n = np.asarray(t, dtype=float), parts[-1].stop
     if time.shape != (n,):
         raise ValueError(
             f"t must hold one time per row, shape ({n},); got {time.shape}."
@@ -355,14 +317,12 @@ def check_time_stamps(t, dt, parts):
         raise ValueError(
             f"t must be finite; row {np.flatnonzero(~np.isfinite(time))[0]} is not."
         )
-    inside = np.ones(n - 1, dtype=bool)
-    inside[[part.stop - 1 for part in parts[:-1]]] = False
-    rows = np.flatnonzero(inside)
+    rows = np.delete(np.arange(n - 1), [part.stop - 1 for part in parts[:-1]])
     step = np.diff(time)[rows]
     back = rows[step <= 0]
     if back.size:
         raise ValueError(
-            f"t must rise within a recording; it does not after {_first(back)} "
+            f"t must rise within a recording; it does not after row {listed(back)} "
             f"({time[back[0]]:.6g} s, then {time[back[0] + 1]:.6g} s). Drop repeated "
             "rows, or begin another recording there (groups)."
         )
@@ -388,83 +348,20 @@ def check_time_stamps(t, dt, parts):
         raise ValueError(
             f"Samples are missing: the time stamps step by up to {step.max():.6g} s, "
             f"with dt={dt:.6g} s, {gap.size} times by more than {_MISSING} dt (after "
-            f"{_first(gap)}). Resample onto equidistant times, or begin another "
+            f"row {listed(gap)}). Resample onto equidistant times, or begin another "
             "recording after each gap (groups)."
         )
     off = np.abs(step / dt - 1)
-    irregular = rows[off > _JITTER]
-    if irregular.size:
+    odd = rows[off > _JITTER]
+    if odd.size:
         warnings.warn(
-            f"{irregular.size} of {step.size} steps between time stamps differ from "
+            f"{odd.size} of {step.size} steps between time stamps differ from "
             f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} %, at most by "
-            f"{100 * off.max():.0f} % (after {_first(irregular)}); rows count as "
-            "equidistant. "
-            "Resample, unless only the stamps are irregular and not the sampling.",
+            f"{100 * off.max():.0f} % (after row {listed(odd)}); rows count as "
+            "equidistant. Resample, unless only the stamps are irregular.",
             UserWarning,
             stacklevel=3,
         )
-
-
-def _first(rows):
-    """Name the first few of some rows."""
-    return f"row {listed(rows)}"
-
-
-# Fewer samples than this between two gaps cannot be differentiated and held out from.
-_MIN_SAMPLES = 16
-# Of the logs of measured sets: cannot be differentiated.
-_MIN_LOG = 10
-# A log is uniform already up to this part of dt: a steady clock with six decimals.
-_UNIFORM_RTOL = 1e-3
-# A step of a log above this many periods ends a part and starts another one.
-_LOG_GAP_PERIODS = 10.0
-# Relative difference between the periods of segments below which they count as one.
-SAME_DT = 1e-3
-# The lower quartile of the size of a normal variable, in standard deviations.
-_QUARTILE = 0.3186
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """A part of a recording with its own time axis: name, stamps [s], channels."""
-
-    name: str
-    t: np.ndarray
-    channels: Mapping[str, np.ndarray]
-
-
-def _channels_of(one):
-    """Return what a log or a recording has for every row, by name."""
-    own = {"q": one.q, "tau": one.tau, **one.signals}
-    return own if one.v is None else own | {"v": one.v}
-
-
-def together(arrays: Sequence[np.ndarray]) -> np.ndarray:
-    """Return arrays end to end; a single one is not copied."""
-    return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
-
-
-def _fields(pieces: Sequence[_Piece], dt: float) -> dict:
-    """Concatenate pieces into the array fields of a `Recording`."""
-    columns = {
-        key: together([piece.channels[key] for piece in pieces])
-        for key in pieces[0].channels
-    }
-    return {
-        "q": columns.pop("q"),
-        "tau": columns.pop("tau"),
-        "v": columns.pop("v", None),
-        "t": together([piece.t for piece in pieces]),
-        "dt": dt,
-        "groups": labels_of([len(x.t) for x in pieces]),
-        "group_names": tuple(piece.name for piece in pieces),
-        "signals": columns,
-    }
-
-
-def _numbered(name: str, number: int, count: int) -> str:
-    """Name the parts of a recording that was cut: "name [1]", "name [2]", ..."""
-    return name if count == 1 else f"{name} [{number}]"
 
 
 # -- interpolation ---------------------------------------------------------------------
@@ -472,8 +369,6 @@ def _numbered(name: str, number: int, count: int) -> str:
 
 def local_cubic(t: np.ndarray, rows: np.ndarray) -> Callable:
     """Cubics with the slopes of parabolas, which no far-off sample can disturb."""
-    from scipy.interpolate import CubicHermiteSpline
-
     slope = np.gradient(rows, t, axis=0, edge_order=2)
     return CubicHermiteSpline(t, rows, slope, axis=0)
 
@@ -507,15 +402,6 @@ def interpolate(
     return grid, resampled
 
 
-def _repeats(channels: Mapping[str, np.ndarray], n: int) -> np.ndarray:
-    """Whether each of n - 1 rows equals the one before it in every channel."""
-    same = np.ones(n - 1, dtype=bool)
-    for values in channels.values():
-        rows = values.reshape(n, -1)
-        same &= (rows[1:] == rows[:-1]).all(axis=1)
-    return same
-
-
 def merge_doubled(t, channels):
     """Average rows of one stamp: t (n,) [s] that does not fall, channels (n, ...)."""
     # Of commands the last one counts.
@@ -533,7 +419,94 @@ def merge_doubled(t, channels):
     return t[starts], merged
 
 
+def _repeats(channels: Mapping[str, np.ndarray], n: int) -> np.ndarray:
+    """Whether each of n - 1 rows equals the one before it in every channel."""
+    same = np.ones(n - 1, dtype=bool)
+    for values in channels.values():
+        rows = values.reshape(n, -1)
+        same &= (rows[1:] == rows[:-1]).all(axis=1)
+    return same
+
+
+# -- pieces of recordings --------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Piece:
+    """A part of a recording with its own time axis: name, stamps [s], channels."""
+
+    name: str
+    t: np.ndarray
+    channels: Mapping[str, np.ndarray]
+
+
+def _channels_of(one):
+    """Return what a log or a recording has for every row, by name."""
+    own = {"q": one.q, "tau": one.tau, **one.signals}
+    return own if one.v is None else own | {"v": one.v}
+
+
+def _fields(pieces, dt: float) -> dict:
+    """Concatenate pieces into the array fields of a `Recording`."""
+
+    def together(arrays):
+        # A single one is not copied.
+        return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
+
+    columns = {
+        key: together([piece.channels[key] for piece in pieces])
+        for key in pieces[0].channels
+    }
+    return {
+        "q": columns.pop("q"),
+        "tau": columns.pop("tau"),
+        "v": columns.pop("v", None),
+        "t": together([piece.t for piece in pieces]),
+        "dt": dt,
+        "groups": labels_of([len(x.t) for x in pieces]),
+        "group_names": tuple(piece.name for piece in pieces),
+        "signals": columns,
+    }
+
+
+def _pieces(name, parts):
+    """Return the parts (t, channels) of a recording, "name [1]", ... if it was cut."""
+    return [
+        _Piece(f"{name} [{k}]" if len(parts) > 1 else name, *part)
+        for k, part in enumerate(parts, start=1)
+    ]
+
+
+def distinct(names):
+    """Return names, repeated ones with a number."""
+    found, seen = [], {}
+    for name in names:
+        seen[name] = seen.get(name, 0) + 1
+        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
+    return found
+
+
+def _rows_of(channels, rows):
+    """Return rows of all channels; all of them as they are."""
+    whole = isinstance(rows, np.ndarray) and rows.size == len(channels["q"])
+    return channels if whole else {key: x[rows] for key, x in channels.items()}
+
+
+def white_noise(rows):
+    """Return the standard deviation (nv,) of white noise of (t, torques), or None."""
+    # The lower quartile passes over what jumps, as friction does.
+    errors = np.abs(np.concatenate([prediction_errors(*one) for one in rows]))
+    return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
+
+
 # -- logs of measured sets -------------------------------------------------------------
+
+# Fewer samples cannot be differentiated.
+_MIN_LOG = 10
+# A log is uniform already up to this part of dt: a steady clock with six decimals.
+_UNIFORM_RTOL = 1e-3
+# A step of a log above this many periods ends a part and starts another one.
+_LOG_GAP_PERIODS = 10.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -548,41 +521,25 @@ class Log:
     signals: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
-def median_period(logs: Iterable[Log]) -> float:
+def median_period(logs) -> float:
     """Median step between stamps over all logs [s], rounded to 0.1 us."""
     return round(float(np.median(np.concatenate([np.diff(x.t) for x in logs]))), 7)
 
 
-def join(
-    logs: Sequence[Log],
-    *,
-    dt: float,
-    resample: bool = True,
-    drop_repeated: bool = False,
-) -> dict:
+def join(logs, *, dt: float, resample=True, drop_repeated=False) -> dict:
     """Concatenate logs into the array fields of a `Recording`."""
     # With `resample` each log is put on multiples of dt; one with long gaps becomes
     # several recordings, "name [1]", "name [2]", ...
     pieces = []
     for log in logs:
-        channels = _channels_of(log)
-        parts = [(log.t, channels)]
+        parts = [(log.t, _channels_of(log))]
         if resample:
-            parts = resample_uniform(
-                log.t, channels, dt=dt, drop_repeated=drop_repeated
-            )
-        for number, (t, part) in enumerate(parts, start=1):
-            pieces.append(_Piece(_numbered(log.name, number, len(parts)), t, part))
+            parts = resample_uniform(*parts[0], dt=dt, drop_repeated=drop_repeated)
+        pieces += _pieces(log.name, parts)
     return _fields(pieces, dt)
 
 
-def resample_uniform(
-    t: np.ndarray,
-    channels: Mapping[str, np.ndarray],
-    *,
-    dt: float,
-    drop_repeated: bool = False,
-) -> list[tuple[np.ndarray, dict[str, np.ndarray]]]:
+def resample_uniform(t, channels, *, dt: float, drop_repeated=False):
     """Return grid (n_part,) [s] and channels of a log's parts between long gaps."""
     # A log that is uniform already is left as it is; `drop_repeated` also drops rows
     # equal to the one before in every channel, readings that the logger wrote twice.
@@ -605,8 +562,6 @@ def resample_uniform(
         part = {key: values[rows] for key, values in channels.items()}
         at, grid = t[rows] - t[rows[0]], dt * np.arange(len(rows))
         if np.max(np.abs(at - grid)) >= _UNIFORM_RTOL * dt:
-            from scipy.interpolate import CubicSpline
-
             grid, part = interpolate(at, part, dt, CubicSpline)
         parts.append((grid, part))
     if not parts:
@@ -621,35 +576,6 @@ def resample_uniform(
 # -- a user's file ---------------------------------------------------------------------
 
 
-@dataclass
-class _Tally:
-    """What was left out, put in or joined, and what was measured before that."""
-
-    short: int = 0
-    single: int = 0
-    merged: int = 0
-    off_grid: list = field(default_factory=list)
-
-    def notes(self):
-        """Say it in words."""
-        if self.short:
-            yield Loss(
-                f"{self.short} piece(s) of fewer than {_MIN_SAMPLES} samples between "
-                "gaps are left out."
-            )
-        if self.single:
-            yield f"{self.single} single sample(s) are missing and were interpolated."
-        if self.merged:
-            yield f"{self.merged} row(s) repeat a stamp and were averaged with it."
-
-    def white_noise(self):
-        """Return the standard deviation (nv,) of white noise off the grid."""
-        # The lower quartile passes over what jumps, as friction does.
-        errors = [prediction_errors(t, torques) for t, torques in self.off_grid]
-        errors = np.abs(np.concatenate(errors))
-        return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
-
-
 def in_order(table: Table, t, channels, notes):
     """Sort rows that are out of order in time, where that makes one smooth motion."""
     # Two recordings, one after the other, would be mixed: they stay as they are, to be
@@ -659,12 +585,11 @@ def in_order(table: Table, t, channels, notes):
         return t, channels, table
     order = np.argsort(t, kind="stable")
     late = np.diff(t[order])
-    if not late.all() or late.max() > GAP_PERIODS * np.median(late):
-        return t, channels, table
     q, n = channels["q"], t.size
     rough = [np.abs(np.diff(x, n=2, axis=0)).sum() for x in (q, q[order])]
     # A motion that is reversed is as smooth.
-    if not rough[1] < _SMOOTHER * rough[0]:
+    smoother = rough[1] < _SMOOTHER * rough[0]
+    if not (late.all() and late.max() <= GAP_PERIODS * np.median(late) and smoother):
         return t, channels, table
     notes.append(
         f"rows are not in the order of time (in {back} places of {n} it goes back): "
@@ -691,26 +616,57 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
     if dt is None:
         dt = _common_period(table, stamps)
     notes += _irregularities(table, stamps, segments, dt)
-    pieces, tally = [], _Tally()
+    pieces, off_grid, short, single, merged = [], [], 0, 0, 0
     for (name, rows), checked in zip(segments, stamps):
         parts = np.split(np.arange(rows.size), checked.gaps + 1)
         long = [x for x in parts if x.size >= min(_MIN_SAMPLES, rows.size)]
-        tally.short += len(parts) - len(long)
-        for number, part in enumerate(long, start=1):
-            label = _numbered(name, number, len(long))
+        short += len(parts) - len(long)
+        put = []
+        for part in long:
             values = _rows_of(channels, rows[part])
-            grid, values = _put(t[rows[part]], values, checked, part, dt, tally)
-            pieces.append(_Piece(label, grid, values))
-    notes += tally.notes()
+            at, values, same = _placed(t[rows[part]], values, checked, part, dt)
+            if checked.sampled:
+                merged += part.size - at.size
+            else:
+                single += int(np.ptp(checked.slots[part])) + 1 - part.size
+            if not same:
+                off_grid.append((at, values["tau"]))
+                at, values = interpolate(at, values, dt)
+            put.append((at, values))
+        pieces += _pieces(name, put)
+    if short:
+        notes.append(
+            Loss(
+                f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps "
+                "are left out."
+            )
+        )
+    if single:
+        notes.append(f"{single} single sample(s) are missing and were interpolated.")
+    if merged:
+        notes.append(f"{merged} row(s) repeat a stamp and were averaged with it.")
     if not pieces:
         raise ValueError(
             f"{table.path}: no {_MIN_SAMPLES} samples follow one another without a gap "
             f"of more than {GAP_PERIODS:g} periods of {dt:.4g} s; check column t."
         )
     fields = _fields(pieces, dt)
-    if tally.off_grid:
-        fields["torque_noise"] = tally.white_noise()
+    if off_grid:
+        fields["torque_noise"] = white_noise(off_grid)
     return fields
+
+
+def _placed(t, values, checked, part, dt):
+    """Return times of the rows `part` of a segment, rows, and whether they fit."""
+    if checked.sampled:
+        at, values = merge_doubled(t, values)
+        return at - at[0], values, False
+    slots = checked.slots[part] - checked.slots[part[0]]
+    # Late stamps alone do not make another period.
+    unsure = 3 * checked.jitter / checked.slots.size
+    same = abs(checked.dt - dt) < max(SAME_DT * dt, unsure)
+    at = (dt if same else checked.dt) * slots
+    return at, values, same and slots[-1] + 1 == slots.size
 
 
 def on_one_grid(recordings, names, dt):
@@ -719,23 +675,20 @@ def on_one_grid(recordings, names, dt):
     # a `Recording`, and the positions of the files that were interpolated.
     pieces, names, moved, noise = [], iter(names), [], []
     for k, one in enumerate(recordings):
-        channels = _channels_of(one)
-        tally = _Tally()
+        channels, off_grid = _channels_of(one), []
         for rows in one.segments:
-            values = _rows_of(channels, rows)
-            n = rows.stop - rows.start
-            t = dt * np.arange(n)
+            values, t = _rows_of(channels, rows), np.arange(rows.stop - rows.start)
             if abs(one.dt - dt) >= SAME_DT * dt:
-                own = one.dt * np.arange(n)
-                tally.off_grid.append((own, values["tau"]))
-                t, values = interpolate(own, values, dt)
+                off_grid.append((one.dt * t, values["tau"]))
+                t, values = interpolate(one.dt * t, values, dt)
+            else:
+                t = dt * t
             pieces.append(_Piece(next(names), t, values))
-        if tally.off_grid:
-            moved.append(k)
+        moved += [k] * bool(off_grid)
         # That of the torques as they came, where they were interpolated before.
         own = one.torque_noise
-        if own is None and tally.off_grid:
-            own = tally.white_noise()
+        if own is None and off_grid:
+            own = white_noise(off_grid)
         if own is not None:
             noise.append((one.n_samples, own))
     fields = _fields(pieces, dt)
@@ -743,32 +696,6 @@ def on_one_grid(recordings, names, dt):
         share, power = zip(*((n, own**2) for n, own in noise))
         fields["torque_noise"] = np.sqrt(np.average(power, axis=0, weights=share))
     return fields, moved
-
-
-def _rows_of(channels, rows):
-    """Return rows of all channels; all of them as they are."""
-    whole = isinstance(rows, np.ndarray) and rows.size == len(channels["q"])
-    return channels if whole else {key: x[rows] for key, x in channels.items()}
-
-
-def _put(t, values, checked, part, dt, tally):
-    """Put rows `part` of a segment on the grid: as they are, if they lie on it."""
-    if checked.sampled:
-        at, values = merge_doubled(t, values)
-        tally.merged += t.size - at.size
-        at = at - at[0]
-    else:
-        slots = checked.slots[part]
-        # Late stamps alone do not make another period.
-        unsure = 3 * checked.jitter / checked.slots.size
-        same = abs(checked.dt - dt) < max(SAME_DT * dt, unsure)
-        at = (dt if same else checked.dt) * (slots - slots[0])
-        missing = int(slots[-1] - slots[0]) + 1 - part.size
-        tally.single += missing
-        if same and at.size == round(at[-1] / dt) + 1:
-            return dt * np.arange(at.size), values
-    tally.off_grid.append((at, values["tau"]))
-    return interpolate(at, values, dt)
 
 
 def _segments(labels, n_rows):
@@ -784,30 +711,15 @@ def _segments(labels, n_rows):
     return list(zip(distinct(texts), runs))
 
 
-def distinct(names):
-    """Return names, repeated ones with a number."""
-    found, seen = [], {}
-    for name in names:
-        seen[name] = seen.get(name, 0) + 1
-        found.append(name if seen[name] == 1 else f"{name} ({seen[name]})")
-    return found
-
-
 def _without_doubles(t, segments, channels, notes):
     """Leave out rows that repeat the one before in every channel and in time."""
-    again = np.diff(t) == 0
+    again = np.r_[False, np.diff(t) == 0]
     if again.any():
-        again &= _repeats(channels, t.size)
-    again = np.r_[False, again]
-    kept, count = [], 0
-    for name, rows in segments:
-        own = again[rows]
-        own[0] = False
-        count += int(own.sum())
-        kept.append((name, rows[~own]))
-    if count:
-        notes.append(f"{count} row(s) are there twice and were left out once.")
-    return kept
+        again[1:] &= _repeats(channels, t.size)
+    again[[rows[0] for _, rows in segments]] = False
+    if again.any():
+        notes.append(f"{again.sum()} row(s) are there twice and were left out once.")
+    return [(name, rows[~again[rows]]) for name, rows in segments]
 
 
 def _inspected(table, t, segments, dt, positions):
@@ -819,15 +731,12 @@ def _inspected(table, t, segments, dt, positions):
                 f"{table.path}: the segment at {table.where(rows[0])} has one row "
                 "only; give it another label, or remove it."
             )
+
+        def where(k, rows=rows):
+            return table.where(rows[k])
+
         try:
-            stamps.append(
-                inspect_time_stamps(
-                    t[rows],
-                    dt,
-                    lambda k, rows=rows: table.where(rows[k]),
-                    positions[rows],
-                )
-            )
+            stamps.append(inspect_time_stamps(t[rows], dt, where, positions[rows]))
         except ValueError as error:
             raise ValueError(f"{table.path}: {error}") from None
     return stamps
@@ -861,14 +770,13 @@ def _irregularities(table, stamps, segments, dt):
     ):
         if what:
             jitter = max(x.jitter for x in what)
-            shortest = min(x.shortest for x in what)
-            longest = max(x.longest for x in what)
+            steps = np.concatenate([x.steps for x in what])
             yield (
-                f"time stamps are irregular (steps of {shortest:.4g} to {longest:.4g} "
-                f"s, standard deviation {100 * jitter / dt:.2g} % of the period of "
-                f"{dt:.4g} s): {said}."
+                f"time stamps are irregular (steps of {steps.min():.4g} to "
+                f"{steps.max():.4g} s, standard deviation {100 * jitter / dt:.2g} % of "
+                f"the period of {dt:.4g} s): {said}."
             )
-    count = sum(x.doubled for x in stamps if not x.sampled)
+    count = sum(int((x.steps == 0).sum()) for x in stamps if not x.sampled)
     if count:
         yield (
             f"{count} stamp(s) repeat the one before; the rows are taken as "

@@ -63,25 +63,30 @@ def joined(tables, joints, path) -> Table:
     stamped = [x for x in parts if x.time is not None]
     base = next((x for x in stamped if "q" in x.kinds), (stamped or parts)[0])
     others = [x for x in parts if x is not base]
-    keep = np.arange(base.table.n_rows)
-    rows, notes = {}, []
+    keep = np.ones(base.table.n_rows, dtype=bool)
+    rows, notes = [], []
     for part in others:
-        rows[part.name], said = _rows(part, base)
+        at, said = _rows(part, base)
+        rows.append(at)
         notes += said
-        keep = keep[np.isfinite(rows[part.name][keep])]
+        keep &= np.isfinite(at)
+    keep = np.flatnonzero(keep)
     if not keep.size:
         raise ValueError(f"{path}: the files have no time in common.")
-    notes += _lost(keep, base)
+    lost = base.table.n_rows - keep.size
+    if lost:
+        text = f"{lost} row(s) of {base.name} are not in all files: left out."
+        notes.append(Loss(text) if np.ptp(keep) + 1 > keep.size else text)
     frame = base.table.frame.iloc[keep]
     columns, of = {x: frame[x] for x in frame}, dict.fromkeys(frame, base.name)
-    for part in others:
-        at = rows[part.name][keep]
+    for part, at in zip(others, rows):
         for name in part.table.names:
             if part.time is not None and name in part.time.columns:
                 continue
-            values = _at(part.table.values(name), at)
+            values = _at(part.table.values(name), at[keep])
             if name in columns and not np.array_equal(columns[name], values):
-                if by_names(_only(part.table, name), joints).channels:
+                one = replace(part.table, frame=part.table.frame[[name]])
+                if by_names(one, joints).channels:
                     raise ValueError(
                         f"{path}: column {name!r} is in {of[name]} and in {part.name}, "
                         "with other values; leave one of the files out, or rename the "
@@ -102,22 +107,8 @@ def joined(tables, joints, path) -> Table:
         scalars={key: x for one in tables for key, x in one.scalars.items()},
         units={key: x for one in tables for key, x in one.units.items()},
         joints=next((x.joints for x in tables if x.joints), ()),
-        notes=(*_notes_of_tables(tables), *notes),
+        notes=(*_with_names([(x.path.name, x.notes) for x in tables]), *notes),
     )
-
-
-def _only(table, name):
-    return replace(table, frame=table.frame[[name]])
-
-
-def _notes_of_tables(tables):
-    """Yield the notes of files with their names, equal ones once."""
-    names: dict[tuple, list] = {}
-    for table in tables:
-        for note in table.notes:
-            names.setdefault((type(note), str(note)), []).append(table.path.name)
-    for (kind, note), of in names.items():
-        yield kind(f"{listed(of)}: {note}")
 
 
 # -- the content of a file -------------------------------------------------------------
@@ -125,9 +116,9 @@ def _notes_of_tables(tables):
 
 def _parts(tables, joints, path):
     """Return the files that can stand side by side, and names of those left out."""
-    known = [(table, _kind_of_file(table)) for table in tables]
     parts, left_out = [], []
-    for table, kind in known:
+    for table in tables:
+        kind = _kind_of_file(table)
         if kind is None or (table.nameless and not kind):
             left_out.append(table.path.name)
         else:
@@ -164,39 +155,41 @@ def _kind_of_file(table):
 
 def _part(table: Table, kind, joints):
     """Return a file with the channels that its columns are, by its own name."""
-    if table.nameless:
-        table = _with_names(table, kind, joints)
-        time = Role(column="t") if "t" in table.frame else None
-        return _Part(table=table, time=time, kind=kind)
     plain = by_names(table, joints)
     time = plain.times[0] if plain.times else None
-    stamps = () if time is None else time.columns
-    own = [x for x in table.names if x not in stamps]
-    if plain.channels or not kind or kind == "t":
+    if table.nameless:
+        names = _names_of_places(table, kind, joints)
+        time = Role(column="t") if "t" in names.values() else None
+    elif plain.channels or not kind or kind == "t":
         return _Part(table=table, time=time)
-    held = {x: [one for one in joints if _holds(x, one, joints)] for x in own}
-    found = [one for x in held.values() for one in x]
-    if len(own) == len(found) == len({*found}) and all(held.values()):
-        names = {x: f"{kind}_{joint}" for x, (joint,) in held.items()}
-    elif len(own) == (len(joints) or len(own)):
-        names = {x: f"{kind}{k}" for k, x in enumerate(own, start=1)}
     else:
-        return _Part(table=table, time=time)
-    return _Part(table=_renamed(table, names), time=time, kind=kind)
+        stamps = () if time is None else time.columns
+        own = [x for x in table.names if x not in stamps]
+        names = _names_of_joints(own, kind, joints)
+    units = {names.get(key, key): x for key, x in table.units.items()}
+    if _names.is_current(table.path.stem):
+        units |= {x: "A" for x in names.values() if x not in units and x != "t"}
+    frame = table.frame.rename(columns=names)
+    table = replace(table, frame=frame, units=units, nameless=False)
+    return _Part(table=table, time=time, kind=kind if names else "")
 
 
-def _holds(column, joint, joints):
-    """Whether a column is of a joint, and of none with a longer name."""
-    return joint in column and not any(
-        joint in x and len(x) > len(joint) and x in column for x in joints
-    )
+def _names_of_joints(columns, kind, joints):
+    """Return names of columns that are called after joints, or are as many; or {}."""
+    # The longest name in a column is that of its joint.
+    found = [max((j for j in joints if j in x), key=len, default="") for x in columns]
+    if all(found) and len(set(found)) == len(found):
+        return {x: f"{kind}_{joint}" for x, joint in zip(columns, found)}
+    if len(columns) == (len(joints) or len(columns)):
+        return {x: f"{kind}{k}" for k, x in enumerate(columns, start=1)}
+    return {}
 
 
-def _with_names(table: Table, kind, joints):
-    """Name the columns of a table without names by its file."""
+def _names_of_places(table: Table, kind, joints):
+    """Return names of the columns of a table without names, by its file."""
     count, n = len(table.names), len(joints)
     if kind == "t" and count == 1:
-        return _renamed(table, {"1": "t"})
+        return {"1": "t"}
     stamped = count > 1 and count != n and _names.is_clock(table.values("1"))
     if n not in (0, count - stamped):
         raise ValueError(
@@ -204,16 +197,7 @@ def _with_names(table: Table, kind, joints):
             f"one for each joint of the robot, or {n + 1} with time before them."
         )
     names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
-    return _renamed(table, {"1": "t"} | names if stamped else names)
-
-
-def _renamed(table, names):
-    """Return a table with other names of columns, and currents as such."""
-    units = {names.get(key, key): x for key, x in table.units.items()}
-    if _names.is_current(table.path.stem):
-        units |= {x: "A" for x in names.values() if x not in units and x != "t"}
-    frame = table.frame.rename(columns=names)
-    return replace(table, frame=frame, units=units, nameless=False)
+    return {"1": "t"} | names if stamped else names
 
 
 # -- which rows go together ------------------------------------------------------------
@@ -222,6 +206,7 @@ def _renamed(table, names):
 def _rows(part, base):
     """Return where the rows of the base lie in a file, nan for nowhere; and notes."""
     n, n_base = part.table.n_rows, base.table.n_rows
+    same = np.arange(float(n)), []
     if part.time is None or base.time is None:
         if n != n_base:
             raise ValueError(
@@ -229,11 +214,13 @@ def _rows(part, base):
                 "without time stamps are joined row by row: cut "
                 "both to the same rows, or give each a column t."
             )
-        return np.arange(float(n)), []
+        return same
+    if np.array_equal(*(x.table.values(x.time.column) for x in (part, base))) and not (
+        part.time.nanoseconds
+    ):
+        return same
     t, at = _seconds(part), _seconds(base)
     if t is None or at is None:
-        if np.array_equal(*(x.table.values(x.time.column) for x in (part, base))):
-            return np.arange(float(n)), []
         raise ValueError(
             f"{part.table.path}: has other dates than {base.name}; write the time of "
             "both in seconds."
@@ -246,7 +233,13 @@ def _rows(part, base):
         )
     period = np.median(np.diff(t))
     if n == n_base and np.abs(t - at).max() <= STEADY * period:
-        return np.arange(float(n)), []
+        return same
+    return _interpolated_rows(part, base, t, at, period)
+
+
+def _interpolated_rows(part, base, t, at, period):
+    """Return where times lie between those of a file, nan for nowhere; and notes."""
+    n = t.size
     rows = np.interp(at, t, np.arange(n), left=np.nan, right=np.nan)
     # Stamps that differ by rounding are the same.
     nearest = np.clip(np.searchsorted(t, at - period / 2), 0, n - 1)
@@ -266,7 +259,7 @@ def _rows(part, base):
     how = "rows taken by their stamps."
     if between:
         how = (
-            f"interpolated by straight lines at {between} of the {n_base} stamps of "
+            f"interpolated by straight lines at {between} of the {at.size} stamps of "
             f"{base.name}."
         )
     return rows, [f"{part.name}: {how}"]
@@ -282,16 +275,6 @@ def _seconds(part):
     if part.time.nanoseconds:
         seconds += 1e-9 * part.table.values(part.time.nanoseconds)
     return seconds
-
-
-def _lost(keep, base):
-    """Say how many rows of the base the other files do not have."""
-    lost = base.table.n_rows - keep.size
-    if not lost:
-        return []
-    text = f"{lost} row(s) of {base.name} are not in all files: left out."
-    inside = keep[-1] - keep[0] + 1 - keep.size
-    return [Loss(text) if inside else text]
 
 
 def _at(values, rows):
@@ -324,17 +307,13 @@ def common_folder(paths):
 def concatenated(files, name=None):
     """Return the recording of all files, and what to say of it."""
     _check_agreement(files)
-    _refuse_copies(files)
     notes = notes_of(files)
-    common, left_out, missing = _shared_signals(files)
+    left_out, missing = _signals_left_out(files)
     if missing:
         notes.append(
             f"column(s) {listed(missing)} are not in all files and are left out."
         )
-    recordings = [
-        replace(x.recording, signals={key: x.recording.signals[key] for key in common})
-        for x in files
-    ]
+    recordings = [_without_signals(x.recording, left_out) for x in files]
     dt = median_low([x.dt for x in recordings])
     fields, moved = on_one_grid(recordings, _group_names(files), dt)
     if moved:
@@ -343,10 +322,9 @@ def concatenated(files, name=None):
             f"{listed_paths(paths)}: interpolated to the sample period of the others, "
             f"{dt:.6g} s."
         )
-    first = recordings[0]
     whole = replace(
-        first,
-        name=name or common_folder([x.path for x in files]) or first.name,
+        recordings[0],
+        name=name or common_folder([x.path for x in files]) or recordings[0].name,
         left_out=left_out,
         description=f"Read from {listed([x.path.name for x in files])}.",
         **fields,
@@ -356,25 +334,28 @@ def concatenated(files, name=None):
 
 def notes_of(files):
     """Return the notes of files with their paths before them, equal ones in one."""
-    paths = {}
-    for file in files:
-        for note in file.notes:
-            paths.setdefault((type(note), str(note)), {})[str(file.path)] = None
-    return [kind(f"{listed_paths(of)}: {note}") for (kind, note), of in paths.items()]
+    return list(_with_names([(str(file.path), file.notes) for file in files]))
+
+
+def _with_names(notes):
+    """Yield the notes of files, (name, notes) each, with names; equal ones once."""
+    names: dict[tuple, dict] = {}
+    for name, own in notes:
+        for note in own:
+            names.setdefault((type(note), str(note)), {})[name] = None
+    for (kind, note), of in names.items():
+        yield kind(f"{listed_paths(of)}: {note}")
 
 
 def listed_paths(paths):
     """Name files; of many the first."""
-    shown = [str(path) for path in paths][:_NAMED]
-    more = len(paths) - len(shown)
-    return ", ".join(shown) + (f" and {more} more" if more else "")
-
-
-# -- what must agree -------------------------------------------------------------------
+    shown = [str(path) for path in paths]
+    more = len(shown) - _NAMED
+    return ", ".join(shown[:_NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _check_agreement(files):
-    """Refuse files that cannot be of one robot, or were not recorded alike."""
+    """Refuse files of other robots, that were not recorded alike, or are copies."""
     first, *others = files
     for other in others:
         for one, two in zip(_traits(first), _traits(other)):
@@ -393,15 +374,11 @@ def _check_agreement(files):
             f"differ by {100 * _DT_TOLERANCE:g} % at most: resample one of the files, "
             "or take them one by one."
         )
-
-
-def _refuse_copies(files):
-    """Refuse files with the same motion: their evidence would count twice."""
     for k, file in enumerate(files):
         for other in files[:k]:
-            if np.array_equal(file.recording.q, other.recording.q) and np.array_equal(
-                file.recording.tau, other.recording.tau
-            ):
+            # Their evidence would count twice.
+            a, b = file.recording, other.recording
+            if np.array_equal(a.q, b.q) and np.array_equal(a.tau, b.tau):
                 raise ValueError(
                     f"{file.path} is a copy of {other.path}; leave one of them out."
                 )
@@ -411,8 +388,11 @@ def _traits(file):
     """Yield what must be the same in all files, in words."""
     recording = file.recording
     yield f"the joints {listed(recording.joint_names)}"
-    yield f"positions in {_units(recording.position_units)}"
-    yield f"torques in {_units(file.torque_units)}"
+    for what, units in (
+        ("positions", recording.position_units),
+        ("torques", file.torque_units),
+    ):
+        yield f"{what} in {listed(units[:1] if len(set(units)) == 1 else units)}"
     for what, there in (
         ("velocities", recording.v is not None),
         ("accelerations", "a" in recording.signals),
@@ -421,40 +401,33 @@ def _traits(file):
         yield what if there else f"no {what}"
 
 
-def _units(units):
-    return listed(units[:1] if len(set(units)) == 1 else units)
-
-
-# -- names and signals -----------------------------------------------------------------
-
-
 def _group_names(files):
     """Call recordings after their files, and their own names where there are more."""
     stems = Counter(x.recording.name for x in files)
     names = []
     for file in files:
-        stem = file.recording.name
+        stem, own = file.recording.name, file.recording.group_names
         label = stem if stems[stem] == 1 else str(file.path)
-        own = file.recording.group_names
         # What a file calls "recording" has no name.
         suffixes = [x.removeprefix("recording").strip() for x in own]
-        names += (
-            [label] if len(own) == 1 else [f"{label} {x}".strip() for x in suffixes]
-        )
+        names += [f"{label} {x}".strip() if len(own) > 1 else label for x in suffixes]
     return distinct(names)
 
 
-def _shared_signals(files):
-    """Return names of the signals in all files, and what is wrong with the others."""
-    # The third are the names of those that are missing somewhere.
+def _signals_left_out(files):
+    """Return what is wrong with signals, by name, and which are missing somewhere."""
     left_out, missing = {}, []
     for file in files:
         for key, reason in file.recording.left_out.items():
             left_out.setdefault(key, f"{reason} ({file.path})")
-    names = dict.fromkeys(key for x in files for key in x.recording.signals)
-    for key in [key for key in names if key not in left_out]:
+    for key in dict.fromkeys(key for x in files for key in x.recording.signals):
         without = [x.path for x in files if key not in x.recording.signals]
-        if without:
+        if without and key not in left_out:
             missing.append(key)
             left_out[key] = f"is missing in {listed_paths(without)}"
-    return [key for key in names if key not in left_out], left_out, missing
+    return left_out, missing
+
+
+def _without_signals(recording, names):
+    signals = {key: x for key, x in recording.signals.items() if key not in names}
+    return replace(recording, signals=signals)

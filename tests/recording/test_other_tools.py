@@ -114,7 +114,7 @@ def test_joint_states_without_a_header(tmp_path, urdf):
     same(recording)
     assert recording.joint_names == JOINTS
     assert recording.torque_units == ("N m", "N")
-    assert "written by ros2 topic echo --csv: q = position_0 ... position_1" in said[0]
+    assert "/joint_states as a table: q = position_0 ... position_1" in said[0]
     path.write_text("\n".join(echo(lambda k: JOINTS if k % 2 else JOINTS[::-1])))
     with pytest.raises(ValueError, match="names of the joints change from row to row"):
         read(path)

@@ -107,8 +107,10 @@ def test_parquet(tmp_path):
     assert_same(read_recording(path), columns)
     holes = {**columns, "q2": [None, *columns["q2"][1:]]}
     parquet.write_table(pyarrow.table(holes), path)
-    with pytest.raises(ValueError, match="row 1, column 'q2'"):
-        read_recording(path)
+    with pytest.warns(
+        UserWarning, match="lack a number, the first in row 1, column 'q"
+    ):
+        assert read_recording(path).n_samples == N - 1
 
 
 def test_cells_in_quotes_are_numbers(tmp_path):
@@ -223,9 +225,7 @@ def put(name, row, value):
         ),
         (drop("tau1"), "column 'tau1' is missing beside tau2"),
         (drop("t"), "no column t and no dt; add time stamps"),
-        (put("tau2", 4, "nan"), "line 6, column 'tau2'"),
         (put("tau2", 4, "inf"), "line 6, column 'tau2'"),
-        (put("tau2", 4, ""), "line 6, column 'tau2'"),
         (put("q1", 4, "off"), "'off' in line 6, column 'q1' is not a number"),
         (lambda x: x.update(q_2=x["q2"]), "columns 'q2' and 'q_2' could both be meant"),
         (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
@@ -382,3 +382,51 @@ def test_missing_samples_are_bridged_and_gaps_are_not(csv):
     np.testing.assert_array_equal(np.bincount(recording.groups), [150, 120])
     expected = np.r_[np.arange(150), np.arange(180, 300)] * DT
     np.testing.assert_allclose(recording.q[:, 0], np.sin(2 * expected + 1), atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "nothing", ["", "nan", "NaN", "NA", "N/A", "null", "None", "-"]
+)
+@pytest.mark.parametrize("stamped", [True, False])
+def test_rows_that_lack_a_number_are_no_samples(csv, nothing, stamped):
+    columns = table(n=300)
+    put("tau2", 40, nothing)(columns)
+    put("q1", 90, nothing)(columns)
+    full = table(n=300)
+    if not stamped:
+        del columns["t"]
+    with pytest.warns(
+        UserWarning, match=r"2 row\(s\) lack a number, the first in line"
+    ):
+        recording = read_recording(csv(columns), dt=DT)
+    assert recording.n_samples == 300
+    np.testing.assert_allclose(recording.q[:, 0], full["q1"], atol=1e-5)
+    # A column that lacks more is refused.
+    for row in range(100, 180):
+        put("tau2", row, nothing)(columns)
+    with pytest.raises(ValueError, match="nan or nothing in line"):
+        read_recording(csv(columns), dt=DT)
+
+
+def test_a_logger_that_began_again_makes_two_recordings(csv):
+    columns = table()
+    path = csv(columns)
+    path.write_text(path.read_text() * 2)
+    with pytest.warns(UserWarning, match=f"stand again in line {N + 2}: another"):
+        recording = read_recording(path)
+    assert [rows.stop - rows.start for rows in recording.segments] == [N, N]
+    np.testing.assert_allclose(recording.q[N:, 1], columns["q2"], atol=1e-9)
+
+
+def test_angles_that_wrap_are_continued(csv):
+    columns = table(n=400)
+    turns = {f"q{j}": 3 * columns["t"] + j for j in (1, 2)}
+    wrapped = {name: np.degrees(x) % 360 for name, x in turns.items()}
+    new = {"t": columns["t"]} | {f"{x} [deg]": wrapped[x] for x in wrapped}
+    new |= {name: columns[name] for name in ("tau1", "tau2")}
+    with pytest.warns(UserWarning, match="joint_1, joint_2 jump by whole turns"):
+        recording = read_recording(csv(new))
+    for j in (1, 2):
+        off = recording.q[:, j - 1] - turns[f"q{j}"]
+        np.testing.assert_allclose(off, off[0], atol=1e-8)
+        assert off[0] / (2 * np.pi) == pytest.approx(round(off[0] / (2 * np.pi)))

@@ -132,8 +132,7 @@ def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **kno
 
 def _without_headers(path, frame, notes):
     """Begin another recording where the names stand between rows."""
-    first = frame.iloc[:, -1]
-    if first.dtype != object or not (first == frame.columns[-1]).any():
+    if any(kind.kind in "iuf" for kind in frame.dtypes):
         return frame, notes
     again = (frame == list(frame.columns)).all(axis=1)
     if not again.any():

@@ -271,14 +271,15 @@ def matches(pattern: str, table: Table, kind="") -> list[Match]:
     bare, unit = split_unit(pattern)
     if table.nameless:
         return _in_places(bare, unit, table)
-    if kind and not unit and bare.endswith("{i}"):
-        unit = split_last_part(bare.removesuffix("{i}").rstrip("_"), kind)[1]
+    written = unit
+    if kind and not unit and bare.endswith("_{i}"):
+        unit = split_last_part(bare.removesuffix("_{i}"), kind)[1]
     expression, without = _expression(pattern), _expression(bare)
     found = []
     for name in table.names:
         stripped, own = name_and_unit(table, name)
         match = expression.fullmatch(name) or without.fullmatch(stripped)
-        if match is None or (own and unit and own != unit):
+        if match is None or (own and written and own != written):
             continue
         groups = match.groupdict()
         key = groups.get("joint") or int(groups.get("i", 1))

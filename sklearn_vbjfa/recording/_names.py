@@ -16,6 +16,7 @@ from sklearn_vbjfa.recording._layout import (
     by_names,
     by_preset,
     matches,
+    name_and_unit,
 )
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
@@ -26,7 +27,7 @@ _FASTEST, _SLOWEST = 2e-5, 1.0
 # A clock is this near to a straight line, as a share of what it rises.
 _STRAIGHT = 0.02
 # Words in names that are not recognised, for the offer of a refusal alone.
-_CURRENT = ("current", "curr", "amp", "ampere", "i")
+_CURRENT = ("current", "curr", "cur", "amp", "ampere", "i")
 COMMAND_WORDS = ("target", "cmd", "command", "desired", "des", "ref", "reference")
 COMMAND_WORDS += ("goal", "setpoint", "sp", "action")
 _WORDS = {
@@ -141,7 +142,18 @@ def _distinct(joint_names):
 
 
 def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
-    """Assign columns to channels; refuse what does not fit."""
+    """Assign columns to channels; refuse what does not fit, with an offer."""
+    try:
+        return _laid_out(table, options, robot)
+    except RecordingRefused as error:
+        if error.options or not (options.mapping or options.preset):
+            raise
+        # Without what the user says the file may be read.
+        offer = _without_mapping(table, options, robot)
+        raise RecordingRefused(error.reason, offer) from None
+
+
+def _laid_out(table, options, robot):
     preset, names = options.preset, (*robot.names, *table.joints)
     if preset is not None and options.mapping:
         raise RecordingRefused(
@@ -155,11 +167,7 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
         if options.drive is not None:
             rest = list(by_preset(table, None, *known).values())
             plain = rest[0] if len(rest) == 1 else plain
-        try:
-            return by_mapping(table, options.mapping, plain)
-        except RecordingRefused as error:
-            offer = _without_mapping(table, options, robot)
-            raise RecordingRefused(error.reason, offer) from None
+        return by_mapping(table, options.mapping, plain)
     if table.nameless:
         raise _without_names(table, robot.names)
     if table.joints:
@@ -179,8 +187,7 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
     expected = [f"{x.q} and {x.commands.get(first, x.tau)}" for x in PRESETS[preset]]
     raise RecordingRefused(
         f"{table.path}: does not fit the preset {preset!r}, which expects columns "
-        f"{' or '.join(expected)}; found {listed(table.names)}.",
-        _without_mapping(table, options, robot),
+        f"{' or '.join(expected)}; found {listed(table.names)}."
     )
 
 
@@ -329,7 +336,7 @@ def _works(table, options, robot):
     if any("," in x or "=" in x for x in options.mapping.values()):
         return False
     try:
-        layout = laid_out(table, options, robot)
+        layout = _laid_out(table, options, robot)
         known = replace(robot, names=robot.names or layout.own_joints)
         if _known(layout, options, known)[1]:
             return False
@@ -466,7 +473,10 @@ def _nearest(table, kind, joints):
     wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
     found: dict[tuple, list] = {}
     for pattern, columns in _families(table, joints).items():
-        if _kinds_of_words(pattern) == wanted:
+        unit = name_and_unit(table, next(iter(columns.values())))[1]
+        # A unit tells the kind of what has words of another language.
+        by_unit = {x for x in KINDS if unit and unit_of(x, unit)}
+        if (_kinds_of_words(pattern) or by_unit) == wanted:
             others = len(columns) != (len(joints) or len(columns))
             rank = others, not _MEASURED & set(words(pattern))
             found.setdefault(rank, []).append(pattern)
@@ -512,7 +522,8 @@ def _clocks(table):
     found = [
         name
         for name in table.names
-        if {"time", "stamp", "timestamp", "clock", "t"} & set(words(name))
+        for unit in [unit_of("t", split_unit(name)[1] or name)]
+        if ({"time", "stamp", "timestamp", "clock", "t"} & set(words(name)) or unit)
         and is_clock(table.values(name))
         and usual_step(table.values(name)) != 1
     ]

@@ -83,6 +83,10 @@ def check_cutoff(cutoff, dt, name):
     return value
 
 
+# Fields with a value for each row: columns for each joint, 0 for one in all.
+_WIDTHS = {"tau": 1, "v": 1, "states": 3, "weight": 1, "command": 1, "t": 0}
+
+
 @dataclass(frozen=True, kw_only=True, eq=False, repr=False)
 class Recording:
     """Joint positions and torques of a robot, with metadata.
@@ -195,25 +199,18 @@ class Recording:
     def __post_init__(self):
         if self.dt is not None or self.states is None:
             check_dt(self.dt)
-        q = _finite_array("q", self.q)
-        if q.ndim != 2 or q.size == 0:
+        q = self.q
+        if _finite_array("q", q).ndim != 2 or q.size == 0:
             raise ValueError(
                 f"q must have shape (n_samples, nv), got {q.shape}; for one joint "
                 "use q.reshape(-1, 1)."
             )
         n_samples, nv = q.shape
-        _check_shape("tau", _finite_array("tau", self.tau), (n_samples, nv))
-        for key, width in (
-            ("v", nv),
-            ("states", 3 * nv),
-            ("weight", nv),
-            ("command", nv),
-        ):
+        for key, width in _WIDTHS.items():
             values = getattr(self, key)
-            if values is not None:
-                _check_shape(key, _finite_array(key, values), (n_samples, width))
-        if self.t is not None:
-            _check_shape("t", _finite_array("t", self.t), (n_samples,))
+            if values is not None or key == "tau":
+                shape = (n_samples, width * nv) if width else (n_samples,)
+                _check_shape(key, _finite_array(key, values), shape)
         for key, values in self.signals.items():
             if len(_finite_array(f"signals[{key!r}]", values)) != n_samples:
                 raise ValueError(
@@ -235,6 +232,14 @@ class Recording:
                 "t must not decrease inside a recording, it does after row "
                 f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
             )
+
+    def _rows(self, rows):
+        """Return all that has a value for each row, at some rows, by name."""
+        arrays = {key: getattr(self, key) for key in ("q", *_WIDTHS)}
+        return {
+            **{key: None if x is None else x[rows] for key, x in arrays.items()},
+            "signals": {key: values[rows] for key, values in self.signals.items()},
+        }
 
     def torques(self, delay: float = 0.0) -> np.ndarray:
         """Return the torques if commands act later than assumed in `tau`.
@@ -363,19 +368,11 @@ class Recording:
                 f"Name at least one recording to keep, out of {self.group_names}."
             )
         rows = np.isin(self.groups, labels)
-        names = "t", "v", "states", "weight", "command"
-        optional = {key: getattr(self, key) for key in names}
-        kept: dict[str, Any] = {
-            key: None if x is None else x[rows] for key, x in optional.items()
-        }
         return replace(
             self,
-            q=self.q[rows],
-            tau=self.tau[rows],
-            **kept,
+            **self._rows(rows),
             groups=np.searchsorted(labels, self.groups[rows]),
             group_names=tuple(self.group_names[label] for label in labels),
-            signals={key: values[rows] for key, values in self.signals.items()},
         )
 
     def _label(self, entry: str | int) -> int:
@@ -492,23 +489,22 @@ def take_rows(recording, rows, groups):
     if not isinstance(rows, np.ndarray):
         groups = np.repeat(list(groups), [own.stop - own.start for own in rows])
         rows = np.concatenate([np.arange(own.start, own.stop) for own in rows])
-    optional = recording.t, recording.weight, recording.command, recording.v
-    t, weight, command, v = (None if x is None else x[rows] for x in optional)
-    taken = take_arrays(
+    taken = recording._rows(rows)
+    made = take_arrays(
         recording.inputs[rows],
-        recording.tau[rows],
+        taken["tau"],
         groups,
-        weight,
-        t,
+        taken["weight"],
+        taken["t"],
         dt=recording.dt,
         joint_names=recording.joint_names,
-        signals={name: values[rows] for name, values in recording.signals.items()},
-        command=command,
+        signals=taken["signals"],
+        command=taken["command"],
         feedback=recording.feedback,
     )
-    starts = [int(rows[part.start]) for part in taken.segments]
+    starts = [int(rows[part.start]) for part in made.segments]
     before = tuple(_positions_before(recording, row) for row in starts)
-    return replace(taken, v=v, before=before)
+    return replace(made, v=taken["v"], before=before)
 
 
 def _positions_before(recording, row):

@@ -151,14 +151,21 @@ def test_a_sheet_with_a_row_of_units_text_and_dates(sheet):
     assert recording.dt == pytest.approx(DT)
 
 
-def test_the_first_sheet_with_something_in_it(sheet):
+@pytest.mark.parametrize("first", [[], [["note"], ["recorded on Monday"]]])
+def test_the_first_sheet_with_a_table_in_it(first, sheet):
     columns = table()
-    path = sheet([], rows_of(columns))
+    path = sheet(first, rows_of(columns))
     with pytest.warns(UserWarning, match="sheet 'Sheet1' of 2 was read"):
         assert_same(read_recording(path), columns)
 
 
 # -- MATLAB ----------------------------------------------------------------------------
+
+
+def test_matrices_of_one_column_per_sample(tmp_path):
+    columns, arrays = matrices()
+    np.savez(tmp_path / "arm.npz", **{name: x.T for name, x in arrays.items()})
+    assert_same(read_recording(tmp_path / "arm.npz"), columns)
 
 
 def matrices():
@@ -359,6 +366,19 @@ def test_json_lines(ending, tmp_path):
 
 
 # -- lists within cells, recordings within a list --------------------------------------
+
+
+def test_lists_of_joint_states_as_numpy_writes_them(tmp_path):
+    arrays, columns = matrices()[1], matrices()[0]
+    lines = ["time,name,position,effort"]
+    for t, q, tau in zip(arrays["t"], arrays["q"], arrays["tau"]):
+        lines.append(f"""{t:.6f},"['hip', 'knee']","{list(q)}","{list(tau)}\"""")
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(lines) + "\n")
+    with pytest.warns(UserWarning, match="taken as /joint_states as a table"):
+        recording = read_recording(path)
+    assert_same(recording, columns)
+    assert recording.joint_names == ("hip", "knee")
 
 
 @pytest.mark.parametrize("separator", [",", ", ", " "])

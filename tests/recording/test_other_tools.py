@@ -75,6 +75,16 @@ def test_titles_above_the_names(titles, units, tmp_path):
         read(path)
 
 
+def test_groups_of_columns_stand_above_their_names(tmp_path):
+    path = tmp_path / "arm.csv"
+    path.write_text("\n".join(["Time,Position,,Torque,", "s,A1,A2,A1,A2", *rows()[1:]]))
+    with pytest.raises(RecordingRefused) as caught:
+        read(path)
+    options = caught.value.options
+    assert options == {"columns": "q=Position A{i},tau=Torque A{i}"}
+    same(read(path, **options)[0])
+
+
 # -- an index, no header ---------------------------------------------------------------
 
 

@@ -25,7 +25,9 @@ from sklearn_vbjfa.recording._units import is_unit
 
 # Lines that an instrument may write before the names of its columns.
 LONGEST_PREAMBLE = 100
-LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
+# NumPy writes lists of its numbers as [np.float64(0.1), ...].
+_OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")
+_LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 # float() takes more (1_000, digits of other scripts), which no logger writes.
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
@@ -178,10 +180,12 @@ def _column(table, name, comma):
 
 def _spread(table, name, values):
     """Return a column for each entry of cells that are lists of numbers, else {}."""
-    first = LIST.fullmatch(values[0]) if values.dtype.kind == "O" else None
+    if values.dtype.kind != "O":
+        return {}
+    first = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", values[0]))
     if not first or not all(map(is_number, _entries(first))):
         return {}
-    matches = [LIST.fullmatch(cell) for cell in values]
+    matches = [_LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell)) for cell in values]
     cells = [_entries(match) if match else [] for match in matches]
     if len({len(x) for x in cells}) > 1 or not all(
         is_number(x) for row in cells for x in row

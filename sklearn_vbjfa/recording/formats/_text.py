@@ -20,7 +20,6 @@ from sklearn_vbjfa.recording._table import (
     parsing,
 )
 from sklearn_vbjfa.recording.formats._cells import (
-    LIST,
     LONGEST_PREAMBLE,
     NOTHING,
     check_header,
@@ -377,8 +376,8 @@ def _is_cut(lines, width, separator):
     # are as many as in one of the others.
     last, usual = (_cells(line, separator) for line in (lines[-1], lines[-2]))
     whole = len(last) >= width and bool(last[-1]) >= bool(usual[-1])
-    if LIST.fullmatch(usual[-1]):
-        return not (whole and LIST.fullmatch(last[-1]))
+    if usual[-1].startswith(("[", "(")):
+        return not (whole and last[-1].endswith(("]", ")")))
     decimals = [_decimals(line, separator) for line in lines]
     return not (whole and decimals[-1] >= min(decimals[:-1]))
 

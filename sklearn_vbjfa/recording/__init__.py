@@ -6,8 +6,8 @@ from sklearn_vbjfa import _lazily
 
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
+    from sklearn_vbjfa.recording._columns import ChannelFinding
     from sklearn_vbjfa.recording._drives import CurrentDrive, PDDrive, VoltageDrive
-    from sklearn_vbjfa.recording._findings import ChannelFinding
     from sklearn_vbjfa.recording._reader import read_recording
     from sklearn_vbjfa.recording._recording import Recording
 
@@ -15,11 +15,14 @@ if TYPE_CHECKING:
 # for other rooms.
 _MODULES = {
     "_columns": (
+        "ChannelFinding",
         "OfferedSignals",
         "check_given",
         "check_useful",
         "columns_beside",
         "fault",
+        "in_order",
+        "listed_joints",
         "positions_in_order",
         "signals_for",
         "survey",
@@ -34,7 +37,6 @@ _MODULES = {
         "check_wait",
         "parse_drive",
     ),
-    "_findings": ("ChannelFinding", "in_order", "listed_joints"),
     "_names": ("UNSIGNED",),
     "_presets": ("PRESETS",),
     "_reader": ("read_recording",),

@@ -492,31 +492,30 @@ def _unit_notes(table, layout, options, names, torque_units):
 
 def _what_was_taken(table, layout, options, found, time, torque_units):
     """Yield which columns were taken where their names do not tell it, in one line."""
-
-    def columns(kind, unit=""):
-        first, last = found[kind][0].column, found[kind][-1].column
-        ends = first if first == last else f"{first} ... {last}"
-        return f"{kind} = {_with_unit(ends, unit)}"
-
-    stamps = []
+    taken = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
+    units = {kind: found[kind][0].unit for kind in taken}
+    if len(set(torque_units)) == 1 and "tau" in units:
+        units["tau"] = units["tau"] or torque_units[0]
     if time is not None:
-        unit = options.time_unit or time.unit or "s"
-        stamps.append(f"t = {_with_unit('+'.join(time.columns), unit)}")
-    if layout.what:
-        units = {"tau": torque_units[0]} if len(set(torque_units)) == 1 else {}
-        kinds = [kind for kind in ("q", *options.recorded) if found[kind]]
-        said = [columns(x, found[x][0].unit or units.get(x, "")) for x in kinds]
-        yield f"taken as {layout.what}: {', '.join([*said, *stamps])}."
-        return
+        taken["t"] = ["+".join(time.columns)]
+        units["t"] = options.time_unit or time.unit or "s"
     said = []
-    if not options.mapping:
-        said += stamps if time is not None and time.column not in ("t", "T") else []
-        first = {kind: x[0].column.lower() for kind, x in found.items() if x}
-        if options.drive is not None:
-            kinds = [kind for kind in (*options.recorded, "v") if kind in first]
-            said += [columns(x) for x in kinds if not first[x].startswith(x)]
-        elif first["tau"].startswith(ESTIMATES):
-            said.append(f"{columns('tau')}, which the motors estimate")
+    for kind in (x for x in ("q", *options.recorded, "v", "t") if x in taken):
+        first, last = taken[kind][0], taken[kind][-1]
+        is_estimate = kind == "tau" and first.lower().startswith(ESTIMATES)
+        name = first.lower().replace("τ", "tau")
+        plain = name.startswith(kind) and not is_estimate
+        if kind == "t":
+            plain = first in ("t", "T")
+        if kind != "v" if layout.what else not (plain or options.mapping):
+            ends = first if first == last else f"{first} ... {last}"
+            shown = split_unit(ends)[1] == units[kind] or not units[kind]
+            unit = "" if shown else f" [{units[kind]}]"
+            estimated = ", which the motors estimate" * is_estimate
+            said.append(f"{kind} = {ends}{unit}{estimated}")
+    if layout.what:
+        yield f"taken as {layout.what}: {', '.join(said)}."
+        return
     converted = {
         role.unit
         for kind, roles in found.items()
@@ -527,13 +526,6 @@ def _what_was_taken(table, layout, options, found, time, torque_units):
         said.append(f"converted from {', '.join(sorted(converted))}")
     if said:
         yield f"{'; '.join(said)}."
-
-
-def _with_unit(columns, unit):
-    """Return columns with the unit, unless their names end with it."""
-    if not unit or split_unit(columns)[1] == unit:
-        return columns
-    return f"{columns} [{unit}]"
 
 
 # -- time ------------------------------------------------------------------------------

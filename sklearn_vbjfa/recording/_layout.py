@@ -315,7 +315,8 @@ def _expression(pattern):
 
 def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
-    kinds = {key: (_KEY.fullmatch(key)[1] or key).lower() for key in mapping}
+    known = {key: _KEY.fullmatch(key) for key in mapping}
+    kinds = {key: (x[1] if x and x[1] else key).lower() for key, x in known.items()}
     found = {x: matches(mapping[x], table, kinds[x]) for x in mapping}
     missing = [mapping[key] for key, own in found.items() if not own]
     if missing:

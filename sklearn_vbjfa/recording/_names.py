@@ -28,8 +28,8 @@ _FASTEST, _SLOWEST = 2e-5, 1.0
 _STRAIGHT = 0.02
 # Words in names that are not recognised, for the offer of a refusal alone.
 _CURRENT = ("current", "curr", "cur", "amp", "ampere", "i")
-COMMAND_WORDS = ("target", "cmd", "command", "desired", "des", "ref", "reference")
-COMMAND_WORDS += ("goal", "setpoint", "sp", "action")
+COMMAND_WORDS: tuple[str, ...] = ("target", "cmd", "command", "desired", "des")
+COMMAND_WORDS += ("ref", "reference", "goal", "setpoint", "sp", "action")
 _WORDS = {
     "q": ("q", "pos", "position", "angle", "theta", "encoder"),
     "tau": ("tau", "torque", "trq", "effort", "eff", "moment", "force", "load")

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from sklearn_vbjfa.recording._drives import COMMANDS
-from sklearn_vbjfa.recording._recording import check_dt, labels_of
+from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, labels_of
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -700,14 +700,10 @@ def on_one_grid(recordings, names, dt):
 
 def _segments(labels, n_rows):
     """Return (name, rows) of each run of equal labels, names made unique."""
-    if labels is None:
-        return [("recording", np.arange(n_rows))]
-    borders = np.flatnonzero(labels[1:] != labels[:-1]) + 1
-    runs = np.split(np.arange(n_rows), borders)
-    texts = []
-    for label in labels[[rows[0] for rows in runs]]:
-        is_whole = labels.dtype.kind == "f" and float(label).is_integer()
-        texts.append(str(int(label) if is_whole else label))
+    runs = [np.arange(n_rows)[x] for x in contiguous_groups(labels, n_rows)]
+    texts = ["recording"]
+    if labels is not None:
+        texts = [str(labels[rows[0]]).removesuffix(".0") for rows in runs]
     return list(zip(distinct(texts), runs))
 
 

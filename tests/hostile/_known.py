@@ -50,7 +50,7 @@ TEXTS = {
     "semicolons": (_replaced((",", ";")), "same"),
     "decimal commas": (_replaced((",", ";"), (".", ",")), "same"),
     "row of units": (_units, "same"),
-    "header twice": (_header_twice, "refused", "501"),
+    "header twice": (_header_twice, "read", "names of the columns stand again"),
     "last line cut": (lambda: clean_text()[:-12], "read", "the last line is cut"),
     "header only": (lambda: "t,q1,q2,tau1,tau2\n", "refused", "only a header"),
     "NUL": (lambda: clean_text()[:900] + "\0", "refused", "binary"),
@@ -103,7 +103,7 @@ ARRAYS = {
     "complex": ({"q": lambda x: x + 1j}, "refused", "numbers"),
     "text": ({"q": lambda x: x.astype(str)}, "refused", "numbers"),
     "objects": ({"q": lambda x: x.astype(object)}, "refused", "Python objects"),
-    "transposed": ({"q": np.transpose}, "refused"),
+    "transposed": ({"q": np.transpose}, "same"),
     "three axes": ({"q": lambda x: x[:, :, None]}, "refused", "no positions"),
     "lengths": ({"tau": lambda x: x[:-1]}, "refused", "1599 rows"),
 }

@@ -18,13 +18,9 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import counted, show_progress
-from sklearn_vbjfa.diagnosis import EffectDiscovery
 from sklearn_vbjfa.inspection import levels
-from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
-    OfferedSignals,
-    as_one,
     check_dt,
     expanded,
     read_recording,
@@ -34,7 +30,6 @@ from sklearn_vbjfa.robot._equations import accumulate, build_segments
 from sklearn_vbjfa.robot._estimate import from_moments
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._joint_moments import BlockAssignment
-from sklearn_vbjfa.robot._parallel import run_elsewhere
 from sklearn_vbjfa.robot._plan import (
     MotionFacts,
     make_plan,
@@ -54,16 +49,16 @@ __all__ = ["fit_recordings"]
 _AT_ONCE = 8
 
 
-def fit_recordings(estimator, source):
-    """Identify a robot, or close the loop, from recordings in files, with Dask.
+def fit_recordings(identifier, source):
+    """Identify a robot from recordings in files, with Dask.
 
-    The result is that of the estimator's `fit` on all recordings in memory, one group
+    The result is that of the identifier's `fit` on all recordings in memory, one group
     each, in the order of the files' names, up to rounding.
 
     Parameters
     ----------
-    estimator : RobotIdentifier or EffectDiscovery
-        Identifier with `dt`, or a loop around one; it is fitted in place.
+    identifier : RobotIdentifier
+        Identifier with `dt`; it is fitted in place.
     source : str, os.PathLike or sequence of those
         Folder with tables, bags and LeRobot data sets as `read_recording` reads them,
         or a list of these, under paths that the workers can read. Each holds one
@@ -71,8 +66,8 @@ def fit_recordings(estimator, source):
 
     Returns
     -------
-    estimator : RobotIdentifier or EffectDiscovery
-        The fitted estimator.
+    identifier : RobotIdentifier
+        The fitted identifier.
 
     Raises
     ------
@@ -82,14 +77,14 @@ def fit_recordings(estimator, source):
         If the folder holds no recording.
     ValueError
         If a file cannot be read, has another sample period or number of joints, or
-        changes during the fit, or if settings of an identifier need more than second
-        moments (effects, other regressors).
+        changes during the fit, or if settings need more than second moments (effects,
+        other regressors).
 
     Notes
     -----
     The computation runs where Dask is configured to run: on the cluster of the current
     `distributed.Client`, otherwise in threads. The files are read once for each of five
-    passes; for `EffectDiscovery` this process holds their positions and torques.
+    passes, and a process holds only those that it is working on.
 
     Examples
     --------
@@ -107,18 +102,13 @@ def fit_recordings(estimator, source):
     True
     """
     _import_dask()
-    fits = {RobotIdentifier: _identify, EffectDiscovery: _close_loop}
-    fit = next((fits[kind] for kind in fits if isinstance(estimator, kind)), None)
-    if fit is None:
+    if not isinstance(identifier, RobotIdentifier):
         raise TypeError(
-            "estimator must be a RobotIdentifier or an EffectDiscovery; got "
-            f"{type(estimator).__name__}."
+            f"identifier must be a RobotIdentifier; got {type(identifier).__name__}."
         )
     paths = _paths(source)
-    identifies = fit is _identify
-    verbose = estimator.fit_options.verbose if identifies else estimator.verbose
-    with show_progress(verbose):
-        return fit(estimator, paths)
+    with show_progress(identifier.fit_options.verbose):
+        return _identify(identifier, paths)
 
 
 def _identify(identifier, paths):
@@ -171,17 +161,6 @@ def _choose_states(identifier, every, extents, lengths):
     return choose_states(
         dt, identifier.fit_options.state_cutoff, longest, moving, spectra
     )
-
-
-def _close_loop(discovery, paths):
-    """Fit an `EffectDiscovery` to files that workers read, its fits on workers."""
-    model, dt = discovery.identifier.model, check_dt(discovery.identifier.dt)
-    names = joint_names(load_model(model))
-    read = partial(_read, dt=dt, urdf=_file_of(model), names=names)
-    whole = as_one(list(_counted("reading", read, [(path,) for path in paths])))
-    with run_elsewhere(_on_workers):
-        offered = OfferedSignals(columns=whole.signals)
-        return discovery.fit_recording(whole, offered)
 
 
 def _on_workers(function, tasks):

@@ -15,16 +15,13 @@ pytest.importorskip("distributed")
 import distributed
 
 from sklearn_vbjfa import (
-    EffectDiscovery,
     RobotIdentifier,
     VBJFARegressor,
 )
 from sklearn_vbjfa import distributed as passes
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.distributed import fit_recordings
-from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import FitOptions
-from tests.effects._arms import arm, inverse_dynamics, motion
 from tests.recording._bags import states, write_ros2
 
 FITTED = (
@@ -167,49 +164,6 @@ def test_a_worker_that_dies_changes_nothing(
     assert set(cluster.scheduler_info()["workers"]) != workers
 
 
-# -- the loop
-
-
-@pytest.fixture(scope="module")
-def sprung():
-    """Return an arm of two joints, and recordings of it with a spring on the second."""
-    model, rng = arm("ZY"), np.random.default_rng(0)
-    states = np.concatenate([motion(2, 10.0, seed=k)[1] for k in range(4)])
-    tau = inverse_dynamics(model, states) + 0.01 * rng.normal(size=(len(states), 2))
-    tau[:, 1] += 4.0 * states[:, 1]
-    groups = np.repeat(range(4), len(states) // 4)
-    names = ("joint_1", "joint_2")
-    return model, take_arrays(states[:, :2], tau, groups, dt=0.01, joint_names=names)
-
-
-def loop(model):
-    """Return a loop that looks for one effect on each joint."""
-    identifier = RobotIdentifier(model, dt=0.01, friction=("viscous",))
-    return EffectDiscovery(identifier, effects=["spring"])
-
-
-def assert_same_loop(found, expected):
-    assert [repr(e) for e in found.effects_] == [repr(e) for e in expected.effects_]
-    for name in ("error_before_", "error_after_", "torque_spread_"):
-        assert_allclose(getattr(found, name), getattr(expected, name), rtol=1e-9)
-    values, reference = found.identifier_.theta_, expected.identifier_.theta_
-    assert_allclose(values, reference, rtol=1e-9, atol=1e-9)
-
-
-@pytest.mark.slow
-def test_the_loop_does_not_notice_a_worker_that_dies(
-    monkeypatch, cluster, sprung, tmp_path_factory
-):
-    model, own = sprung
-    expected = loop(model).fit(own.q, own.tau, groups=own.groups)
-    assert [(e.name, e.joint) for e in expected.effects_] == [("spring", 1)]
-    marker = tmp_path_factory.mktemp("killed") / "marker"
-    monkeypatch.setattr(passes, "_alone", dying(passes._alone, marker))
-    found = fit_recordings(loop(model), save(own, tmp_path_factory.mktemp("files")))
-    assert marker.exists()
-    assert_same_loop(found, expected)
-
-
 # -- refusals
 
 
@@ -228,7 +182,7 @@ def test_settings_that_sums_cannot_answer_are_refused(
 
 
 def test_sources_without_recordings_are_refused(recording, folder, tmp_path):
-    with pytest.raises(TypeError, match="RobotIdentifier or an EffectDiscovery"):
+    with pytest.raises(TypeError, match="must be a RobotIdentifier"):
         fit_recordings(VBJFARegressor(), folder)
     with pytest.raises(FileNotFoundError, match="is not a folder"):
         fit_recordings(robot(recording), tmp_path / "elsewhere")
@@ -260,9 +214,8 @@ def test_a_bad_file_is_named(recording, folder, add, as_model):
     if as_model:
         # Workers know the joints of such a model alone.
         identifier.set_params(model=recording.robot_model())
-    for estimator in (identifier, EffectDiscovery(identifier)):
-        with pytest.raises(ValueError, match=r"1b\.npz"):
-            fit_recordings(estimator, folder)
+    with pytest.raises(ValueError, match=r"1b\.npz"):
+        fit_recordings(identifier, folder)
 
 
 def test_a_file_that_changes_between_passes_is_refused(recording, folder, monkeypatch):

@@ -463,10 +463,21 @@ def _of_bodies(robot):
 
 def _corrected(recipe, fit, source, relative):
     """Correct a robot step by step; the last fit, its `ModelValues` and powers."""
-    for _ in range(MOST_CORRECTIONS):
-        robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
-        fit = replace(fit, robot=robot)
-        moments = source.moments(source.segments(robot, tangents=True), robot.plan)
+    # The equations with the derivatives by the values are, without these, those of the
+    # next fit: its load is that of the fit before.
+    robot = fit.robot
+    for number in range(MOST_CORRECTIONS):
+        robot = replace(robot, load_parameters=_known_load(fit.robot))
+        made = source.segments(robot, tangents=True)
+        moments = source.moments(made, robot.plan)
+        if not number:
+            fit = replace(fit, robot=robot)
+        elif from_moments(recipe.regressor):
+            held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
+            plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
+            fit = recipe.of_moments(robot, plain, made=source.segments(robot))
+        else:
+            fit = recipe.of_source(robot, source)
         powers, zeros = _powers(robot, moments), _unneeded_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
@@ -482,10 +493,11 @@ def _corrected(recipe, fit, source, relative):
         )
         if values.stay() or (relative is not None and relative.vague(values).any()):
             break
-        fit = recipe.of_source(_at(robot, values.corrected()), source)
+        robot = _at(fit.robot, values.corrected())
     else:
         tell_unsettled(values)
-    return fit, values, powers
+    robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
+    return replace(fit, robot=robot), values, powers
 
 
 def _common_gain(recipe, fit, relative, values):

@@ -6,7 +6,7 @@ overlap give the same result. Rows may come in blocks, each of which adds to the
 whose window it lies in: regressors a thousand columns wide are never held as a whole.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -69,6 +69,25 @@ def design(dt, cutoff, step=None):
     if step is None:
         step = max(1, int(0.25 / relative))
     return Lowpass(taps=taps / taps.sum(), step=step)
+
+
+# Fewest samples of a filtered row (of which there are four in a period of the cut-off)
+# for what is smooth: more do not change what is below.
+_PER_ROW = 5
+
+
+def stride(lowpass):
+    """Return how many samples apart those may be of what is smooth."""
+    most = lowpass.step // _PER_ROW
+    return max((k for k in range(1, most + 1) if lowpass.step % k == 0), default=1)
+
+
+def coarser(lowpass, every):
+    """Return the same low-pass for every so many of its samples."""
+    if every == 1:
+        return lowpass
+    taps = lowpass.taps[lowpass.half % every :: every]
+    return replace(lowpass, taps=taps / taps.sum(), step=lowpass.step // every)
 
 
 @lru_cache(maxsize=64)

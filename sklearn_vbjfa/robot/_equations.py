@@ -8,8 +8,10 @@ import numpy as np
 from sklearn_vbjfa._core._lowpass import (
     BlockFilter,
     block_length,
+    coarser,
     decimate,
     filter_weight,
+    stride,
 )
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
@@ -30,6 +32,8 @@ from sklearn_vbjfa.robot._spreads import SignalRanges
 _EDGE_PERIODS = 1.0
 # Rows whose states are evaluated together; blocks of regressor matrices are shorter.
 _SPAN_ROWS = 4096
+# Rows of a recording from which on bodies' columns are made of as many as they need.
+_MANY_ROWS = 50_000
 # Rows of the regressor per block of a prediction.
 _BLOCK_ROWS = 256
 # Memory for filtered rows of the regressor.
@@ -263,19 +267,51 @@ class RegressorRows:
         """States of the rows, (n, 3 nv) or `SplineStates`."""
         return self._states
 
-    def spans(self, rows, length):
+    @property
+    def n_rows(self):
+        """Number of rows."""
+        return self._states.shape[0]
+
+    def every(self, some):
+        """Return every so many of the rows."""
+        columns = [(effect, values[::some]) for effect, values in self._columns]
+        states = self._states[:][::some]
+        return RegressorRows(self._features, states, columns, self._rest)
+
+    def spans(self, rows, length, some=1):
         """Yield where blocks of at most `length` rows begin, and their entries."""
+        # Of every so many rows, as which they are counted.
         # States are evaluated, and declared columns made, for many blocks at once. The
         # next block overwrites the entries: their place is in the cache.
         out = np.empty((np.count_nonzero(self._features.support_), length))
-        span = length * max(1, _SPAN_ROWS // length)
+        span = some * length * max(1, _SPAN_ROWS // (some * length))
         for begin in range(rows.start, rows.stop, span):
-            n = min(span, rows.stop - begin)
-            own = self.part(slice(begin, begin + n))
+            own = self.part(slice(begin, min(begin + span, rows.stop))).every(some)
+            n = own.n_rows
             own._declared = own._features.declared(own._states, own._rest)
             for at in range(0, n, length):
                 block = slice(at, min(at + length, n))
-                yield begin - rows.start + at, own.entries(block, out)
+                yield (begin - rows.start) // some + at, own.entries(block, out)
+
+    @property
+    def rough(self):
+        """Entries that are not smooth, friction and effects: their places (k,)."""
+        count = np.count_nonzero(self._features.support_)
+        declared = self._features.declared_places_.ravel()
+        extra = self.used.size - count
+        return np.concatenate([declared, count + np.arange(extra)])
+
+    def rough_spans(self, rows, step=1):
+        """Yield where blocks of rows begin, and their `rough` entries (n, k)."""
+        # Blocks begin at multiples of a step.
+        joints = self.used[self.rough] // self.n_parameters
+        span = step * max(1, _SPAN_ROWS // step)
+        for begin in range(rows.start, rows.stop, span):
+            own = self.part(slice(begin, min(begin + span, rows.stop)))
+            declared = self._features.declared(own._states, self._rest)
+            made = [declared.reshape(-1, own.n_rows).T]
+            made += [values.reshape(own.n_rows, -1) for _, values in own._columns]
+            yield begin - rows.start, self._read(np.concatenate(made, axis=1), joints)
 
     @functools.cached_property
     def joints(self):
@@ -446,6 +482,7 @@ class Segment:
     weight: np.ndarray
     standstill: np.ndarray  # (nv,): speeds at or below which a joint's rows are masked
     edge: int = 0  # rows at each end that are masked
+    every: bool = True  # whether bodies' columns are made of all rows, see `stride`
     # gains (2, nv) by which the torque was made of the positions and their slopes
     feedback: np.ndarray | None = None
     number: int = 0
@@ -548,13 +585,43 @@ class Segment:
         """Yield the first of some filtered rows, entries and their difference."""
         # Entries (n, n_entries) may be overwritten by the next ones.
         count = lowpass.centres(self.n_rows, outputs).size
-        for first, made in _filter_rows(self._made, seen, lowpass, count):
+        some = 1 if self.every else stride(lowpass)
+        for first, made in _filter_rows(self._made, seen, lowpass, count, some):
             if self.halves is None:
                 yield first, made[0], None
                 continue
             even, odd = made[-2:]
             mean = 0.5 * (even + odd) if self.rows is None else made[0]
             yield first, mean, even - odd
+
+    def predicted(self, lowpasses, theta):
+        """Torques (m, nv) of parameters (p,) behind several low-passes, a list."""
+        if self.every:
+            whole = self.rows.predict(theta)
+            return [decimate(lowpass, whole) for lowpass in lowpasses]
+        rows, bodies = self.rows, theta.copy()
+        joint, parameter = divmod(rows.used[rows.rough], rows.n_parameters)
+        bodies[parameter] = 0.0
+        slopes = np.zeros((joint.size, rows.n_joints))
+        slopes[np.arange(joint.size), joint] = theta[parameter]
+        every = slice(0, self.n_rows)
+        rough = [entries @ slopes for _, entries in rows.rough_spans(every)]
+        rough = np.concatenate(rough)
+        return [
+            decimate(lowpass, rough) + self._smooth(lowpass, bodies)
+            for lowpass in lowpasses
+        ]
+
+    def _smooth(self, lowpass, theta):
+        """Torques (m, nv) of bodies behind a low-pass, made of no more than it asks."""
+        some, n = stride(lowpass), self.n_rows
+        span = some * _SPAN_ROWS
+        parts = [
+            self.rows.part(slice(at, min(at + span, n))).every(some).predict(theta)
+            for at in range(lowpass.half % some, n, span)
+        ]
+        made = decimate(coarser(lowpass, some), np.concatenate(parts))
+        return made[: lowpass.centres(n).size]
 
     def loads(self, lowpass, torques):
         """Range of the loads in filtered rows with weight, `SignalRanges`."""
@@ -577,18 +644,28 @@ def derivative(states, rows, order):
     return states[rows, order * nv : (order + 1) * nv]
 
 
-def _filter_rows(made, seen, lowpass, count):
+def _filter_rows(made, seen, lowpass, count, some=1):
     """Yield the first of some filtered rows, and each regressor's (n, n_entries)."""
-    length = block_length(lowpass, 8 * made[0].used.size)
+    # Of every so many rows, but for what is not smooth.
+    smooth, coarse = seen, coarser(lowpass, some)
+    if some > 1:
+        smooth = slice(seen.start + lowpass.half % some, seen.stop)
+    length = block_length(coarse, 8 * made[0].used.size)
     if lowpass.half == 0 and lowpass.step == 1:
         # Nothing is added up, and nothing has to be kept.
         for several in zip(*[rows.spans(seen, length) for rows in made]):
             yield several[0][0], [entries.T for _, entries in several]
         return
-    filters = [BlockFilter(lowpass, count, rows.used.size) for rows in made]
+    filters = [BlockFilter(coarse, count, rows.used.size) for rows in made]
     for into, rows in zip(filters, made):
-        for at, entries in rows.spans(seen, length):
+        for at, entries in rows.spans(smooth, length, some):
             into.add(at, entries.T)
+        if some > 1:
+            places = rows.rough
+            rough = BlockFilter(lowpass, count, places.size)
+            for at, entries in rows.rough_spans(seen, lowpass.step):
+                rough.add(at, entries)
+            into.outputs[:, places] = rough.outputs
     yield 0, [into.outputs for into in filters]
 
 
@@ -636,6 +713,7 @@ def build_segments(
             weight=weight[part],
             standstill=plan.masked,
             edge=edge_rows(part.stop - part.start, plan.state_estimator),
+            every=recording.n_samples <= _MANY_ROWS,
             feedback=recording.feedback,
             number=first + i,
         )
@@ -791,14 +869,15 @@ def compare(segments, lowpasses, theta):
     # of each joint instead of all columns of the regressor. None predicts no torque.
     found = [[] for _ in lowpasses]
     for own in segments:
-        torques = [np.asarray(own.torque)]
-        torques.append(0 * torques[0] if theta is None else own.rows.predict(theta))
-        every = slice(None)
+        torque, every = np.asarray(own.torque), slice(None)
         counts = own.counts(every, derivative(own.states, every, 1))
-        for lowpass, pieces in zip(lowpasses, found):
+        measured = [decimate(lowpass, torque) for lowpass in lowpasses]
+        torques = [0 * tau for tau in measured]
+        if theta is not None:
+            torques = own.predicted(lowpasses, theta)
+        for lowpass, tau, made, pieces in zip(lowpasses, measured, torques, found):
             rows = own.first + lowpass.centres(own.n_rows)
-            weight = filter_weight(lowpass, counts)
-            pieces.append((rows, *(decimate(lowpass, x) for x in torques), weight))
+            pieces.append((rows, tau, made, filter_weight(lowpass, counts)))
     return [_joined(pieces) for pieces in found]
 
 

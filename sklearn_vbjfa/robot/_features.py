@@ -275,11 +275,16 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         if out is None or out.shape != shape:
             out = np.empty(shape)
         self._regressor.entries(q, v, a, self._places[:, :, :10], out)
-        diagonal = np.arange(nv)
         if declared is None:
             declared = self.declared(X, rest)
-        out[self._places[diagonal, diagonal, 10:]] = declared
+        out[self.declared_places_] = declared
         return out
+
+    @property
+    def declared_places_(self):
+        """Entries of friction among those of `support_`, (nv, n_friction)."""
+        diagonal = np.arange(self.n_joints_)
+        return self._places[diagonal, diagonal, 10:]
 
     def torques(self, q, v, a, inertial):
         """Rigid-body torques (n, nv) of bodies (nv, 10), without friction."""

@@ -13,7 +13,10 @@ pin = pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
 from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions  # noqa: E402
+from sklearn_vbjfa.robot import (
+    FitOptions,
+    _equations,
+)
 from tests.model._robots import random_tree  # noqa: E402
 from tests.simulation._machines import wheel  # noqa: E402
 
@@ -363,3 +366,19 @@ def test_torque_noise_is_what_passes_the_low_pass(simulated):
     robot.fit(simulated.q, simulated.tau, groups=simulated.groups)
     expected = noise * np.sqrt(2 * cutoff * simulated.dt)
     np.testing.assert_allclose(robot.torque_noise_, expected, rtol=0.06)
+
+
+def test_bodies_of_fewer_rows_are_nearly_those_of_all(monkeypatch):
+    recording = make_robot_recording(duration=20.0, dt=0.002, random_state=0)
+    robot = RobotIdentifier(recording.robot_model(), dt=recording.dt)
+    every = clone(robot).fit(recording.q, recording.tau)
+    monkeypatch.setattr(_equations, "_MANY_ROWS", 1000)
+    fewer = clone(robot).fit(recording.q, recording.tau)
+    told = every.theta_std_ > 0
+    away = np.abs(fewer.theta_ - every.theta_)[told] / every.theta_std_[told]
+    assert 0 < away.max() < 0.5
+    one, other = (
+        known.residuals(recording.q, recording.tau).predicted
+        for known in (fewer, every)
+    )
+    np.testing.assert_allclose(one, other, rtol=0, atol=2e-3 * other.std(axis=0).min())

@@ -9,6 +9,7 @@ from scipy import linalg
 from sklearn.base import clone
 
 from sklearn_vbjfa._core import _lowpass
+from sklearn_vbjfa._core._lowpass import coarser, stride
 from sklearn_vbjfa.diagnosis.search._blocks import (
     correlation_time,
     make_blocks,
@@ -17,25 +18,15 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
 from sklearn_vbjfa.recording import check_clock
 from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 
-# Most samples that are looked at, and the fewest for each filtered row (of which there
-# are four in a period of the cut-off): more do not change what is below that.
-_SAMPLES, _PER_ROW = 50_000, 5
+# Most samples that are looked at.
+_SAMPLES = 50_000
 # A stretch is so many times longer than the low-pass, which takes its ends.
 _LENGTHS = 30
 
 
-def stride(lowpass):
-    """Return which samples are looked at: all (1), or every so many."""
-    most = lowpass.step // _PER_ROW
-    return max((k for k in range(1, most + 1) if lowpass.step % k == 0), default=1)
-
-
-def coarser(lowpass, every):
-    """Return the same low-pass for every so many of its samples."""
-    if every == 1:
-        return lowpass
-    taps = lowpass.taps[lowpass.half % every :: every]
-    return replace(lowpass, taps=taps / taps.sum(), step=lowpass.step // every)
+def _stride(n, lowpass):
+    """Return which samples of n are looked at: all (1), or every so many."""
+    return 1 if n <= _SAMPLES else stride(lowpass)
 
 
 def coarser_rows(parts, lowpass, every):
@@ -60,7 +51,7 @@ def coarser_rows(parts, lowpass, every):
 
 def share_of(n, lowpass):
     """Share of n samples that the search looks at, every so many left aside."""
-    return min(1.0, _SAMPLES * stride(lowpass) / n)
+    return min(1.0, _SAMPLES * _stride(n, lowpass) / n)
 
 
 def stretches(parts, moving, lowpass):
@@ -132,9 +123,9 @@ class RecordingView:
     # Nothing of it changes once it is made. robot: fitted to the recording with the
     # declared model; leave_out: joints whose channel carries no information; begins:
     # when recordings begin [s], if their first rows are not among these; all_samples:
-    # whether none is left aside.
-    # Samples of which effects' columns are made, rows of the recording, all or every so
-    # many (`stride`): states (n, 3 nv), their clock (n,) [s] or
+    # whether none of a long one is left aside.
+    # Samples of which effects' columns are made, all rows of the recording or, of a
+    # long one, every so many (`stride`): states (n, 3 nv), their clock (n,) [s] or
     # None, signals (n,) by name, dt [s], and parts, recordings or pieces of them,
     # across whose borders nothing is remembered.
     # Filtered: index (m,), sample at the middle of each row, and recorded (m,), that
@@ -236,7 +227,7 @@ class RecordingView:
     def _set_samples(self, all_samples):
         """Take the samples of which columns are made."""
         recording, states = self._given
-        every = 1 if all_samples else stride(self._lowpass)
+        every = 1 if all_samples else _stride(recording.n_samples, self._lowpass)
         rows, self.parts = coarser_rows(recording.segments, self._lowpass, every)
         t = recording.t
         self.states, self.clock = states[rows], None if t is None else t[rows]

@@ -6,7 +6,7 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
-from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel
+from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel, in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import import_pinocchio
@@ -145,7 +145,7 @@ def put_together(view, motion, branches, found):
             for one in (_on_robot(finding, branch) for finding in own.findings)
             if one.effect.key() not in known
         ]
-    findings.sort(key=lambda one: bool(one.warning))
+    findings = in_order(findings)
     first = found[0]
     return Found(
         model=FoundModel(
@@ -154,7 +154,7 @@ def put_together(view, motion, branches, found):
             motion=motion,
             residual=residual,
         ),
-        findings=tuple(findings),
+        findings=findings,
         n_candidates=sum(own.n_candidates for own in found),
         needed=first.needed,
         settings=first.settings,

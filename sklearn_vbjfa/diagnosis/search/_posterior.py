@@ -189,7 +189,6 @@ def search(view, library, settings, alpha, max_effects=None):
                 warning=warning,
             )
         )
-    order = sorted(range(len(findings)), key=lambda i: bool(findings[i].warning))
     model = FoundModel(
         view=path.view,
         effects=tuple(m.effect.completed(path.motion) for m in fit.members),
@@ -202,12 +201,17 @@ def search(view, library, settings, alpha, max_effects=None):
     )
     return Found(
         model=model,
-        findings=tuple(findings[i] for i in order),
+        findings=in_order(findings),
         n_candidates=path.n_candidates,
         needed=needed,
         settings=settings,
         library=tuple(library),
     )
+
+
+def in_order(findings):
+    """Sort findings: names first, and those that save the most before others."""
+    return tuple(sorted(findings, key=lambda f: (bool(f.warning), -f.evidence.gain)))
 
 
 def _settled(path, fit):

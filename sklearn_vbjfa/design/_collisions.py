@@ -3,19 +3,18 @@
 The gradient of a distance follows from the points where two shapes are nearest and from
 the normal between them: shapes move rigidly, and to first order the points may be held
 on them. That fails only where the nearest points jump, as between parallel faces.
-Balls around the shapes give lower bounds for many pairs at once.
+Balls around the shapes give lower bounds.
 """
 
 import os
 from dataclasses import dataclass
-from itertools import combinations
 
 import numpy as np
 
 from sklearn_vbjfa.model import (
-    JointPoses,
     NoShapes,
     import_coal,
+    import_pinocchio,
     load_model,
     load_shapes,
     position_range,
@@ -30,8 +29,6 @@ _FLUSH = 0.01
 # normals of round shapes are wrong by its root. Of penetrating cylinders the default
 # stays: the search there breaks down where it is made finer.
 _GAP = 1e-10
-# Distances that are found at once in the search for the smallest.
-_BATCH = 256
 
 
 @dataclass(frozen=True)
@@ -54,11 +51,6 @@ class Approach:
     second: str
     distance: float  # signed [m]
 
-    @property
-    def depth(self):
-        """How deep one is in the other [m], 0 where they are apart."""
-        return max(0.0, -self.distance)
-
 
 class Clearance:
     """Distances between the links of a robot that may meet."""
@@ -69,35 +61,27 @@ class Clearance:
     # stands around the robot is not known. pairs, ignored: links that are looked at
     # (once for each two shapes), and those that overlap; near: distance [m] up to which
     # distances are exact by default, the thickness of a typical link, which is how far
-    # ahead a motion has to turn aside; at_once: pairs times rows in memory.
+    # ahead a motion has to turn aside.
 
-    at_once = 200_000
-
-    def __init__(self, model, shapes, margin=0.0):
-        self._coal = import_coal()
-        self._poses = JointPoses(model)
-        self._shapes = shapes.shapes
-        self._bodies = np.array([shape.joint for shape in self._shapes])
-        self._axes = np.array([shape.axes for shape in self._shapes])
-        self._origins = np.array([shape.origin for shape in self._shapes])
-        boxes = [shape.geometry.aabb_local for shape in self._shapes]
-        ends = np.array([[box.min_, box.max_] for box in boxes]).reshape(-1, 2, 3)
-        halves = 0.5 * (ends[:, 1] - ends[:, 0])
-        middles = np.einsum("nij,nj->ni", self._axes, ends.mean(axis=1))
-        self._centres = middles + self._origins
-        self._radii = np.linalg.norm(halves, axis=1)
-        self.near = float(np.median(halves.min(axis=1)))
-        candidates = [
-            (i, j)
-            for i, j in combinations(range(len(self._shapes)), 2)
-            if self._bodies[i] != self._bodies[j] and not shapes.neighbours[i, j]
-        ]
-        self._look_at(candidates)
-        share = self._share_within(model, max(margin, _FLUSH * self.near))
-        self.ignored = tuple(
-            dict.fromkeys(pair for pair, often in zip(self.pairs, share) if often > 0.5)
+    def __init__(self, model, geometry, margin=0.0):
+        self._pin, self._model, self._data = (
+            import_pinocchio(),
+            model,
+            model.createData(),
         )
-        self._look_at([x for x, often in zip(candidates, share) if often <= 0.5])
+        self._geometry, self._coal = geometry, import_coal()
+        self._placed = geometry.createData()
+        shapes = geometry.geometryObjects
+        boxes = [shape.geometry.aabb_local for shape in shapes]
+        ends = np.array([[box.min_, box.max_] for box in boxes])
+        halves = 0.5 * (ends[:, 1] - ends[:, 0])
+        self._middles, self._radii = ends.mean(axis=1), np.linalg.norm(halves, axis=1)
+        self.near = float(np.median(halves.min(axis=1)))
+        self._look_at([(pair.first, pair.second) for pair in geometry.collisionPairs])
+        often = self._share_within(max(margin, _FLUSH * self.near)) > 0.5
+        overlap = [pair for pair, drawn in zip(self.pairs, often) if drawn]
+        self.ignored = tuple(dict.fromkeys(overlap))
+        self._look_at([x for x, drawn in zip(self._shapes, often) if not drawn])
 
     @classmethod
     def of(cls, robot, *, model=None, package_dirs=(), margin=0.0):
@@ -122,31 +106,29 @@ class Clearance:
         # this.
         q = self._positions(q)
         within = self.near if within is None else within
-        poses = self._poses(q)
-        distance = self._bounds(poses)
-        exact = distance <= within
+        distance = np.empty((len(q), len(self.pairs)))
         gradient = np.zeros((*distance.shape, q.shape[1]))
-        rows, pairs = np.nonzero(exact)
-        found = self._nearest_points(poses, rows, pairs)
-        distance[rows, pairs] = found.distance
-        gradient[rows, pairs] = self._gradients(poses, rows, pairs, found)
+        exact = np.zeros(distance.shape, dtype=bool)
+        for row, x in enumerate(q):
+            distance[row] = self._place(x)
+            exact[row] = distance[row] <= within
+            for k in np.flatnonzero(exact[row]):
+                found = self._measure(k)
+                distance[row, k] = found.min_distance
+                gradient[row, k] = self._gradient(k, found)
         return Distances(distance, gradient, exact)
 
     def nearest(self, q):
         """Return where two links are nearest, or deepest in each other, or None."""
         best, where = np.inf, None
-        for start, poses in self._pieces(q):
-            bounds = self._bounds(poses)
-            order = np.argsort(bounds, axis=None)
-            for batch in np.array_split(order, np.arange(_BATCH, len(order), _BATCH)):
-                rows, pairs = np.unravel_index(batch, bounds.shape)
-                if len(batch) == 0 or bounds[rows[0], pairs[0]] >= best:
+        for row, x in enumerate(self._positions(q)):
+            bounds = self._place(x)
+            for k in np.argsort(bounds):
+                if bounds[k] >= best:
                     break
-                found = self._nearest_points(poses, rows, pairs).distance
-                k = found.argmin()
-                if found[k] < best:
-                    best = float(found[k])
-                    where = (start + int(rows[k]), *self.pairs[pairs[k]])
+                distance = self._measure(k).min_distance
+                if distance < best:
+                    best, where = float(distance), (row, *self.pairs[k])
         return None if where is None else Approach(*where, best)
 
     def smallest(self, q):
@@ -154,102 +136,68 @@ class Clearance:
         nearest = self.nearest(q)
         return np.inf if nearest is None else nearest.distance
 
-    def _look_at(self, candidates):
+    def _look_at(self, shapes):
         """Take pairs of numbers of shapes as those that are looked at."""
-        numbers = np.array(candidates, dtype=int).reshape(-1, 2)
-        self._first, self._second = numbers.T
-        shapes, distance = self._shapes, self._coal.ComputeDistance
-        self.pairs = tuple((shapes[i].link, shapes[j].link) for i, j in candidates)
-        self._compute = [
-            distance(shapes[i].geometry, shapes[j].geometry) for i, j in candidates
-        ]
-        self._requests = [self._request(shapes[i], shapes[j]) for i, j in candidates]
-        # Joints that carry the one and not the other change their distance.
-        carries = self._poses.carries.astype(float)
-        first, second = self._bodies[self._first], self._bodies[self._second]
-        self._moves = carries[second] - carries[first]
+        self._shapes, objects = shapes, self._geometry.geometryObjects
+        self._first, self._second = np.array(shapes, dtype=int).reshape(-1, 2).T
+        frames = self._model.frames
+        links = [frames[shape.parentFrame].name for shape in objects]
+        self.pairs = tuple((links[i], links[j]) for i, j in shapes)
+        self._compute = []
+        for i, j in shapes:
+            first, second = objects[i].geometry, objects[j].geometry
+            request, cylinder = self._coal.DistanceRequest(), self._coal.Cylinder
+            request.gjk_tolerance = _GAP
+            if not (isinstance(first, cylinder) or isinstance(second, cylinder)):
+                request.epa_tolerance = _GAP
+            self._compute.append((self._coal.ComputeDistance(first, second), request))
 
-    def _request(self, first, second):
-        """How finely coal looks for the nearest points of two shapes."""
-        request, cylinder = self._coal.DistanceRequest(), self._coal.Cylinder
-        request.gjk_tolerance = _GAP
-        if not any(isinstance(x.geometry, cylinder) for x in (first, second)):
-            request.epa_tolerance = _GAP
-        return request
-
-    def _share_within(self, model, margin):
+    def _share_within(self, margin):
         """In which share of the positions a robot can take each pair is that near."""
-        lower, upper = position_range(model)
-        random = np.random.default_rng(0).random((_SAMPLES, model.nv))
+        lower, upper = position_range(self._model)
+        random = np.random.default_rng(0).random((_SAMPLES, self._model.nv))
         neutral = np.clip(0.0, lower, upper)
         q = np.vstack([neutral, lower + (upper - lower) * random])
-        count = np.zeros(len(self.pairs))
-        for _, poses in self._pieces(q):
-            rows, pairs = np.nonzero(self._bounds(poses) < margin)
-            touch = self._nearest_points(poses, rows, pairs).distance < margin
-            count += np.bincount(pairs[touch], minlength=len(count))
-        return count / len(q)
+        return (self(q, margin).distance < margin).mean(axis=0)
 
     def _positions(self, q):
         """Check positions (n, nv)."""
-        q, nv = np.asarray(q, dtype=float), self._poses.carries.shape[1]
+        q, nv = np.asarray(q, dtype=float), self._model.nv
         if q.ndim != 2 or q.shape[1] != nv:
             raise ValueError(f"q must have the shape (n, {nv}), got {q.shape}.")
         if not np.isfinite(q).all():
             raise ValueError("q has entries that are not finite.")
         return q
 
-    def _pieces(self, q):
-        """Yield number of the first row and poses, of pieces of a motion."""
-        q = self._positions(q)
-        step = max(1, self.at_once // max(1, len(self.pairs)))
-        for start in range(0, len(q), step):
-            yield start, self._poses(q[start : start + step])
-
-    def _bounds(self, poses):
-        """Lower bounds of the distances (n, n_pairs), of balls around the shapes."""
-        turned = np.einsum("nbij,bj->nbi", poses.axes[:, self._bodies], self._centres)
-        centres = turned + poses.origins[:, self._bodies]
-        way = centres[:, self._first] - centres[:, self._second]
-        apart = np.linalg.norm(way, axis=-1)
+    def _place(self, q):
+        """Place the shapes; return bounds of the distances (n_pairs,), of balls."""
+        self._pin.computeJointJacobians(self._model, self._data, q)
+        self._pin.updateGeometryPlacements(
+            self._model, self._data, self._geometry, self._placed
+        )
+        places = zip(self._placed.oMg, self._middles)
+        centres = np.array([place.act(middle) for place, middle in places])
+        apart = np.linalg.norm(centres[self._first] - centres[self._second], axis=1)
         return apart - self._radii[self._first] - self._radii[self._second]
 
-    def _nearest_points(self, poses, rows, pairs):
-        """Have coal find where pairs of shapes are nearest, one by one."""
-        frame, distance = self._coal.Transform3s, np.empty(len(rows))
-        normal, point = np.empty((2, len(rows), 3))
-        axes, origins = [], []
-        for shapes in (self._first[pairs], self._second[pairs]):
-            carrier = poses.axes[rows, self._bodies[shapes]]
-            axes.append(carrier @ self._axes[shapes])
-            moved = np.einsum("nij,nj->ni", carrier, self._origins[shapes])
-            origins.append(moved + poses.origins[rows, self._bodies[shapes]])
-        result = self._coal.DistanceResult()
-        for k, pair in enumerate(pairs):
-            result.clear()
-            distance[k] = self._compute[pair](
-                frame(axes[0][k], origins[0][k]),
-                frame(axes[1][k], origins[1][k]),
-                self._requests[pair],
-                result,
-            )
-            normal[k], point[k] = result.normal, result.getNearestPoint1()
-        return _Nearest(distance, normal, point)
+    def _measure(self, pair):
+        """Have coal find where two shapes are nearest."""
+        # Not by Pinocchio, which begins where the nearest points were before.
+        places = [self._placed.oMg[shape] for shape in self._shapes[pair]]
+        frame, result = self._coal.Transform3s, self._coal.DistanceResult()
+        compute, request = self._compute[pair]
+        compute(*(frame(x.rotation, x.translation) for x in places), request, result)
+        return result
 
-    def _gradients(self, poses, rows, pairs, found):
-        """Return derivatives of distances by the positions, (k, nv)."""
-        # A joint that carries a body moves its nearest point p by (linear + angular x
-        # p). Both nearest points lie on the normal, so that either stands for both.
-        lever = np.cross(found.point, found.normal)
-        along = np.einsum("kji,ki->kj", poses.linear[rows], found.normal)
-        along += np.einsum("kji,ki->kj", poses.angular[rows], lever)
-        return self._moves[pairs] * along
-
-
-@dataclass(frozen=True)
-class _Nearest:
-    """Distances (k,), normals (k, 3) from first to second, points (k, 3) on first."""
-
-    distance: np.ndarray
-    normal: np.ndarray
-    point: np.ndarray
+    def _gradient(self, pair, found):
+        """Return the derivatives of a distance by the positions, (nv,)."""
+        # Both nearest points lie on the normal, so that either stands for both.
+        moves = np.zeros((6, self._model.nv))
+        for sign, shape in zip((-1, 1), self._shapes[pair]):
+            joint = self._geometry.geometryObjects[shape].parentJoint
+            if joint:
+                moves += sign * self._pin.getJointJacobian(
+                    self._model, self._data, joint, self._pin.WORLD
+                )
+        lever = np.cross(found.getNearestPoint1(), found.normal)
+        return found.normal @ moves[:3] + lever @ moves[3:]

@@ -33,7 +33,7 @@ _RIDGE, _LEAST = 1e-9, 1e-9
 BALANCE, _POWER = 2.0, 6.0
 # Motions are kept this far inside the limits while they are improved: between samples
 # they go a little further, and a margin is to be left.
-INSIDE = 0.95
+INSIDE = 0.98
 # Rounds of multipliers, steps in each, and the factor between penalties.
 _ROUNDS, _STEPS, _HARDER = 7, 45, 3.0
 # By how much a motion is made smaller, step by step.

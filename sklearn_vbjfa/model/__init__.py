@@ -19,7 +19,7 @@ _MODULES = {
     ),
     "_mjcf": ("FollowingJoint", "JointDynamics", "Tendon", "write_mjcf"),
     "_regressor": ("TreeRegressor", "rounding_entries"),
-    "_shapes": ("JointPoses", "NoShapes", "import_coal", "load_shapes"),
+    "_shapes": ("NoShapes", "import_coal", "load_shapes"),
     "_trees": (
         "body_names",
         "describe",

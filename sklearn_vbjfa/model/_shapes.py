@@ -6,13 +6,12 @@ optimiser can follow, in penetration too, and they are quick.
 
 import re
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
-from sklearn_vbjfa.model._corrected import links_of
-from sklearn_vbjfa.model._trees import describe, import_pinocchio
+from sklearn_vbjfa.model._trees import import_pinocchio
 from sklearn_vbjfa.model._xml import parse_description
 
 # Prefixes after which a package's name and a path in it follow.
@@ -23,29 +22,6 @@ _SIZES = ("radius", "halfLength", "halfSide")
 
 class NoShapes(ValueError):
     """A robot has no shapes whose distances can be taken; the message says why."""
-
-
-@dataclass(frozen=True)
-class CollisionShape:
-    """A convex shape on a body of the robot."""
-
-    link: str  # link of the URDF that it belongs to
-    joint: int  # number of the body that carries it; 0 is the base
-    # (3, 3): its place in the frame of that body; directions by columns, [m]
-    axes: np.ndarray
-    origin: np.ndarray
-    # box, sphere, capsule, cylinder or convex polyhedron, in its own frame
-    geometry: object
-
-
-@dataclass(frozen=True)
-class RobotShapes:
-    """The shapes of a robot, and which of them are neighbours."""
-
-    shapes: tuple  # in the order of the URDF
-    # (n_shapes, n_shapes): links fixed together, or with one joint of the description
-    # between them
-    neighbours: np.ndarray
 
 
 def import_coal():
@@ -63,7 +39,11 @@ def import_coal():
 
 
 def load_shapes(path, model, package_dirs=()):
-    """Read the collision shapes of a URDF onto the bodies of a model."""
+    """Read the collision shapes of a URDF as convex shapes on the bodies of a model.
+
+    Returns a pinocchio.GeometryModel, whose collision pairs are those of links that are
+    not next to each other.
+    """
     # NoShapes where there are none. What held joints carry is where the model has it.
     # Packages of meshes are looked for in package_dirs, in the folder of the URDF and
     # in its parents.
@@ -79,18 +59,21 @@ def load_shapes(path, model, package_dirs=()):
         )
     _find_meshes(tree, path, package_dirs)
     geometry = _build(pin, tree, path, model)
-    read = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    shapes = geometry.geometryObjects
+    read = [model.frames[x.parentFrame].name for x in shapes]
     unread = [name for name in links if links.count(name) > read.count(name)]
     if unread:
         raise NoShapes(
             f"Pinocchio cannot read the collision geometry of link {unread[0]!r} in "
             f"{path.name!r}; correct its <collision>."
         )
-    shapes = tuple(
-        _shape(coal, found, link, path)
-        for found, link in zip(geometry.geometryObjects, read)
-    )
-    return RobotShapes(shapes, _neighbours(tree, read))
+    for shape, link in zip(shapes, read):
+        shape.geometry = _convex(coal, shape, link, path)
+    near = _neighbours(tree, read)
+    for i, j in combinations(range(len(shapes)), 2):
+        if shapes[i].parentJoint != shapes[j].parentJoint and not near(i, j):
+            geometry.addCollisionPair(pin.CollisionPair(i, j))
+    return geometry
 
 
 def _links_with_shapes(tree, path):
@@ -156,11 +139,11 @@ def _build(pin, tree, path, model):
         ) from error
 
 
-def _shape(coal, found, link, path):
-    """Return the `CollisionShape` of a pinocchio.GeometryObject."""
-    geometry = found.geometry
+def _convex(coal, shape, link, path):
+    """Return the geometry of a pinocchio.GeometryObject, a hull of a mesh."""
+    geometry = shape.geometry
     if isinstance(geometry, coal.BVHModelBase):
-        geometry = _hull(coal, np.array(geometry.vertices()), found.meshPath)
+        geometry = _hull(coal, np.array(geometry.vertices()), shape.meshPath)
     sizes = [getattr(geometry, size, 0.0) for size in _SIZES]
     if any(np.min(size) < 0 for size in sizes):
         raise NoShapes(
@@ -168,13 +151,7 @@ def _shape(coal, found, link, path):
             "size."
         )
     geometry.computeLocalAABB()
-    return CollisionShape(
-        link=link,
-        joint=found.parentJoint,
-        axes=found.placement.rotation.copy(),
-        origin=found.placement.translation.copy(),
-        geometry=geometry,
-    )
+    return geometry
 
 
 def _hull(coal, points, mesh):
@@ -203,7 +180,7 @@ def _hull(coal, points, mesh):
 
 
 def _neighbours(tree, links):
-    """Whether links are one body of the description, or next to each other."""
+    """Return whether links i, j are one body of the description, or side by side."""
     joints = tree.getroot().findall("joint")
     above = {
         joint.find("child").get("link"): (
@@ -220,55 +197,6 @@ def _neighbours(tree, links):
 
     bodies = [body(link) for link in links]
     carriers = [body(above[x][0]) if x in above else None for x in bodies]
-    near = np.eye(len(links), dtype=bool)
-    for i, a in enumerate(bodies):
-        for j, b in enumerate(bodies):
-            near[i, j] = a == b or carriers[i] == b or carriers[j] == a
-    return near
-
-
-# -- where they are --------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Frames of the bodies in the world, for each row of positions."""
-
-    # (n, nv + 1, 3, 3): directions by columns; the first body is the base
-    axes: np.ndarray
-    origins: np.ndarray  # (n, nv + 1, 3) [m]
-    # (n, nv, 3): motion of each joint at unit speed, as a screw about the origin of the
-    # world: a point p that it carries moves with linear + angular x p
-    linear: np.ndarray
-    angular: np.ndarray
-
-
-class JointPoses:
-    """Forward kinematics of a model whose joints have one degree of freedom each."""
-
-    # carries (nv + 1, nv): which joints move a body; the first body is the base.
-
-    def __init__(self, model):
-        self._tree = describe(model)
-        self._starts = [x.translation.copy() for x in model.jointPlacements[1:]]
-        self.carries = np.zeros((model.nv + 1, model.nv), dtype=bool)
-        for j, parent in enumerate(self._tree.parents):
-            if parent >= 0:
-                self._starts[j] = self._starts[parent]
-            self.carries[j + 1] = self.carries[parent + 1]
-            self.carries[j + 1, j] = True
-
-    def __call__(self, q):
-        """Return the `Poses` of positions (n, nv) [rad, m]."""
-        n, nv = q.shape
-        axes, origins = np.empty((n, nv + 1, 3, 3)), np.zeros((n, nv + 1, 3))
-        linear, angular = np.empty((2, n, nv, 3))
-        axes[:, 0], still = np.eye(3), np.zeros_like(q)
-        for j, link in enumerate(links_of(self._tree, q, still, still)):
-            # Links count from the first joint of their branch.
-            start = self._starts[j]
-            axes[:, j + 1] = link.axes.transpose(2, 0, 1)
-            origins[:, j + 1] = link.origin.T + start
-            angular[:, j] = link.moment.T
-            linear[:, j] = link.force.T + np.cross(start, angular[:, j])
-        return Poses(axes, origins, linear, angular)
+    return lambda i, j: (
+        bodies[i] == bodies[j] or carriers[i] == bodies[j] or carriers[j] == bodies[i]
+    )

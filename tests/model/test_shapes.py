@@ -35,25 +35,38 @@ def reason(path, **kwargs):
     return str(raised.value)
 
 
+def pairs_of(geometry, model):
+    """Links of the shapes, and names of the pairs that are looked at."""
+    links = [model.frames[x.parentFrame].name for x in geometry.geometryObjects]
+    pairs = geometry.collisionPairs
+    return links, {frozenset((links[x.first], links[x.second])) for x in pairs}
+
+
 def test_neighbours_share_a_joint_or_are_fixed_together(tmp_path):
     path = arm(tmp_path)
-    found = load_shapes(path, load_model(path))
-    names = [shape.link for shape in found.shapes]
+    model = load_model(path)
+    links, pairs = pairs_of(load_shapes(path, model), model)
     # Without shape, "six" is fixed to the hand.
-    order = {
-        x: i for i, x in enumerate(["base", "one", "two", "three", "four", "five"])
-    } | {"hand": 6}
-    for i, a in enumerate(names):
-        for j, b in enumerate(names):
-            assert found.neighbours[i, j] == (abs(order[a] - order[b]) <= 1), (a, b)
+    order = ["base", "one", "two", "three", "four", "five", "hand"]
+    assert set(links) == set(order)
+    apart = {
+        frozenset((a, b))
+        for i, a in enumerate(order)
+        for j, b in enumerate(order)
+        if abs(i - j) > 1
+    }
+    assert pairs == apart
 
 
 def test_held_joints_hand_their_shapes_down_but_stay_joints(tmp_path):
     path = arm(tmp_path)
-    full = load_shapes(path, load_model(path))
-    held = load_shapes(path, load_reduced(path, ["j1", "j2", "j4", "j5", "j6"]))
-    np.testing.assert_array_equal(held.neighbours, full.neighbours)
-    bodies = {shape.link: shape.joint for shape in held.shapes}
+    model = load_reduced(path, ["j1", "j2", "j4", "j5", "j6"])
+    held = load_shapes(path, model)
+    links, pairs = pairs_of(held, model)
+    assert frozenset(("two", "three")) not in pairs
+    assert frozenset(("two", "four")) in pairs
+    joints = [shape.parentJoint for shape in held.geometryObjects]
+    bodies = dict(zip(links, joints))
     assert bodies["two"] == bodies["three"] == 2
     assert bodies["hand"] == 5
 
@@ -64,7 +77,7 @@ def test_a_mesh_is_its_convex_hull_in_the_scale_of_the_description(tmp_path):
         CUBE + "\nv 0 0 0.1\nf 2 4 9\nf 4 8 9\nf 8 6 9\nf 6 2 9\n", encoding="utf-8"
     )
     path = with_mesh(tmp_path, "cube.obj", 0.2)
-    (shape,) = load_shapes(path, load_model(path)).shapes
+    (shape,) = load_shapes(path, load_model(path)).geometryObjects
     assert shape.geometry.num_points == 8
     corners = [shape.geometry.point(k) for k in range(8)]
     np.testing.assert_allclose(np.abs(corners), 0.1)
@@ -88,7 +101,7 @@ def test_meshes_are_found_beside_the_description_and_above(tmp_path, name, place
     mesh = tmp_path / place
     mesh.parent.mkdir(parents=True, exist_ok=True)
     mesh.write_text(CUBE, encoding="utf-8")
-    assert len(load_shapes(path, load_model(path)).shapes) == 1
+    assert len(load_shapes(path, load_model(path)).geometryObjects) == 1
 
 
 def test_meshes_are_found_in_the_folders_given(tmp_path):
@@ -100,7 +113,7 @@ def test_meshes_are_found_in_the_folders_given(tmp_path):
     assert "put the folder of its package there" in reason(path)
     for given in (packages, packages / "arm"):
         found = load_shapes(path, load_model(path), package_dirs=[given])
-        assert len(found.shapes) == 1
+        assert len(found.geometryObjects) == 1
 
 
 @pytest.mark.parametrize(

@@ -13,7 +13,6 @@ from sklearn_vbjfa.recording._units import (
     EXPECTED,
     KINDS,
     MEASURED,
-    SHARE,
     Unit,
     split_last_part,
     split_unit,
@@ -195,22 +194,13 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
     """Return the unit of a channel, None if nothing tells; refuse one not known."""
     if not role.unit:
         return None
-    measured = MEASURED.get(kind, kind)
-    if measured == "q" and role.unit in SHARE:
-        if role.column not in table.shares:
-            raise ValueError(
-                f"{table.path}: column {role.column!r} is a share of a calibrated "
-                "range, which is not known: put the robot's calibration file "
-                "(range_min and range_max of each motor) into the data set as "
-                "meta/calibration.json, or turn the columns into radians."
-            )
-        return Unit("rad", table.shares[role.column])
     unit = unit_of(kind, role.unit)
     if unit is None:
+        expected = EXPECTED[MEASURED.get(kind, kind)]
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
-            f"known unit of {kind}; expected {EXPECTED[measured]}. Convert it, or "
-            "correct the name."
+            f"known unit of {kind}; expected {expected}. Convert it, or correct the "
+            "name."
         )
     return unit
 
@@ -442,7 +432,7 @@ def _fitted(table, log: KnownLog, plain, joints, kinds, chosen):
         what=log.what,
         certain=True,
         question=log.question if kinds[0] in log.commands else "",
-        answer=f"q={log.q} [{SHARE[0] if table.shares else 'deg'}]",
+        answer=f"q={log.q} [deg]",
     )
 
 

@@ -202,11 +202,9 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             commands={"q_desired": f"action.{key}"},
             times=("timestamp",),
             segment="episode_index",
-            question="the files of LeRobot do not say in which unit its motors are: "
-            "degrees if the robot was recorded with use_degrees=true ([deg]), "
-            "otherwise -100 to 100 of the range of each joint's calibration ([%]), for "
-            "which the robot's calibration file (range_min and range_max of each "
-            "motor) has to lie in the data set as meta/calibration.json",
+            question="degrees if the robot was recorded with use_degrees=true ([deg]), "
+            "otherwise -100 to 100 of the range of each joint's calibration, which "
+            "have to be converted into radians",
             no_signals=(
                 r"(frame_|task_)?index",
                 r"next\..*",

@@ -83,8 +83,6 @@ class Table:
     joints: tuple[str, ...] = ()
     nameless: bool = False  # columns are called by their places, from "1" on
     notes: tuple[str, ...] = ()
-    # [rad] of one per cent of a motor's calibrated range, by column
-    shares: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def n_rows(self) -> int:

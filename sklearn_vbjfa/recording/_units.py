@@ -10,8 +10,6 @@ KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
 # Positions beyond two turns are no radians of a robot.
 TURNS = 4 * np.pi
-# How shares of a motor's range are written.
-SHARE = ("%", "percent")
 # What one may write for a time, where a unit is asked for, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # Units of channels that are neither motion nor torque, for a row of units.

@@ -331,32 +331,19 @@ def test_a_lerobot_data_set_of_servos(servos):
     assert "q_desired = action.shoulder_pan ... action.gripper" in said
 
 
-def calibrated(folder, text=None):
-    """Put a calibration into a data set, as LeRobot writes it."""
-    ends = {"shoulder_pan": (747, 3450), "gripper": (2032, 3288)}
-    found = {
-        name: {"id": k, "drive_mode": 0, "homing_offset": -7}
-        | {"range_min": low, "range_max": high}
-        for k, (name, (low, high)) in enumerate(ends.items())
-    }
-    text = json.dumps(found) if text is None else text
-    (folder / "meta" / "calibration.json").write_text(text)
-    # [rad] of one per cent: half of the range is 100 %, of a gripper all of it
-    return np.array([2703 / 200, 1256 / 100]) * 2 * np.pi / 4096
-
-
-def test_shares_of_a_calibrated_range_are_converted(servos):
+def test_positions_that_are_no_radians_ask_for_their_unit(servos):
     folder = servos(100.0)
-    per_cent = calibrated(folder)
-    with pytest.raises(RecordingRefused, match=r"meta/calibration\.json") as refused:
+    with pytest.raises(
+        RecordingRefused, match="recorded with use_degrees=true"
+    ) as info:
         read(folder, drive=TEXT)
-    answer = "q=observation.state.{joint} [%]"
-    assert refused.value.options == {"columns": answer}
+    answer = "q=observation.state.{joint} [deg]"
+    assert info.value.options == {"columns": answer}
     recording, _ = read(folder, drive=TEXT, columns=answer)
     _, q, aim = motion()
-    assert_allclose(recording.q, 100 * q * per_cent, rtol=1e-5, atol=1e-6)
+    assert_allclose(recording.q, np.deg2rad(100 * q), rtol=1e-5, atol=1e-6)
     told = recording.signals["q_desired"]
-    assert_allclose(told, 100 * aim * per_cent, rtol=1e-5, atol=1e-6)
+    assert_allclose(told, np.deg2rad(100 * aim), rtol=1e-5, atol=1e-6)
 
 
 # -- a drive as a text -----------------------------------------------------------------

@@ -16,20 +16,11 @@ from sklearn_vbjfa.recording._table import (
 )
 
 _INFO = Path("meta") / "info.json"
-# The robot's calibration, where a user has put it into the data set.
-_CALIBRATION = Path("meta") / "calibration.json"
-# Positions of a motor, and counts of its encoder in a turn: motors of LeRobot's arms
-# have 12 bits.
-_POSITIONS, _COUNTS = ("observation.state.", "action."), 4096
-# Grippers go from 0 to 100 of their range, and all else from -100 to 100; lerobot/
-# motors/motors_bus.py and robots/so_follower of github.com/huggingface/lerobot.
-_GRIPPER = "gripper"
-_ENDS = ("range_min", "range_max")
 
 
 def read_parquet(path: Source, wanted) -> Table:
     """Read a parquet or feather file; lists become columns with numbers."""
-    return _table(path, path.file, _columns(path, _lerobot_json(path.file, _INFO)))
+    return _table(path, _columns(path, _lerobot_info(path.file)))
 
 
 def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
@@ -44,17 +35,17 @@ def read_lerobot(path: Path, wanted, unpacked) -> Table | None:
         )
     size = sum(file.stat().st_size for file in files)
     check_size(path, size, f"give one of them, such as {files[0]}", "of parquet files")
-    info = _lerobot_json(files[0], _INFO)
+    info = _lerobot_info(files[0])
     parts = [_columns(Source(x, x), info) for x in files]
     shared = [x for x in parts[0] if all(x in part for part in parts)]
     columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
-    return _table(Source(path, path), files[0], columns)
+    return _table(Source(path, path), columns)
 
 
-def _table(path, file, columns):
+def _table(path, columns):
     frame = pandas_of(path).DataFrame(columns)
     frame.index += 1
-    return Table(path=path.shown, frame=frame, shares=_shares(file, columns))
+    return Table(path=path.shown, frame=frame)
 
 
 def _columns(path, info):
@@ -106,12 +97,12 @@ def _matrix(values):
 # -- LeRobot ---------------------------------------------------------------------------
 
 
-def _lerobot_json(file, name):
-    """Return what a file in the folder meta above a parquet file says, a dict."""
-    for folder in list(file.resolve().parents)[:4]:
-        if (folder / name).is_file():
-            with parsing(folder / name, "JSON file", "download the data set again"):
-                info = json.loads((folder / name).read_text(encoding="utf-8"))
+def _lerobot_info(file):
+    """Return what meta/info.json above a parquet file says, a dict."""
+    for path in (folder / _INFO for folder in list(file.resolve().parents)[:4]):
+        if path.is_file():
+            with parsing(path, "JSON file", "download the data set again"):
+                info = json.loads(path.read_text(encoding="utf-8"))
             return info if isinstance(info, dict) else {}
     return {}
 
@@ -126,25 +117,6 @@ def _motors(info, name):
     if not isinstance(names, list):
         return []
     return [str(motor).removesuffix(".pos") for motor in names]
-
-
-def _shares(file, columns):
-    """Return [rad] of one per cent of a motor's range, by column; empty if unknown."""
-    found = {}
-    for motor, one in _lerobot_json(file, _CALIBRATION).items():
-        ends = [one.get(x) if isinstance(one, dict) else None for x in _ENDS]
-        if not all(type(x) is int for x in ends) or not ends[0] < ends[1]:
-            raise ValueError(
-                f"{_CALIBRATION}: motor {motor!r} has the ends {ends}; expected "
-                f"{' and '.join(_ENDS)}, counts of the encoder that rise, as LeRobot "
-                "calibrates them."
-            )
-        per_cent = 2 * np.pi / _COUNTS * (ends[1] - ends[0]) / 100
-        if motor != _GRIPPER:
-            per_cent /= 2
-        names = (f"{position}{motor}" for position in _POSITIONS)
-        found |= {name: per_cent for name in names if name in columns}
-    return found
 
 
 PARQUET = Format(

@@ -157,10 +157,13 @@ def _without_odd_rows(table, layout, options, notes):
         notes.append(
             f"{(~keep).sum()} row(s) without any position or torque are left out."
         )
-    lacking = np.isnan(values).any(axis=1) & keep
+    used = [*q, *tau, *layout.roles("v"), *layout.roles("a")]
+    holes = _matrix(table, used)
+    holes = np.isnan(values if holes is None else holes)
+    lacking = holes.any(axis=1) & keep
     if 0 < lacking.sum() <= _LACKING * keep.sum():
         row = int(np.argmax(lacking))
-        column = [*q, *tau][int(np.argmax(np.isnan(values[row])))].column
+        column = used[int(np.argmax(holes[row]))].column
         notes.append(
             f"{lacking.sum()} row(s) lack a number, the first in {table.where(row)}, "
             f"column {column!r}: left out."
@@ -177,8 +180,8 @@ def _without_odd_rows(table, layout, options, notes):
     if keep.all():
         return table, None
     rows = np.flatnonzero(keep)
-    # Rows of other topics are no samples that are missing.
-    lost = begin == 0 and rows.size >= (1 - _LACKING) * n
+    # Rows of other topics, and of a second source, are no samples that are missing.
+    lost = begin == 0 and not second.any() and rows.size >= (1 - _LACKING) * n
     return table.take(rows), rows if lost else None
 
 

@@ -193,8 +193,8 @@ def _names_of_places(table: Table, kind, joints):
     stamped = count > 1 and count != n and _names.is_clock(table.values("1"))
     if n not in (0, count - stamped):
         raise ValueError(
-            f"{table.path}: has {count} columns without names; expected {n} of {kind}, "
-            f"one for each joint of the robot, or {n + 1} with time before them."
+            f"{table.path}: has {count} column(s) without names; expected {n} of "
+            f"{kind}, one for each joint of the robot, or {n + 1} with time before them."
         )
     names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
     return {"1": "t"} | names if stamped else names

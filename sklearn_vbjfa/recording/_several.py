@@ -194,7 +194,7 @@ def _names_of_places(table: Table, kind, joints):
     if n not in (0, count - stamped):
         raise ValueError(
             f"{table.path}: has {count} column(s) without names; expected {n} of "
-            f"{kind}, one for each joint of the robot, or {n + 1} with time before them."
+            f"{kind}, one for each joint, or {n + 1} with time before them."
         )
     names = {str(k + stamped): f"{kind}{k}" for k in range(1, count - stamped + 1)}
     return {"1": "t"} | names if stamped else names

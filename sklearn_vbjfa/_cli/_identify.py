@@ -11,8 +11,6 @@ from sklearn_vbjfa._cli._run import Done
 
 # The report as a page and as data, and the robot.
 _FILES = ("report.html", "report.json", *ROBOT_FILES)
-# Verdicts on a joint that forbid a use.
-_NO_ANSWER = ("no data", "few", "unknown", "failed", "worse")
 
 
 def identify(arguments, folder):
@@ -67,7 +65,7 @@ def identify(arguments, folder):
     others = [] if arguments.joints else loaded.other_joints()
     return Done(
         text="\n".join([str(loaded.recording), *others, str(loop.report_)]),
-        doubts=_doubts(loop.report_),
+        doubts=loop.report_.warnings,
         data="report.json",
         folder=out,
         files=_FILES,
@@ -82,7 +80,7 @@ def identify_demo(arguments, folder):
 
     recording = load_demo_recording()
     loop = search(recording, recording.urdf, friction=FRICTION)
-    return Done(text=f"{recording}\n{loop.report_}", doubts=_doubts(loop.report_))
+    return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 
 def search(
@@ -111,29 +109,6 @@ def search(
     if several or identifier.drive is not None:
         return loop.fit_recording(recording, signals)
     return loop.fit(recording.q, recording.tau, recording.groups, signals=signals)
-
-
-def _doubts(report):
-    """Return the warnings of a report that forbid a use."""
-    from sklearn_vbjfa.diagnosis.report import contradiction, gain_warnings, words
-
-    outcome, joints = report.outcome, {}
-    for one in report.joints:
-        if one.status in _NO_ANSWER:
-            joints.setdefault(one.text, []).append(one.joint)
-    # Faults of the recording come first, what is left out last.
-    faults = [one for one in outcome.channels if one.severity != "warning"]
-    others = [one for one in outcome.channels if one.severity == "warning"]
-    return [
-        *filter(None, [contradiction(outcome)]),
-        *_input.channel_doubts(faults),
-        *(
-            f"{text} ({words.joint_list(outcome.joint_names, labels, 0)})"
-            for text, labels in joints.items()
-        ),
-        *gain_warnings(outcome),
-        *_input.channel_doubts(others),
-    ]
 
 
 # -- files -----------------------------------------------------------------------------

@@ -274,10 +274,10 @@ def _command_delay(robot):
 def _said_delay(robot):
     """Return a sentence on the delay of the commands, "" for nothing found."""
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
-    from sklearn_vbjfa.diagnosis.report import delay_sentence
+    from sklearn_vbjfa.diagnosis.report import sentence
 
     rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
-    return " ".join(delay_sentence(one.value, one.interval) for one in rows)
+    return " ".join(f"{sentence('delay', x.value, x.interval)}." for x in rows)
 
 
 # -- simulation ------------------------------------------------------------------------

@@ -63,7 +63,9 @@ class Provenance:
     description: str = ""  # its file
     held: tuple = ()  # joints that were held at zero
     warnings: tuple = ()  # what the run warned of
-    files: tuple = ()  # files beside the page, which links to them
+    files: tuple = ()  # written with the page, which links to them
+    date: str = ""  # of the identification
+    command: str = ""  # that designs the motion for the open questions; empty for none
 
 
 @dataclass(frozen=True, kw_only=True)

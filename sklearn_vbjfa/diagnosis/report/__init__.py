@@ -6,14 +6,13 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 # For the command line, the design of motions, the pages of effects and the tests, like
 # `words`; users get `sklearn_vbjfa.diagnosis.Report`.
 _MODULES = {
-    "_evidence": (
+    "_figures": (
         "about_effect",
         "added_torque",
         "documentation_of",
         "explanation",
         "source_of",
     ),
-    "_limits": ("contradiction", "delay_sentence", "gain_warnings"),
     "_pictures": (
         "HEIGHT",
         "WIDTH",
@@ -21,15 +20,10 @@ _MODULES = {
         "ticks",
     ),
     "_render": (
-        "Section",
-        "Table",
         "figure",
         "mathml",
-        "page",
-        "plain_text",
+        "sentence",
         "style",
     ),
-    "_report": ("sections",),
-    "_verdict": ("judge",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -1,218 +1,238 @@
-"""What a section is, and how it becomes text and a page."""
+"""Templates: sentences as plain text, pages, and the layout of a terminal."""
 
 import contextlib
 import html
 import re
 import textwrap
-from dataclasses import dataclass, replace
-from functools import lru_cache
-from itertools import zip_longest
+from functools import lru_cache, partial
 
+import numpy as np
 from tabulate import tabulate
 
-from sklearn_vbjfa.diagnosis.report import _pictures
+from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
+from sklearn_vbjfa.diagnosis.report import _facts, _figures, _pictures
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._spreads import held_text
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.
 _TERMINAL, _LONG = 80, 20
-# The frame of the pictures.
-_SIZE = {"width": _pictures.WIDTH, "height": _pictures.HEIGHT}
-# Entries of a list that a terminal shows as sentences; of more, each is a row.
-_SENTENCES = 2
-# What is read of a section, its tables and its figures.
-_READ: tuple = ("heading", "sentences", "table", "note", "drawn")
-_READ += ("heads", "rows", "title", "charts", "keys", "x_label", "y_label")
 # Spaces at which no line is broken.
 _UNIT = re.compile(
     r"(?<=\d) (?=%|x\b|Hz|N\b|m\b|rad|kg|s\b)|(?<=\bN) (?=m\b)|(?<=kg) (?=m)| (?=s/)|"
     r" (?=\+-)|(?<=\+-) | (?==)|(?<=[<>=]) (?=\d)|(?<=joint) (?=\d)| (?=: 1)|"
     r"(?<= :) (?=1)"
 )
+# Signs of a page; a number and its unit stay on one line.
+_SIGNS = (("+-", "±"), ("^2", "²"), ("^3", "³"), (" %", "\u00a0%"))
 
 
-@dataclass(frozen=True, kw_only=True)
-class Table:
-    """Rows of cells, each a str or a tuple of str (one a line)."""
-
-    heads: tuple = ()  # empty for none
-    rows: tuple
-    # where on its page the effect of each row leads; empty for nowhere
-    links: tuple = ()
-    # whether all columns but the first and the last are aligned as numbers are
-    numbers: bool = False
-
-
-@dataclass(frozen=True, kw_only=True)
-class Section:
-    """A part of the report."""
-
-    heading: str  # which a terminal does not show
-    sentences: tuple = ()  # paragraphs, or the entries of a list
-    table: Table | None = None  # below them
-    note: str = ""  # small print below that
-    # of words that come first in it on a page: the word, and what it means
-    terms: tuple = ()
-    # what a terminal shows, sentences and tables: the verdict, its table, effects, and
-    # what to do next, in about twenty lines
-    terminal: tuple = ()
-    # which of ``templates/<template>.html.j2`` draws it on a page
-    template: str = "section"
-    drawn: dict | None = None  # what only that template shows, by name
-
-    @property
-    def anchor(self):
-        """Its place on a page, for the contents."""
-        return re.sub(r"[^a-z]+", "-", self.heading.lower())
-
-
-def table_of(heads, rows, **more):
-    """Make a table; None without rows."""
-    return Table(heads=heads, rows=tuple(rows), **more) if rows else None
-
-
-def listed(sentences, rows):
-    """Show a few entries as sentences, many as rows of a table."""
-    return sentences if len(rows) <= _SENTENCES else (Table(rows=tuple(rows)),)
-
-
-def paragraph(heading, sentences_of, *, terminal_of=None):
-    """Return a section that is read as one paragraph, except where lists are."""
-    # sentences_of, terminal_of (what a terminal has of them; None for nothing):
-    # functions of the outcome and the verdict.
-
-    def section(outcome, verdict):
-        sentences = tuple(sentences_of(outcome, verdict))
-        shown = () if terminal_of is None else terminal_of(outcome, verdict)
-        return Section(
-            heading=heading,
-            sentences=sentences,
-            terminal=(" ".join(shown),) if shown else (),
-            template="paragraph",
-        )
-
-    return section
-
-
-def explained(sections):
-    """Return sections with what the terms mean that come first in each."""
-    known, found = set(), []
-    for section in sections:
-        told = "\n".join(_texts(section))
-        terms = [one for one in words.TERMS if one[1] not in known]
-        terms = [(name, text) for form, name, text in terms if re.search(form, told)]
-        known |= {name for name, _ in terms}
-        found.append(replace(section, terms=tuple(terms)))
-    return tuple(found)
-
-
-def _texts(value):
-    """Yield all texts that are read in a part of a section, not the data of it."""
-    if isinstance(value, str):
-        yield value
-    elif isinstance(value, dict):
-        yield from _texts(list(value.values()))
-    elif isinstance(value, (tuple, list)):
-        for one in value:
-            yield from _texts(one)
-    else:
-        read = [getattr(value, key) for key in _READ if hasattr(value, key)]
-        yield from _texts(read)
-
-
-def plain_text(sections):
-    """Write the sections for a terminal, with a line before a table that has heads."""
-    out = ""
-    for section in sections:
-        for one in section.terminal:
-            is_text = isinstance(one, str)
-            out += ("\n" if is_text or not one.heads else "\n\n") if out else ""
-            out += (
-                _wrapped(one, "  " if out else "")
-                if is_text
-                else text_table(one.heads, one.rows, numbers=one.numbers)
-            )
-    return out
-
-
-def _wrapped(sentence, indent):
-    """Wrap a sentence, with no number apart from its unit."""
-    whole = _UNIT.sub("\u00a0", sentence)
-    lines = textwrap.wrap(
-        whole, _TERMINAL, subsequent_indent=indent, break_on_hyphens=False
-    )
-    return "\n".join(lines).replace("\u00a0", " ")
-
-
-def text_table(heads, rows, *, numbers):
-    """Lay out a table for a terminal; its widest words are wrapped until it fits."""
-    heads = zip_longest(*(head.splitlines()[::-1] for head in heads), fillvalue="")
-    cells = [*list(heads)[::-1], *rows]
-    widths = [max(map(len, column)) for column in zip(*cells)]
-    last = len(widths) - 1
-    flexible = [0, last] if numbers else range(last + 1)
-    # No word is broken unless it is very long.
-    words = [" ".join(column).split() for column in zip(*cells)]
-    least = [min(max(map(len, column), default=0), _LONG) for column in words]
-    while sum(widths) + 2 * last > _TERMINAL:
-        wrapped = [k for k in flexible if widths[k] > least[k]]
-        if not wrapped:
-            break
-        widths[max(wrapped, key=widths.__getitem__)] -= 1
-    table = tabulate(
-        cells,
-        tablefmt="plain",
-        disable_numparse=True,
-        colalign=[
-            "left" if k in (0, last) or not numbers else "right"
-            for k in range(last + 1)
-        ],
-        maxcolwidths=[
-            width if k in flexible else None for k, width in enumerate(widths)
-        ],
-    )
-    return "\n".join(line.rstrip() for line in table.splitlines())
-
-
-def page(sections):
-    """Write the sections as a whole page."""
-    return _template("page.html.j2").render(
-        sections=sections,
-        whole=True,
-        **_SIZE,
-    )
-
-
-def fragment(sections):
-    """Write the sections as what a page holds, with its style, for notebooks."""
-    return _template("fragment.html.j2").render(sections=sections, whole=False, **_SIZE)
-
-
-def figure(drawn):
-    """Write a `Figure` alone; `style` draws it."""
-    return _template("figure.html.j2").render(figure=drawn, whole=False, **_SIZE)
-
-
-def style():
-    """Return the style sheet of all that is inside an element of class "vbjfa"."""
-    return _template("style.css.j2").render()
+# -- environments ----------------------------------------------------------------------
 
 
 @lru_cache
-def _template(name):
-    """Load a template, in which every value is escaped."""
+def _environment(is_page):
+    """Return the environment of a page, or that of plain text."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
         loader=PackageLoader("sklearn_vbjfa.diagnosis.report"),
-        autoescape=True,
-        finalize=_page_value,
+        autoescape=is_page,
+        finalize=_page_value if is_page else None,
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
         keep_trailing_newline=True,
     )
-    environment.filters["mathml"] = mathml
-    return environment.get_template(name)
+    environment.filters |= {
+        "line": line,
+        "capital": words.capital,
+        "clause": lambda text: text.partition(": ")[0],
+        "mathml": mathml,
+        "wrap": _wrapped,
+        "groups": lambda items, key: _facts.grouped(items, lambda x: getattr(x, key)),
+        "subject": lambda text: re.split("[:,;] ", text)[0].rstrip("."),
+        "without_asides": lambda text: re.sub(r" \([^()]*\)", "", text),
+    }
+    environment.globals |= _FUNCTIONS
+    return environment
+
+
+def line(text):
+    """Collapse the white space of a text; none is left before a mark."""
+    return re.sub(r"\s+([.,;)])(?=[\s.,;)]|$)", r"\1", " ".join(str(text).split()))
+
+
+def _each(make, items):
+    """Make a text of each item, a list."""
+    return [line(make(one)) for one in items]
+
+
+_FUNCTIONS = {
+    name: getattr(words, name)
+    for name in (
+        "bare_percent",
+        "join",
+        "number",
+        "odds_text",
+        "p_text",
+        "parameter_text",
+        "percent",
+        "plural",
+        "probability_text",
+        "whole_percent",
+        "with_error",
+    )
+} | {
+    "above_floor": ABOVE_FLOOR[0],
+    "agrees": _facts.agrees,
+    "each": _each,
+    "finite": lambda x: bool(np.isfinite(x)),
+    "half_width": HALF_WIDTH,
+    "height": _pictures.HEIGHT,
+    "inf": float("inf"),
+    "plain_values": _facts.plain_values,
+    # To a thousandth of a degree, without the sign of a zero.
+    "rpy": lambda angles: f'"{" ".join(f"{round(x, 5) + 0.0:.5f}" for x in angles)}"',
+    "scaled": lambda ends, factor: ends and tuple(factor * x for x in ends),
+    "sized": words.sized,
+    "value_cells": _facts.value_cells,
+    "width": _pictures.WIDTH,
+    "with_half": _facts.with_half,
+    "zip": zip,
+}
+
+
+def sentence(name, *values):
+    """Return a sentence of the templates that needs no outcome, by its name."""
+    module = _environment(False).get_template("sentences.j2").module
+    return line(getattr(module, name)(*values))
+
+
+class Voice:
+    """What a report says of an outcome, by names of macros in the templates."""
+
+    def __init__(self, outcome, verdict):
+        self._outcome, names = outcome, outcome.joint_names
+        rest = [
+            u for u in outcome.unexplained if u.joint in verdict.having("unexplained")
+        ]
+        self._values = {
+            "o": outcome,
+            "v": verdict,
+            "rest": sorted(rest, key=lambda u: -u.of_torque),
+            "facts": partial(self._bound, _facts),
+            "figures": partial(self._bound, _figures),
+            "joint": partial(words.joint_label, names),
+            "joints": partial(words.joint_list, names),
+            "held": held_text(outcome.outside, partial(words.effect_label, outcome)),
+            "say": self,
+            "short_label": partial(self, "short_label"),
+            "rivals_of": self._rivals,
+            "partner": lambda h: words.other_label(outcome, h.remedy, h.name),
+            "recording": lambda k: outcome.recordings[k],
+            "signals_of": self._signals,
+            "effect_at": lambda e: words.effect_at(
+                outcome, e.name, e.joint, e.parameters
+            ),
+        }
+        for name, function in (
+            ("effect", words.effect_label),
+            ("place", words.place_label),
+            ("in_model", _facts.in_model),
+            ("statement", _facts.statement),
+            ("fitted_on", _facts.fitted_on),
+            ("limit_range", _facts.limit_range),
+            ("range_text", _facts.range_text),
+        ):
+            self._values[name] = partial(function, outcome)
+        self._module = self._made("sentences.j2", is_page=False)
+
+    def tell(self, **values):
+        """Add values that the templates of the page and of a terminal show."""
+        self._values |= values
+
+    def _made(self, name, *, is_page):
+        return _environment(is_page).get_template(name).make_module(self._values)
+
+    def _bound(self, module, name, *values):
+        """Call a function of a module with the outcome."""
+        return getattr(module, name)(self._outcome, *values)
+
+    def _rivals(self, effect):
+        own = effect.rivals
+        return [words.other_label(self._outcome, x, effect.name) for x in own]
+
+    def _signals(self, rest):
+        names = self._outcome.joint_names
+        return [
+            f"{words.signal_label(s.signal, names, rest.joint)} "
+            f"({words.whole_percent(s.share)})"
+            for s in rest.signals
+        ]
+
+    def __call__(self, name, *values):
+        """Return a sentence as one line, empty where there is nothing to say."""
+        return line(getattr(self._module, name)(*values))
+
+    def __getattr__(self, name):
+        """Return a value of the templates, such as a table of words."""
+        if name.startswith("_"):
+            raise AttributeError(name)
+        return getattr(self._module, name)
+
+    def text(self):
+        """Write the report for a terminal."""
+        template = _environment(False).get_template("terminal.txt.j2")
+        text = template.render(self._values, table=text_table)
+        return re.sub(r"\n{2,}(?=- )", "\n", text).strip("\n")
+
+    def sections(self, *, whole):
+        """Return heading, anchor, markup and terms of the sections that have any."""
+        values = self._values | {"whole": whole}
+        module = _environment(True).get_template("sections.html.j2").make_module(values)
+        known, found = set(), []
+        for heading, make in module.order:
+            body = make()
+            if not body.strip():
+                continue
+            terms = [
+                (name, meaning)
+                for form, name, meaning in module.terms
+                if name not in known and re.search(form, f"{heading}\n{_read(body)}")
+            ]
+            known |= {name for name, _ in terms}
+            anchor = re.sub(r"[^a-z]+", "-", heading.lower())
+            found.append((heading, anchor, body, module.glossary(terms)))
+        return found
+
+    def page(self, *, whole=True):
+        """Write the report as a whole page, or as what a notebook shows."""
+        name = "page.html.j2" if whole else "fragment.html.j2"
+        head, *sections = self.sections(whole=whole)
+        return (
+            _environment(True).get_template(name).render(head=head, sections=sections)
+        )
+
+
+def _read(body):
+    """Return what is read of a section, without what an effect is."""
+    body = re.sub(r"<details><summary>What it is.*?</details>", "", body, flags=re.S)
+    return html.unescape(re.sub("<[^>]*>", "\n", body)).replace("\u00a0", " ").strip()
+
+
+# -- parts of pages for the documentation ----------------------------------------------
+
+
+def figure(drawn):
+    """Write a `Figure` alone; `style` draws it."""
+    module = _environment(True).get_template("figures.html.j2").module
+    return str(module.figure(drawn))
+
+
+def style():
+    """Return the style sheet of all that is inside an element of class "vbjfa"."""
+    return _environment(True).get_template("style.css.j2").render()
 
 
 def mathml(formula):
@@ -234,14 +254,51 @@ def mathml(formula):
 
 
 def _page_value(value):
-    """Write signs as a page has them; a number and its sign stay on one line."""
-    if type(value) is not str:
-        return value
-    for plain, sign in (
-        ("+-", "±"),
-        ("^2", "²"),
-        ("^3", "³"),
-        (" %", "\u00a0%"),
-    ):
-        value = value.replace(plain, sign)
+    """Write signs as a page has them."""
+    if type(value) is str:
+        for plain, sign in _SIGNS:
+            value = value.replace(plain, sign)
     return value
+
+
+# -- a terminal ------------------------------------------------------------------------
+
+
+def _wrapped(text, indent="  "):
+    """Wrap a sentence, with no number apart from its unit."""
+    lines = textwrap.wrap(
+        _UNIT.sub("\u00a0", line(text)),
+        _TERMINAL,
+        subsequent_indent=indent,
+        break_on_hyphens=False,
+    )
+    return "\n".join(lines).replace("\u00a0", " ")
+
+
+def text_table(heads, rows, *, numbers=False):
+    """Lay out a table for a terminal; its widest words are wrapped until it fits."""
+    # numbers: whether all columns but the first and the last are aligned to the right.
+    cells = [*([heads] if heads else []), *rows]
+    widths = [max(map(len, column)) for column in zip(*cells)]
+    last = len(widths) - 1
+    flexible = [0, last] if numbers else range(last + 1)
+    # No word is broken unless it is very long.
+    split = [" ".join(column).split() for column in zip(*cells)]
+    least = [min(max(map(len, column), default=0), _LONG) for column in split]
+    while sum(widths) + 2 * last > _TERMINAL:
+        wrapped = [k for k in flexible if widths[k] > least[k]]
+        if not wrapped:
+            break
+        widths[max(wrapped, key=widths.__getitem__)] -= 1
+    sides = [
+        "left" if k in (0, last) or not numbers else "right" for k in range(last + 1)
+    ]
+    most = [width if k in flexible else None for k, width in enumerate(widths)]
+    table = tabulate(
+        cells,
+        tablefmt="plain",
+        disable_numparse=True,
+        colalign=sides,
+        maxcolwidths=most,
+    )
+    return "\n".join(row.rstrip() for row in table.splitlines())

@@ -1,4 +1,4 @@
-"""The report of a search for effects: verdict first, then the evidence."""
+"""The report of a search for effects: data, a page and a terminal of one outcome."""
 
 import dataclasses
 import functools
@@ -8,65 +8,28 @@ import numbers
 import numpy as np
 from sklearn.base import BaseEstimator
 
-from sklearn_vbjfa.diagnosis.report import (
-    _evidence,
-    _findings,
-    _limits,
-    _render,
-    _uses,
-    _verdict,
-)
+from sklearn_vbjfa.diagnosis.report import _facts
 from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._render import Voice
+from sklearn_vbjfa.diagnosis.report._verdict import NO_ANSWER, judge
 
 # Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
 _NOT_DATA = ("curves", "library")
-
-# Functions of the outcome and the verdict on it, each of which returns a section.
-SECTIONS = (
-    _verdict.headline,
-    _verdict.joints,
-    _findings.effects,
-    _findings.possible,
-    _findings.to_do,
-    _render.paragraph(
-        "Drive", _limits.drive_sentences, terminal_of=_limits.drive_found
-    ),
-    _limits.channel_gains,
-    _evidence.commands_alone,
-    _evidence.effect_pictures,
-    _evidence.torques,
-    _evidence.friction,
-    _evidence.spectra,
-    _findings.unexplained,
-    _findings.hidden,
-    _render.paragraph("Limits of the recordings", _limits.recording_sentences),
-    _findings.outside,
-    _render.paragraph("Cost of physical consistency", _limits.projection_sentences),
-    _render.paragraph("Masses", _limits.mass_sentences),
-    _limits.alike,
-    _evidence.parameters,
-    _evidence.provenance,
-    _evidence.method,
-)
-
-
-def sections(outcome, verdict):
-    """Return the sections that have something to show, in order."""
-    found = [make(outcome, verdict) for make in SECTIONS]
-    return _render.explained(s for s in found if s.sentences or s.table or s.drawn)
+# Channels with these faults are left out of what was asked for.
+_LEFT_OUT = ("coarse_torque", "still_joint")
 
 
 class Report:
-    """What a robot model lacked, what that was worth, and what is still open.
+    """Result of a search for effects.
 
     ``print(report)`` is for a terminal 80 characters wide: the verdict, the error of
-    each joint, the effects and what to do next. All else is on the page of `to_html`,
+    each joint, the effects and the next steps. All else is on the page of `to_html`,
     which a notebook shows.
 
     Parameters
     ----------
     outcome : Outcome
-        What the search found.
+        Result of the search.
 
     Attributes
     ----------
@@ -87,6 +50,8 @@ class Report:
     uses : tuple of Use
         Feedforward, simulation, collision detection and link masses, each with `name`,
         `allowed` and `reason`.
+    warnings : tuple of str
+        Warnings that forbid a use; the command line then ends with exit code 3.
 
     See Also
     --------
@@ -95,29 +60,74 @@ class Report:
 
     def __init__(self, outcome):
         self.outcome = outcome
-        self._verdict = _verdict.judge(outcome)
-        self.joints = self._verdict.joints
-        self.status = self._verdict.status
-        self.headline = self._verdict.headline
-        self.verdict = self._verdict.text
-        self.uses = _uses.uses(outcome, self._verdict)
+        found = judge(
+            outcome, functools.partial(words.joint_label, outcome.joint_names)
+        )
+        self._errors, self._voice = found.errors, Voice(outcome, found)
+        say = self._voice
+        self.status = found.status
+        self.joints = tuple(
+            dataclasses.replace(one, text=say("joint_text", one))
+            for one in found.joints
+        )
+        self.uses = tuple(
+            one
+            if one.allowed
+            else dataclasses.replace(one, reason=say("use_reason", one))
+            for one in found.uses
+        )
+        self.headline = say("headline")
+        self.verdict = f"{self.headline} {say('errors')}".rstrip()
+        gains = [] if outcome.gains is None else self._gains()
+        self._voice.tell(
+            verdict=self.verdict,
+            joint_verdicts=self.joints,
+            uses=self.uses,
+            gain_warnings=gains,
+        )
+        self.warnings = self._warnings(gains)
+
+    def _gains(self):
+        """Name gains that are unknown or implausible, and masses that do not help."""
+        say, masses = self._voice, self.outcome.gains.common.masses
+        told = [say("gains_unknown"), say("gains_hidden"), say("gains_far")]
+        told += [say("mass_unused", known) for known in masses]
+        return list(filter(None, [*told, say("masses_disagree")]))
+
+    def _warnings(self, gains):
+        """Name what forbids a use, faults of the recording first."""
+        channels = self.outcome.channels
+        joints = _facts.grouped(
+            (one for one in self.joints if one.status in NO_ANSWER),
+            lambda one: one.text,
+        )
+        names = self.outcome.joint_names
+        apart = self.outcome.contradictions.found
+        return (
+            *([self._voice("contradiction")] if apart else []),
+            *(c.message for c in channels if c.severity != "warning"),
+            *(
+                f"{text} ({words.joint_list(names, [one.joint for one in own], 0)})"
+                for text, own in joints
+            ),
+            *gains,
+            *(
+                c.message
+                for c in channels
+                if c.severity == "warning" and c.kind in _LEFT_OUT
+            ),
+        )
 
     def __repr__(self):
-        errors = self._verdict.errors
         count = words.plural(len(self.outcome.effects), "effect")
         return (
             f"<Report: {self.status}, {count}, mean error "
-            f"{words.percent(errors.before)} before, {words.percent(errors.after)} "
-            "after>"
+            f"{words.percent(self._errors.before)} before, "
+            f"{words.percent(self._errors.after)} after>"
         )
 
     def __str__(self):
-        return _render.plain_text(self._sections)
-
-    @functools.cached_property
-    def _sections(self):
-        # A command prints some of them and writes all to a page.
-        return sections(self.outcome, self._verdict)
+        return self._voice.text()
 
     def to_dict(self):
         """Return everything but the curves, ready for `json.dumps`.
@@ -126,8 +136,8 @@ class Report:
         -------
         dict
             Lists instead of arrays, None instead of nan, joints from zero.
-            ``"effects"`` have a name,
-            ``"possible"`` are more probable than not and have none; both with
+            ``"effects"`` are reported,
+            ``"possible"`` are more probable than not; both with
             ``"log_odds"`` and ``"probability"``. Values are in SI units; an effect
             of the robot model has them in degrees, mm or per cent as well, under
             ``"plain"``, and ``"corrections"`` has what is to be changed: the tilt of
@@ -138,7 +148,11 @@ class Report:
             "headline": self.headline,
             "verdict": self.verdict,
             "joints": _json(self.joints),
-            "uses": _json(self.uses),
+            "uses": [
+                {"name": x.name, "allowed": x.allowed, "reason": x.reason}
+                for x in self.uses
+            ],
+            "warnings": list(self.warnings),
         }
         for field in dataclasses.fields(self.outcome):
             if field.name not in _NOT_DATA:
@@ -146,8 +160,8 @@ class Report:
         for key in ("effects", "possible"):
             for told, effect in zip(data[key], getattr(self.outcome, key)):
                 told |= {"log_odds": effect.log_odds, "probability": effect.probability}
-                if _findings.in_model(self.outcome, effect):
-                    told["plain"] = _json(_findings.plain_values(effect))
+                if _facts.in_model(self.outcome, effect):
+                    told["plain"] = _json(_facts.plain_values(effect))
         return data
 
     def to_html(self):
@@ -158,10 +172,10 @@ class Report:
         str
             HTML with its style and pictures inside; nothing is loaded from elsewhere.
         """
-        return _render.page(self._sections)
+        return self._voice.page()
 
     def _repr_html_(self):
-        return _render.fragment(self._sections)
+        return self._voice.page(whole=False)
 
 
 def _json(value):

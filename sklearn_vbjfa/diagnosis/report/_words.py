@@ -4,82 +4,7 @@ import functools
 import math
 import re
 
-# What to record where a residual varies with a signal.
-_RECORD_SIGNAL = {
-    "position": "slow motion over the whole range, both ways",
-    "speed": "slow and fast motion",
-    "acceleration": "fast acceleration in several poses",
-    "load": "reversals at two loads",
-    "time": "the same motion cold and warm",
-}
 _TINY = 1e-12
-# Glossary: pattern, term, explanation; shown at the first occurrence.
-TERMS = (
-    (
-        "[Dd]eclared model",
-        "Declared model",
-        "the robot description with the declared friction terms; the completed model "
-        "also has the added effects.",
-    ),
-    (
-        "[Ee]rror",
-        "Error",
-        "root mean square of measured minus predicted torque over the standard "
-        "deviation of the torque.",
-    ),
-    (
-        "[Rr]esidual",
-        "Residual",
-        "measured minus predicted torque; above zero, the joint takes more torque in "
-        "its positive direction than predicted.",
-    ),
-    (
-        "[Hh]eld-out",
-        "Held-out data",
-        "the part of the recording that is used neither by the fit nor by the search.",
-    ),
-    (
-        "[Nn]oise( floor|:|$)",
-        "Noise floor",
-        "the error of an exact model, due to the noise of the measured torques and "
-        "positions.",
-    ),
-    (
-        r"\b[Bb]ands?\b",
-        "Band",
-        "the frequencies in which model and measurement are compared; higher ones are "
-        "filtered out of both.",
-    ),
-    (
-        r"\+-|±",
-        "±",
-        "half the 90 % interval.",
-    ),
-    (
-        "odds",
-        "Odds",
-        "probability that the robot has the effect over the probability that it has "
-        "not.",
-    ),
-    (
-        r"\b[Ll]oads?\b|load-dependent",
-        "Load",
-        "torque of the rigid bodies (gravity and inertia) on the joint.",
-    ),
-    (
-        "with memory",
-        "Friction with memory",
-        "the joint yields elastically after a reversal, before friction slides.",
-    ),
-    (
-        r"\bblocks?\b",
-        "Block",
-        "a stretch of time for cross-validation, longer than the correlation time of "
-        "the residual.",
-    ),
-)
-
-
 # Logarithm of the odds of a million to one.
 _SURE = math.log(1e6)
 
@@ -130,10 +55,15 @@ def effect_label(outcome, name, shape=None):
     return found.describe(shape or {}, joint)
 
 
+def of_robot(outcome, name):
+    """Whether an effect belongs to the robot as a whole."""
+    found = outcome.library.get(name)
+    return found is not None and found.scope == "robot"
+
+
 def place_label(outcome, name, joint):
     """Where an effect is: its joint, or the robot for one that belongs to none."""
-    found = outcome.library.get(name)
-    if found is not None and found.scope == "robot":
+    if of_robot(outcome, name):
         return "robot"
     return joint_label(outcome.joint_names, joint)
 
@@ -174,11 +104,6 @@ def record_for(outcome, name):
     return "" if found is None else found.record
 
 
-def record_for_signal(signal):
-    """Return what to record to learn how a residual varies with a signal."""
-    return _RECORD_SIGNAL.get(signal.split(" of ")[0], "")
-
-
 def number(value, digits=3):
     """Write a number short, without an exponent where it is not needed."""
     if value is None or not math.isfinite(value):
@@ -211,6 +136,11 @@ def bare_percent(value):
 def whole_percent(value):
     """Write a share in whole per cent."""
     return "?" if value is None or not math.isfinite(value) else f"{100 * value:.0f} %"
+
+
+def sized(value):
+    """Write three digits of an error, so that those of a column compare."""
+    return f"{value:#.3g}".rstrip(".") if math.isfinite(value) else number(value)
 
 
 def p_text(value):
@@ -282,11 +212,6 @@ def parameter_text(effect):
     return found
 
 
-def without_asides(text):
-    """Return a text without what it has in parentheses."""
-    return re.sub(r" \([^()]*\)", "", text)
-
-
 def join(parts, most=3, word="and"):
     """Write a list as a sentence does; what is beyond the most is counted."""
     parts = list(parts)
@@ -295,12 +220,6 @@ def join(parts, most=3, word="and"):
     if len(parts) <= 1:
         return "".join(parts)
     return f"{', '.join(parts[:-1])} {word} {parts[-1]}"
-
-
-def first_of(parts):
-    """Write the first of a list and count the others, for a terminal."""
-    more = f" and {len(parts) - 1} more (page)" if len(parts) > 1 else ""
-    return "".join(parts[:1]) + more
 
 
 def plural(count, noun):

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa.diagnosis.report import _findings, words
+from sklearn_vbjfa.diagnosis.report import _facts, words
 from tests.diagnosis.report._pages import section_of, text_of
 
 
@@ -27,7 +27,7 @@ def assert_consistent(report):
     named = {_key(effect) for effect in outcome.effects}
     possible = {_key(effect) for effect in outcome.possible}
     assert len(named | possible) == len(outcome.effects) + len(outcome.possible)
-    told = {(one.name, one.joint) for one in _findings.remedies(outcome)}
+    told = set(_facts.remedies(outcome))
     without = {(e.name, e.joint) for e in outcome.possible}
     assert not told & without, f"to be corrected on a possible: {told & without}"
     _assert_words(report)

@@ -1,0 +1,170 @@
+"""Figures of an outcome, and what an effect is."""
+
+import importlib.metadata
+import inspect
+import re
+
+import numpy as np
+
+from sklearn_vbjfa.diagnosis.report import _words as words
+from sklearn_vbjfa.diagnosis.report._facts import FINE, anchors
+from sklearn_vbjfa.diagnosis.report._pictures import (
+    About,
+    Figure,
+    effect_figure,
+    friction_figure,
+    spectrum_figure,
+    torque_figure,
+)
+from sklearn_vbjfa.effects import available
+
+
+def effects(outcome):
+    """Draw each effect over its own signal, and say what it is."""
+    # One with too few rows for a picture has the words alone.
+    found = []
+    drawn = outcome.curves.get("effects", ())
+    for effect, curves, anchor in zip(outcome.effects, drawn, anchors(outcome)):
+        if not anchor:
+            continue
+        kind = effect.effect
+        named = effect.name, effect.joint, effect.parameters
+        title = words.capital(words.effect_at(outcome, *named))
+        about = None if kind is None else about_effect(kind)
+        if curves is None:
+            more = {"about": about, "anchor": anchor}
+            found.append(Figure(title=title, charts=(), keys=(), **more))
+            continue
+        joint = words.joint_label(outcome.joint_names, curves.joint)
+        if curves.joint != effect.joint or (kind is not None and kind.whole_robot):
+            title += f", seen on {joint}"
+        label = curves.signal
+        if curves.kind != "signal":
+            what = {"time": "time", "": f"torque of the effect on {joint}"}
+            what = what.get(curves.kind, f"{curves.kind} of {joint}")
+            label = f"{what} [{curves.unit}]"
+        found.append(
+            effect_figure(
+                curves,
+                title=title,
+                x_label=label,
+                y_label=f"residual [{outcome.torque_units[curves.joint]}]",
+                about=about,
+                anchor=anchor,
+            )
+        )
+    return found
+
+
+def torques(outcome):
+    """Draw the torque of each joint over time, and both residuals below."""
+    line = outcome.curves.get("line")
+    floor, found = outcome.floor * outcome.spread, []
+    for one in () if line is None else line.torques:
+        unit = outcome.torque_units[one.joint]
+        what = "torque" if unit == "N m" else "force"
+        title = words.joint_label(outcome.joint_names, one.joint)
+        labels = f"{what} [{unit}]", f"residual [{unit}]"
+        drawn = torque_figure(one, line, floor[one.joint], title=title, y_labels=labels)
+        found.append(drawn)
+    return found
+
+
+def positions(outcome):
+    """Draw the positions of each joint over held-out time, from commands alone."""
+    line, found = outcome.curves.get("positions"), []
+    for one in () if line is None else line.torques:
+        unit = outcome.commands_alone.units[one.joint]
+        factor, fine = FINE[unit]
+        found.append(
+            torque_figure(
+                one,
+                line,
+                np.nan,
+                title=words.joint_label(outcome.joint_names, one.joint),
+                y_labels=(f"position [{unit}]", f"error [{fine}]"),
+                x_label="held-out time, its stretches joined [s]",
+                border="next stretch",
+                finer=factor,
+                from_zero=False,
+            )
+        )
+    return found
+
+
+def friction(outcome):
+    """Draw the friction of each joint over speed."""
+    return _of_joints(outcome, "friction", friction_figure, "friction")
+
+
+def spectra(outcome):
+    """Draw the spectrum of what both models leave."""
+    return _of_joints(outcome, "spectra", spectrum_figure, "residual")
+
+
+def _of_joints(outcome, key, draw, what):
+    """Draw curves of each joint."""
+    return [
+        draw(
+            one,
+            title=words.joint_label(outcome.joint_names, one.joint),
+            y_label=f"{what} [{outcome.torque_units[one.joint]}{one.per}]",
+        )
+        for one in outcome.curves.get(key, ())
+    ]
+
+
+# -- what an effect is -----------------------------------------------------------------
+
+
+def about_effect(effect):
+    """Return what an effect is, an `About`: formula, docstring, source, page."""
+    needs = (("To see it", effect.visible), ("To tell it from others", effect.record))
+    shown_by = " ".join(f"{goal}: {what}." for goal, what in needs if what)
+    told = [*explanation(type(effect)), shown_by, source_of(type(effect))]
+    return About(
+        formula=added_torque(effect.formula) if effect.formula else "",
+        paragraphs=tuple(_without_markup(one) for one in told if one),
+        link=documentation_of(effect.name),
+    )
+
+
+def explanation(kind):
+    """Return what a class says it is: its docstring up to the parameters, a tuple."""
+    text = inspect.getdoc(kind) or ""
+    paragraphs = text.split("\n\nParameters\n")[0].split("\n\n")
+    return tuple(" ".join(one.split()) for one in paragraphs if one.strip())
+
+
+def source_of(kind):
+    """Return the literature that a class names, with its number; empty for none."""
+    text = inspect.getdoc(kind) or ""
+    listed = text.partition("\nReferences\n----------\n")[2].partition("\n\n")[0]
+    return re.sub(r"^\.\. ", "", " ".join(listed.split()))
+
+
+def _without_markup(text):
+    """Return a sentence of a docstring without the marks of reStructuredText."""
+    text = re.sub(r":(\w+):`([^`]*)`", r"\1:\2", text)
+    text = re.sub(r"(\[\d+\])_", r"\1", text)
+    return re.sub(r"`+([^`]*)`+", r"\1", text)
+
+
+def added_torque(formula):
+    """Write a formula of an effect, LaTeX, as what it adds to the torque."""
+    return rf"\Delta\tau = {formula}"
+
+
+def documentation_of(name):
+    """Address of an effect's page; empty where the package names no documentation."""
+    if name not in available():
+        return ""
+    try:
+        given = importlib.metadata.metadata("sklearn-vbjfa").get_all("Project-URL", [])
+    except importlib.metadata.PackageNotFoundError:
+        return ""
+    for entry in given:
+        label, _, address = entry.partition(",")
+        if label.strip().lower() == "documentation":
+            return f"{address.strip().rstrip('/')}/effects/{name}.html"
+    return ""

@@ -10,73 +10,6 @@ from sklearn_vbjfa.recording import check_clock, contiguous_groups
 from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
-
-class Display:
-    """A new figure, or the user's axes, and the legend of what is drawn in them."""
-
-    # A display stores its data in the constructor; its `plot` calls `_open`, draws on
-    # `axes_` and ends with `_close`. Matplotlib is imported when a figure is made.
-
-    # What `from_estimator` takes, for those who give something else.
-    _accepts = ""
-
-    @classmethod
-    def _require(cls, estimator, attributes):
-        """Refuse a fitted estimator that lacks what the display shows."""
-        missing = [name for name in attributes if not hasattr(estimator, name)]
-        if missing:
-            raise ValueError(
-                f"{cls.__name__} shows {cls._accepts}; got {type(estimator).__name__}, "
-                f"which has no {', '.join(missing)}."
-            )
-
-    def _open(self, ax, shapes, contents, **subplots):
-        """Take axes, of one of the shapes, or make a figure; the last shape is its."""
-        if ax is None:
-            name = type(self).__name__
-            figure, axes = _import_pyplot(name).subplots(
-                *shapes[-1], squeeze=False, layout="constrained", **subplots
-            )
-        else:
-            axes = np.atleast_1d(np.asarray(ax, dtype=object)).ravel()
-            if axes.size not in [rows * columns for rows, columns in shapes]:
-                expected = " or ".join(
-                    f"{r} x {c}" if min(r, c) > 1 else str(r * c) for r, c in shapes
-                )
-                raise ValueError(
-                    f"ax must hold {expected} axes, {contents}; got {axes.size}."
-                )
-            figure = axes[0].figure
-        self.figure_, self.axes_ = figure, axes.ravel()
-
-    def _close(self, ax, *, least=1):
-        """Make one legend of the artists of all axes, if it has enough entries."""
-        entries = {}
-        for axis in self.axes_.flat:
-            for handle, label in zip(*axis.get_legend_handles_labels()):
-                entries.setdefault(label, handle)
-        if len(entries) < least:
-            return
-        place = {"handles": list(entries.values()), "labels": list(entries)}
-        if ax is None:
-            room = max(1, int(self.figure_.get_figwidth() / 2.2))
-            place |= {"loc": "outside upper left", "frameon": False}
-            self.figure_.legend(**place, ncols=min(len(entries), room))
-        else:
-            self.axes_.flat[0].legend(**place, fontsize="small")
-
-
-def _import_pyplot(display):
-    """Import matplotlib.pyplot; an error names the display that needs it."""
-    try:
-        # By name, so that nothing here imports an optional package.
-        return importlib.import_module("matplotlib.pyplot")
-    except ImportError as error:
-        raise ImportError(
-            f"{display}.plot needs matplotlib; install it with pip install matplotlib."
-        ) from error
-
-
 # Points of one panel: more are a blot, and slow.
 _POINTS = 4000
 # Bins of the running median, and how many samples one must hold.
@@ -86,7 +19,101 @@ _QUANTILE = 0.998
 _GREY, _COLOUR, _FLOOR, _MEASURED = "0.72", "tab:blue", "tab:orange", "0.25"
 
 
-class ResidualDisplay(Display):
+class _Display:
+    """Residuals or torques of the models of an estimator, and the axes they are in."""
+
+    @classmethod
+    def from_estimator(
+        cls, estimator, X, y, groups=None, t=None, joints=None, signals=None
+    ):
+        """Make the display of a fitted model and a recording.
+
+        Parameters
+        ----------
+        estimator : EffectDiscovery or RobotIdentifier
+            Fitted. A discovery shows its declared model before and its completed model
+            after.
+        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
+            Joint positions or states.
+        y : array-like of shape (n_samples, nv)
+            Torques [N m or N].
+        groups : array-like of shape (n_samples,), default=None
+            Labels of separate recordings.
+        t : array-like of shape (n_samples,), default=None
+            Time [s], on the clock of the fit.
+        joints : list of int, default=None
+            Joints to show, from zero; None shows all.
+        signals : mapping of str to array-like of shape (n_samples,), default=None
+            Recorded signals, for effects that vary with them.
+
+        Returns
+        -------
+        display : object
+            Display; call `plot`.
+
+        Raises
+        ------
+        ValueError
+            If the estimator or the joints do not fit.
+        """
+        check_is_fitted(estimator)
+        models = (estimator,)
+        if not isinstance(estimator, RobotIdentifier):
+            if not hasattr(estimator, "declared_"):
+                raise ValueError(
+                    f"{cls.__name__} shows a RobotIdentifier or an EffectDiscovery; got "
+                    f"{type(estimator).__name__}."
+                )
+            models = (estimator.declared_, estimator.identifier_)
+        names, prismatic = models[0].joint_names_, models[0].features_.model_
+        chosen = list(range(len(names)))
+        if joints is not None:
+            chosen = [int(j) for j in joints]
+        if not chosen or any(not 0 <= j < len(names) for j in chosen):
+            raise ValueError(
+                f"joints must be some of 0 to {len(names) - 1}; got {joints!r}."
+            )
+        found = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
+        slides = is_prismatic(prismatic)
+        return cls(
+            **cls._values(models[-1], found, X, groups, t, chosen),
+            joint_names=tuple(names[j] for j in chosen),
+            units=tuple("N" if slides[j] else "N m" for j in chosen),
+        )
+
+    def _open(self, ax, shape, **subplots):
+        """Take axes of a shape, or make a figure with them."""
+        if ax is None:
+            figure, axes = _import_pyplot(type(self).__name__).subplots(
+                *shape, squeeze=False, layout="constrained", **subplots
+            )
+        else:
+            axes = np.atleast_1d(np.asarray(ax, dtype=object))
+            if axes.size != shape[0] * shape[1]:
+                raise ValueError(
+                    f"ax must hold {shape[0]} x {shape[1]} axes, one row a joint; got "
+                    f"{axes.size}."
+                )
+            figure = axes.flat[0].figure
+        self.figure_, self.axes_ = figure, axes.reshape(shape)
+        self.lines_ = []
+
+    def _close(self, ax):
+        """Make one legend of the artists of all axes."""
+        entries = {}
+        for axis in self.axes_.flat:
+            for handle, label in zip(*axis.get_legend_handles_labels()):
+                entries.setdefault(label, handle)
+        place = {"handles": list(entries.values()), "labels": list(entries)}
+        if ax is None:
+            place |= {"loc": "outside upper left", "ncols": len(entries)}
+            self.figure_.legend(**place, frameon=False)
+        else:
+            self.axes_.flat[0].legend(**place, fontsize="small")
+        return self
+
+
+class ResidualDisplay(_Display):
     """Torque residuals against velocity, position, load and time.
 
     One row a joint: before in grey, after in colour, lines for the running medians
@@ -99,11 +126,9 @@ class ResidualDisplay(Display):
     residual_after : ndarray of shape (m, nv), default=None
         Residuals of the model with effects.
     signals : dict of str to ndarray of shape (m, nv) or (m,)
-        What to plot against; the keys become labels.
-    joint_names : sequence of str
-        Joints.
-    units : sequence of str
-        Units of their torques.
+        Horizontal axes; the keys become labels.
+    joint_names, units : sequence of str
+        Joints, and the units of their torques.
     floor : ndarray of shape (nv,), default=None
         Noise floor [N m or N]; nan where unknown.
 
@@ -116,24 +141,17 @@ class ResidualDisplay(Display):
     lines_, median_lines_ : list of matplotlib Line2D
         Samples and running medians of each panel, after `plot`.
 
-    See Also
-    --------
-    ResidualDisplay.from_estimator : Make one from a fitted model and a recording.
-    ResidualDisplay.from_report : Make one from the report of a discovery.
-
     Examples
     --------
     >>> import numpy as np
     >>> from sklearn_vbjfa.diagnosis import ResidualDisplay
     >>> v = np.linspace(-1, 1, 200)[:, None]
     >>> display = ResidualDisplay(
-    ...     residual_before=np.sign(v), residual_after=0.1 * np.sin(40 * v),
-    ...     signals={"velocity [rad/s]": v}, joint_names=["joint1"], units=["N m"])
+    ...     residual_before=np.sign(v), signals={"velocity [rad/s]": v},
+    ...     joint_names=["joint1"], units=["N m"])
     >>> display.residual_before.shape
     (200, 1)
     """
-
-    _accepts = "a RobotIdentifier or an EffectDiscovery"
 
     def __init__(
         self,
@@ -152,106 +170,26 @@ class ResidualDisplay(Display):
         self.units = units
         self.floor = floor
 
-    @classmethod
-    def from_estimator(
-        cls, estimator, X, y, groups=None, t=None, joints=None, signals=None
-    ):
-        """Compare a fitted model with a recording.
-
-        The residuals are those of the models as they are fitted: give data that they
-        have not seen.
-
-        Parameters
-        ----------
-        estimator : EffectDiscovery or RobotIdentifier
-            Fitted; a discovery shows the declared model before, the completed one
-            after.
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states.
-        y : array-like of shape (n_samples, nv)
-            Torques [N m or N].
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], on the clock of the fit.
-        joints : list of int, default=None
-            Joints to show, from zero; None shows all.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, for effects that vary with them.
-
-        Returns
-        -------
-        ResidualDisplay
-            Display; call `plot`.
-        """
-        models, found, joints = _compared(
-            cls, estimator, X, y, groups, t, joints, signals
-        )
-        names = models[0].joint_names_
-        values = [
-            np.where(r.weight > 0, r.residual, np.nan)[:, joints]
-            for r in (found[0], found[-1])
-        ]
-        signals = _signals(models[-1], X, groups, t, found[0].index, joints)
-        return cls(
-            residual_before=values[0],
-            residual_after=values[1] if len(models) > 1 else None,
-            signals=signals,
-            joint_names=tuple(names[j] for j in joints),
-            units=_torque_units(models[-1], joints),
-            floor=np.asarray(models[-1].noise_floor_, dtype=float)[joints],
-        )
-
-    @classmethod
-    def from_report(cls, report, *, joints=None):
-        """Show what a discovery left on the held-out part of the recording.
-
-        Parameters
-        ----------
-        report : Report
-            Its report, which keeps the residuals before and after for pictures.
-        joints : list of int, default=None
-            Joints to show, from zero; None shows all.
-
-        Returns
-        -------
-        ResidualDisplay
-            Display over torque and, where the sample period is known, time; call
-            `plot`.
-        """
-        outcome, curves = report.outcome, report.outcome.curves
-        joints = _check_joints(joints, len(outcome.joint_names))
-        counts = curves["weight"] > 0
-        units = tuple(outcome.torque_units[j] for j in joints)
-        signals = {
-            f"torque [{' or '.join(dict.fromkeys(units))}]": curves["torque"][:, joints]
+    @staticmethod
+    def _values(robot, found, X, groups, t, joints):
+        """Return the arguments of the display."""
+        values = [np.where(r.weight > 0, r.residual, np.nan)[:, joints] for r in found]
+        return {
+            "residual_before": values[0],
+            "residual_after": values[1] if len(values) > 1 else None,
+            "signals": _signals(robot, X, groups, t, found[0].index, joints),
+            "floor": np.asarray(robot.noise_floor_, dtype=float)[joints],
         }
-        if "seconds" in curves:
-            signals["time [s]"] = curves["seconds"]
-        before, after = (
-            np.where(counts, curves[key], np.nan)[:, joints]
-            for key in ("before", "after")
-        )
-        return cls(
-            residual_before=before,
-            residual_after=after,
-            signals=signals,
-            joint_names=tuple(outcome.joint_names[j] for j in joints),
-            units=units,
-            floor=(outcome.floor * outcome.spread)[joints],
-        )
 
-    def plot(self, ax=None, *, medians=True, scatter_kwargs=None, line_kwargs=None):
+    def plot(self, ax=None, *, scatter_kwargs=None, line_kwargs=None):
         """Draw.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
             One row a joint, one column a signal; None makes a figure.
-        medians : bool, default=True
-            Whether running medians are drawn.
         scatter_kwargs, line_kwargs : dict, default=None
-            What matplotlib's ``plot`` gets for the samples and for the medians.
+            Arguments of matplotlib's ``plot`` for the samples and for the medians.
 
         Returns
         -------
@@ -266,73 +204,50 @@ class ResidualDisplay(Display):
             If the axes do not match.
         """
         rows, columns = shape = len(self.joint_names), len(self.signals)
-        self._open(
-            ax,
-            [shape],
-            "one row a joint and one column a signal",
-            sharey="row",
-            sharex="col" if rows == 1 else False,
-            figsize=(3.0 * columns + 0.6, 1.7 * rows + 0.7),
-        )
-        self.axes_ = self.axes_.reshape(shape)
-        self.lines_, self.median_lines_ = [], []
-        styles = scatter_kwargs or {}, (line_kwargs or {}) if medians else None
+        size = {"figsize": (3.0 * columns + 0.6, 1.7 * rows + 0.7), "sharey": "row"}
+        self._open(ax, shape, **size)
+        self.median_lines_ = []
         for j, axes in enumerate(self.axes_):
             for axis, (name, signal) in zip(axes, self.signals.items()):
-                signal = np.asarray(signal)
-                self._panel(
-                    axis, j, signal[:, j] if signal.ndim == 2 else signal, *styles
-                )
+                x = np.asarray(signal)
+                x = x[:, j] if x.ndim == 2 else x
+                self._panel(axis, j, x, scatter_kwargs or {}, line_kwargs or {})
                 if j == rows - 1:
                     axis.set_xlabel(name)
             axes[0].set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
         if ax is None:
             self.figure_.supylabel("torque residual", fontsize="medium")
-        self._name_artists()
-        self._close(ax)
-        return self
+        return self._close(ax)
 
-    def _panel(self, ax, j, x, scatter_style, line_style):
+    def _panel(self, ax, j, x, dots, line):
+        """Draw the residuals of a joint over a signal."""
         floor = np.nan if self.floor is None else float(self.floor[j])
         if np.isfinite(floor):
-            ax.axhspan(-floor, floor, color=_FLOOR, alpha=0.25, lw=0, zorder=0)
-        ax.axhline(0.0, color="0.5", lw=0.6, zorder=1)
+            band = {"color": _FLOOR, "alpha": 0.25, "lw": 0, "label": "noise floor"}
+            ax.axhspan(-floor, floor, **band)
+        ax.axhline(0.0, color="0.5", lw=0.6)
         every = slice(None, None, max(1, x.size // _POINTS))
-        size = float(np.clip(60.0 / np.sqrt(max(x.size, 1)), 1.5, 5.0))
         shown = [np.empty(0)]
-        for values, colour, dark in (
-            (self.residual_before, _GREY, "0.35"),
-            (self.residual_after, _COLOUR, "navy"),
+        for label, values, colour, dark in (
+            ("before", self.residual_before, _GREY, "0.35"),
+            ("after", self.residual_after, _COLOUR, "navy"),
         ):
             if values is None:
                 continue
             r = np.asarray(values)[:, j]
             shown.append(np.abs(r[np.isfinite(r)]))
-            dots = {"ls": "", "marker": ".", "ms": size, "color": colour, "alpha": 0.7}
-            dots |= {"rasterized": True} | scatter_style
-            self.lines_ += ax.plot(x[every], r[every], **dots)
-            if line_style is not None:
-                line = {"color": dark, "lw": 1.5} | line_style
-                self.median_lines_ += ax.plot(*running_median(x, r), **line)
+            style = {"ls": "", "marker": ".", "ms": 2.5, "color": colour, "alpha": 0.7}
+            style |= {"rasterized": True, "label": label} | dots
+            self.lines_ += ax.plot(x[every], r[every], **style)
+            style = {"color": dark, "lw": 1.5} | line
+            self.median_lines_ += ax.plot(*running_median(x, r), **style)
         shown = np.concatenate(shown)
         limit = 1.1 * float(np.quantile(shown, _QUANTILE)) if shown.size else 0.0
         if limit > 0:
             ax.set_ylim(-limit, limit)
 
-    def _name_artists(self):
-        """Give the legend marks that are larger than the samples."""
-        ax = self.axes_[0, 0]
-        dots = {"marker": ".", "ms": 8, "ls": ""}
-        entries = [("before", {"color": _GREY} | dots)]
-        if self.residual_after is not None:
-            entries.append(("after", {"color": _COLOUR} | dots))
-        if self.floor is not None and np.isfinite(self.floor).any():
-            entries.append(("noise floor", {"color": _FLOOR, "lw": 6, "alpha": 0.4}))
-        for label, style in entries:
-            ax.plot([], [], label=label, **style)
 
-
-class TorqueDisplay(Display):
+class TorqueDisplay(_Display):
     """Measured and predicted torques over time.
 
     One row a joint: the measured torque, the prediction of the declared model and that
@@ -342,30 +257,22 @@ class TorqueDisplay(Display):
     ----------
     time : ndarray of shape (m,)
         Time [s]; rows without a sample period are counted.
-    measured : ndarray of shape (m, nv)
-        Measured torques after the low-pass [N m or N].
-    before : ndarray of shape (m, nv)
-        Torques that the declared model predicts [N m or N].
+    measured, before : ndarray of shape (m, nv)
+        Measured torques after the low-pass, and those that the declared model predicts
+        [N m or N].
     after : ndarray of shape (m, nv), default=None
         Torques that the completed model predicts [N m or N].
-    joint_names : sequence of str
-        Joints.
-    units : sequence of str
-        Units of their torques.
+    joint_names, units : sequence of str
+        Joints, and the units of their torques.
 
     Attributes
     ----------
     figure_ : matplotlib Figure
         Figure, after `plot`.
-    axes_ : ndarray of Axes, shape (nv,)
+    axes_ : ndarray of Axes, shape (nv, 1)
         Axes, after `plot`.
     lines_ : list of matplotlib Line2D
         Curves of each joint, after `plot`: measured, before, after.
-
-    See Also
-    --------
-    TorqueDisplay.from_estimator : Make one from a fitted model and a recording.
-    TorqueDisplay.from_report : Make one from the report of a discovery.
 
     Examples
     --------
@@ -380,8 +287,6 @@ class TorqueDisplay(Display):
     (200, 1)
     """
 
-    _accepts = "a RobotIdentifier or an EffectDiscovery"
-
     def __init__(self, *, time, measured, before, after=None, joint_names, units):
         self.time = time
         self.measured = measured
@@ -390,77 +295,17 @@ class TorqueDisplay(Display):
         self.joint_names = joint_names
         self.units = units
 
-    @classmethod
-    def from_estimator(
-        cls, estimator, X, y, groups=None, t=None, joints=None, signals=None
-    ):
-        """Predict the torques of a recording by a fitted model.
-
-        Parameters
-        ----------
-        estimator : EffectDiscovery or RobotIdentifier
-            Fitted; a discovery shows the declared model before, the completed one
-            after.
-        X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
-            Joint positions or states.
-        y : array-like of shape (n_samples, nv)
-            Torques [N m or N].
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], on the clock of the fit.
-        joints : list of int, default=None
-            Joints to show, from zero; None shows all.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, for effects that vary with them.
-
-        Returns
-        -------
-        TorqueDisplay
-            Display; call `plot`.
-        """
-        models, found, joints = _compared(
-            cls, estimator, X, y, groups, t, joints, signals
-        )
-        robot, index = models[-1], found[0].index
-        clock = check_clock(t, np.shape(X)[0], robot.dt)
+    @staticmethod
+    def _values(robot, found, X, groups, t, joints):
+        """Return the arguments of the display."""
+        index, clock = found[0].index, check_clock(t, np.shape(X)[0], robot.dt)
         predicted = [r.predicted[:, joints] for r in found]
-        return cls(
-            time=index if clock is None else clock[index],
-            measured=found[0].torque[:, joints],
-            before=predicted[0],
-            after=predicted[1] if len(models) > 1 else None,
-            joint_names=tuple(robot.joint_names_[j] for j in joints),
-            units=_torque_units(robot, joints),
-        )
-
-    @classmethod
-    def from_report(cls, report, *, joints=None):
-        """Show the torques of the held-out part of the recording of a discovery.
-
-        Parameters
-        ----------
-        report : Report
-            Its report, which keeps torques and residuals for pictures.
-        joints : list of int, default=None
-            Joints to show, from zero; None shows all.
-
-        Returns
-        -------
-        TorqueDisplay
-            Display; call `plot`.
-        """
-        outcome, curves = report.outcome, report.outcome.curves
-        joints = _check_joints(joints, len(outcome.joint_names))
-        torque = curves["torque"]
-        return cls(
-            time=curves.get("seconds", curves["index"]),
-            measured=torque[:, joints],
-            before=(torque - curves["before"])[:, joints],
-            after=(torque - curves["after"])[:, joints],
-            joint_names=tuple(outcome.joint_names[j] for j in joints),
-            units=tuple(outcome.torque_units[j] for j in joints),
-        )
+        return {
+            "time": index if clock is None else clock[index],
+            "measured": found[0].torque[:, joints],
+            "before": predicted[0],
+            "after": predicted[1] if len(predicted) > 1 else None,
+        }
 
     def plot(self, ax=None, *, line_kwargs=None):
         """Draw.
@@ -470,7 +315,7 @@ class TorqueDisplay(Display):
         ax : array-like of Axes, default=None
             One for each joint; None makes a figure.
         line_kwargs : dict, default=None
-            What matplotlib's ``plot`` gets for all curves.
+            Arguments of matplotlib's ``plot`` for all curves.
 
         Returns
         -------
@@ -485,11 +330,9 @@ class TorqueDisplay(Display):
             If the axes do not match.
         """
         rows = len(self.joint_names)
-        shape = {"sharex": True, "figsize": (8.0, 1.6 * rows + 0.7)}
-        self._open(ax, [(rows, 1)], "one for each joint", **shape)
-        self.lines_ = []
+        self._open(ax, (rows, 1), sharex=True, figsize=(8.0, 1.6 * rows + 0.7))
         every = slice(None, None, max(1, len(self.time) // _POINTS))
-        for j, axis in enumerate(self.axes_):
+        for j, axis in enumerate(self.axes_[:, 0]):
             for label, values, colour in (
                 ("measured", self.measured, _MEASURED),
                 ("before", self.before, _FLOOR),
@@ -497,31 +340,23 @@ class TorqueDisplay(Display):
             ):
                 if values is not None:
                     style = {"color": colour, "lw": 1.0, "label": label}
-                    style |= line_kwargs or {}
                     shown = np.asarray(values)[every, j]
+                    style |= line_kwargs or {}
                     self.lines_ += axis.plot(self.time[every], shown, **style)
             axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
-        self.axes_[-1].set_xlabel("time [s]")
-        self._close(ax)
-        return self
+        self.axes_[-1, 0].set_xlabel("time [s]")
+        return self._close(ax)
 
 
-def _compared(cls, estimator, X, y, groups, t, joints, signals):
-    """Return the models of an estimator, their residuals, and the joints to show."""
-    check_is_fitted(estimator)
-    if isinstance(estimator, RobotIdentifier):
-        models = (estimator,)
-    else:
-        cls._require(estimator, ("declared_", "identifier_"))
-        models = (estimator.declared_, estimator.identifier_)
-    joints = _check_joints(joints, len(models[0].joint_names_))
-    found = [model.residuals(X, y, groups, t=t, signals=signals) for model in models]
-    return models, found, joints
-
-
-def _torque_units(robot, joints):
-    prismatic = is_prismatic(robot.features_.model_)
-    return tuple("N" if prismatic[j] else "N m" for j in joints)
+def _import_pyplot(display):
+    """Import matplotlib.pyplot; an error names the display that needs it."""
+    try:
+        # By name, so that nothing here imports an optional package.
+        return importlib.import_module("matplotlib.pyplot")
+    except ImportError as error:
+        raise ImportError(
+            f"{display}.plot needs matplotlib; install it with pip install matplotlib."
+        ) from error
 
 
 def running_median(x, y):
@@ -535,38 +370,28 @@ def running_median(x, y):
     return (np.array([np.median(z[part]) for part in parts]) for z in (x, y))
 
 
-def _check_joints(joints, nv):
-    found = list(range(nv)) if joints is None else [int(j) for j in joints]
-    if not found or any(not 0 <= j < nv for j in found):
-        raise ValueError(f"joints must be some of 0 to {nv - 1}; got {joints!r}.")
-    return found
-
-
 def _signals(robot, X, groups, t, index, joints):
     """Velocity, position, load and time at the rows of the residuals."""
     X = np.asarray(X, dtype=float)
-    parts = contiguous_groups(groups, X.shape[0])
     clock = check_clock(t, X.shape[0], robot.dt)
-    rigid = robot.theta_[: robot.features_.n_parameters_]
     motion = make_motion(
         robot.features_,
         robot.robot_.states(X, groups),
         clock,
-        parts,
-        rigid,
+        contiguous_groups(groups, X.shape[0]),
+        robot.theta_[: robot.features_.n_parameters_],
         robot.cutoff_,
     )
-    kinds, load = motion.prismatic[joints], motion.load[index][:, joints]
+    kinds = motion.prismatic[joints]
+
+    def unit(turning, sliding):
+        return " or ".join(dict.fromkeys(sliding if k else turning for k in kinds))
+
     signals = {
-        f"velocity [{_unit(kinds, 'rad/s', 'm/s')}]": motion.v[index][:, joints],
-        f"position [{_unit(kinds, 'rad', 'm')}]": motion.q[index][:, joints],
-        f"rigid-body torque [{_unit(kinds, 'N m', 'N')}]": load,
+        f"velocity [{unit('rad/s', 'm/s')}]": motion.v[index][:, joints],
+        f"position [{unit('rad', 'm')}]": motion.q[index][:, joints],
+        f"rigid-body torque [{unit('N m', 'N')}]": motion.load[index][:, joints],
     }
     if clock is not None:
         signals["time [s]"] = clock[index]
     return signals
-
-
-def _unit(kinds, turning, sliding):
-    """Return the unit of what the joints of some kinds share, or both units."""
-    return " or ".join(dict.fromkeys(sliding if kind else turning for kind in kinds))

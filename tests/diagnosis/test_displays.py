@@ -65,22 +65,6 @@ def test_an_identifier_shows_its_own_residuals(loop):
     np.testing.assert_allclose(display.signals["time [s]"], found.index * robot.dt)
 
 
-def test_a_report_shows_its_untouched_part(loop, pyplot):
-    outcome = loop.report_.outcome
-    display = ResidualDisplay.from_report(loop.report_, joints=[1])
-    assert list(display.signals) == ["torque [N m]", "time [s]"]
-    counts = outcome.curves["weight"][:, [1]] > 0
-    for name in ("before", "after"):
-        np.testing.assert_array_equal(
-            getattr(display, f"residual_{name}"),
-            np.where(counts, outcome.curves[name][:, [1]], np.nan),
-        )
-    np.testing.assert_array_equal(display.floor, (outcome.floor * outcome.spread)[[1]])
-    assert display.plot().axes_.shape == (1, 2)
-    with pytest.raises(ValueError, match="joints must be some of 0 to 1"):
-        ResidualDisplay.from_report(loop.report_, joints=[2])
-
-
 def test_states_velocity_is_that_of_the_model(loop):
     robot = loop.declared_
     display = ResidualDisplay.from_estimator(robot, *GIVEN)
@@ -133,7 +117,6 @@ def test_artists_are_kept_and_take_styles(pyplot):
     assert {line.get_color() for line in display.lines_} == {"red"}
     assert {line.get_linewidth() for line in display.median_lines_} == {3}
     assert display.axes_[0, 0] is display.lines_[0].axes
-    assert make_display().plot(medians=False).median_lines_ == []
 
 
 def test_plot_bears_joints_without_samples(pyplot):
@@ -174,12 +157,3 @@ def test_torques_are_those_measured_and_predicted(loop, pyplot):
     alone = TorqueDisplay.from_estimator(loop.declared_, *GIVEN)
     assert alone.after is None
     assert len(alone.plot().lines_) == 4
-
-
-def test_a_report_has_the_torques_of_its_held_out_part(loop, pyplot):
-    curves = loop.report_.outcome.curves
-    display = TorqueDisplay.from_report(loop.report_, joints=[1]).plot()
-    assert display.axes_.shape == (1,)
-    for name, values in (("before", display.before), ("after", display.after)):
-        left = display.measured - values
-        np.testing.assert_allclose(left, curves[name][:, [1]], atol=1e-12)

@@ -9,7 +9,6 @@ import scipy
 import sklearn
 from sklearn.base import clone
 
-from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Contradictions,
     Parts,
@@ -51,9 +50,6 @@ from sklearn_vbjfa.robot._spreads import body_masses
 # Why the values of an effect give it no name.
 _UNKNOWN = "no parameter of it is known from zero"
 _UNSURE = "its value is not known well enough to correct anything"
-# Points of a picture.
-_POINTS = 4000
-
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
@@ -177,11 +173,9 @@ class Outcome:
     contradictions: Contradictions = field(default_factory=Contradictions)
     # masses of the model that is handed over, and which of them are known
     bodies: tuple = ()
-    # residuals and signals for pictures; "seconds" is the time in the held-out part,
-    # its recordings joined [s]; "effects" has an
-    # `EffectCurves` or None of each effect, "friction" and "spectra" the curves of the
-    # joints, "line" the `TimeLine`, "positions" that of the positions from commands
-    # alone, or None
+    # of pictures: "effects" has an `EffectCurves` or None of each effect, "friction"
+    # and "spectra" the curves of the joints, "line" the `TimeLine`, "positions" that of
+    # the positions from commands alone, or None; "index" has the held-out rows
     curves: dict = field(default_factory=dict)
     # where the held-out part leaves what the judged model was fitted on
     outside: tuple = ()
@@ -460,21 +454,9 @@ def _settings(search, judgement, asked):
 
 
 def _curves(models, final, judgement, effects, whole):
-    """Residuals of the held-out part with their signals, thinned for pictures."""
-    before, after = judgement.before, judgement.after
-    m = before.torque.shape[0]
-    rows = np.arange(0, m, max(1, m // _POINTS))
-    # Without a sample period, rows need not be equidistant.
-    dt = models.judged.dt
-    lowpass = _lowpass.design(dt or 1.0, models.judged.cutoff_)
+    """Curves of the pictures, by what they show."""
     return {
-        "index": before.index[rows],
-        # Stretches one after the other.
-        **({} if dt is None else {"seconds": rows * dt * lowpass.step}),
-        "before": before.residual[rows],
-        "after": after.residual[rows],
-        "weight": before.weight[rows],
-        "torque": before.torque[rows],
+        "index": judgement.before.index,
         "effects": tuple(
             own
             for own, effect in zip(effect_curves(final), effects)

@@ -454,7 +454,7 @@ def saturated(outcome):
 
 
 def culprits(outcome):
-    """Recordings that alone contradict the others; empty if it may be one or another."""
+    """Return recordings that alone contradict the others; empty if it is one of many."""
     causes = outcome.contradictions.deviations
     alone = all(len(one.recordings) == 1 for one in causes)
     return sorted({one.recordings[0] for one in causes}) if alone else []

@@ -118,6 +118,10 @@ class Report:
             ),
         )
 
+    def __reduce__(self):
+        # Templates are no data.
+        return type(self), (self.outcome,)
+
     def __repr__(self):
         count = words.plural(len(self.outcome.effects), "effect")
         return (

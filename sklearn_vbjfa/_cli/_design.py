@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import PERIOD, Refused, spelled
+from sklearn_vbjfa._cli._parser import Refused, spelled
 from sklearn_vbjfa._cli._run import Done
 from sklearn_vbjfa._core._progress import stage
 
+# Sample period of a motion where none is known [s].
+_PERIOD = 0.01
 # Options that replace limits of the description.
 _LIMITS = ("velocity", "acceleration", "torque")
 # What to give where the description lacks a limit.
@@ -216,7 +218,7 @@ def _without_torque_limits(model):
 def _period(robot, found):
     """Sample period of the recordings so far, or a usual one [s]."""
     rate = ((found or {}).get("recorded") or {}).get("rate")
-    return robot.dt or (1.0 / rate if rate else PERIOD)
+    return robot.dt or (1.0 / rate if rate else _PERIOD)
 
 
 # -- limits ----------------------------------------------------------------------------

@@ -5,7 +5,7 @@ import shlex
 from dataclasses import replace
 
 from sklearn_vbjfa._cli import _gravity, _input
-from sklearn_vbjfa._cli._parser import FRICTION, Refused
+from sklearn_vbjfa._cli._parser import Refused
 from sklearn_vbjfa._cli._robot_files import ROBOT_FILES, write_robot
 from sklearn_vbjfa._cli._run import Done
 
@@ -79,7 +79,7 @@ def identify_demo(arguments, folder):
     from sklearn_vbjfa.datasets import load_demo_recording
 
     recording = load_demo_recording()
-    loop = search(recording, recording.urdf, friction=FRICTION)
+    loop = search(recording, recording.urdf)
     return Done(text=f"{recording}\n{loop.report_}", doubts=loop.report_.warnings)
 
 

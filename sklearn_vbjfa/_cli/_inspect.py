@@ -1,11 +1,9 @@
 """The commands ``inspect`` and ``effects``."""
 
-import sys
-
 import numpy as np
 
 from sklearn_vbjfa._cli import _input
-from sklearn_vbjfa._cli._run import Done, wrapped
+from sklearn_vbjfa._cli._run import Done, rendered
 
 _TOO_SHORT = "too short to examine the motion"
 
@@ -33,21 +31,28 @@ def inspect(arguments, folder):
     loaded.signals(arguments.signals)
     recording, findings = loaded.recording, loaded.findings()
     motions = motion_of(recording, str(loaded.urdf))
-    faults = _faults(recording, findings, arguments.drive)
-    text = [
-        *_properties(recording, loaded.other_joints()),
-        "",
-        *(_table(recording, motions) if motions else [_TOO_SHORT]),
-        "",
-        "Faults",
-        *(faults or ["- none that the robot description shows"]),
-        "",
-        "Identifiable from this motion",
-        *_by_joint(motions, "shows"),
-        "Not identifiable from this motion, or poorly",
-        *_by_joint(motions, "hides"),
-    ]
-    doubts = [] if motions else [_TOO_SHORT]
+    faults = [f"{one.severity}: {one.message}" for one in findings]
+    units = _input.motor_units(recording)
+    if units and arguments.drive is None:
+        unknown = ", or --gain unknown" if recording.nv > 1 else ""
+        faults.append(
+            f"torques are recorded in {units[0]}: identify needs the factors to N m "
+            f"(--gain){unknown}"
+        )
+    lengths = np.bincount(recording.groups) * recording.dt
+    text = rendered(
+        "inspection.txt.j2",
+        recording=recording,
+        duration=f"{recording.n_samples * recording.dt:.4g} s at "
+        f"{1 / recording.dt:.6g} Hz",
+        parts=[f"{x} {n:.4g} s" for x, n in zip(recording.group_names, lengths)],
+        others=loaded.other_joints(),
+        motion=_columns(motions, recording.torque_units),
+        too_short=_TOO_SHORT,
+        faults=faults,
+        shows=_by_joint(motions, "shows"),
+        hides=_by_joint(motions, "hides"),
+    )
     data = {
         "samples": recording.n_samples,
         "dt": recording.dt,
@@ -63,67 +68,28 @@ def inspect(arguments, folder):
         "identifiable": {one.name: list(one.shows) for one in motions},
         "not_identifiable": {one.name: list(one.hides) for one in motions},
     }
-    return Done(
-        text="\n".join(text),
-        data=data,
-        doubts=[*doubts, *_input.channel_doubts(findings)],
-    )
+    doubts = [] if motions else [_TOO_SHORT]
+    return Done(text=text, data=data, doubts=doubts + _input.channel_doubts(findings))
 
 
-def _properties(recording, others):
-    """Return lines on the recording; others: lines on joints without columns."""
-    lengths = np.bincount(recording.groups) * recording.dt
-    parts = [f"{x} {n:.4g} s" for x, n in zip(recording.group_names, lengths)]
-    duration = f"{recording.n_samples * recording.dt:.4g} s"
-    rate = f"{1 / recording.dt:.6g} Hz"
-    lines = [
-        str(recording),
-        wrapped(f"{duration} at {rate}: {', '.join(parts)}", sys.stdout),
-    ]
-    if recording.signals:
-        names = [name for name in recording.signals if name != "a"]
-        lines.append(f"other columns: {', '.join(names) or 'none'}")
-    if recording.torque_noise is not None:
-        lines.append("rows were interpolated on a uniform grid")
-    return [*lines, *others]
-
-
-def _table(recording, motions):
-    """Return the lines of a table with the motion of each joint."""
-    from tabulate import tabulate
-
-    rows = []
-    for motion, unit in zip(motions, recording.torque_units):
+def _columns(motions, units):
+    """Return the motion of each joint, columns by their heads."""
+    columns = {}
+    for motion, unit in zip(motions, units):
         scale, name = (1e3, "mm") if motion.slides else (180 / np.pi, "deg")
-        rows.append(
-            [
-                motion.name,
-                f"{scale * motion.lowest:.4g} to {scale * motion.highest:.4g} {name}",
-                f"{scale * motion.fastest:.3g} {name}/s",
-                str(motion.reversals),
-                f"{100 * motion.resting:.0f} %",
-                f"{motion.torques[0]:.3g} to {motion.torques[1]:.3g} {unit}",
-                f"{motion.loads[0]:.3g} to {motion.loads[1]:.3g} "
-                f"{'N' if motion.slides else 'N m'}",
-            ]
-        )
-    heads = ["joint", "position", "speed", "reversals", "at rest", "torque", "gravity"]
-    align = ("left", *["right"] * (len(heads) - 1))
-    table = tabulate(rows, headers=heads, disable_numparse=True, colalign=align)
-    return table.splitlines()
-
-
-def _faults(recording, findings, drive):
-    """Return a line for each fault of the channels."""
-    lines = [f"- {x.severity}: {x.message}" for x in findings]
-    units = _input.motor_units(recording)
-    if units and drive is None:
-        unknown = ", or --gain unknown" if recording.nv > 1 else ""
-        lines.append(
-            f"- torques are recorded in {units[0]}: identify needs the factors to N m "
-            f"(--gain){unknown}"
-        )
-    return lines
+        low, high = scale * motion.lowest, scale * motion.highest
+        for head, cell in {
+            "joint": motion.name,
+            "position": f"{low:.4g} to {high:.4g} {name}",
+            "speed": f"{scale * motion.fastest:.3g} {name}/s",
+            "reversals": str(motion.reversals),
+            "at rest": f"{100 * motion.resting:.0f} %",
+            "torque": f"{motion.torques[0]:.3g} to {motion.torques[1]:.3g} {unit}",
+            "gravity": f"{motion.loads[0]:.3g} to {motion.loads[1]:.3g} "
+            f"{'N' if motion.slides else 'N m'}",
+        }.items():
+            columns.setdefault(head, []).append(cell)
+    return columns
 
 
 def _by_joint(motions, attribute):
@@ -135,5 +101,5 @@ def _by_joint(motions, attribute):
     lines = []
     for effect, names in joints.items():
         every = len(names) == len(motions) > 1
-        lines.append(f"- {'all joints' if every else ', '.join(names)}: {effect}")
-    return lines or ["- nothing"]
+        lines.append(f"{'all joints' if every else ', '.join(names)}: {effect}")
+    return lines

@@ -143,6 +143,27 @@ def _reserved(folder):
 # -- text ------------------------------------------------------------------------------
 
 
+def rendered(template, **values):
+    """Return the text of a template of the command line."""
+    from sklearn_vbjfa.diagnosis.report import environment
+
+    made = environment(is_page=False, package=__package__)
+    return made.get_template(template).render(table=_tabulated, **values).rstrip("\n")
+
+
+def _tabulated(columns):
+    """Return a table of columns by their heads; the units beside names are words."""
+    from tabulate import tabulate
+
+    words = 1 + ("unit" in columns)
+    return tabulate(
+        list(zip(*columns.values())),
+        headers=[head.strip() for head in columns],
+        disable_numparse=True,
+        colalign=[*["left"] * words, *["right"] * (len(columns) - words)],
+    )
+
+
 def _exit_line(doubts, page):
     """Return a line with the first warnings; in brief if a page has them whole."""
     named = [" ".join(one.split()).rstrip(".") for one in doubts[:_NAMED]]

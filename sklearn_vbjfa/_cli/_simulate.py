@@ -2,7 +2,6 @@
 
 import csv
 import io
-import textwrap
 import warnings
 from dataclasses import dataclass, field, replace
 
@@ -10,24 +9,17 @@ import numpy as np
 
 from sklearn_vbjfa._cli import _input
 from sklearn_vbjfa._cli._parser import Refused, spelled
-from sklearn_vbjfa._cli._run import Done
+from sklearn_vbjfa._cli._run import Done, rendered
 
 _TABLE = "simulation.csv"
 # Share of every recording that is identified; the rest is simulated.
 _SHARE = 0.7
 # Sample periods may differ by this share.
 _JITTER = 0.01
-_OF_IDENTIFICATION: tuple[str, ...] = (
-    "urdf",
-    "base_orientation",
-    "friction",
-    "bodies",
-    "cutoff",
-)
-_OF_IDENTIFICATION += ("known_mass", "shared_drives")
+_OF_IDENTIFICATION: tuple[str, ...] = ("urdf", "base_orientation", "friction")
+_OF_IDENTIFICATION += ("bodies", "cutoff", "known_mass", "shared_drives")
 # The robot, and the one whose bodies are those of the description.
 _ROBOT, _DESCRIBED = "simulated", "as described"
-_WIDTH = 80  # characters of a line
 
 
 @dataclass(kw_only=True, eq=False)
@@ -39,11 +31,32 @@ class _Simulation:
     times: np.ndarray | None  # of these rows; None counts from the fit of the robot
     robot: object
     signals: object  # of these rows
-    summary: str
+    summary: list
     drive: object = None  # that the robot follows commands by; None for torques
     windows: dict = field(default_factory=dict)  # simulated windows, by robot
     whole: list = field(default_factory=list)  # the same of each whole recording
     note: str = ""  # why the described robot is not simulated
+
+    @property
+    def failures(self):
+        """Messages on whole recordings that were not simulated to their end."""
+        return [
+            f"{label}: {failure.message}"
+            for one in self.whole
+            for label, result in one.items()
+            for failure in result.failures
+        ]
+
+    def place(self, windows, k):
+        """Return the recording of a window, and its times since the start of that."""
+        recording = self.recording
+        row = self.rows[windows.starts[k]]
+        label = recording.groups[row]
+        begin = (row - recording.segments[label].start) * recording.dt
+        names = recording.group_names
+        # A single one is called after its file.
+        name = recording.name if len(names) == 1 else names[label]
+        return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
 def simulate(arguments, folder):
@@ -55,19 +68,20 @@ def simulate(arguments, folder):
     with _input.blaming(_input.named(arguments)):
         run = _drive if task.drive is None else _follow
         run(task, arguments.window)
+    shown = _shown(task, arguments.window)
 
     def write(folder, notes):
         path = folder / _TABLE
         path.write_text(errors_table(task), encoding="utf-8", newline="")
         return [""]
 
-    return Done(
-        text=_text(task, arguments.window),
-        doubts=_doubts(task),
-        folder=out,
-        files=(_TABLE,),
-        write=write,
-    )
+    windows = task.windows[_ROBOT]
+    doubts = [f"{shown['failures']} failed"] if windows.failures else []
+    doubts += task.failures
+    doubts += [f"{shown['away']} joints ran away"] if shown["away"] else []
+    doubts += [] if windows.clearly_better.all() else [windows.verdict()]
+    text = rendered("simulation.txt.j2", **shown)
+    return Done(text=text, doubts=doubts, folder=out, files=(_TABLE,), write=write)
 
 
 def _check(arguments):
@@ -124,15 +138,13 @@ def _saved(arguments, folder):
     )
     _check_channels(loaded)
     effects = [f"{effect.name} on {names[effect.joint]}" for effect in robot.effects_]
-    summary = f"model: {arguments.model}, effects: {', '.join(effects) or 'none'}"
-    drive = arguments.drive
-    if drive is not None:
-        recording, drive = _commanded(drive, robot, recording)
+    summary = [f"model: {arguments.model}, effects: {', '.join(effects) or 'none'}"]
+    recording, drive = _commanded(arguments.drive, robot, recording)
     if drive is not None:
         late = _command_delay(robot) if drive.waits is None else drive.waits
         late = "an unknown time" if late is None else f"{1e3 * late:.3g} ms"
         given = "" if drive.waits is None else ", as given,"
-        summary += f"\ncommands act {late}{given} after they are logged"
+        summary.append(f"commands act {late}{given} after they are logged")
     return _Simulation(
         recording=recording,
         rows=np.arange(recording.n_samples),
@@ -182,7 +194,12 @@ def _identified(arguments, folder):
     settings, loaded = _input.settings(arguments), _input.load(arguments, folder)
     _check_channels(loaded)
     signals, recording = loaded.signals(arguments.signals), loaded.recording
-    first, rest = _parts(recording)
+    first, rest = [], []
+    for part in recording.segments:
+        border = part.start + round(_SHARE * (part.stop - part.start))
+        first += range(part.start, border)
+        rest += range(border, part.stop)
+    first, rest = np.array(first), np.array(rest)
     noise, drive = recording.torque_noise, arguments.drive
     settings["options"] = replace(settings["options"], torque_noise=noise)
     robot = RobotIdentifier(str(loaded.urdf), dt=recording.dt, **settings)
@@ -191,37 +208,24 @@ def _identified(arguments, folder):
         part = replace(part, t=recording.clock()[first])
     with _input.blaming(loaded.source, loaded.gains):
         robot.fit_inspected(part)
-    lines = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
-    if drive is not None:
-        recording, drive = _commanded(drive, robot, recording)
-        said = _said_delay(robot)
-        lines += [f"no torque was measured: {said}"] if said else []
+    summary = [f"held at zero: {', '.join(loaded.held)}"] if loaded.held else []
+    recording, drive = _commanded(drive, robot, recording)
+    if delay := _said_delay(robot):
+        summary.append(f"no torque was measured: {delay}")
     return _Simulation(
         recording=recording,
         rows=rest,
         times=recording.clock()[rest],
         robot=robot,
         signals=_at(signals, rest),
-        summary="\n".join(
-            [
-                *lines,
-                f"first {100 * _SHARE:g} % of every recording identified, the rest "
-                "simulated",
-                f"friction: {', '.join(settings['friction']) or 'none'}",
-            ]
-        ),
+        summary=[
+            *summary,
+            f"first {100 * _SHARE:g} % of every recording identified, the rest "
+            "simulated",
+            f"friction: {', '.join(settings['friction']) or 'none'}",
+        ],
         drive=drive,
     )
-
-
-def _parts(recording):
-    """Return the rows that are identified and those that are simulated."""
-    first, rest = [], []
-    for part in recording.segments:
-        border = part.start + round(_SHARE * (part.stop - part.start))
-        first.append(np.arange(part.start, border))
-        rest.append(np.arange(border, part.stop))
-    return np.concatenate(first), np.concatenate(rest)
 
 
 def _rows_of(recording, rows):
@@ -253,12 +257,12 @@ def _commanded(drive, robot, recording):
 
     from sklearn_vbjfa.robot import signed
 
-    if drive.of_positions:
+    if drive is not None and drive.of_positions:
         if _command_delay(robot) is not None:
             # The delay is that of the fit.
             drive = clone(drive).set_params(delay="auto")
         return recording, drive
-    if drive.unsigned:
+    if drive is not None and drive.unsigned:
         recording = signed(getattr(robot, "robot_", robot), recording)
     return recording, None
 
@@ -273,7 +277,7 @@ def _command_delay(robot):
 
 def _said_delay(robot):
     """Return a sentence on the delay of the commands, "" for nothing found."""
-    from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
+    from sklearn_vbjfa.diagnosis.explain import parameter_values
     from sklearn_vbjfa.diagnosis.report import sentence
 
     rows = [one for one in parameter_values(robot) if one.name == "drive:delay"]
@@ -311,14 +315,13 @@ def _follow(task, seconds):
 
     def run(robot, cut, beside=None):
         rows, window = cut
-        signals = _at(task.signals, rows)
         return follow_windows(
             robot,
             task.drive,
             _rows_of(part, rows),
             times[rows],
             window=window,
-            signals=signals,
+            signals=_at(task.signals, rows),
             beside=beside,
         )
 
@@ -333,9 +336,9 @@ def _follow(task, seconds):
                 {_DESCRIBED: run(described, cut, one[_ROBOT]), **one}
                 for cut, one in zip(cuts, found)
             ]
-            failed = [one[_DESCRIBED].failures for one in both]
-            if any(failed):
-                raise ValueError(next(filter(None, failed))[0].message)
+            failed = [x for one in both for x in one[_DESCRIBED].failures]
+            if failed:
+                raise ValueError(failed[0].message)
             found = both
         except ValueError as error:
             task.note = f"{_DESCRIBED}: left out. {error}"
@@ -348,11 +351,44 @@ def _follow(task, seconds):
 # -- text ------------------------------------------------------------------------------
 
 
-def _text(task, seconds):
-    """Return the errors of each joint, and what became of the windows."""
-    windows = task.windows
+def _shown(task, seconds):
+    """Return what the template of the text shows."""
+    robot, count = task.windows[_ROBOT], task.windows[_ROBOT].n_windows
+    complete = ~np.any([result.failed for result in task.windows.values()], axis=0)
+    away = robot.run_away.any(axis=1)
+    shown = {
+        "recording": str(task.recording),
+        "summary": task.summary,
+        "seconds": seconds,
+        "windows": _window_errors(task.windows, complete),
+        "whole": _whole_errors(task.whole) if task.whole else {},
+        "complete": int(complete.sum()),
+        "count": count,
+        "notes": [task.note, *(f"whole recordings: {x}" for x in task.failures)],
+        "verdict": robot.verdict(),
+        "failures": "",
+        "away": f"in {away.sum()} of {count} windows" if away.any() else "",
+        "rivals": robot.rivals,
+    }
+
+    def placed(k):
+        name, begin, end = task.place(robot, k)
+        return f"{name}, {begin:.3f} to {end:.3f} s"
+
+    if robot.failures:
+        first = robot.failures[0]
+        shown["failures"] = f"{len(robot.failures)} of {count} windows"
+        shown["first_failure"] = f"{placed(first.window)}: {first.message}"
+    if away.any():
+        k = np.flatnonzero(away)[0]
+        joints = ", ".join(np.array(robot.joint_names)[robot.run_away[k]])
+        shown["first_away"] = f"{joints} at {placed(k)}"
+    return shown
+
+
+def _window_errors(windows, complete):
+    """Columns of the errors over windows, by their heads."""
     first = next(iter(windows.values()))
-    complete = ~np.any([result.failed for result in windows.values()], axis=0)
     scale, units = first.scales
     columns = {"": first.joint_names, "unit": units}
     for label, result in (windows | first.rivals).items():
@@ -361,73 +397,21 @@ def _text(task, seconds):
         if label in windows:
             # Heads differ in blanks where two robots are simulated.
             columns[f"median{' ' * len(columns)}"] = _cells(_mean(errors, np.median))
-    count = "all" if complete.all() else f"{complete.sum()} of"
-    lines = [
-        str(task.recording),
-        task.summary,
-        "",
-        f"position error over windows of {seconds:g} s, root mean square",
-        _tabulated(columns),
-        "",
-        *(_whole_recordings(task) if task.whole else []),
-        *_wrapped(
-            f"{count} {complete.size} windows, each from the measured state at its "
-            f"start and {_explanation(task)}"
-        ),
-        *_wrapped(task.note),
-    ]
-    for text in _failed_recordings(task):
-        lines += _wrapped(f"whole recordings: {text}")
-    lines += ["", *_verdict(task, windows[_ROBOT])]
-    return "\n".join(lines)
+    return columns
 
 
-def _wrapped(text):
-    return textwrap.wrap(text, _WIDTH)
-
-
-def _explanation(task):
-    """Return what drives the robots, and the columns of the table."""
-    if task.whole:
-        return (
-            "driven by the recorded commands alone. median: of the windows' position "
-            "errors; as told: a robot at its commanded positions."
-        )
-    return (
-        "driven by the measured torques. median: of the windows' position errors; "
-        "stays, goes on: a robot that stays where it was, and one that keeps its "
-        "velocity."
-    )
-
-
-def _whole_recordings(task):
-    """Return the lines of a table with the errors over whole recordings."""
-    first = next(iter(task.windows.values()))
+def _whole_errors(whole):
+    """Columns of the errors over whole recordings, by their heads."""
+    first = next(iter(whole[0].values()))
     scale, units = first.scales
     columns = {"": first.joint_names, "unit": units}
-    found = [one | next(iter(one.values())).rivals for one in task.whole]
-    sizes = [next(iter(one.values())).t.size for one in task.whole]
+    found = [one | next(iter(one.values())).rivals for one in whole]
+    sizes = [next(iter(one.values())).t.size for one in whole]
     for label in found[0]:
         # One that failed has no error, and neither have all together.
         squares = [one[label].errors[0] ** 2 for one in found]
         columns[label] = _cells(scale * np.sqrt(np.average(squares, 0, weights=sizes)))
-    return [
-        "over whole recordings, from their first states on",
-        _tabulated(columns),
-        "",
-    ]
-
-
-def _tabulated(columns):
-    """Return a table of text, in which the first two columns are words."""
-    from tabulate import tabulate
-
-    return tabulate(
-        list(zip(*columns.values())),
-        headers=[head.strip() for head in columns],
-        disable_numparse=True,
-        colalign=("left", "left", *["right"] * (len(columns) - 2)),
-    )
+    return columns
 
 
 def _mean(errors, mean=np.mean):
@@ -437,77 +421,6 @@ def _mean(errors, mean=np.mean):
 
 def _cells(numbers):
     return ["none" if np.isnan(x) else f"{x:#.3g}".rstrip(".") for x in numbers]
-
-
-def _verdict(task, windows):
-    """Return lines on whether a model was needed, and on windows that went wrong."""
-    text = f"{windows.verdict()} (windows compared one by one, mean of their errors, "
-    text += "Student's t at 5 %"
-    if windows.failed.any():
-        text += "; a window that failed counts as the worst error of these"
-    lines = _wrapped(f"{text})")
-    if windows.failures:
-        first = windows.failures[0]
-        lines += _wrapped(
-            f"{_failed_count(windows)} failed (see {_TABLE}), the first at "
-            f"{_placed(task, windows, first.window)}: {first.message}"
-        )
-    away = windows.run_away
-    if away.any():
-        k = np.flatnonzero(away.any(axis=1))[0]
-        joints = ", ".join(np.array(windows.joint_names)[away[k]])
-        lines += _wrapped(
-            f"{_away_count(windows)} joints ran away, farther off than "
-            f"{' and '.join(windows.rivals)} in any, first {joints} at "
-            f"{_placed(task, windows, k)}"
-        )
-    return lines
-
-
-def _doubts(task):
-    """Return the warnings that forbid a use."""
-    windows = task.windows[_ROBOT]
-    doubts = [f"{_failed_count(windows)} failed"] if windows.failures else []
-    doubts += _failed_recordings(task)
-    if windows.run_away.any():
-        doubts.append(f"{_away_count(windows)} joints ran away")
-    return doubts if windows.clearly_better.all() else [*doubts, windows.verdict()]
-
-
-def _failed_recordings(task):
-    """Return which whole recordings were not simulated to their end, and why."""
-    return [
-        f"{label}: {failure.message}"
-        for one in task.whole
-        for label, result in one.items()
-        for failure in result.failures
-    ]
-
-
-def _failed_count(windows):
-    return f"{len(windows.failures)} of {windows.n_windows} windows"
-
-
-def _away_count(windows):
-    return f"in {windows.run_away.any(axis=1).sum()} of {windows.n_windows} windows"
-
-
-def _placed(task, windows, k):
-    """Return where a window is."""
-    name, begin, end = _place(task, windows, k)
-    return f"{name}, {begin:.3f} to {end:.3f} s"
-
-
-def _place(task, windows, k):
-    """Return the recording of a window, and its times since the start of that [s]."""
-    recording = task.recording
-    row = task.rows[windows.starts[k]]
-    label = recording.groups[row]
-    begin = (row - recording.segments[label].start) * recording.dt
-    names = recording.group_names
-    # A single one is called after its file.
-    name = recording.name if len(names) == 1 else names[label]
-    return name, begin, begin + windows.t[k, -1] - windows.t[k, 0]
 
 
 def errors_table(task):
@@ -521,17 +434,17 @@ def errors_table(task):
     heads += [name.replace(" ", "_") for name in first.rivals]
     table.writerow([*heads, "failed"])
     # Whole recordings follow their windows.
-    pairs = [pair for each in (task.windows, *task.whole) for pair in each.items()]
-    for label, result in pairs:
+    for label, result in (
+        pair for each in (task.windows, *task.whole) for pair in each.items()
+    ):
         errors = [result.errors, result.velocity_errors]
         errors += [rival.errors for rival in result.rivals.values()]
         errors = scale * np.array(errors)
         messages = {one.window: one.message for one in result.failures}
         for k in range(result.n_windows):
-            name, begin, end = _place(task, result, k)
+            name, begin, end = task.place(result, k)
             for j, joint in enumerate(result.joint_names):
                 row = [label, name, f"{begin:.6g}", f"{end:.6g}", joint, units[j]]
                 row += ["" if np.isnan(x) else f"{x:.6g}" for x in errors[:, k, j]]
-                row.append(messages.get(k, ""))
-                table.writerow(map(_input.no_formula, row))
+                table.writerow(map(_input.no_formula, [*row, messages.get(k, "")]))
     return file.getvalue()

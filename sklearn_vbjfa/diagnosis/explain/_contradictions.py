@@ -1,55 +1,51 @@
-"""Recordings that differ: what is another in one of them, or in each."""
+"""Recordings that differ: the parameter that is another in one of them, or in each."""
 
 from dataclasses import dataclass
 
 import numpy as np
-from sklearn.base import clone
+from scipy import stats
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.diagnosis.search._problem import (
-    Family,
-    Fit,
-    Moments,
-    SelectedEffect,
-    declared_alone,
-    rescaled,
-    spectrum_of,
-)
 from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
-# Parts into which a recording is divided, each predicted without it, and the fewest.
-_PARTS, _FEWEST_PARTS = 8, 4
+# Parts of a recording: they tell how much one robot differs from itself.
+_PARTS = 3
 # A recording suffers if most of its squared error comes from the other recordings.
 _MOST = 0.5
 # Directions that the data tell less about than this share are left alone.
 _KNOWN = 1e-9
-# What may scatter from one recording of a joint to the next, and from how many on.
+# Parameters of a joint that may differ, and recordings from which they may scatter.
 _PLAIN = (Offset.name, "gain", "friction")
 _SCATTER = 3
+# Most parameters that are named.
+_MOST_FOUND = 8
 # Times that gains are made anew of the torque that recordings share, until it stays.
-_TURNS, _STAYS = 20, 1e-4
+_TURNS, _STAYS = 30, 1e-4
 
 
-# tau_r = Phi theta + sum_g E_g u_rg + noise: deviations u_rg of each recording r in
-# each group g of columns E_g, with a half-Cauchy scale that is integrated.
+# tau_r = Phi theta + E_g u_rg + noise: deviations u_rg of a recording r in the columns
+# E_g of a group g. They are compared with the deviations of parts of single recordings
+# in the same columns, as in a nested analysis of variance (H. Scheffe, "The Analysis of
+# Variance", 1959, section 5.3): F = (explained by recordings) / (explained by parts).
 
 
 @dataclass(frozen=True, kw_only=True)
 class Deviation:
-    """What is another in one of the recordings, or in each of them."""
+    """A parameter that differs in one of the recordings, or in each of them."""
 
     # that may be the one, from zero, the most probable first; all of them where each
-    # has its own
+    # has another value
     recordings: tuple
     # offset, gain (of a torque), friction, payload (of the last body), or the model:
     # everything
     name: str
     joints: tuple  # from zero
     # of one offset: how much larger it is [N m or N]; of one gain: how many times as
-    # large the torque is; where each has its own, their deviation; else nan
+    # large the torque is; where each differs, their deviation; else nan
     value: float = np.nan
-    log_odds: float = np.nan  # posterior, that it is another
-    scatters: bool = False  # whether each recording has its own
+    # of the F test, times the number of parameters that were tested
+    p_value: float = np.nan
+    scatters: bool = False  # whether each recording has another value
     # names of what explains it within the rivals' nats, the best first
     rivals: tuple = ()
 
@@ -71,292 +67,206 @@ class Contradictions:
     """What contradicts what, and why."""
 
     found: tuple = ()  # recordings and joints
-    deviations: tuple = ()  # what is another, the most probable first
+    deviations: tuple = ()  # the clearest first
 
 
-def contradictions(parts, spread, alpha, settings):
-    """Compare the recordings of a fit with each other, as `Contradictions`."""
-    suffering = [] if parts is None else _suffering(parts, spread)
+def contradictions(parts, spread, alpha, rivals):
+    """Compare the recordings of a fit, `Parts` or None; rivals: nats between them."""
+    suffering = [] if parts is None else parts.suffering(spread)
     if not suffering:
         return Contradictions()
     joints = sorted({one.joint for one in suffering})
-    # Of two, the one that does not suffer may be the one that is another.
-    suspects = parts.recordings
-    if suspects.size > 2:
-        suspects = np.unique([one.recording for one in suffering])
-    needed = float(np.log((1.0 - alpha) / alpha))
-    deviations = _Deviations(parts.fit, settings).found(suspects, joints, needed)
+    # Of two, the one that does not suffer may be the one that differs.
+    suspects = range(parts.count)
+    if parts.count > 2:
+        suspects = sorted({one.recording for one in suffering})
+    deviations = _Comparison(parts).found(suspects, joints, alpha, rivals)
     of_joints = {j for one in deviations for j in one.joints}
     found = tuple(one for one in suffering if one.joint in of_joints)
-    if not found:
-        return Contradictions()
-    return Contradictions(found=found, deviations=deviations)
-
-
-def _suffering(parts, spread):
-    """List joints of recordings that a fit to these alone predicts much better."""
-    found = []
-    for recording in parts.recordings:
-        if parts.count(recording) < _FEWEST_PARTS:
-            continue
-        rows = parts.weight(recording).sum(axis=0)
-        alone = parts.squares(recording, others=False).sum(axis=0)
-        together = parts.squares(recording, others=True).sum(axis=0)
-        for joint in np.flatnonzero((parts.precision > 0) & (rows > 0)):
-            if alone[joint] <= _MOST * together[joint]:
-                size = spread[joint] * np.sqrt(rows[joint])
-                found.append(
-                    Contradiction(
-                        recording=int(recording),
-                        joint=int(joint),
-                        alone=float(np.sqrt(alone[joint]) / size),
-                        together=float(np.sqrt(together[joint]) / size),
-                    )
-                )
-    return found
+    return Contradictions(found=found, deviations=deviations if found else ())
 
 
 @dataclass(frozen=True)
 class _Group:
-    """What may be another: in place of an effect in the search's regression."""
+    """Parameters that may differ: in one recording, or in each."""
 
     name: str
     joints: tuple
     recordings: tuple
-    whole_robot: bool
-    in_model = slow = bank = False
-    jumping = ()
-
-    @property
-    def joint(self):
-        """First joint."""
-        return self.joints[0]
 
     @property
     def scatters(self):
-        """Whether each recording has its own."""
+        """Whether each recording has another value."""
         return len(self.recordings) > 1
 
 
-class _Deviations:
-    """Posterior of differences between recordings given the completed model."""
+@dataclass(frozen=True, kw_only=True)
+class _Trial:
+    """A group beside those that were found before."""
 
-    def __init__(self, fit, settings):
-        self.fit, self.scale, self.rivals = fit, settings.scale, settings.rivals
-        self.settings, self.view = settings, fit.view
-        base = declared_alone(fit.view).base
-        self.problem = base.problem
-        self.used_joints = np.flatnonzero(self.problem.used_joints)
-        self.recordings = np.unique(fit.view.origin)
-        effects = [
-            Family.of(self.problem, (e,), fit.view.columns([e], fit.motion))
-            for e in fit.effects
-        ]
-        members = [family.member(0, self.scale) for family in effects]
-        start = rescaled(Fit(base, members), self.scale)
-        self.regression, self.n_effects = spectrum_of(start, settings), len(members)
-        self._mirrors, self._families = set(), {}
-        self._still = {name: self._kind(name) for name in (Offset.name, "friction")}
+    group: _Group
+    columns: list  # pairs of the coefficients of each joint's design, and parts
+    coef: np.ndarray  # of all columns, those of the groups before first
+    theta: np.ndarray
+    gain: float  # squares that it explains, over those of the noise
+    size: float  # the same of parts of single recordings, for each parameter
+    rank: int  # number of parameters
+    p_value: float
 
-    def found(self, suspects, joints, needed):
-        """Deviations with enough odds, added one by one, a tuple of `Deviation`."""
-        regression, out = self.regression, []
-        open_ = list(self._groups(suspects, joints))
-        nv, R = self.view.nv, self.recordings.size
-        # Each joint and recording counts, whether it suffers or not.
-        count = R * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv * (R >= _SCATTER)
-        prior = np.log(self.settings.expected / count)
-        while open_:
-            torque = self._shared(regression)
-            families = [self._family(group, torque) for group in open_]
-            odds = [self._evidence(regression, own) + prior for own in families]
-            best = int(np.argmax(odds))
-            if odds[best] < needed:
+
+class _Comparison:
+    """Search for the parameters that differ between recordings."""
+
+    def __init__(self, parts):
+        self.parts = parts
+        nv, body = parts.nv, parts.width
+        # Columns of the last body, which a payload changes.
+        self._last = np.arange(body)[-parts.per_joint :][:10]
+        self._all = tuple(np.flatnonzero(parts.used).tolist())
+        self.count = parts.count * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv
+
+    def found(self, suspects, joints, alpha, rivals):
+        """Return the deviations, added one by one while they are significant."""
+        groups = list(self._groups(suspects, joints))
+        chosen = []
+        for _ in range(_MOST_FOUND):
+            best = self._best(chosen, groups, alpha)
+            if best is None:
                 break
-            near = [
-                open_[k]
-                for k in np.argsort(odds)[::-1]
-                if odds[k] > odds[best] - self.rivals
-            ]
-            scale = regression.groups(families[best]).best_scale(self.scale)[0]
-            regression = self._beside(regression, families[best], float(scale))
-            out.append((open_.pop(best), near, odds[best]))
-        members = range(self.n_effects, len(regression.members))
-        return tuple(self._told(regression, i, *own) for i, own in zip(members, out))
+            chosen.append(best)
+            # An earlier one may have stood in for several.
+            for one in chosen[:-1]:
+                others = [other for other in chosen if other is not one]
+                again = self._best(others, groups, alpha)
+                at = chosen.index(one)
+                chosen[at : at + 1] = [] if again is None else [again]
+        return tuple(
+            self._deviation(one, [x for x in chosen if x is not one], groups, rivals)
+            for one in chosen
+        )
+
+    def _trials(self, others, groups, alpha):
+        """Return the significant trials beside others, fewest parameters first."""
+        kept = [column for one in others for column in one.columns]
+        taken = [one.group for one in others]
+        found = [self._tried(kept, group) for group in groups if group not in taken]
+        found = [one for one in found if one.p_value * self.count < alpha]
+        return sorted(found, key=lambda one: (one.rank, -one.gain))
+
+    def _best(self, others, groups, alpha):
+        """Return the trial that none with more parameters explains much more than."""
+        best = None
+        for one in self._trials(others, groups, alpha):
+            best = one if best is None or self._lead(best, one) < 0 else best
+        return best
+
+    def _lead(self, one, other):
+        """Log Bayes factor (Schwarz) of a trial over another one."""
+        # By what parts of single recordings leave of the simpler one.
+        size = min(one, other, key=lambda trial: trial.rank).size
+        penalty = (one.rank - other.rank) * np.log(self.parts.n_blocks)
+        return 0.5 * ((one.gain - other.gain) / size - penalty)
 
     def _groups(self, suspects, joints):
-        """Yield what may be another, in each suspect or from recording to recording."""
-        every = tuple(self.recordings.tolist())
+        """Yield the parameters that may differ in each suspect, or scatter."""
+        every = tuple(range(self.parts.count))
         for name in _PLAIN:
             for j in joints:
                 for r in suspects:
-                    yield _Group(name, (j,), (int(r),), False)
+                    yield _Group(name, (j,), (int(r),))
                 if len(every) >= _SCATTER:
-                    yield _Group(name, (j,), every, False)
-        wide = ("gain", "friction") if self.used_joints.size > 1 else ()
+                    yield _Group(name, (j,), every)
+        wide = ("gain", "friction") if len(self._all) > 1 else ()
         for name in (*wide, Payload.name, "model"):
             for r in suspects:
-                yield _Group(name, tuple(self.used_joints.tolist()), (int(r),), True)
+                yield _Group(name, self._all, (int(r),))
 
-    def _evidence(self, regression, family):
-        """Log Bayes factor of a group, tempered by its scatter in time."""
-        groups = regression.groups(family)
-        if not groups.shown().any():
-            return -np.inf
-        coef = groups.coefficients()[0]
-        excess = regression.excess(family, 0, coef, regression)
-        return float(groups.discounted(excess).evidence(self.scale)[0])
-
-    def _beside(self, regression, family, scale):
-        """Regression with one more group; gains are of the torque that all share."""
-        before, group = regression, family.effects[0]
-        regression = before.beside(_member(family, scale))
-        if _turned(regression, len(before.members)):
-            before = self._mirrored(before, group)
-            family = self._family(group, self._shared(before))
-            regression = before.beside(_member(family, scale))
-        for _ in range(_TURNS):
-            torque = self._shared(regression)
-            groups = [
-                _member(self._family(one.effect, torque), one.scale)
-                for one in regression.members[self.n_effects :]
-            ]
-            members = [*regression.members[: self.n_effects], *groups]
-            again = rescaled(Fit(regression.base, members), self.scale)
-            regression = spectrum_of(again, self.settings, 1)
-            change = self._shared(regression) - torque
-            if (change**2).sum() <= _STAYS**2 * (torque**2).sum():
+    def _tried(self, kept, group):
+        """Fit a group beside the columns that are kept, and test it."""
+        parts, is_gain = self.parts, group.name == "gain"
+        before, theta, _ = parts.fitted(kept)
+        if is_gain and not group.scatters:
+            # What is shared is best known from the others.
+            theta = parts.solve(~np.isin(parts.recording, group.recordings))
+        for _ in range(_TURNS if is_gain else 1):
+            columns = self._columns(group, theta)
+            after, again, coef = parts.fitted([*kept, *columns])
+            change, theta = parts.size(again - theta), again
+            if change <= _STAYS * parts.size(theta):
                 break
-        return regression
+        made = [a for a, _ in self._columns(group, theta)]
+        made = made[: len(made) // len(group.recordings)]
+        size, freedom = parts.within(made, [*kept, *columns], coef, theta)
+        rank = len(columns) - (len(made) if group.scatters else 0)
+        # Parts that differ by less than noise make no recording differ.
+        size = max(size, 1.0)
+        # A recording may differ by what its thirds differ by: it is no mean over them.
+        limit = rank * (1.0 + _PARTS * (size - 1.0))
+        gain = max(after - before, 0.0)
+        return _Trial(
+            group=group,
+            columns=columns,
+            coef=coef,
+            theta=theta,
+            gain=gain,
+            size=size,
+            rank=rank,
+            p_value=float(stats.f.sf(gain / limit, rank, freedom)),
+        )
 
-    def _mirrored(self, regression, group):
-        """Regression on torques of the other sign, for a gain that is negative."""
-        problem, j = regression.problem, group.joint
-        own = np.isin(self.view.origin, group.recordings)
-        rows = problem.cosines.rows(problem.y[[j]]) * np.where(own, -1.0, 1.0)
-        y = problem.y.copy()
-        y[j] = problem.cosines(rows, [j])[0]
-        self._mirrors.add(group)
-        base = regression.base.on(problem.with_torques(y))
-        return spectrum_of(Fit(base, regression.members), self.settings)
-
-    def _told(self, regression, i, group, near, log_odds):
-        """Collect a group that was found, the i-th member."""
-        member, value = regression.members[i], np.nan
+    def _deviation(self, trial, others, groups, rivals):
+        """Return the `Deviation` of a trial beside others, and its rivals."""
+        group, value = trial.group, np.nan
+        near = [
+            t
+            for t in self._trials(others, groups, 1.0)
+            if self._lead(trial, t) < rivals
+        ]
+        near = [t.group for t in sorted(near, key=lambda t: self._lead(trial, t))]
         if len(group.joints) == 1 and group.name in (Offset.name, "gain"):
-            value = float(regression.coefficients(i)[0])
+            own = trial.coef[-len(trial.columns) :]
+            value = float(own[0])
             if group.scatters:
-                value = float(member.scale * member.unit[0])
+                value = float(own.std())
             elif group.name == "gain":
-                value = (1.0 + value) * (-1.0 if group in self._mirrors else 1.0)
-        alike = (o for o in near if (o.name, o.joints) == (group.name, group.joints))
-        recordings = dict.fromkeys(o.recordings[0] for o in alike if not o.scatters)
-        others = dict.fromkeys(o.name for o in near if o.name != group.name)
+                value += 1.0
+        same = [g for g in near if (g.name, g.joints) == (group.name, group.joints)]
+        recordings = dict.fromkeys(g.recordings[0] for g in same if not g.scatters)
         return Deviation(
             recordings=group.recordings if group.scatters else tuple(recordings),
             name=group.name,
             joints=group.joints,
             value=value,
-            log_odds=float(log_odds),
+            p_value=min(trial.p_value * self.count, 1.0),
             scatters=group.scatters,
-            rivals=tuple(others),
+            rivals=tuple(dict.fromkeys(g.name for g in near if g.name != group.name)),
         )
 
-    # -- columns --------------------------------------------------------------------
+    def _columns(self, group, theta):
+        """Return the columns of a group in each of its recordings."""
+        designs = self._designs(group, theta)
+        recording = self.parts.recording
+        return [(a, recording == r) for r in group.recordings for a in designs]
 
-    def _shared(self, regression):
-        """Weighted torque of what all recordings share, (nv, m)."""
-        shared = self.problem.Z @ regression.theta
-        for i, member in enumerate(regression.members[: self.n_effects]):
-            for own, j in zip(member.columns, member.joints):
-                shared[j] += own[:, 0] @ regression.coefficients(i)
-        return self.problem.cosines.rows(shared)
-
-    def _kind(self, name, torque=None):
-        """Columns of each joint that is heard, a dict of (m, k)."""
-        if name == "gain":
-            return {int(j): torque[j][:, None] for j in self.used_joints}
-        effects = (Offset(),) if name == Offset.name else (Viscous(), Coulomb())
-        out = {}
-        for j in self.used_joints:
-            own = [clone(e).set_params(joint=int(j)) for e in effects]
-            made = [self.view.columns([e], self.fit.motion)[0, :, 0] for e in own]
-            out[int(j)] = np.concatenate(made, axis=1)
-        return out
-
-    def _columns(self, group, torque):
-        """Columns (nj, m, 1, k) of a group in all recordings."""
-        view = self.view
+    def _designs(self, group, theta):
+        """Return the columns of a group as coefficients of the joints' designs."""
+        parts = self.parts
         if group.name == Payload.name:
-            features = view.robot.features_
-            last = features.n_parameters_ - features.n_parameters_ // view.nv
-            body = view.equations.Phi[:, :, last : last + 10] * view.root[:, :, None]
-            return body.transpose(1, 0, 2)[:, :, None]
+            return [parts.of_parameter(k) for k in self._last]
         if group.name == "model":
-            every = [_wide(self._still[name], view) for name in self._still]
-            return np.concatenate([view.Z[:, :, None], *every], axis=3)
-        own = self._still.get(group.name) or self._kind(group.name, torque)
-        return (
-            _wide(own, view) if group.whole_robot else own[group.joint][None, :, None]
-        )
-
-    def _family(self, group, torque):
-        """Group in its recordings; but for gains it is made once."""
+            every = [parts.of_parameter(k) for k in range(parts.width)]
+            return every + [parts.of_term(j, k) for j in self._all for k in range(3)]
         if group.name == "gain":
-            return self._made(group, torque)
-        if group not in self._families:
-            self._families[group] = self._made(group, torque)
-        return self._families[group]
-
-    def _made(self, group, torque):
-        """Group in its recordings, or in each of several with separate columns."""
-        columns = self._columns(group, torque)
-        unit = Family.of(self.problem, (group,), columns).unit
-        joints = tuple(self.view.joints_of(group))
-        made = [
-            self.problem.cosines(
-                columns * (self.view.origin == r)[:, None, None], joints
-            )
-            for r in group.recordings
-        ]
-        return Family(
-            effects=(group,),
-            moments=Moments(joints, np.concatenate(made, axis=3), self.problem.edges),
-            unit=np.tile(unit, len(made)),
-        )
-
-
-def _wide(columns, view):
-    """Columns (m, k) of joints as those of all joints, (nv, m, 1, k * joints)."""
-    width = [own.shape[1] for own in columns.values()]
-    out = np.zeros((view.nv, view.index.size, 1, sum(width)))
-    for j, own, end in zip(columns, columns.values(), np.cumsum(width)):
-        out[j, :, 0, end - own.shape[1] : end] = own
-    return out
-
-
-def _turned(regression, i):
-    """Whether a member is the negative gain of a joint in one recording."""
-    group = regression.members[i].effect
-    single = group.name == "gain" and not (group.whole_robot or group.scatters)
-    return single and regression.coefficients(i)[0] < -1.0
-
-
-def _member(family, scale):
-    """Group as a member of a fit."""
-    return SelectedEffect(
-        effect=family.effects[0],
-        moments=family.moments,
-        unit=family.unit[0],
-        scale=scale,
-    )
+            return [parts.of_torque(j, theta) for j in group.joints]
+        terms = (0,) if group.name == Offset.name else (1, 2)
+        return [parts.of_term(j, k) for j in group.joints for k in terms]
 
 
 class Parts:
-    """Equations by recordings and parts of them, and fits to all but some of them."""
+    """Second moments of the equations of each joint, by recordings and their parts."""
 
-    # fit: `FinalFit`, the completed model on all recordings; recordings; precision
-    # (nv,): weights of the joints.
+    # fit: `FinalFit`, the completed model on all recordings. The design of a joint has
+    # the parameters that move it, and an offset, viscous and Coulomb friction.
 
     @classmethod
     def of(cls, fit):
@@ -365,104 +275,263 @@ class Parts:
         return cls(fit) if several and fit.view.precision.any() else None
 
     def __init__(self, fit):
-        view = fit.view
-        self.fit, self.precision = fit, view.precision
+        view = self._view = fit.view
+        self.precision, self.nv = view.precision, view.nv
+        self.used = view.precision > 0
+        self._number(view)
+        weight = view.equations.weight
+        Phi = fit.columns()
+        self.width = Phi.shape[2]
+        features = fit.identifier.features_
+        self.per_joint = features.n_parameters_ // features.n_joints_
+        self.columns, self._weights = [], []
+        # By thirds of time; by positions and by speeds of the joint, over which the
+        # parameters of a model differ that does not hold.
+        self._moments, self._by_state = [], ([], [])
+        states = view.states[view.index]
+        for j in range(self.nv):
+            terms = [e(joint=j) for e in (Offset, Viscous, Coulomb)]
+            terms = [fit.in_equations(e)[:, j, 0] for e in terms]
+            self.columns.append(np.flatnonzero((Phi[:, j] != 0).any(axis=0)))
+            rows = np.column_stack([Phi[:, j, self.columns[j]], *terms])
+            rows = np.column_stack([rows, view.equations.tau[:, j]])
+            own = weight[:, j]
+            position, speed = states[:, j], np.abs(states[:, self.nv + j])
+            for kept, part in (
+                (self._moments, self._part),
+                (self._by_state[0], self._sorted(view.origin, position, own)),
+                (self._by_state[1], self._sorted(view.origin, speed, own)),
+            ):
+                places = (part == p for p in range(part.max() + 1))
+                kept.append(
+                    np.array([(rows[x] * own[x, None]).T @ rows[x] for x in places])
+                )
+            self._weights.append(np.bincount(self._part, own, len(self.recording)))
+        self._weights = np.array(self._weights).T
+        self._prior = self._prior_of(fit.identifier)
+        self.noise = self._noise()
+
+    def _number(self, view):
+        """Count parts of the rows, thirds of the blocks of each recording."""
         label = view.spans.label
         starts = np.r_[0, np.flatnonzero(np.diff(label)) + 1]
-        self._edges = np.r_[starts, label.size]
-        # Recording of each block, and which part of it the block is in.
-        self._origin = view.origin[starts]
-        self.recordings = np.unique(self._origin)
-        self._part = np.empty(starts.size, dtype=int)
-        for recording in self.recordings:
-            own = np.flatnonzero(self._origin == recording)
-            # Not in turns: slow noise would be known from both neighbours.
+        origin = view.origin[starts]
+        part, recording = np.empty(starts.size, dtype=int), []
+        for number, name in enumerate(np.unique(origin)):
+            own = np.flatnonzero(origin == name)
             count = min(_PARTS, own.size)
-            self._part[own] = np.arange(own.size) * count // own.size
-        self._weights = view.spans.sums(view.equations.weight)
-        self._moments = [self._moments_of(b) for b in range(starts.size)]
-        self._prior = self._prior_of(fit.identifier)
+            # Not in turns: slow noise would be known from both neighbours.
+            part[own] = len(recording) + np.arange(own.size) * count // own.size
+            recording += [number] * count
+        self.recording, self.n_blocks = np.array(recording), starts.size
+        self.count = int(self.recording[-1]) + 1
+        self._part = np.repeat(part, np.diff(np.r_[starts, label.size]))
+
+    def _sorted(self, origin, values, weight):
+        """Return parts of each recording by the size of a signal, (m,)."""
+        part = np.zeros(values.size, dtype=int)
+        for number, name in enumerate(np.unique(origin)):
+            own = np.flatnonzero(origin == name)
+            order = own[np.argsort(values[own], kind="stable")]
+            done = np.cumsum(weight[order])
+            share = done / done[-1] if done[-1] > 0 else np.linspace(0, 1, own.size)
+            place = np.minimum((_PARTS * share).astype(int), _PARTS - 1)
+            part[order] = _PARTS * number + place
+        return part
 
     def _prior_of(self, identifier):
         """Return what the description says of the bodies, as moments (p, p), (p,)."""
-        p, rigid = self._moments[0][1].size, identifier.features_.n_parameters_
+        p, rigid = self.width, identifier.features_.n_parameters_
         G, g = np.zeros((p, p)), np.zeros(p)
         described = identifier.described()
         if described is not None:
-            heard = self.precision > 0
-            own = identifier.estimator_.joint_weights_[heard]
+            own = identifier.estimator_.joint_weights_[self.used]
             metric, centre = described
-            metric = metric[:rigid, :rigid] * np.mean(self.precision[heard] / own)
+            ratio = np.mean(self._view.precision[self.used] / own)
+            metric = metric[:rigid, :rigid] * ratio
             G[:rigid, :rigid], g[:rigid] = metric, metric @ centre[:rigid]
         return G, g
 
-    def _rows(self, block):
-        """Rows of a block."""
-        return slice(self._edges[block], self._edges[block + 1])
+    def _noise(self):
+        """Return weights of the joints by fits to each recording alone, (nv,)."""
+        # Of what recordings share, differences between them would count as noise.
+        squares = np.zeros(self.nv)
+        for r in range(self.count):
+            theta = self.solve(self.recording == r)
+            own = np.flatnonzero(self.recording == r)
+            squares += sum(self._squares(p, theta) for p in own)
+        total = self._weights.sum(axis=0)
+        known = self.used & (squares > 0)
+        return np.where(known, total / np.where(known, squares, 1.0), 0.0)
 
-    def _moments_of(self, block):
-        """Second moments (p, p) and (p,) of a block."""
-        G, g = 0.0, 0.0
-        rows = self._rows(block)
-        Phi = self.fit.columns(rows)
-        weight = self.fit.view.equations.weight[rows] * self.precision
-        for j in range(Phi.shape[1]):
-            own = Phi[:, j] * weight[:, j, None]
-            G = G + own.T @ Phi[:, j]
-            g = g + own.T @ self.fit.view.equations.tau[rows, j]
+    # -- fits --------------------------------------------------------------------------
+
+    def _system(self, chosen, precision):
+        """Return the normal equations of some parts, (p, p) and (p,)."""
+        G, g = (values.copy() for values in self._prior)
+        for j in np.flatnonzero(self.used):
+            own, n = self.columns[j], self.columns[j].size
+            moments = precision[j] * self._moments[j][chosen].sum(axis=0)
+            G[np.ix_(own, own)] += moments[:n, :n]
+            g[own] += moments[:n, -1]
         return G, g
 
-    def count(self, recording):
-        """Count the parts of a recording."""
-        return np.unique(self._part[self._origin == recording]).size
-
-    def weight(self, recording):
-        """Weight of the rows of each block of a recording, (n_blocks, nv)."""
-        return self._weights[self._origin == recording]
-
-    def _solve(self, blocks):
-        """Fit to some blocks with the description as prior, (p,)."""
-        known, pulled = self._prior
-        G = known + sum(self._moments[b][0] for b in blocks)
-        g = pulled + sum(self._moments[b][1] for b in blocks)
+    def solve(self, chosen):
+        """Fit to some parts with the description as prior, (p,)."""
+        G, g = self._system(chosen, self.precision)
         return scaled_eigen(G, _KNOWN).solve(g)
+
+    def fitted(self, columns):
+        """Fit further columns; returns what they explain, theta and coefficients."""
+        chosen = np.ones(len(self.recording), dtype=bool)
+        if not hasattr(self, "_whole"):
+            G, g = self._system(chosen, self.noise)
+            eigen = scaled_eigen(G, _KNOWN)
+            self._whole = eigen, g, eigen.solve(g)
+        eigen, g, theta = self._whole
+        if not columns:
+            return 0.0, theta, np.empty(0)
+        K = len(columns)
+        cross, H, h = np.zeros((self.width, K)), np.zeros((K, K)), np.zeros(K)
+        where = np.array([at for _, at in columns])
+        for j in np.flatnonzero(self.used):
+            A = np.column_stack([a[j] for a, _ in columns])
+            if not A.any():
+                continue
+            n, moments = self.columns[j].size, self._moments[j]
+            for p in range(len(self.recording)):
+                own = where[:, p] & A.any(axis=0)
+                if not own.any():
+                    continue
+                M = self.noise[j] * moments[p]
+                made = M[:-1, :-1] @ A[:, own]
+                at = np.flatnonzero(own)
+                cross[np.ix_(self.columns[j], at)] += made[:n]
+                H[np.ix_(at, at)] += A[:, own].T @ made
+                h[at] += A[:, own].T @ M[:-1, -1]
+        left = eigen.solve(cross)
+        H, h = H - cross.T @ left, h - cross.T @ theta
+        coef = scaled_eigen(H, _KNOWN).solve(h)
+        return float(coef @ h), theta - left @ coef, coef
+
+    def size(self, theta):
+        """Root of the squared torques of some parameters."""
+        G, _ = self._system(np.ones(len(self.recording), dtype=bool), self.noise)
+        return float(np.sqrt(max(theta @ G @ theta, 0.0)))
+
+    def within(self, designs, columns, coef, theta):
+        """Return what designs explain of parts of recordings, over their number."""
+        # And the freedom: of the partition whose parts differ most.
+        thirds = np.repeat(np.arange(self.count), _PARTS)
+        found = [
+            self._within(self._moments, self.recording, designs, columns, coef, theta)
+        ]
+        for moments in self._by_state:
+            found.append(self._within(moments, thirds, designs, columns, coef, theta))
+        return max(found)
+
+    def _within(self, moments, recording, designs, columns, coef, theta):
+        """Do the same for one partition of the rows of each joint."""
+        K = len(designs)
+        active = {r: [] for r in range(self.count)}
+        for (a, at), value in zip(columns, coef):
+            for r in np.unique(self.recording[at]):
+                active[r].append((a, value))
+        scores, grams = np.zeros((recording.size, K)), np.zeros((recording.size, K, K))
+        for j in np.flatnonzero(self.used):
+            A = np.column_stack([a[j] for a in designs])
+            own = np.flatnonzero(A.any(axis=0))
+            for p, r in enumerate(recording if own.size else ()):
+                M = self.noise[j] * moments[j][p]
+                known = np.zeros(M.shape[0] - 1)
+                known[: self.columns[j].size] = theta[self.columns[j]]
+                known += sum(value * a[j] for a, value in active[r])
+                scores[p, own] += A[:, own].T @ (M[:-1, -1] - M[:-1, :-1] @ known)
+                grams[p][np.ix_(own, own)] += A[:, own].T @ M[:-1, :-1] @ A[:, own]
+        total, freedom = 0.0, 0
+        for r in range(self.count):
+            own = recording == r
+            pairs = [*zip(scores[own], grams[own])]
+            for sign, (h, H) in (
+                *((1, pair) for pair in pairs),
+                (-1, (scores[own].sum(axis=0), grams[own].sum(axis=0))),
+            ):
+                eigen = scaled_eigen(H, _KNOWN)
+                total += sign * float(h @ eigen.solve(h))
+                freedom += sign * eigen.rank
+        return (total / freedom, freedom) if freedom > 0 else (np.inf, 1)
+
+    # -- columns, as coefficients of the designs of the joints -------------------------
+
+    def of_parameter(self, k):
+        """Column of a parameter in the torques of all joints."""
+        return [np.r_[(own == k).astype(float), 0.0, 0.0, 0.0] for own in self.columns]
+
+    def of_term(self, joint, k):
+        """Column of the offset or a friction term of a joint."""
+        found = [np.zeros(own.size + 3) for own in self.columns]
+        found[joint][self.columns[joint].size + k] = 1.0
+        return found
+
+    def of_torque(self, joint, theta):
+        """Column of the torque of a joint."""
+        found = [np.zeros(own.size + 3) for own in self.columns]
+        own = self.columns[joint]
+        found[joint][: own.size] = theta[own]
+        return found
+
+    # -- errors ------------------------------------------------------------------------
+
+    def _squares(self, p, theta):
+        """Weighted squared errors of a part by joint, (nv,)."""
+        found = []
+        for own, moments in zip(self.columns, self._moments):
+            left = np.zeros(own.size + 4)
+            left[: own.size], left[-1] = -theta[own], 1.0
+            found.append(left @ moments[p] @ left)
+        return np.maximum(found, 0.0)
+
+    def suffering(self, spread):
+        """List joints of recordings that a fit to these alone predicts much better."""
+        found = []
+        for r in range(self.count):
+            own = np.flatnonzero(self.recording == r)
+            if own.size < _PARTS:
+                continue
+            here, squares = self.recording == r, np.zeros((2, self.nv))
+            for p in own:
+                others = np.arange(len(self.recording)) != p
+                for k, chosen in enumerate((here & others, others)):
+                    squares[k] += self._squares(p, self.solve(chosen))
+            rows = self._weights[own].sum(axis=0)
+            alone, together = squares
+            for joint in np.flatnonzero(self.used & (rows > 0)):
+                if alone[joint] <= _MOST * together[joint]:
+                    size = spread[joint] * np.sqrt(rows[joint])
+                    found.append(
+                        Contradiction(
+                            recording=r,
+                            joint=int(joint),
+                            alone=float(np.sqrt(alone[joint]) / size),
+                            together=float(np.sqrt(together[joint]) / size),
+                        )
+                    )
+        return found
 
     def left_out(self, spread):
         """Errors (r, nv) on each recording of fits to the others, over the spread."""
         # Recordings of one motion are left out together: none of them is another one.
-        repetition = self.fit.view.repetition
-        motion = repetition.motion if repetition else np.arange(self.recordings.size)
+        repetition = self._view.repetition
+        motion = repetition.motion if repetition else np.arange(self.count)
         names = np.unique(motion)
         if names.size < 2:
             return np.empty((0, spread.size))
         out = np.full((names.size, spread.size), np.nan)
         for row, name in zip(out, names):
-            own = np.isin(self._origin, self.recordings[motion == name])
-            theta = self._solve(np.flatnonzero(~own))
+            own = np.isin(self.recording, np.flatnonzero(motion == name))
+            theta = self.solve(~own)
             weight = self._weights[own].sum(axis=0)
-            squares = sum(self._error(b, theta) for b in np.flatnonzero(own))
-            used = (weight > 0) & (self.precision > 0)
+            squares = sum(self._squares(p, theta) for p in np.flatnonzero(own))
+            used = (weight > 0) & self.used
             row[used] = np.sqrt(squares[used] / weight[used]) / spread[used]
         return out
-
-    def _folds(self, recording):
-        """Yield the blocks of each part of a recording."""
-        own = np.flatnonzero(self._origin == recording)
-        for part in np.unique(self._part[own]):
-            yield own[self._part[own] == part]
-
-    def squares(self, recording, *, others):
-        """Squared errors (n_blocks, nv) on parts of a recording, without them."""
-        own = np.flatnonzero(self._origin == recording)
-        pool = np.arange(self._origin.size) if others else own
-        out = {}
-        for left_out in self._folds(recording):
-            theta = self._solve(np.setdiff1d(pool, left_out))
-            out.update({b: self._error(b, theta) for b in left_out})
-        return np.array([out[b] for b in own])
-
-    def _error(self, block, theta):
-        """Weighted squared errors of a block, (nv,)."""
-        rows, equations = self._rows(block), self.fit.view.equations
-        residual = equations.tau[rows] - self.fit.columns(rows) @ theta
-        return (equations.weight[rows] * residual**2).sum(axis=0)

@@ -51,6 +51,7 @@ from sklearn_vbjfa.robot._spreads import body_masses
 _UNKNOWN = "no parameter of it is known from zero"
 _UNSURE = "its value is not known well enough to correct anything"
 
+
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
     """Where a report comes from, as the program that ran the search knows it."""
@@ -256,7 +257,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         motion_limits=motion_limits(final.view),
         repeated=final.view.repetition.motions(),
         contradictions=contradictions(
-            parts, spread, float(asked["alpha"]), search.settings
+            parts, spread, float(asked["alpha"]), search.settings.rivals
         ),
         next_recording=next_recording(left_out, after, relative_floor),
         curves=_curves(models, final, judgement, effects, whole),

@@ -20,6 +20,7 @@ _MODULES = {
         "ticks",
     ),
     "_render": (
+        "environment",
         "figure",
         "mathml",
         "sentence",

@@ -31,12 +31,12 @@ _SIGNS = (("+-", "±"), ("^2", "²"), ("^3", "³"), (" %", "\u00a0%"))
 
 
 @lru_cache
-def _environment(is_page):
-    """Return the environment of a page, or that of plain text."""
+def environment(is_page, package=__package__):
+    """Return the templates of a page, or those of plain text, of a package."""
     from jinja2 import Environment, PackageLoader, StrictUndefined
 
     environment = Environment(
-        loader=PackageLoader("sklearn_vbjfa.diagnosis.report"),
+        loader=PackageLoader(package),
         autoescape=is_page,
         finalize=_page_value if is_page else None,
         undefined=StrictUndefined,
@@ -105,7 +105,7 @@ _FUNCTIONS = {
 
 def sentence(name, *values):
     """Return a sentence of the templates that needs no outcome, by its name."""
-    module = _environment(False).get_template("sentences.j2").module
+    module = environment(False).get_template("sentences.j2").module
     return line(getattr(module, name)(*values))
 
 
@@ -153,7 +153,7 @@ class Voice:
         self._values |= values
 
     def _made(self, name, *, is_page):
-        return _environment(is_page).get_template(name).make_module(self._values)
+        return environment(is_page).get_template(name).make_module(self._values)
 
     def _bound(self, module, name, *values):
         """Call a function of a module with the outcome."""
@@ -183,14 +183,14 @@ class Voice:
 
     def text(self):
         """Write the report for a terminal."""
-        template = _environment(False).get_template("terminal.txt.j2")
+        template = environment(False).get_template("terminal.txt.j2")
         text = template.render(self._values, table=text_table)
         return re.sub(r"\n{2,}(?=- )", "\n", text).strip("\n")
 
     def sections(self, *, whole):
         """Return heading, anchor, markup and terms of the sections that have any."""
         values = self._values | {"whole": whole}
-        module = _environment(True).get_template("sections.html.j2").make_module(values)
+        module = environment(True).get_template("sections.html.j2").make_module(values)
         known, found = set(), []
         for heading, make in module.order:
             body = make()
@@ -210,9 +210,7 @@ class Voice:
         """Write the report as a whole page, or as what a notebook shows."""
         name = "page.html.j2" if whole else "fragment.html.j2"
         head, *sections = self.sections(whole=whole)
-        return (
-            _environment(True).get_template(name).render(head=head, sections=sections)
-        )
+        return environment(True).get_template(name).render(head=head, sections=sections)
 
 
 def _read(body):
@@ -226,13 +224,13 @@ def _read(body):
 
 def figure(drawn):
     """Write a `Figure` alone; `style` draws it."""
-    module = _environment(True).get_template("figures.html.j2").module
+    module = environment(True).get_template("figures.html.j2").module
     return str(module.figure(drawn))
 
 
 def style():
     """Return the style sheet of all that is inside an element of class "vbjfa"."""
-    return _environment(True).get_template("style.css.j2").render()
+    return environment(True).get_template("style.css.j2").render()
 
 
 def mathml(formula):

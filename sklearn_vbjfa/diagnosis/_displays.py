@@ -61,8 +61,8 @@ class _Display:
         if not isinstance(estimator, RobotIdentifier):
             if not hasattr(estimator, "declared_"):
                 raise ValueError(
-                    f"{cls.__name__} shows a RobotIdentifier or an EffectDiscovery; got "
-                    f"{type(estimator).__name__}."
+                    f"{cls.__name__} shows a RobotIdentifier or an EffectDiscovery; "
+                    f"got {type(estimator).__name__}."
                 )
             models = (estimator.declared_, estimator.identifier_)
         names, prismatic = models[0].joint_names_, models[0].features_.model_

@@ -454,7 +454,7 @@ def saturated(outcome):
 
 
 def culprits(outcome):
-    """Return recordings that alone contradict the others; empty if it is one of many."""
+    """Return recordings that contradict the others; empty if it may be one."""
     causes = outcome.contradictions.deviations
     alone = all(len(one.recordings) == 1 for one in causes)
     return sorted({one.recordings[0] for one in causes}) if alone else []

@@ -165,7 +165,7 @@ def contradicted(*deviations):
 def test_recordings_that_contradict_each_other(changes, facts):
     given = {"recordings": (0,), "joints": (1,), "p_value": 1e-5}
     text = contradicted(Deviation(**(given | changes)))
-    assert_said(text, "1.1 %", "7.2 %", "p = 1e-05", *facts)
+    assert_said(text, "1.1 %", "7.2 %", "p = 0.00001", *facts)
 
 
 def test_sound_recordings_need_no_words():

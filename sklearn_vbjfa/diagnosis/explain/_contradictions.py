@@ -6,6 +6,7 @@ import numpy as np
 from scipy import stats
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
+from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN
 from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 
 # Parts of a recording: they tell how much one robot differs from itself.
@@ -80,7 +81,7 @@ def contradictions(parts, spread, alpha, rivals):
     suspects = range(parts.count)
     if parts.count > 2:
         suspects = sorted({one.recording for one in suffering})
-    deviations = _Comparison(parts).found(suspects, joints, alpha, rivals)
+    deviations = _Comparison(parts, rivals).found(suspects, joints, alpha)
     of_joints = {j for one in deviations for j in one.joints}
     found = tuple(one for one in suffering if one.joint in of_joints)
     return Contradictions(found=found, deviations=deviations if found else ())
@@ -109,7 +110,10 @@ class _Trial:
     coef: np.ndarray  # of all columns, those of the groups before first
     theta: np.ndarray
     gain: float  # squares that it explains, over those of the noise
-    size: float  # the same of parts of single recordings, for each parameter
+    # the same of parts of single recordings, for each parameter, and what a recording
+    # may have
+    size: float
+    limit: float
     rank: int  # number of parameters
     p_value: float
 
@@ -117,15 +121,15 @@ class _Trial:
 class _Comparison:
     """Search for the parameters that differ between recordings."""
 
-    def __init__(self, parts):
-        self.parts = parts
+    def __init__(self, parts, rivals):
+        self.parts, self.rivals = parts, rivals
         nv, body = parts.nv, parts.width
         # Columns of the last body, which a payload changes.
         self._last = np.arange(body)[-parts.per_joint :][:10]
         self._all = tuple(np.flatnonzero(parts.used).tolist())
         self.count = parts.count * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv
 
-    def found(self, suspects, joints, alpha, rivals):
+    def found(self, suspects, joints, alpha):
         """Return the deviations, added one by one while they are significant."""
         groups = list(self._groups(suspects, joints))
         chosen = []
@@ -134,38 +138,41 @@ class _Comparison:
             if best is None:
                 break
             chosen.append(best)
-            # An earlier one may have stood in for several.
+            # An earlier one may have stood in for the last, or for several.
             for one in chosen[:-1]:
-                others = [other for other in chosen if other is not one]
-                again = self._best(others, groups, alpha)
                 at = chosen.index(one)
+                again = self._best(chosen[:at] + chosen[at + 1 :], groups, alpha)
                 chosen[at : at + 1] = [] if again is None else [again]
+            for k, one in enumerate(chosen):
+                kept = _columns_of(chosen[:k] + chosen[k + 1 :])
+                chosen[k] = self._tried(kept, one.group)
         return tuple(
-            self._deviation(one, [x for x in chosen if x is not one], groups, rivals)
-            for one in chosen
+            self._deviation(one, chosen[:k] + chosen[k + 1 :], groups)
+            for k, one in enumerate(chosen)
         )
 
     def _trials(self, others, groups, alpha):
         """Return the significant trials beside others, fewest parameters first."""
-        kept = [column for one in others for column in one.columns]
+        kept = _columns_of(others)
         taken = [one.group for one in others]
         found = [self._tried(kept, group) for group in groups if group not in taken]
-        found = [one for one in found if one.p_value * self.count < alpha]
+        least = SMALLEST_GAIN * sum(one.gain for one in others)
+        found = [x for x in found if x.p_value * self.count < alpha and x.gain > least]
         return sorted(found, key=lambda one: (one.rank, -one.gain))
 
     def _best(self, others, groups, alpha):
         """Return the trial that none with more parameters explains much more than."""
         best = None
         for one in self._trials(others, groups, alpha):
-            best = one if best is None or self._lead(best, one) < 0 else best
+            best = one if best is None or self._lead(one, best) > self.rivals else best
         return best
 
-    def _lead(self, one, other):
+    def _lead(self, one, other, size="limit"):
         """Log Bayes factor (Schwarz) of a trial over another one."""
-        # By what parts of single recordings leave of the simpler one.
-        size = min(one, other, key=lambda trial: trial.rank).size
+        # In units of what thirds differ by beside the one with more parameters.
+        unit = getattr(max(one, other, key=lambda trial: trial.rank), size)
         penalty = (one.rank - other.rank) * np.log(self.parts.n_blocks)
-        return 0.5 * ((one.gain - other.gain) / size - penalty)
+        return 0.5 * ((one.gain - other.gain) / unit - penalty)
 
     def _groups(self, suspects, joints):
         """Yield the parameters that may differ in each suspect, or scatter."""
@@ -199,9 +206,9 @@ class _Comparison:
         size, freedom = parts.within(made, [*kept, *columns], coef, theta)
         rank = len(columns) - (len(made) if group.scatters else 0)
         # Parts that differ by less than noise make no recording differ.
-        size = max(size, 1.0)
         # A recording may differ by what its thirds differ by: it is no mean over them.
-        limit = rank * (1.0 + _PARTS * (size - 1.0))
+        size = max(size, 1.0)
+        limit = 1.0 + _PARTS * (size - 1.0)
         gain = max(after - before, 0.0)
         return _Trial(
             group=group,
@@ -210,19 +217,17 @@ class _Comparison:
             theta=theta,
             gain=gain,
             size=size,
+            limit=limit,
             rank=rank,
-            p_value=float(stats.f.sf(gain / limit, rank, freedom)),
+            p_value=float(stats.f.sf(gain / limit / rank, rank, freedom)),
         )
 
-    def _deviation(self, trial, others, groups, rivals):
+    def _deviation(self, trial, others, groups):
         """Return the `Deviation` of a trial beside others, and its rivals."""
         group, value = trial.group, np.nan
-        near = [
-            t
-            for t in self._trials(others, groups, 1.0)
-            if self._lead(trial, t) < rivals
-        ]
-        near = [t.group for t in sorted(near, key=lambda t: self._lead(trial, t))]
+        trials = self._trials(others, groups, 1.0)
+        leads = [(self._lead(trial, one, "size"), k) for k, one in enumerate(trials)]
+        near = [trials[k].group for lead, k in sorted(leads) if lead < self.rivals]
         if len(group.joints) == 1 and group.name in (Offset.name, "gain"):
             own = trial.coef[-len(trial.columns) :]
             value = float(own[0])
@@ -260,6 +265,11 @@ class _Comparison:
             return [parts.of_torque(j, theta) for j in group.joints]
         terms = (0,) if group.name == Offset.name else (1, 2)
         return [parts.of_term(j, k) for j in group.joints for k in terms]
+
+
+def _columns_of(trials):
+    """Return the columns of several trials."""
+    return [column for one in trials for column in one.columns]
 
 
 class Parts:
@@ -393,22 +403,14 @@ class Parts:
             return 0.0, theta, np.empty(0)
         K = len(columns)
         cross, H, h = np.zeros((self.width, K)), np.zeros((K, K)), np.zeros(K)
-        where = np.array([at for _, at in columns])
+        where = np.array([at for _, at in columns], dtype=float)
         for j in np.flatnonzero(self.used):
             A = np.column_stack([a[j] for a, _ in columns])
-            if not A.any():
-                continue
-            n, moments = self.columns[j].size, self._moments[j]
-            for p in range(len(self.recording)):
-                own = where[:, p] & A.any(axis=0)
-                if not own.any():
-                    continue
-                M = self.noise[j] * moments[p]
-                made = M[:-1, :-1] @ A[:, own]
-                at = np.flatnonzero(own)
-                cross[np.ix_(self.columns[j], at)] += made[:n]
-                H[np.ix_(at, at)] += A[:, own].T @ made
-                h[at] += A[:, own].T @ M[:-1, -1]
+            moments = self.noise[j] * self._moments[j]
+            made = (moments[:, :-1, :-1] @ A) * where.T[:, None]
+            cross[self.columns[j]] += made[:, : self.columns[j].size].sum(axis=0)
+            H += ((A.T @ made) * where.T[:, :, None]).sum(axis=0)
+            h += (where * (A.T @ moments[:, :-1, -1].T)).sum(axis=1)
         left = eigen.solve(cross)
         H, h = H - cross.T @ left, h - cross.T @ theta
         coef = scaled_eigen(H, _KNOWN).solve(h)
@@ -433,21 +435,25 @@ class Parts:
     def _within(self, moments, recording, designs, columns, coef, theta):
         """Do the same for one partition of the rows of each joint."""
         K = len(designs)
-        active = {r: [] for r in range(self.count)}
-        for (a, at), value in zip(columns, coef):
-            for r in np.unique(self.recording[at]):
-                active[r].append((a, value))
         scores, grams = np.zeros((recording.size, K)), np.zeros((recording.size, K, K))
+        active = [
+            [
+                (a, x)
+                for (a, at), x in zip(columns, coef)
+                if at[self.recording == r].any()
+            ]
+            for r in range(self.count)
+        ]
         for j in np.flatnonzero(self.used):
             A = np.column_stack([a[j] for a in designs])
-            own = np.flatnonzero(A.any(axis=0))
-            for p, r in enumerate(recording if own.size else ()):
-                M = self.noise[j] * moments[j][p]
-                known = np.zeros(M.shape[0] - 1)
-                known[: self.columns[j].size] = theta[self.columns[j]]
-                known += sum(value * a[j] for a, value in active[r])
-                scores[p, own] += A[:, own].T @ (M[:-1, -1] - M[:-1, :-1] @ known)
-                grams[p][np.ix_(own, own)] += A[:, own].T @ M[:-1, :-1] @ A[:, own]
+            known = np.zeros((self.count, A.shape[0]))
+            known[:, : self.columns[j].size] = theta[self.columns[j]]
+            for r, own in enumerate(active):
+                known[r] += sum(value * a[j] for a, value in own)
+            M = self.noise[j] * moments[j]
+            left = M[:, :-1, -1] - (M[:, :-1, :-1] @ known[recording, :, None])[..., 0]
+            scores += left @ A
+            grams += A.T @ M[:, :-1, :-1] @ A
         total, freedom = 0.0, 0
         for r in range(self.count):
             own = recording == r

@@ -2,6 +2,7 @@
 
 import json
 import shlex
+import time
 from dataclasses import replace
 
 from sklearn_vbjfa._cli import _gravity, _input
@@ -17,6 +18,9 @@ def identify(arguments, folder):
     """Identify a robot from a recording, search for effects, and write the files."""
     if arguments.purpose == "gravity":
         return _gravity.correct(arguments, folder)
+    from sklearn_vbjfa.diagnosis import Report
+    from sklearn_vbjfa.diagnosis.explain import Provenance
+
     library = "all" if arguments.effects is None else arguments.effects
     if arguments.no_search and arguments.effects:
         raise Refused(
@@ -42,18 +46,24 @@ def identify(arguments, folder):
 
     def write(folder, notes):
         lacking = write_robot(loop.identifier_, folder)
-        provenance = {
-            "file": files[0] if len(files) == 1 else files,
-            "description": str(_input.expanded(arguments.urdf)),
-            "held": loaded.held,
-            "warnings": (*notes, *lacking),
-            "files": _FILES[1:],
-        }
-        report = _with_provenance(loop.report_, provenance)
+        outcome, command = loop.report_.outcome, ""
+        if loop.report_.has_open_questions:
+            words = ["python", "-m", "sklearn_vbjfa", "design", "--report", str(out)]
+            command = shlex.join(words)
+        provenance = Provenance(
+            file=files[0] if len(files) == 1 else files,
+            description=str(_input.expanded(arguments.urdf)),
+            held=loaded.held,
+            warnings=(*notes, *lacking),
+            files=_FILES[1:],
+            date=time.strftime("%Y-%m-%d"),
+            command=command,
+        )
+        report = Report(replace(outcome, provenance=provenance))
         text = json.dumps(report.to_dict(), indent=1, allow_nan=False)
         folder.joinpath("report.html").write_text(report.to_html(), encoding="utf-8")
         folder.joinpath("report.json").write_text(text, encoding="utf-8")
-        lines = _next_motion(report.outcome, out)
+        lines = [f"The motion for it: {command}"] if command else []
         if lacking:
             lines.append("only identified.json has every effect (page)")
         if ranges:
@@ -109,25 +119,3 @@ def search(
     if several or identifier.drive is not None:
         return loop.fit_recording(recording, signals)
     return loop.fit(recording.q, recording.tau, recording.groups, signals=signals)
-
-
-# -- files -----------------------------------------------------------------------------
-
-
-def _with_provenance(report, provenance):
-    """Return a report with what was read and what is written."""
-    from sklearn_vbjfa.diagnosis import Report
-    from sklearn_vbjfa.diagnosis.explain._outcome import Provenance
-
-    return Report(replace(report.outcome, provenance=Provenance(**provenance)))
-
-
-def _next_motion(outcome, out):
-    """Return a line with the command that designs the motion for open questions."""
-    is_open = (
-        outcome.unexplained
-        or any(effect.rivals for effect in outcome.effects)
-        or any(one.reason == "excitation" for one in outcome.hidden)
-    )
-    command = f"python -m sklearn_vbjfa design --report {shlex.quote(str(out))}"
-    return [f"The motion for it: {command}"] if is_open else []

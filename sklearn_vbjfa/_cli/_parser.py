@@ -59,7 +59,9 @@ def _value(expected, convert, holds=lambda value: True, words=()):
         except ValueError:
             value = math.nan
         if value != value or not holds(value):
-            shown = text if text == "nan" or number(text) == number(text) else repr(text)
+            shown = (
+                text if text == "nan" or number(text) == number(text) else repr(text)
+            )
             raise ValueError(f"must be {expected}; got {shown}")
         return value
 

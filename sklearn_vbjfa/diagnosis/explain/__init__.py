@@ -13,6 +13,7 @@ _MODULES = {
     ),
     "_curves": (
         "FrictionCurves",
+        "ResidualCurves",
         "SpectrumCurves",
         "TimeLine",
         "TorqueCurves",

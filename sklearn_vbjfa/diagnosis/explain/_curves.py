@@ -20,6 +20,8 @@ _ENDS = (0.001, 0.999)
 _GAP = 2.5
 # Most points of a friction curve.
 _DOTS = 400
+# Rows of an autocorrelation.
+_LAGS = 40
 # Rows of a spectrum, in periods of the end of the band: lines are 1/16 of it apart.
 _PERIODS = 16
 # Kinds of a signal that the state of a joint has.
@@ -99,6 +101,19 @@ class SpectrumCurves:
     # (k,): root of the power spectral density [N m/sqrt(Hz) or N/sqrt(Hz)]
     before: np.ndarray
     after: np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class ResidualCurves:
+    """Residual of a joint on the held-out part, over its torque and its own past."""
+
+    joint: int  # from zero
+    # (k,): predicted by the completed model, and what it leaves [N m or N]
+    predicted: np.ndarray
+    residual: np.ndarray
+    lags: np.ndarray  # (l,): [s], or rows
+    correlation: np.ndarray  # (l,): autocorrelation
+    chance: float  # that of white noise, with a probability of 90 %
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -333,6 +348,33 @@ class Spectra:
             SpectrumCurves(joint=j, before=one, after=other, **shared)
             for j, one, other in zip(self._joints, before, after)
         )
+
+
+def residual_curves(after, dt):
+    """Residuals over predictions and over lags, a tuple of `ResidualCurves`."""
+    index = after.index - after.index[0]
+    step = int(np.median(np.diff(index))) if index.size > 1 else 1
+    grid, found = index // step, []
+    for j in range(after.weight.shape[1]):
+        rows = np.flatnonzero(after.weight[:, j] > 0)
+        if rows.size < _FEWEST:
+            continue
+        line = np.zeros(2 ** int(np.ceil(np.log2(2 * (grid[-1] + 1)))))
+        line[grid[rows]] = after.residual[rows, j]
+        power = np.fft.irfft(np.abs(np.fft.rfft(line)) ** 2)
+        lags = np.arange(min(_LAGS, rows.size))
+        shown = rows[np.linspace(0, rows.size - 1, min(rows.size, _DOTS)).astype(int)]
+        found.append(
+            ResidualCurves(
+                joint=j,
+                predicted=after.predicted[shown, j],
+                residual=after.residual[shown, j],
+                lags=lags * step * (1.0 if dt is None else dt),
+                correlation=power[lags] / (power[0] or 1.0),
+                chance=1.645 / np.sqrt(rows.size),
+            )
+        )
+    return tuple(found)
 
 
 def time_line(judgement, clock, begins):

@@ -17,6 +17,7 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
 from sklearn_vbjfa.diagnosis.explain._curves import (
     effect_curves,
     friction_curves,
+    residual_curves,
     time_line,
 )
 from sklearn_vbjfa.diagnosis.explain._gaps import (
@@ -174,9 +175,9 @@ class Outcome:
     contradictions: Contradictions = field(default_factory=Contradictions)
     # masses of the model that is handed over, and which of them are known
     bodies: tuple = ()
-    # of pictures: "effects" has an `EffectCurves` or None of each effect, "friction"
-    # and "spectra" the curves of the joints, "line" the `TimeLine`, "positions" that of
-    # the positions from commands alone, or None; "index" has the held-out rows
+    # of pictures: "effects" has an `EffectCurves` or None of each effect, "friction",
+    # "spectra" and "residuals" the curves of the joints, "line" the `TimeLine`,
+    # "positions" that of the positions from commands alone; "index" the held-out rows
     curves: dict = field(default_factory=dict)
     # where the held-out part leaves what the judged model was fitted on
     outside: tuple = ()
@@ -465,6 +466,7 @@ def _curves(models, final, judgement, effects, whole):
         ),
         "friction": friction_curves(models.declared, final),
         "spectra": judgement.spectra,
+        "residuals": residual_curves(judgement.after, models.judged.dt),
         "positions": judgement.positions,
         "line": time_line(judgement, whole.t, [p.start for p in whole.segments]),
     }

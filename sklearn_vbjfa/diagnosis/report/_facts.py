@@ -262,6 +262,28 @@ def masses(outcome):
     }
 
 
+def forest(outcome):
+    """Place identified masses on a scale from zero to twice the described ones."""
+    if outcome.gains is not None and not outcome.gains.absolute:
+        return []
+    rows = []
+    for body in (one for one in outcome.bodies if one.nominal > 0):
+        half, scale = HALF_WIDTH * body.std, 50.0 / body.nominal
+        ends = np.clip([body.mass - half, body.mass + half], 0.0, 2.0 * body.nominal)
+        is_known = body.known != "in combination" and np.isfinite(half)
+        low, high = scale * ends if is_known else (0.0, 0.0)
+        rows.append(
+            {
+                "name": body.name,
+                "value": with_half(body.mass, body.std if is_known else np.nan),
+                "nominal": body.nominal,
+                "place": float(np.clip(scale * body.mass, 0.0, 100.0)),
+                "reach": (low, high - low) if is_known else (),
+            }
+        )
+    return rows
+
+
 def with_half(value, std, unit=""):
     """Write a value with half its 90 % interval."""
     half = HALF_WIDTH * std

@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     Figure,
     effect_figure,
     friction_figure,
+    residual_figure,
     spectrum_figure,
     torque_figure,
 )
@@ -100,6 +101,18 @@ def friction(outcome):
 def spectra(outcome):
     """Draw the spectrum of what both models leave."""
     return _of_joints(outcome, "spectra", spectrum_figure, "residual")
+
+
+def residuals(outcome):
+    """Draw each residual over the predicted torque, and its autocorrelation."""
+    return [
+        residual_figure(
+            one,
+            title=words.joint_label(outcome.joint_names, one.joint),
+            unit=outcome.torque_units[one.joint],
+        )
+        for one in outcome.curves.get("residuals", ())
+    ]
 
 
 def _of_joints(outcome, key, draw, what):

@@ -11,7 +11,9 @@ WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.
 _STEPS = 5
 # Points of a cloud and of a curve over time.
-_CLOUD, _CURVE = 300, 600
+_CLOUD, _CURVE = 240, 420
+# Points of a cloud of which each joint has one.
+_FEW = 120
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5
@@ -231,6 +233,31 @@ def friction_figure(curves, *, title, y_label):
     )
 
 
+def residual_figure(curves, *, title, unit):
+    """Draw a residual over the predicted torque, and its autocorrelation."""
+    x, y = curves.predicted, curves.residual
+    frame = _Frame(x=_ends(x), y=_range(y))
+    cloud = [
+        Shape(kind="zero", path=frame.level(0.0)),
+        Shape(kind="cloud", path=_cloud(frame, x, y, _FEW)),
+    ]
+    charts = [_chart(frame, "", f"predicted [{unit}]", f"residual [{unit}]", cloud)]
+    frame = _Frame(x=_ends(curves.lags), y=_range(curves.correlation))
+    up, down = frame.down([curves.chance, -curves.chance])
+    lines = [
+        Shape(kind="floor", path=f"M0 {up:.1f}H{WIDTH}V{down:.1f}H0Z"),
+        Shape(kind="zero", path=frame.level(0.0)),
+        Shape(kind="mean-after", path=_line(frame, curves.lags, curves.correlation)),
+    ]
+    charts.append(_chart(frame, "", "lag [s]", "autocorrelation [1]", lines))
+    keys = (
+        ("cloud", "rows in which the joint moves"),
+        ("mean-after", "autocorrelation"),
+    )
+    keys += (("floor", "white noise, 90 %"),)
+    return Figure(title=title, charts=tuple(charts), keys=keys)
+
+
 def spectrum_figure(curves, *, title, y_label):
     """Draw the spectrum of both residuals, in decades, with the band of the fit."""
     logs = [np.log10(own) for own in (curves.before, curves.after)]
@@ -339,9 +366,9 @@ def _path(x, y):
     return "".join(out)
 
 
-def _cloud(frame, x, y):
+def _cloud(frame, x, y, most=_CLOUD):
     """Dots, as strokes of no length."""
-    rows = np.linspace(0, x.size - 1, min(x.size, _CLOUD)).astype(int)
+    rows = np.linspace(0, x.size - 1, min(x.size, most)).astype(int)
     inside = (x[rows] >= frame.x[0]) & (x[rows] <= frame.x[1])
     places = zip(frame.across(x[rows][inside]), frame.down(y[rows][inside]))
     return "".join(f"M{a:.1f} {b:.1f}h0" for a, b in places)

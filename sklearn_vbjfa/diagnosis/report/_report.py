@@ -118,6 +118,16 @@ class Report:
             ),
         )
 
+    @property
+    def has_open_questions(self):
+        """Whether another motion could decide what this recording leaves open."""
+        outcome = self.outcome
+        return bool(
+            outcome.unexplained
+            or any(effect.rivals for effect in outcome.effects)
+            or any(one.reason == "excitation" for one in outcome.hidden)
+        )
+
     def __reduce__(self):
         # Templates are no data.
         return type(self), (self.outcome,)

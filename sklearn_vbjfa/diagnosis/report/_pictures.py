@@ -11,7 +11,7 @@ WIDTH, HEIGHT = 400, 200
 # Most steps of an axis.
 _STEPS = 5
 # Points of a cloud and of a curve over time.
-_CLOUD, _CURVE = 240, 420
+_CLOUD, _CURVE = 200, 480
 # Points of a cloud of which each joint has one.
 _FEW = 120
 # Values farther than a share of their range beyond these quantiles are cut off, or a

@@ -839,18 +839,12 @@ class TorqueResiduals:
         return _weighted(self.residual**2, self.weight) ** 0.5
 
     def relative_error(self, spread):
-        """Root mean square over a given torque spread (nv,), per joint.
-
-        nan for a joint without weighted samples or without spread.
-        """
+        """Root mean square over a torque spread (nv,); nan where there is none."""
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(spread > 0, self.rms() / spread, np.nan)
 
     def normalised_error(self):
-        """Root mean square over the standard deviation of the torque, per joint.
-
-        nan for a joint without weighted samples or with constant torque.
-        """
+        """Root mean square over the standard deviation of the torque, (nv,)."""
         return self.relative_error(torque_spread(self))
 
 

@@ -140,14 +140,12 @@ def estimate(
     *,
     joint_weights="auto",
     rows=(),
-    forward=None,
     described=False,
 ):
     """Estimate one parameter vector from the equations of all joints; not projected."""
     # regressor: linear, which is cloned; joint_weights: "auto", None or (nv,); rows:
-    # the equations themselves, if the regressor needs them; forward: (regressor, rows,
-    # weights) -> keyword arguments of its `fit`; described: whether the description
-    # will be the prior, so that the equations alone count here.
+    # the equations themselves, if the regressor needs them; described: whether the
+    # description will be the prior, so that the equations alone count here.
     weight = resolve_weights(joint_weights, moments)
     total, noise = moments.total(weight), moments.total_noise(weight)
     metric = total.S_xx.copy() if noise is None else denoised(total, noise)
@@ -160,7 +158,7 @@ def estimate(
         if from_moments(regressor):
             theta, std, covariance = _fit_moments(regressor, total, noise)
         else:
-            theta, std = _fit_rows(regressor, rows, weight, total, forward)
+            theta, std = _fit_rows(regressor, rows, weight, total)
     wider, pooled = _correlation(moments, weight, theta)
     return Estimate(
         theta=theta,
@@ -303,7 +301,7 @@ def _fit_moments(regressor, total, noise):
     )
 
 
-def _fit_rows(regressor, rows, joint_weights, total, forward):
+def _fit_rows(regressor, rows, joint_weights, total):
     """Fit any scikit-learn regressor to the stacked, scaled equations."""
     n = total.n_samples
     scale = np.sqrt(np.diagonal(total.S_xx) / n)
@@ -320,11 +318,10 @@ def _fit_rows(regressor, rows, joint_weights, total, forward):
     b = np.concatenate([(one.tau * root[:, 0])[one.weight > 0] for one in rows])
     b = b / y_scale
     weight = np.concatenate([one.weight[one.weight > 0] for one in rows])
-    forwarded = forward(regressor, rows, weight) if forward is not None else {}
     fit_params = {}
     if rows[0].instruments is not None:
         fit_params["instruments"] = stacked("instruments")
-    if "sample_weight" not in forwarded and not np.all(weight == weight[0]):
+    if not np.all(weight == weight[0]):
         # Scale the rows: not every regressor takes sample_weight.
         own = np.sqrt(weight / weight.mean())
         A, b = A * own[:, None], b * own
@@ -338,8 +335,7 @@ def _fit_rows(regressor, rows, joint_weights, total, forward):
         # its mirror image: the means are zero and nothing is lost.
         A, b = _mirror(A), _mirror(b)
         fit_params = {k: _mirror(v) for k, v in fit_params.items()}
-        forwarded = {k: np.repeat(v, 2) for k, v in forwarded.items()}
-    regressor.fit(A, b, **fit_params, **forwarded)
+    regressor.fit(A, b, **fit_params)
     theta = _read_coefficients(regressor, A[:50])
     std = getattr(regressor, "coef_std_", None)
     unit = y_scale / scale

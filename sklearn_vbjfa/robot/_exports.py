@@ -16,31 +16,16 @@ from sklearn_vbjfa.simulation import with_bodies
 
 @dataclass(frozen=True, kw_only=True)
 class LeftOut:
-    """Something of an identified robot that a file does not have.
+    """Something of an identified robot that a file does not have."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the effect, or of the declared friction.
-    joint : int
-        Its joint, from zero.
-    joint_name : str
-        The joint's name.
-    size : float
-        RMS of its low-pass filtered torque over the fitted recording while the joint
-        moved [N m or N]; the largest one of an effect on all joints; nan if unknown.
-    unit : {"N m", "N"}
-        Unit of the size.
-    reason : str
-        Why it has no place, or what of it is missing.
-    """
-
-    name: str
-    joint: int
+    name: str  # of the effect, or of the declared friction
+    joint: int  # from zero
     joint_name: str
+    # RMS of its low-pass filtered torque over the fitted recording while the joint
+    # moved; the largest one of an effect on all joints; nan if unknown
     size: float
-    unit: str
-    reason: str
+    unit: str  # "N m" or "N"
+    reason: str  # why it has no place, or what of it is missing
 
     def __str__(self):
         """One line."""
@@ -415,6 +400,9 @@ class Coupled:
     left: list  # (3,): what is left of each coupling's coefficients
 
 
+_TENDON = "damping", "frictionloss", "armature"
+
+
 def in_line(model):
     """Which joints carry each other, ndarray (nv, nv) of bool."""
     carries = np.eye(model.nv, dtype=bool)
@@ -435,127 +423,50 @@ def as_tendons(couplings, damping, armature, lined):
     # couplings: effects with their coefficients Fvm, Fcm, Iam; damping, armature (nv,):
     # of the joints, not negative; lined (nv, nv): which joints carry each other, see
     # `in_line`.
-    taken = [np.zeros(3) for _ in couplings]
-    parts = {}
-    for at, available in ((0, damping), (2, armature)):
-        own = [
-            (e, c[at] if at == 0 or lined[e.joint, e.other] else 0.0)
-            for e, c in couplings
-        ]
-        links = _mutual(own, lambda effect: effect.other)
-        shares = _affordable(links, available)
-        for link, share in zip(links, shares):
-            pair = (link.low, link.high, 1 if link.value > 0 else -1)
-            own = parts.setdefault(pair, np.zeros(3))
-            own[at] += share * abs(link.value)
-            for number, part in link.parts:
-                taken[number][at] = share * part
-    dry = [(e, 0.0 if e.of == "other" else c[1]) for e, c in couplings]
-    for link in _mutual(dry, lambda effect: (effect.other, effect.of)):
-        sign = 1 if link.of == "sum" else -1
+    nv = damping.size
+    left = [np.array(coef, dtype=float) for _, coef in couplings]
+    places = [(effect.joint, effect.other) for effect, _ in couplings]
+    # by tendons with s = 1 and -1: damping, friction and inertia of each pair
+    size, kept = np.zeros((2, nv, nv, 3)), np.array([damping, armature], dtype=float)
+    for at, own, counts in ((0, kept[0], np.ones((nv, nv))), (2, kept[1], lined)):
+        C, given = np.zeros((2, nv, nv))
+        for (effect, coef), place in zip(couplings, places):
+            C[place] += counts[place] * coef[at]
+            given[place] += effect.own_share * counts[place] * coef[at]
+        both, share = _mutual(C)
+        # A joint with too little gives all its tendons the same share of what they ask.
+        need = np.maximum(both - given * share, 0.0)
+        asked = need.sum(axis=1)
+        part = np.divide(own, asked, out=np.ones(nv), where=asked > own)
+        part = np.where(need > 0, part[:, None], 1.0)
+        part = np.minimum(part, part.T)
+        both, share = part * both, part * share
+        own += (given * share - both).sum(axis=1)
+        size[0, :, :, at], size[1, :, :, at] = both * (C > 0), both * (C < 0)
+        for coef, place in zip(left, places):
+            coef[at] *= 1.0 - share[place]
+    for k, of in enumerate(("sum", "difference")):
+        used = [n for n, (effect, _) in enumerate(couplings) if effect.of == of]
+        C = np.zeros((nv, nv))
+        for n in used:
+            C[places[n]] += couplings[n][1][1]
         # sign(v_k - v_j) on j is a tendon's friction with the opposite sign
-        if link.value * sign > 0:
-            pair = (link.low, link.high, sign)
-            parts.setdefault(pair, np.zeros(3))[1] += abs(link.value)
-            for number, part in link.parts:
-                taken[number][1] = part
-    damping, armature = damping.copy(), armature.copy()
-    for number, (effect, _) in enumerate(couplings):
-        own = effect.own_share * taken[number]
-        damping[effect.joint] += own[0]
-        armature[effect.joint] += own[2]
-    tendons = []
-    for (low, high, sign), own in sorted(parts.items()):
-        for j in (low, high):
-            damping[j] -= own[0]
-            armature[j] -= own[2]
-        if own.any():
-            tendons.append(
-                Tendon(
-                    joints=(low, high),
-                    sign=sign,
-                    damping=float(own[0]),
-                    frictionloss=float(own[1]),
-                    armature=float(own[2]),
-                )
-            )
-    return Coupled(
-        # Rounding of what adds up to zero.
-        damping=np.maximum(damping, 0.0),
-        armature=np.maximum(armature, 0.0),
-        tendons=tuple(tendons),
-        left=[(e, c - own) for (e, c), own in zip(couplings, taken)],
+        size[k, :, :, 1], share = _mutual(np.where((C < 0) == bool(k), C, 0.0))
+        for n in used:
+            left[n][1] *= 1.0 - share[places[n]]
+    tendons = tuple(
+        Tendon(joints=(int(low), int(high)), sign=sign, **dict(zip(_TENDON, own)))
+        for low, high in zip(*np.triu_indices(nv, 1))
+        for sign, own in ((-1, size[1, low, high]), (1, size[0, low, high]))
+        if own.any()
     )
+    # Rounding of what adds up to zero.
+    damping, armature = np.maximum(kept, 0.0)
+    left = [(effect, rest) for (effect, _), rest in zip(couplings, left)]
+    return Coupled(damping=damping, armature=armature, tendons=tendons, left=left)
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Link:
-    """A coefficient that two joints have of each other."""
-
-    # Joints; coefficient; shape, where it matters; pairs of a coupling's number and
-    # what of its coefficient is in the link; damping that the tendon asks of the two
-    # joints beside what the couplings give.
-
-    low: int
-    high: int
-    value: float
-    of: str
-    parts: tuple
-    need: tuple
-
-
-def _mutual(couplings, how):
-    """Pair couplings whose coefficients have the same sign, a list of `_Link`."""
-    # couplings : pairs of `Coupling` and a coefficient; how : of a coupling, the other
-    # joint, alone or with the shape that must be the same.
-    totals = {}
-    for number, (effect, value) in enumerate(couplings):
-        key = how(effect)
-        of = key[1] if isinstance(key, tuple) else ""
-        totals.setdefault((effect.joint, effect.other, of), []).append((number, value))
-    links = []
-    for (low, high, of), first in totals.items():
-        second = totals.get((high, low, of))
-        if low > high or second is None:
-            continue
-        sums = [sum(value for _, value in own) for own in (first, second)]
-        if not sums[0] * sums[1] > 0:
-            continue
-        value = np.sign(sums[0]) * min(map(abs, sums))
-        parts, need = [], []
-        for own, total in zip((first, second), sums):
-            mine = [(number, one * (value / total)) for number, one in own]
-            given = sum(couplings[number][0].own_share * part for number, part in mine)
-            parts += mine
-            need.append(abs(value) - given)
-        links.append(
-            _Link(
-                low=low,
-                high=high,
-                value=float(value),
-                of=of,
-                parts=tuple(parts),
-                need=tuple(need),
-            )
-        )
-    return links
-
-
-def _affordable(links, available):
-    """Share of each link that leaves no joint less than nothing, a list of float."""
-    # A joint with too little gives all its links the same share of what they ask.
-    asked = np.zeros(available.size)
-    for link in links:
-        for j, need in zip((link.low, link.high), link.need):
-            asked[j] += max(need, 0.0)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        shares = np.where(asked > available, available / asked, 1.0)
-    return [
-        float(
-            min(
-                shares[j] if need > 0 else 1.0
-                for j, need in zip((link.low, link.high), link.need)
-            )
-        )
-        for link in links
-    ]
+def _mutual(C):
+    """Take what two joints both do to each other, and its share of C."""
+    both = np.where(C * C.T > 0, np.minimum(np.abs(C), np.abs(C.T)), 0.0)
+    return both, np.divide(both, np.abs(C), out=np.zeros_like(C), where=both > 0)

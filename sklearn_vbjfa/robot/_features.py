@@ -122,13 +122,7 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return self
 
     def load(self):
-        """Load the model alone, without checking states.
-
-        Returns
-        -------
-        self : object
-            Fitted transformer.
-        """
+        """Load the model alone, without checking states."""
         folded = load_folded(self.model)
         self.model_ = self.nominal_ = folded.model
         self.followers_ = folded.followers
@@ -150,19 +144,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return self
 
     def corrected(self, effects):
-        """Return features of the robot as some effects correct it.
-
-        Parameters
-        ----------
-        effects : iterable of Effect
-            Those that are not a `InModel` correct nothing.
-
-        Returns
-        -------
-        RigidBodyFeatures
-            Features of the corrected model; what channels read is in `gains_`, and
-            not yet in their matrices.
-        """
+        """Return features of the robot as some effects correct it."""
+        # What channels read is in `gains_`, and not yet in the matrices.
         corrections = [effect for effect in effects if effect.in_model]
         if not corrections and self.model_ is self.nominal_:
             return self
@@ -218,10 +201,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return self.matrices(X).reshape(X.shape[0], -1)
 
     def matrices(self, X, rest=None):
-        """Regressor matrices (n, nv, p) of validated states (n, 3 nv).
-
-        With `rest`, a `Rest`, velocity signs are replaced by their means.
-        """
+        """Regressor matrices (n, nv, p) of validated states (n, 3 nv)."""
+        # rest: `Rest`, by which velocity signs are replaced by their means.
         nv, n = self.n_joints_, X.shape[0]
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
         Phi = np.empty((n, nv, nv, 10 + len(self.friction_)))
@@ -231,44 +212,16 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return Phi.reshape(n, nv, self.n_parameters_)
 
     def declared(self, X, rest=None):
-        """Compute the friction columns of all joints, samples last.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n_samples, 3 * nv)
-            States [q | v | a].
-        rest : Rest or None, default=None
-            Signs of velocities are their means with it.
-
-        Returns
-        -------
-        ndarray of shape (nv, n_friction, n_samples)
-            Columns.
-        """
+        """Friction columns of all joints, (nv, n_friction, n_samples)."""
         nv = self.n_joints_
         v, a = X[:, nv : 2 * nv], X[:, 2 * nv :]
         columns = declared_columns(self.friction_, v, a, rest)
         return np.ascontiguousarray(columns.transpose(1, 2, 0))
 
     def entries(self, X, rest=None, declared=None, out=None):
-        """Compute the entries of `support_` alone, samples last.
-
-        Parameters
-        ----------
-        X : ndarray of shape (n_samples, 3 * nv)
-            States [q | v | a].
-        rest : Rest or None, default=None
-            Signs of velocities are their means with it.
-        declared : ndarray of shape (nv, n_friction, n_samples), default=None
-            Friction columns, where they are known already.
-        out : ndarray of shape (n_entries, n_samples), default=None
-            Is filled, where its shape is this one, instead of a new array.
-
-        Returns
-        -------
-        ndarray of shape (n_entries, n_samples)
-            Entries in the order of ``np.nonzero(support_)``.
-        """
+        """Entries of ``np.nonzero(support_)`` alone, (n_entries, n_samples)."""
+        # declared: friction columns, where they are known already; out: is filled,
+        # where it has this shape, instead of a new array.
         nv = self.n_joints_
         q, v, a = X[:, :nv], X[:, nv : 2 * nv], X[:, 2 * nv :]
         shape = self._n_entries, X.shape[0]
@@ -370,9 +323,6 @@ def _one_joint(block, parameters):
 
 def check_as_computed(X, tau, parameter_names=None, *, warn_only=False):
     """Refuse (or warn of) columns that a scaler or another transformer has changed."""
-    # X (n_samples, nv * p), tau (n_samples, nv). Values that a scaler leaves, or that
-    # cannot be those of their names, are refused; that all columns have a mean of zero
-    # and the torques have not is a warning.
     trace = _trace_of_a_scaler(X) or _impossible(X, tau.shape[1], parameter_names)
     if trace:
         message = (
@@ -418,72 +368,22 @@ def _impossible(X, nv, parameter_names):
 def _trace_of_a_scaler(X):
     """Say what all columns have in common that they cannot have, or nothing."""
     varying = np.flatnonzero(X.max(axis=0) > X.min(axis=0))
-    if varying.size < 2 or X.shape[0] <= _FEW_VALUES:
+    if X.shape[0] <= _FEW_VALUES:
         return ""
-    for left_so, trace in _TRACES:
-        text = left_so(X[:, varying[:_FIRST]]) and left_so(X[:, varying])
-        if text and _varied(X, varying):
-            return f"all {varying.size} columns that vary have {text}, as {trace}"
-    return ""
-
-
-def _one_spread(V):
-    """Whether every standard deviation is 1."""
-    return "a standard deviation of 1" if _all_one(V.std(axis=0)) else ""
-
-
-def _one_range(V):
-    """Whether all columns have the same smallest and the same largest value."""
-    low, high = V.min(axis=0), V.max(axis=0)
-    size = _EXACT * np.abs(V).max()
-    if np.ptp(low) > size or np.ptp(high) > size:
+    many = (j for j in varying if np.unique(X[:, j]).size > _FEW_VALUES)
+    if len(list(itertools.islice(many, 2))) < 2:
         return ""
-    return f"a range of {low[0]:g} to {high[0]:g}"
-
-
-def _one_size(V):
-    """Whether every largest absolute value is 1."""
-    largest = np.abs(V).max(axis=0)
-    return "a largest absolute value of 1" if _all_one(largest) else ""
-
-
-def _one_quartile_range(V):
-    """Whether every interquartile range is 1; columns of mostly one value have none."""
-    first, third = np.percentile(V, [25.0, 75.0], axis=0)
-    wide = (third - first)[third > first]
-    return "an interquartile range of 1" if wide.size and _all_one(wide) else ""
-
-
-def _no_correlation(V):
-    """Whether columns, three or more, have no correlation with each other."""
-    if V.shape[1] < 3:
-        return ""
-    centred = V - V.mean(axis=0)
-    centred /= np.sqrt(np.mean(centred**2, axis=0))
-    gram = centred.T @ centred / V.shape[0]
-    np.fill_diagonal(gram, 0.0)
-    return "no correlation with each other" if np.abs(gram).max() <= _EXACT else ""
-
-
-# What transformers leave. Of most X, the first columns say that none of it is there.
-_TRACES = (
-    (_one_spread, "StandardScaler leaves them"),
-    (_one_range, "MinMaxScaler leaves them"),
-    (_one_size, "MaxAbsScaler leaves them"),
-    (_one_quartile_range, "RobustScaler leaves them"),
-    (_no_correlation, "PCA leaves them"),
-)
-
-
-def _all_one(values):
-    """Whether all numbers are 1."""
-    return bool(np.all(np.abs(values - 1.0) <= _EXACT))
-
-
-def _varied(X, columns):
-    """Whether two of some columns at least take more values than signs do."""
-    many = (j for j in columns if np.unique(X[:, j]).size > _FEW_VALUES)
-    return len(list(itertools.islice(many, 2))) == 2
+    # Of most X, the first columns say that none of it is there.
+    for columns in (varying[:_FIRST], varying):
+        V = X[:, columns]
+        ends = V.min(axis=0), V.max(axis=0)
+        one = (np.abs(V.std(axis=0) - 1.0) <= _EXACT).all()
+        if not one and max(map(np.ptp, ends)) > _EXACT * np.abs(V).max():
+            return ""
+    left = f"a range of {ends[0][0]:g} to {ends[1][0]:g}, as MinMaxScaler leaves them"
+    if one:
+        left = "a standard deviation of 1, as StandardScaler leaves them"
+    return f"all {varying.size} columns that vary have {left}"
 
 
 def _is_centred(X):

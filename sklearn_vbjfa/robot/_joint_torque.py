@@ -3,77 +3,20 @@
 from dataclasses import replace
 
 import numpy as np
-from sklearn import get_config
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.utils.metadata_routing import (
-    MetadataRouter,
-    MethodMapping,
-    get_routing_for_object,
-)
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
 from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
 from sklearn_vbjfa.robot._equations import Equations
-from sklearn_vbjfa.robot._estimate import default_regressor, estimate
+from sklearn_vbjfa.robot._estimate import estimate
 from sklearn_vbjfa.robot._features import check_as_computed, parameter_names_of
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._recording_checks import check_weight
 
-# Metadata that equations carry too; instruments are passed without being requested.
-_FORWARDED = ("groups", "sample_weight")
 
-
-class ForwardingMixin:
-    """Metadata routing of a meta-estimator that turns samples into equations."""
-
-    def get_metadata_routing(self):
-        """Get the metadata routing of this object.
-
-        Returns
-        -------
-        sklearn.utils.metadata_routing.MetadataRouter
-            Requests of the estimator itself, and of its regressor if that requests
-            `groups` or `sample_weight` explicitly.
-        """
-        router = MetadataRouter(owner=self).add_self_request(self)
-        # An unset request of the regressor would override metadata that this estimator
-        # is set to ignore.
-        if self.regressor is not None and _requested(self.regressor):
-            router.add(regressor=self.regressor, method_mapping=_fit_to_fit())
-        return router
-
-    def _forwarded(self, regressor, values):
-        """Return what a regressor's `fit` requests of the named values, as keywords."""
-        # values: groups and weights (n_equations,) of the equations, by name.
-        if not get_config()["enable_metadata_routing"]:
-            return {}
-        requested = _requested(regressor) & set(values)
-        if not requested:
-            return {}
-        router = MetadataRouter(owner=self)
-        router.add(regressor=regressor, method_mapping=_fit_to_fit())
-        params = {name: values[name] for name in requested}
-        return dict(router.route_params(caller="fit", params=params)["regressor"].fit)
-
-
-def labels_of_equations(labels, counted):
-    """Repeat the label of each piece for its equations, (n_equations,)."""
-    # counted: masks (n_rows, nv) of the equations in use, one per piece.
-    return np.repeat(np.asarray(labels), [int(keep.sum()) for keep in counted])
-
-
-def _fit_to_fit():
-    return MethodMapping().add(caller="fit", callee="fit")
-
-
-def _requested(regressor):
-    routing = get_routing_for_object(regressor)
-    return set(routing.consumes("fit", _FORWARDED))
-
-
-class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
+class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     """Estimate one parameter vector from the torques of all joints.
 
     The last step of a pipeline that begins with `RigidBodyFeatures`: splits the wide
@@ -149,12 +92,9 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
     Notes
     -----
     `sample_weight` weights the equations, whether or not the regressor supports
-    weights. With metadata routing enabled (`sklearn.set_config`), a regressor that
-    requests `sample_weight` gets the weights of the equations instead, and one that
-    requests `groups`, such as ``LassoCV(cv=GroupKFold())``, the label of each
-    equation's recording. Labels in `groups` are requested without being asked for:
-    with routing enabled, ``search.fit(X, y, groups=groups)`` splits by recordings and
-    keeps them apart here.
+    weights. Labels in `groups` are requested without being asked for: with metadata
+    routing enabled, ``search.fit(X, y, groups=groups)`` splits by recordings and keeps
+    them apart here.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
     columns between `RigidBodyFeatures` and this estimator. Columns that a scaler or a
@@ -262,7 +202,7 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
                     f"{instruments.shape}."
                 )
         lowpass = self._design()
-        pieces, labels = [], []
+        pieces = []
         for part in contiguous_groups(groups, X.shape[0]):
             matrices = (len(tau[part]), nv, X.shape[1] // nv)
             Z = None if instruments is None else instruments[part].reshape(matrices)
@@ -274,7 +214,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             )
             if one.tau.shape[0]:
                 pieces.append(one)
-                labels.append(None if groups is None else np.asarray(groups)[part][0])
         total = sum_moments(one.moments() for one in pieces)
         if total is None or not total.n.any():
             raise ValueError(
@@ -283,9 +222,10 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
                 f"({2 * lowpass.half + 1} samples). Raise the cut-off or give "
                 "longer recordings."
             )
-        if groups is None:
-            labels = None
-        self._set(self._estimate(total, pieces, labels))
+        found = estimate(
+            total, self.regressor, joint_weights=self.joint_weights, rows=pieces
+        )
+        self._set(found)
         self.theta_ = self._project(self.theta_unconstrained_)
         return self
 
@@ -298,24 +238,6 @@ class JointTorqueRegressor(ForwardingMixin, RegressorMixin, BaseEstimator):
             cutoff = check_cutoff(self.cutoff, dt, "cutoff")
             self.lowpass_ = _lowpass.design(dt, cutoff)
         return self.lowpass_
-
-    def _estimate(self, moments, pieces, labels):
-        regressor = default_regressor() if self.regressor is None else self.regressor
-
-        def forward(regressor, rows, weight):
-            values = {"sample_weight": weight / weight.mean()}
-            if labels is not None:
-                counted = [one.weight > 0 for one in rows]
-                values["groups"] = labels_of_equations(labels, counted)
-            return self._forwarded(regressor, values)
-
-        return estimate(
-            moments,
-            regressor,
-            joint_weights=self.joint_weights,
-            rows=pieces,
-            forward=forward,
-        )
 
     @classmethod
     def of_estimate(cls, found, lowpass, **settings):

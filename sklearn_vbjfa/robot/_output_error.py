@@ -52,35 +52,19 @@ _LEAST_FREEDOM = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SimulationCriteria:
-    """Errors of an identified robot before and after its refinement by simulation.
+    """Errors of an identified robot before and after its refinement by simulation."""
 
-    Attributes
-    ----------
-    position_before, position_after : ndarray of shape (nv,)
-        Root mean square of simulated minus measured positions [rad or m]: with the
-        parameters of the torque fit, and at last. Before, windows start from the
-        measured states; after, from the estimated ones.
-    torque_before, torque_after : ndarray of shape (nv,)
-        Root mean square of the torque residuals of the fit, behind its low-pass
-        [N m or N]. The torque fit minimises them, so that after they are larger.
-    n_windows : int
-        Number of windows.
-    window : float
-        Their length [s].
-    n_iterations : int
-        Steps that were taken.
-    converged : bool
-        Whether they ended at the tolerance.
-    """
-
+    # (nv,): root mean square of simulated minus measured positions [rad or m], from the
+    # measured states, and at last from the estimated ones
     position_before: np.ndarray
     position_after: np.ndarray
+    # (nv,): of the torque residuals of the fit, behind its low-pass [N m or N]
     torque_before: np.ndarray
     torque_after: np.ndarray
     n_windows: int
-    window: float
-    n_iterations: int
-    converged: bool
+    window: float  # their length [s]
+    n_iterations: int  # steps that were taken
+    converged: bool  # whether they ended at the tolerance
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -40,49 +40,24 @@ _LEFT_OUT = {
 
 @dataclass(frozen=True, kw_only=True)
 class ParameterRange:
-    """Range of one parameter in a robot's next recording.
+    """Range of one parameter in a robot's next recording."""
 
-    Attributes
-    ----------
-    name : str
-        Parameter, as in `parameter_names_`.
-    joint : str
-        Its joint; empty if it is of the robot as a whole.
-    unit : str
-        Unit of all values.
-    value : float
-        Of the identified robot, `theta_`.
-    lower, upper : float
-        Ends of the interval; nan where nothing tells the parameter.
-    mean, std : float
-        Mean and standard deviation of the distribution that has these ends.
-    within, between : float
-        Standard deviations within recordings (noise, `theta_std_`) and from recording
-        to recording, before anything is cut off; zero for a single recording.
-    known : {"yes", "in combination", "from the description", "no", "given"}
-        Whether the recordings determine it individually, in combination with
-        others, less than the description, or not at all; "given" is a setting of
-        the drive.
-    nonnegative : bool
-        Whether negative values are cut off.
-
-    See Also
-    --------
-    Ranges : All parameters of a robot.
-    """
-
-    name: str
-    joint: str
-    unit: str
-    value: float
+    name: str  # as in `parameter_names_`
+    joint: str  # empty if it is of the robot as a whole
+    unit: str  # of all values
+    value: float  # of the identified robot, `theta_`
+    # ends of the interval; nan where nothing tells the parameter
     lower: float
     upper: float
+    # of the distribution that has these ends
     mean: float
     std: float
+    # deviations within recordings (`theta_std_`) and from recording to recording,
+    # before anything is cut off; zero for a single recording
     within: float
     between: float
-    known: str
-    nonnegative: bool
+    known: str  # as in `IdentifiedRobot.known_`, or "given" for a setting of the drive
+    nonnegative: bool  # whether negative values are cut off
 
     @property
     def measured(self):
@@ -115,7 +90,8 @@ class Ranges:
     recordings : int
         Recordings, or groups of them, whose scatter the ranges have; one if none.
     parameters : tuple of ParameterRange
-        The parameters, in the order of `parameter_names_`.
+        In the order of `parameter_names_`: `name`, `joint`, `unit`, `value`, ends
+        `lower` and `upper`, `mean`, `std`, and whether it is `known`.
     correlation : ndarray of shape (p, p)
         Their correlations; nan for those that do not vary.
     joint_names : tuple of str
@@ -127,10 +103,6 @@ class Ranges:
     given : tuple of ParameterRange
         Gains of a `PDDrive`, and its delay if that is known: values without a range,
         for which the others were found.
-
-    See Also
-    --------
-    RobotIdentifier.ranges : Makes them.
 
     Examples
     --------
@@ -168,18 +140,7 @@ class Ranges:
         raise KeyError(name)
 
     def to_json(self, *, described=False):
-        """Return the ranges as JSON, by joint.
-
-        Parameters
-        ----------
-        described : bool, default=False
-            Whether values that only the description knows are there as well.
-
-        Returns
-        -------
-        str
-            The text of a ``ranges.json``, see ``docs/simulation.rst``.
-        """
+        """Return the ranges as JSON by joint, the text of a ``ranges.json``."""
         # What reads a robot imports it.
         from sklearn_vbjfa.robot._model_file import readable
 
@@ -191,14 +152,9 @@ class Ranges:
         Parameters
         ----------
         path : str or os.PathLike
-            File to write.
+            File to write, see ``docs/simulation.rst``.
         described : bool, default=False
             Whether values that only the description knows are there as well.
-
-        Raises
-        ------
-        FileNotFoundError
-            If its folder does not exist.
         """
         write_whole(path, self.to_json(described=described))
 

@@ -44,32 +44,16 @@ class Spread:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EffectOfTime:
-    """The share of an effect of time in predicted torques.
-
-    Attributes
-    ----------
-    name : str
-        Effect.
-    label : str
-        What an engineer calls it.
-    joint : int
-        Joint, from zero.
-    torque : ndarray of shape (n, nv)
-        What it adds [N m or N].
-    std : ndarray of shape (n, nv)
-        Standard deviation of that [N m or N], from the covariance of its coefficients
-        and of the shape parameters that were tuned with them; nan where the regressor
-        tells none.
-    beyond : ndarray of shape (n,)
-        Time of each row after the last one of the fit [s]; negative before the first
-        one, zero in between.
-    """
+    """The share of an effect of time in predicted torques."""
 
     name: str
-    label: str
-    joint: int
-    torque: np.ndarray
+    label: str  # what an engineer calls it
+    joint: int  # from zero
+    torque: np.ndarray  # (n, nv): what it adds [N m or N]
+    # (n, nv): its deviation, from the covariance of coefficients and of tuned shape
+    # parameters; nan where the regressor tells none
     std: np.ndarray
+    # (n,): time after the last row of the fit [s]; negative before the first one
     beyond: np.ndarray
 
 

@@ -198,23 +198,9 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return states.reshape(n, 3 * nv)
 
     def split_transform(self, X, groups=None):
-        """Estimate the states twice, from the even and from the odd samples.
-
-        Their encoder noise is independent (white noise assumed) while the motion is
-        the same: their regressors differ by noise alone.
-
-        Parameters
-        ----------
-        X : array-like of shape (n_samples, nv)
-            Joint positions [rad or m].
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
-
-        Returns
-        -------
-        even, odd : ndarray of shape (n_samples, 3 * nv)
-            States at the times of all samples.
-        """
+        """Estimate states (n, 3 nv) from the even and from the odd samples, a pair."""
+        # Their encoder noise is independent (white noise assumed) while the motion is
+        # the same: their regressors differ by noise alone.
         check_is_fitted(self)
         X = validate_data(self, X, dtype=np.float64, reset=False)
         n, nv = X.shape
@@ -225,10 +211,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return halves[0].reshape(n, -1), halves[1].reshape(n, -1)
 
     def velocity_noise(self):
-        """Velocity noise (nv,), as a standard deviation [rad/s or m/s].
-
-        Due to white encoder noise after the smoother; zero where it is not known.
-        """
+        """Estimate deviations (nv,) of velocities [rad/s or m/s]; zero if unknown."""
+        # By white encoder noise, behind the smoother.
         frequency = np.linspace(0.0, 0.5 / self.dt, _NOISE_GRID)
         noise = np.zeros(self.n_features_in_)
         for j, (cutoff, variance) in enumerate(zip(self.cutoff_, self.noise_variance_)):
@@ -241,10 +225,8 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return noise
 
     def rounding(self):
-        """Mean absolute time (nv,) over which the smoother averages [s].
-
-        By half of it times the jump of a velocity's slope, the corner is rounded.
-        """
+        """Compute the mean absolute time (nv,) over which the smoother averages [s]."""
+        # By half of it times the jump of a velocity's slope, the corner is rounded.
         return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
 
     def _splines(self, x, start):
@@ -310,11 +292,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         -------
         ndarray of shape (3 * nv,) of object
             Names.
-
-        Raises
-        ------
-        ValueError
-            If there is not one name a joint, or they are not those of the fit.
         """
         check_is_fitted(self)
         seen = getattr(self, "feature_names_in_", None)

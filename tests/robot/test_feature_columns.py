@@ -8,7 +8,6 @@ from sklearn.pipeline import Pipeline, make_pipeline
 from sklearn.preprocessing import (
     MaxAbsScaler,
     MinMaxScaler,
-    RobustScaler,
     StandardScaler,
 )
 
@@ -60,11 +59,6 @@ SCALERS = {
     "StandardScaler, scale only": StandardScaler(with_mean=False),
     "MinMaxScaler": MinMaxScaler(),
     "MinMaxScaler of a range": MinMaxScaler((-1, 1)),
-    "MaxAbsScaler": MaxAbsScaler(),
-    "RobustScaler": RobustScaler(),
-    "RobustScaler, scale only": RobustScaler(with_centering=False),
-    "PCA": PCA(60),
-    "PCA, white": PCA(60, whiten=True),
 }
 
 

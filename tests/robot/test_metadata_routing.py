@@ -8,7 +8,6 @@ from sklearn.linear_model import LinearRegression
 from sklearn.metrics import r2_score
 from sklearn.model_selection import GridSearchCV, GroupKFold, cross_validate
 from sklearn.pipeline import Pipeline
-from sklearn.utils.metadata_routing import MetadataRouter
 
 pytest.importorskip("pinocchio")
 
@@ -111,19 +110,6 @@ def test_groups_need_no_ceremony(recording, routing):
     assert best.score(q, tau, groups=groups) > best.score(q, tau)
     expected = r2_score(tau, best.predict(q, groups=groups))
     assert best.score(q, tau, groups=groups) == expected
-
-
-# -- the regressor inside -------------------------------------------------------------
-
-
-def test_routing_of_the_joint_torques(routing):
-    plain = JointTorqueRegressor(LinearRegression()).get_metadata_routing()
-    assert isinstance(plain, MetadataRouter)
-    assert "regressor" not in dict(iter(plain))
-    asking = LinearRegression().set_fit_request(sample_weight=True)
-    router = JointTorqueRegressor(asking).get_metadata_routing()
-    assert "regressor" in dict(iter(router))
-    assert JointTorqueRegressor().get_metadata_routing().consumes("fit", ["x"]) == set()
 
 
 # -- the whole chain ------------------------------------------------------------------

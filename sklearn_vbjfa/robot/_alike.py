@@ -85,7 +85,6 @@ class AlikeJoints:
 
 
 def alike_joints(settings):
-    """Return the `AlikeJoints` of an identifier's setting `alike`."""
     alike, model = settings.fit_options.alike, settings.features_.nominal_
     if alike is None:
         return ()
@@ -128,7 +127,6 @@ def _given(alike, model):
 
 
 def _is_groups(alike):
-    """Whether a value holds patterns or sequences of names."""
 
     def sequence(one):
         return isinstance(one, (list, tuple)) and len(one) > 0
@@ -140,7 +138,6 @@ def _is_groups(alike):
 
 
 def _group(one, names):
-    """Name and joints of a group that is given as a pattern or as names."""
     if isinstance(one, str):
         found = [j for j, name in enumerate(names) if fnmatchcase(name, f"*{one}*")]
         said = f"the pattern {one!r}, which matches {len(found)} joint(s)"
@@ -200,7 +197,6 @@ def _equal(joints, model):
 
 
 def _named(groups, names):
-    """Name each group by the words that its joints have in common."""
     called = [name or _common([names[j] for j in joints]) for name, joints in groups]
     return tuple(
         AlikeJoints(
@@ -212,7 +208,6 @@ def _named(groups, names):
 
 
 def _common(names):
-    """Words that names of joints have in common."""
     words = [_WORDS.findall(name) for name in names]
     common = [w for w in words[0] if all(w in other for other in words)]
     kept = [w for w in common if w.lower() not in {"joint", *_SIDES}]
@@ -220,7 +215,6 @@ def _common(names):
 
 
 def _listed(names):
-    """Write the first of some names."""
     return "/".join([*names[:2], "..."] if len(names) > 2 else names)
 
 
@@ -332,7 +326,6 @@ class _Problem:
         return propagated(self.usual(), marginals)
 
     def usual(self):
-        """Sites at the scale that is expected."""
         return [Site.of_scale(DESCRIBED, max(p.size - 1, 0)) for p in self.parts]
 
     def centre(self, sites, mean):
@@ -345,7 +338,6 @@ class _Problem:
         return out
 
     def without(self, k, sites):
-        """Mean and covariance of a part but for what its own site says."""
         mean, covariance = self.solved([*sites[:k], None, *sites[k + 1 :]])
         return mean[self.parts[k]], covariance[np.ix_(self.parts[k], self.parts[k])]
 
@@ -360,7 +352,6 @@ class _Apart:
 
     @classmethod
     def of(cls, y, S):
-        """Compare values at each scale of the others, which is summed over."""
         V = S + (SCALES**2)[:, None, None] * np.eye(y.size)
         inverse = np.linalg.inv(V)
         ones = inverse.sum(axis=2)
@@ -458,7 +449,6 @@ class _Seen:
 
     @classmethod
     def of(cls, found, kept):
-        """Take the values at `kept`, places of each part."""
         C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
         size, known = np.sqrt(np.diagonal(C)), np.isfinite(found.std)
         known &= size > 0
@@ -485,7 +475,6 @@ class _Seen:
         return _Problem(y, S, self.parts)
 
     def beside(self, problem, sites):
-        """Return the `Estimate` with what sites say of the values."""
         found, at, scale = self.found, self.at, self.unit / self.ratio[self.at]
         mean, covariance = problem.solved(sites)
         move = self.unit * (mean - problem.y)
@@ -506,7 +495,6 @@ class _Seen:
         )
 
     def _prior(self, theta, C, problem, sites):
-        """Return the `BodyPosterior` whose prior has what sites say as well."""
         at, known = self.at, {"theta": theta, "covariance": C}
         before = self.found.bodies
         if before is None:

@@ -102,7 +102,6 @@ class Description:
         return out
 
     def scaled(self, factor):
-        """Return the description of bodies that are so many times as heavy."""
         return replace(self, centre=factor * self.centre, root=self.root / factor)
 
     def deviation(self, sites):
@@ -132,7 +131,6 @@ class BodyPosterior:
 
     @classmethod
     def of_nothing(cls, theta, covariance, noise):
-        """Posterior without a prior."""
         p = theta.size
         none = {"prior": np.zeros((p, p)), "before": np.full(p, np.nan)}
         known = {"theta": theta, "covariance": covariance, "noise": noise}
@@ -158,7 +156,6 @@ class Site:
 
     @classmethod
     def of_scale(cls, scale, size=10):
-        """Site of a given scale in so many directions."""
         return cls(np.eye(size) / scale**2, np.zeros(size), scale)
 
 
@@ -172,7 +169,6 @@ class _Solution:
     covariance: np.ndarray
 
     def total(self, centre):
-        """Return mean and covariance of the change, common size included."""
         mean = self.mean[:-1] + self.mean[-1] * centre
         cross = np.outer(self.covariance[:-1, -1], centre)
         covariance = self.covariance[:-1, :-1] + cross + cross.T
@@ -225,7 +221,6 @@ class _Problem:
         return self.description.vector(self.b.size)
 
     def solved(self, sites):
-        """Return the `_Solution` with some sites."""
         # The size of all bodies together is known to the usual share from `common`:
         # what a torque channel calls a newton metre is sometimes not known at all. It
         # is the last unknown, beside a matrix in which branches are apart.

@@ -101,7 +101,6 @@ class _Turns(CorrectedModel):
 
 
 def _turns(robot):
-    """Return the `_Turns` of a fitted identifier."""
     turned = _Turns(robot.features_.nominal_)
     for effect in robot.effects_:
         if effect.in_model:
@@ -145,7 +144,6 @@ def corrections_of(robot):
 
 
 def _tilt(turned, roll, pitch):
-    """Make the correction of a base, given the `_Turns` of the robot."""
     lean = import_pinocchio().rpy.matrixToRpy(turned.base.T)
     return TiltCorrection(
         roll=float(roll),
@@ -159,7 +157,6 @@ def _tilt(turned, roll, pitch):
 
 
 def _zero(robot, joint, off):
-    """Make the correction of an encoder that reads `off` at zero."""
     slides = is_prismatic(robot.features_.nominal_)[joint]
     return ZeroCorrection(
         joint=int(joint),
@@ -171,7 +168,6 @@ def _zero(robot, joint, off):
 
 
 def _axis(robot, turned, joint, about_x, about_y):
-    """Make the correction of an axis, given the `_Turns` of the robot."""
     rpy = import_pinocchio().rpy.matrixToRpy
     origin = joint_origin(robot.features_.nominal_, joint)
     return AxisCorrection(
@@ -188,7 +184,6 @@ def _axis(robot, turned, joint, about_x, about_y):
 
 
 def _gain(robot, joint, gain):
-    """Make the correction of a torque channel."""
     return GainCorrection(
         joint=int(joint),
         joint_name=robot.joint_names_[joint],
@@ -198,7 +193,6 @@ def _gain(robot, joint, gain):
 
 
 def _floats(values):
-    """Numbers of an array, a tuple of float."""
     return tuple(map(float, values))
 
 

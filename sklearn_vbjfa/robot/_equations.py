@@ -1,6 +1,7 @@
 """Low-pass filtered equations of motion of a recording, piece by piece."""
 
 import functools
+import itertools
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -62,7 +63,6 @@ class Equations:
     ranges: SignalRanges | None = None
 
     def moments(self):
-        """Return the second moments, for `sum_moments`."""
         found = piece_moments(
             self.Phi,
             self.tau,
@@ -186,7 +186,6 @@ def is_plain(effect):
 
 
 def plain_coefficients(effects, coefs):
-    """Coefficients of the effects that need no load, from those of all."""
     widths = np.cumsum([len(effect.coefficients) for effect in effects])
     pieces = np.split(coefs, widths[:-1]) if effects else []
     kept = [own for effect, own in zip(effects, pieces) if is_plain(effect)]
@@ -198,16 +197,16 @@ class RegressorRows:
 
     # Effects have memory (hysteresis, time), so their columns are computed once for the
     # whole recording; the rigid-body regressor is computed on demand. states: (n, 3 nv)
-    # or `SplineStates`; columns: of each effect for these rows; support (n_joints,
-    # n_parameters): entries that are nonzero in some motion; used (n_entries,): their
-    # positions in a flattened matrix, the features' (n_rigid) first.
+    # or `SplineStates`; columns: pairs of effects and their columns for these rows;
+    # support (n_joints, n_parameters): entries that are nonzero in some motion; used
+    # (n_entries,): their positions in a flattened matrix, the features' first.
 
     def __init__(self, features, states, columns=(), rest=None):
-        self._features, self._states, self._rest = features, states, rest
+        self._features, self.states, self._rest = features, states, rest
         self._declared = None  # (nv, k, n): friction columns, where they are known
-        self._columns = list(columns)
+        self.columns = list(columns)
         self._gains = features.gains_ if (features.gains_ != 1).any() else None
-        extra = sum(values.shape[-1] for _, values in self._columns)
+        extra = sum(values.shape[-1] for _, values in self.columns)
         self.n_joints = features.n_joints_
         self.n_rigid = features.n_parameters_
         self.n_parameters = features.n_parameters_ + extra
@@ -215,7 +214,7 @@ class RegressorRows:
         self.support[:, : features.n_parameters_] = features.support_
         at = features.n_parameters_
         used = [np.flatnonzero(self.support)]
-        for effect, values in self._columns:
+        for effect, values in self.columns:
             stop = at + values.shape[-1]
             joints = np.arange(self.n_joints) if effect.whole_robot else [effect.joint]
             own = np.ix_(joints, np.arange(at, stop))
@@ -231,9 +230,8 @@ class RegressorRows:
         """Compute the columns of effects (n rows) from a motion, held within ranges."""
         # Those of effects that are in the model are zero unless their `tangents` are
         # wanted.
-        for effect in effects:
-            if effect.in_model and not tangents:
-                continue
+        shown = [tangents or not effect.in_model for effect in effects]
+        for effect in itertools.compress(effects, shown):
             reason = effect.applies(motion)
             if reason:
                 raise ValueError(
@@ -241,41 +239,31 @@ class RegressorRows:
                 )
         n, nv = motion.q.shape
 
-        def columns(effect, held):
-            if effect.in_model and not tangents:
-                shape = (n, nv) if effect.whole_robot else (n,)
-                return np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
-            return effect.columns(held)
-
-        held = own_motions(effects, ranges, motion)
-        made = [(effect, columns(effect, own)) for effect, own in zip(effects, held)]
+        made, held = [], own_motions(effects, ranges, motion)
+        for effect, own, counts in zip(effects, held, shown):
+            if counts:
+                made.append((effect, effect.columns(own)))
+                continue
+            shape = (n, nv) if effect.whole_robot else (n,)
+            zeros = np.broadcast_to(0.0, (*shape, len(effect.coefficients)))
+            made.append((effect, zeros))
         return cls(features, states, made, rest)
-
-    @property
-    def columns(self):
-        """Effects and the columns of each, a list of pairs."""
-        return self._columns
 
     def part(self, rows, states=None):
         """Restrict to a slice of rows, renumbered from zero; states: of these rows."""
-        columns = [(effect, values[rows]) for effect, values in self._columns]
-        states = self._states[rows] if states is None else states
+        columns = [(effect, values[rows]) for effect, values in self.columns]
+        states = self.states[rows] if states is None else states
         return RegressorRows(self._features, states, columns, self._rest)
-
-    @property
-    def states(self):
-        """States of the rows, (n, 3 nv) or `SplineStates`."""
-        return self._states
 
     @property
     def n_rows(self):
         """Number of rows."""
-        return self._states.shape[0]
+        return self.states.shape[0]
 
     def every(self, some):
         """Return every so many of the rows."""
-        columns = [(effect, values[::some]) for effect, values in self._columns]
-        states = self._states[:][::some]
+        columns = [(effect, values[::some]) for effect, values in self.columns]
+        states = self.states[:][::some]
         return RegressorRows(self._features, states, columns, self._rest)
 
     def spans(self, rows, length, some=1):
@@ -288,7 +276,7 @@ class RegressorRows:
         for begin in range(rows.start, rows.stop, span):
             own = self.part(slice(begin, min(begin + span, rows.stop))).every(some)
             n = own.n_rows
-            own._declared = own._features.declared(own._states, own._rest)
+            own._declared = own._features.declared(own.states, own._rest)
             for at in range(0, n, length):
                 block = slice(at, min(at + length, n))
                 yield (begin - rows.start) // some + at, own.entries(block, out)
@@ -308,30 +296,27 @@ class RegressorRows:
         span = step * max(1, _SPAN_ROWS // step)
         for begin in range(rows.start, rows.stop, span):
             own = self.part(slice(begin, min(begin + span, rows.stop)))
-            declared = self._features.declared(own._states, self._rest)
+            declared = self._features.declared(own.states, self._rest)
             made = [declared.reshape(-1, own.n_rows).T]
-            made += [values.reshape(own.n_rows, -1) for _, values in own._columns]
+            made += [values.reshape(own.n_rows, -1) for _, values in own.columns]
             yield begin - rows.start, self._read(np.concatenate(made, axis=1), joints)
 
     @functools.cached_property
     def joints(self):
-        """Where the entries of each joint stand among those of a row."""
         return joint_entries(self.support, self.used)
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        Phi = self._features.matrices(self._states[piece], self._rest)
-        if not self._columns:
+        Phi = self._features.matrices(self.states[piece], self._rest)
+        if not self.columns:
             return self._read(Phi, np.arange(self.n_joints)[:, None])
         out = np.zeros((*Phi.shape[:2], self.n_parameters))
         at = Phi.shape[2]
         out[:, :, :at] = Phi
-        for effect, columns in self._columns:
+        for effect, columns in self.columns:
             stop = at + columns.shape[-1]
-            if effect.whole_robot:
-                out[:, :, at:stop] = columns[piece]
-            else:
-                out[:, effect.joint, at:stop] = columns[piece]
+            which = slice(None) if effect.whole_robot else effect.joint
+            out[:, which, at:stop] = columns[piece]
             at = stop
         return self._read(out, np.arange(self.n_joints)[:, None])
 
@@ -344,12 +329,11 @@ class RegressorRows:
     def entries(self, piece, out=None):
         """Entries of the support for a slice of rows, (n_entries, n)."""
         declared = None if self._declared is None else self._declared[..., piece]
-        entries = self._features.entries(self._states[piece], self._rest, declared, out)
-        if self._columns:
+        entries = self._features.entries(self.states[piece], self._rest, declared, out)
+        if self.columns:
             n = entries.shape[1]
             columns = [
-                np.asarray(values[piece]).reshape(n, -1).T
-                for _, values in self._columns
+                np.asarray(values[piece]).reshape(n, -1).T for _, values in self.columns
             ]
             entries = np.concatenate([entries, *columns])
         return self._read(entries, (self.used // self.n_parameters)[:, None])
@@ -371,16 +355,14 @@ class RegressorRows:
         """Torques (n, nv) predicted by parameters (p,), without their columns."""
         bodies, coefs = np.split(theta, [self.n_rigid])
         bodies = bodies.reshape(self.n_joints, -1)
-        torque = np.empty((self._states.shape[0], self.n_joints))
+        torque = np.empty((self.states.shape[0], self.n_joints))
         begins = range(0, len(torque), _SPAN_ROWS)
         spans = [slice(one, min(one + _SPAN_ROWS, len(torque))) for one in begins]
         tasks = (
-            (self._features, self._rest, bodies, self._states[rows]) for rows in spans
+            (self._features, self._rest, bodies, self.states[rows]) for rows in spans
         )
-        # A task of its own is not worth it for the few rows of a single query.
-        alone = n_jobs == 1 or len(spans) < 2
         made = (_plain_torques(*task) for task in tasks)
-        if not alone:
+        if n_jobs != 1 and len(spans) > 1:
             made = run(_plain_torques, tasks, n_jobs)
         for rows, own in zip(spans, made):
             torque[rows] = own
@@ -389,14 +371,13 @@ class RegressorRows:
 
     def effects(self, theta):
         """Torques (n, nv) of the effects alone, before the channels' gains."""
-        torque = np.zeros((self._states.shape[0], self.n_joints))
+        torque = np.zeros((self.states.shape[0], self.n_joints))
         self._add_effects(torque, slice(None), theta[self.n_rigid :])
         return torque
 
     def _add_effects(self, torque, rows, coefs):
-        """Add the torques of the effects in some rows to those of the bodies."""
         at = 0
-        for effect, columns in self._columns:
+        for effect, columns in self.columns:
             stop = at + columns.shape[-1]
             which = slice(None) if effect.whole_robot else effect.joint
             torque[:, which] += columns[rows] @ coefs[at:stop]
@@ -404,7 +385,7 @@ class RegressorRows:
 
     def blocks(self):
         """Yield the regressor matrices (n, nv, p) of all rows, block by block."""
-        for _, entries in self.spans(slice(0, self._states.shape[0]), _BLOCK_ROWS):
+        for _, entries in self.spans(slice(0, self.states.shape[0]), _BLOCK_ROWS):
             yield self.spread(entries.T)
 
 
@@ -489,7 +470,6 @@ class Segment:
 
     @property
     def n_rows(self):
-        """Number of rows."""
         return self.torque.shape[0]
 
     def counts(self, rows, v):
@@ -504,7 +484,6 @@ class Segment:
         return np.multiply(self.weight[rows], moves, order="C")
 
     def pieces(self, lowpass):
-        """Divide into slices of filtered rows of at most `CHUNK_BYTES`."""
         # Neighbouring pieces share input rows over the length of the filter, so none is
         # shorter than twice the filter.
         kinds = (self.rows is not None) + 2 * (self.halves is not None)
@@ -519,7 +498,6 @@ class Segment:
         return (() if self.rows is None else (self.rows,)) + (self.halves or ())
 
     def equations(self, lowpass, outputs, numbering=None):
-        """Return the equations of a slice of filtered rows."""
         # Includes the difference of the halves, if any, and the blocks of a
         # `BlockAssignment`.
         seen, measured = self._measured(lowpass, outputs)
@@ -582,7 +560,6 @@ class Segment:
         return -decimate(lowpass, np.ascontiguousarray(apart))
 
     def _filtered(self, lowpass, seen, outputs):
-        """Yield the first of some filtered rows, entries and their difference."""
         # Entries (n, n_entries) may be overwritten by the next ones.
         count = lowpass.centres(self.n_rows, outputs).size
         some = 1 if self.every else stride(lowpass)
@@ -624,7 +601,6 @@ class Segment:
         return made[: lowpass.centres(n).size]
 
     def loads(self, lowpass, torques):
-        """Range of the loads in filtered rows with weight, `SignalRanges`."""
         # torques: (q, v, a) -> torques (n, nv) of the rigid bodies. The states are
         # filtered before, which is the same for motion in the band of the filter.
         rows, made = slice(0, self.n_rows), []

@@ -94,7 +94,6 @@ class Estimate:
         return little_learned(self.std, self.prior_std)
 
     def of_moments(self, moments):
-        """Return the same parameters as those of other equations."""
         total = moments.total(self.joint_weights)
         noise = moments.total_noise(self.joint_weights)
         return replace(
@@ -302,7 +301,6 @@ def _fit_moments(regressor, total, noise):
 
 
 def _fit_rows(regressor, rows, joint_weights, total):
-    """Fit any scikit-learn regressor to the stacked, scaled equations."""
     n = total.n_samples
     scale = np.sqrt(np.diagonal(total.S_xx) / n)
     scale = np.where(scale > 0, scale, 1.0)
@@ -344,7 +342,6 @@ def _fit_rows(regressor, rows, joint_weights, total):
 
 
 def _read_coefficients(regressor, sample):
-    """Coefficients by asking for predictions: right for pipelines as well."""
     p = sample.shape[1]
     probe = np.vstack([np.zeros((1, p)), np.eye(p)])
     answer = np.ravel(regressor.predict(probe))
@@ -401,7 +398,6 @@ def project(found, projector, features, effects=()):
 
 
 def _sizes_of_banks(features, effects):
-    """Places of the coefficients of banks, which are not negative."""
     places, at = [], features.n_parameters_
     for effect in effects:
         width = len(effect.coefficients)
@@ -448,7 +444,6 @@ def _robot_length(model):
 
 
 def _complete(bodies, length):
-    """Replace physically impossible bodies by solid balls."""
     good = solid_bodies(bodies)
     ball_mass = bodies[good, 0].mean() if good.any() else 1.0
     radius = 0.25 * length
@@ -567,7 +562,6 @@ def min_eigenvalues(bodies):
 
 
 def least_squares(G, g):
-    """Minimum-norm solution in columns scaled to unit diagonal."""
     return scaled_eigen(G, 2 * ROUNDING * G.shape[0]).solve(g)
 
 

@@ -97,7 +97,6 @@ def to_urdf(
 
 
 def _note(told, left):
-    """Join what a file says at its top."""
     if left:
         listed = "".join(f"\n- {one}" for one in left)
         told = [
@@ -109,7 +108,6 @@ def _note(told, left):
 
 
 def _notes_of_mjcf(robot, dynamics, servo):
-    """Say how the file is to be read, a list of str."""
     told = [
         "Controls of the motors, in the order of the recording, are what the torque "
         "channels read [N m or N]; positions are what the encoders read [rad or m].",
@@ -138,7 +136,6 @@ def _notes_of_mjcf(robot, dynamics, servo):
 
 
 def _notes_of_servo(robot, dynamics, servo):
-    """Return notes on position-controlled motors, a list of str."""
     told = [
         "Controls of the motors, in the order of the recording, are commanded "
         "positions; these and positions are what the encoders read [rad or m]. With "
@@ -175,11 +172,9 @@ class _Account:
 
     @property
     def uses(self):
-        """Effects with their coefficients, pairs."""
         return list(zip(self.robot.effects, self.robot.coefficients))
 
     def leave(self, name, joint, size, reason, unit=None):
-        """List something that is left out."""
         self.left.append(
             LeftOut(
                 name=name,
@@ -231,7 +226,6 @@ class _Account:
         return np.sqrt(np.maximum(squares, 0.0))
 
     def _column_size(self, name, joint):
-        """Root mean square of a plain column on a joint, in any way that it is used."""
         if self._powers is None:
             return np.nan
         if name in self.robot.friction_names:
@@ -327,7 +321,6 @@ class _Joints:
 
 
 def _mjcf_dynamics(account, servo=None):
-    """Put what MJCF can hold into a `JointDynamics`; list the rest."""
     robot, nv = account.robot, account.robot.n_joints
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
@@ -376,7 +369,6 @@ def _mjcf_dynamics(account, servo=None):
 
 
 def _one_sided(effect, rest):
-    """Say why something of a coupling is left."""
     what = ", ".join(
         f"{name} {value:.4g}"
         for name, value in zip(effect.coefficients, rest)
@@ -467,6 +459,5 @@ def as_tendons(couplings, damping, armature, lined):
 
 
 def _mutual(C):
-    """Take what two joints both do to each other, and its share of C."""
     both = np.where(C * C.T > 0, np.minimum(np.abs(C), np.abs(C.T)), 0.0)
     return both, np.divide(both, np.abs(C), out=np.zeros_like(C), where=both > 0)

@@ -162,7 +162,6 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
         return TorqueDerivatives(self.model_, q, v, a, inertial, self.nominal_)
 
     def _set_regressor(self):
-        """Make the regressor of the model, and number its entries."""
         self._regressor = TreeRegressor(self.model_)
         # Which of the entries is which.
         support = self.support_
@@ -313,7 +312,6 @@ def parameter_names_of(names, nv):
 
 
 def _one_joint(block, parameters):
-    """Whether columns are these parameters in the torque of one joint."""
     before = {
         name[: len(name) - len(parameter)] if name.endswith(parameter) else None
         for name, parameter in zip(block, parameters)
@@ -395,7 +393,6 @@ def _is_centred(X):
 
 
 def _is_centred_torque(tau):
-    """Whether no torque has a mean worth speaking of."""
     size = np.sqrt(np.mean(tau**2, axis=0))
     return bool(np.all(np.abs(tau.mean(axis=0)) <= _MEAN_TORQUE * size))
 
@@ -473,7 +470,6 @@ def nominal_followers(features):
 
 
 def _follower(body):
-    """Turn a `FollowingBody` into an effect."""
     chain = tuple(
         ChainJoint(
             joint=link.joint,

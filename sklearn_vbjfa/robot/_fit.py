@@ -72,7 +72,6 @@ class Source:
     n_jobs: object = None
 
     def segments(self, robot, **changes):
-        """Segments of the equations of a robot, with changes of its plan."""
         plan = replace(robot.plan, **changes)
         known = {"theta": robot.load_parameters}
         return build_segments(
@@ -105,7 +104,6 @@ class Source:
         return instrumented(*pieces)
 
     def moments(self, made, plan):
-        """Second moments of segments, with those of the blocks of the fit."""
         how = {"n_jobs": self.n_jobs, "numbering": self.numbering}
         return accumulate(made, plan.lowpass, **how)
 
@@ -139,7 +137,6 @@ class Fit:
         return cls(robot=robot, found=found, made=made).telling(found)
 
     def telling(self, found, **changes):
-        """Return the fit with the parameters of a corrected estimate."""
         told = self.robot.prediction_covariance
         if told is not None:
             told = told.of(found.covariance)
@@ -163,7 +160,6 @@ class Fit:
         return self.found.moments.residual_squares(theta)
 
     def with_loads(self):
-        """Return the fit with the ranges of the loads in its segments."""
         # Declared friction does not depend on the load; without effects it is not
         # needed.
         robot = self.robot
@@ -219,7 +215,6 @@ class Recipe:
     alike: tuple = ()  # `AlikeJoints`
 
     def of_moments(self, robot, moments, rows=(), made=()):
-        """Fit a robot to second moments of all its equations."""
         # rows: the equations themselves, where second moments do not suffice.
         wanted = len(robot.parameter_names_)
         if self.description is not None and np.isinf(robot.plan.cutoff):
@@ -247,25 +242,17 @@ class Recipe:
         found = _without(found, held)
         return Fit.of(robot, found, self._shown(found), made)
 
-    def of_equations(self, robot, pieces, made=()):
-        """Fit a robot to equations, which may be a stream."""
-        if from_moments(self.regressor):
-            moments = sum_moments(one.moments() for one in pieces)
-            return self.of_moments(robot, moments, made=made)
-        rows = list(pieces)
-        moments = sum_moments(one.moments() for one in rows)
-        return self.of_moments(robot, moments, rows, made)
-
     def of_source(self, robot, source):
         """Fit a robot to its recording, in parallel where second moments suffice."""
         made = source.segments(robot)
         if from_moments(self.regressor):
             return self.of_moments(robot, source.moments(made, robot.plan), made=made)
         if has_fit_parameter(self.regressor, "instruments"):
-            pieces = source.instrumented(robot)
+            rows = source.instrumented(robot)
         else:
-            pieces = equations(made, robot.plan.lowpass, source.numbering)
-        return self.of_equations(robot, pieces, made)
+            rows = list(equations(made, robot.plan.lowpass, source.numbering))
+        moments = sum_moments(one.moments() for one in rows)
+        return self.of_moments(robot, moments, rows, made)
 
     def _shown(self, found):
         """Parameters (p,), bool, that equations determine one by one."""
@@ -324,7 +311,6 @@ def fit_robot(recipe, robot, source, before=None):
 
 
 def _with_turned(recipe, turned, source, relative, rounded):
-    """Fit with corners on the joints whose residuals they reduce."""
     # The jump is that of a joint whose others are free, smoothed once: in a stiff loop,
     # behind a low cut-off, it may be off by more than what it corrects.
     load, fits = rounded.robot.load_parameters, [rounded]
@@ -368,13 +354,11 @@ def run_passes(recipe, robot, source, relative, passes, load):
 
 
 def _at(robot, effects):
-    """Correct a robot by the present values of its effects."""
     plan = replace(robot.plan, effects=effects)
     return replace(robot, features_=robot.features_.corrected(effects), plan=plan)
 
 
 def _known_load(robot):
-    """Parameters of a fitted robot that the load of the next fit is made with."""
     bodies, coefs = np.split(robot.theta_, [robot.features_.n_parameters_])
     return np.concatenate([bodies, plain_coefficients(robot.effects_, coefs)])
 
@@ -395,7 +379,6 @@ def _load_of(before, robot):
 
 
 def _first_gains(recipe, robot, source):
-    """Gains that second moments show, `RelativeGains`."""
     first = replace(robot, plan=robot.plan.passes()[0])
     moments = source.moments(source.segments(first), first.plan)
     units = [] if isinstance(recipe.gains, str) else list(recipe.gains)
@@ -406,7 +389,6 @@ def _first_gains(recipe, robot, source):
 
 
 def iterate_corrections(recipe, fit, source, relative):
-    """Correct a robot until the values of its effects in the model stay."""
     # relative: `RelativeGains` to begin with, or None.
     fit, values, powers = _corrected(recipe, fit, source, relative)
     if relative is not None:
@@ -457,7 +439,6 @@ def iterate_corrections(recipe, fit, source, relative):
 
 
 def _of_bodies(robot):
-    """Whether values in the model may absorb wrong described bodies."""
     return any(effect.in_model and effect.of_bodies for effect in robot.effects_)
 
 
@@ -501,7 +482,6 @@ def _corrected(recipe, fit, source, relative):
 
 
 def _common_gain(recipe, fit, relative, values):
-    """Find the common gain that known masses ask for, see `common_gain`."""
     features, effects = fit.robot.features_, fit.robot.effects_
     places = mass_places(
         recipe.masses, features.model_, effects, features.n_parameters_
@@ -516,7 +496,6 @@ def _common_gain(recipe, fit, relative, values):
 
 
 def _in_units(recipe, fit, source, factor):
-    """Fit again with all gains multiplied, and torques in their own unit."""
     gains = factor * fit.robot.features_.gains_
     robot = _at(fit.robot, with_gains(fit.robot.effects_, gains))
     return recipe.of_source(
@@ -528,7 +507,6 @@ def _in_units(recipe, fit, source, factor):
 
 
 def refine_fit(recipe, fit, source, window):
-    """Refine the parameters of a torque fit by simulation of windows."""
     robot = fit.robot
     # Values of effects in the model have no columns there.
     found = recipe.of_source(robot, source).found
@@ -584,7 +562,6 @@ class ModelValues:
 
     @classmethod
     def of(cls, moments, effects, n_rigid, joint_weights, bodies=None):
-        """Fit the values beside everything else to the moments of equations."""
         # Columns of the moments are those of the features, `n_rigid` of them, and then
         # those of the effects, with derivatives by the values; bodies: as for
         # `plain_estimate`.
@@ -643,7 +620,6 @@ class ModelValues:
 
     @staticmethod
     def values_of(effects):
-        """Present values of effects, ndarray, in the order of `indices`."""
         return np.concatenate([one.values for one in effects if one.in_model])
 
     def corrected(self):
@@ -699,7 +675,6 @@ def _at_bounds(effect):
 
 
 def _within(effect, step):
-    """Shorten a correction that leads out of the plausible values."""
     low, high = effect.bounds()
     room = np.where(step > 0, high, low) - effect.values
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -708,7 +683,6 @@ def _within(effect, step):
 
 
 def tell_unsettled(values):
-    """Warn that values still move after all corrections."""
     names = [effect.name for effect in values.effects if effect.in_model]
     warnings.warn(
         f"The values of {', '.join(dict.fromkeys(names))} still moved by more than a "

@@ -86,7 +86,6 @@ class RelativeGains:
 
 
 def relative_gains(moments, references=()):
-    """Gains from the moments of equations with gains of 1."""
     # moments: JointMoments; references: joints whose channels are to be the units, for
     # groups of joints in which one of them is; the others' are chosen, see `_grouped`.
     used = np.flatnonzero((moments.n > 0) & (moments.yy > 0))
@@ -265,7 +264,6 @@ class ChannelGains:
 
     @property
     def references(self):
-        """Joints (tuple of int) whose channels are the units of others."""
         own = np.arange(self.reference.size)
         return tuple(np.unique(self.reference[self.reference != own]).tolist())
 
@@ -278,7 +276,6 @@ class ChannelGains:
 
     @property
     def doubtful(self):
-        """Joints (tuple of int) whose gain is far from those of all others."""
         # By more than is plausible, from the median of those that are relative to one
         # channel.
         found, logs = [], np.log(self.gain)
@@ -391,7 +388,6 @@ class CommonGain:
         return not self.p_value < _CHANCE
 
     def given_up(self):
-        """Return the same with nothing that is fixed."""
         return CommonGain(masses=tuple(replace(m, used=False) for m in self.masses))
 
     def widened(self, theta, std, units, gains, covariance):
@@ -455,7 +451,6 @@ def mass_places(masses, model, effects, n_rigid):
 
 
 def common_gain(masses, places, theta, estimate):
-    """Find the common gain that known masses ask for."""
     # Returns a `CommonGain`, and the covariance (p,) of its factor with the parameters
     # in units of the reference channel, or None if nothing fixes it. Every sum of known
     # masses that the recording determines is one equation; all of them are weighted by

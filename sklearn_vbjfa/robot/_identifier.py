@@ -121,7 +121,6 @@ class RecordingRegressorMixin(RegressorMixin):
 
 
 def _forwarded(name):
-    """Return a method that is that of the identified robot."""
 
     @wraps(getattr(IdentifiedRobot, name))
     def forward(self, *args, **kwargs):
@@ -131,7 +130,6 @@ def _forwarded(name):
 
 
 def _of_robot(name):
-    """Return a property that is an attribute of the identified robot."""
     return property(
         lambda self: getattr(self.robot_, name), doc=f"`IdentifiedRobot.{name}`."
     )
@@ -397,13 +395,11 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self._fit_with_lag(self._checked(recording))._warn_if_small()
 
     def _fit_with_lag(self, recording):
-        """Fit to a checked recording, with the lag of its torques if it shows one."""
         self._fit(recording, look=True)
         lag = self._lag_of(recording)
         return self.fit_inspected(recording, lag) if lag else self
 
     def _lag_of(self, recording):
-        """Lag [s] that the inspection finds in a recording, zero for none."""
         if (self.drive, self.asked_gains) != (None, None) or not self._late:
             return 0.0
         channels = recording.q, recording.tau, recording.dt, recording.groups
@@ -411,7 +407,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return sum(one.value for one in found if one.kind == "delay")
 
     def _fit(self, recording, look=False):
-        """Fit to a checked recording; look for a lag of its torques."""
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan, recording.signals)
@@ -438,7 +433,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return self._set(fit)
 
     def _warn_if_small(self):
-        """Return the fitted estimator; warn if its torques have another size."""
         bodies = self._bodies
         if bodies is None or self._description is None or self.drive is not None:
             return self
@@ -464,7 +458,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         )
 
     def _declared_robot(self, plan, signals):
-        """Return the declared robot, whose parameters are not known."""
         given, nv = self.fit_options.torque_noise, self.features_.n_joints_
         return IdentifiedRobot(
             features_=self.features_,
@@ -531,7 +524,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     # -- from the arguments to a plan --------------------------------------------------
 
     def _declare(self, *further):
-        """Load the model; set the names and units of the parameters."""
         # further: effects that a first fit asks for
         check_criterion(self)
         check_input_noise(self.input_noise)
@@ -614,7 +606,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         return replace(recording, signals=used, weight=weight)
 
     def _check_rows(self, X, groups, t, parts):
-        """Reject rows that are no recording of this robot, piece by piece."""
         nv = self.features_.n_joints_
         if X.shape[1] == nv:
             check_motion(self.joint_names_, X, parts)
@@ -622,7 +613,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         check_time_stamps(t, self.dt, parts)
 
     def _prepare(self, recording):
-        """Return the plan of the fit, the recording to fit, and its states."""
         estimator, parts = None, recording.segments
         if recording.states is None:
             cutoff = self.fit_options.state_cutoff
@@ -647,7 +637,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     # -- from a fit to attributes ----------------------------------------------------
 
     def _set(self, fit):
-        """Set the attributes to what a fit found."""
         found = fit.found
         self._robot = replace(fit.robot, recording_variance=fit.between())
         self.effects_, self.features_ = fit.robot.effects_, fit.robot.features_

@@ -31,7 +31,6 @@ class BlockAssignment:
 
     @classmethod
     def of(cls, lengths, phases=None):
-        """Divide recordings of these numbers of filtered rows."""
         together = -(-len(lengths) // _BLOCKS)
         several = together if len(lengths) > 1 else None
         if phases is None:
@@ -59,7 +58,6 @@ class BlockAssignment:
         return number // self.several, self.several
 
     def parts(self, recording, rows):
-        """Divide rows (a slice) of a recording, given by its number."""
         # Returns keys (n_parts, 2), recording and block number of each part, and starts
         # (n_parts,), the first row of each part within the slice.
         if self.keys is not None:
@@ -96,7 +94,6 @@ def _merge_blocks(first, second):
 
 
 def _join(several):
-    """Add up the parts of each block; keys come out sorted."""
     keys = np.concatenate([moments.keys for moments in several])
     unique, row = np.unique(keys, axis=0, return_inverse=True)
     if len(several) == 1 and np.array_equal(unique, keys):
@@ -201,7 +198,6 @@ class JointMoments:
         return sum_moments([self, other])
 
     def in_stretches(self):
-        """Keep the blocks of a single recording as those of stretches of it."""
         if self.recordings or self.blocks is None:
             return self
         blocks = _join(self.blocks)
@@ -359,7 +355,6 @@ class MomentSums:
                     self._common[j] += 0.25 * factor[j] * (also @ apart)
 
     def moments(self):
-        """Return the `JointMoments`, for `sum_moments`."""
         # G and noise hold the range of each joint's columns and the matrix of these: of
         # many joints whole matrices would be larger than the rows of a piece.
         weight, tau = self._weight, self._tau
@@ -445,13 +440,11 @@ def _range(columns):
 
 
 def _as_slice(numbers):
-    """Return numbers as a slice where they follow each other: it copies nothing."""
     own = _range(numbers)
     return own if own.stop - own.start == numbers.size else numbers
 
 
 def joint_entries(support, used):
-    """Where the entries of each joint stand, for `MomentSums`."""
     # support (nv, p); used (n_entries,): places of entries in a flattened matrix.
     joints, columns = np.divmod(used, support.shape[1])
     found = []

@@ -230,7 +230,6 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
         return self
 
     def _design(self):
-        """Design the filter."""
         if self.cutoff is None:
             self.lowpass_ = _lowpass.design(1.0, np.inf)
         else:

@@ -156,7 +156,6 @@ def _robot_of(content, name, classes):
 
 
 def _check_joints(effects, nv):
-    """Refuse effects of joints that the robot does not have."""
     for k, effect in enumerate(effects):
         at = f"plan.effects[{k}]"
         if effect.joint not in range(nv):
@@ -171,7 +170,6 @@ def _check_joints(effects, nv):
 
 
 def _check_plan(plan):
-    """Refuse an invalid sample period or cut-off."""
     if plan.dt is not None and not 0 < plan.dt < math.inf:
         raise _wrong("plan.dt", "must be greater than zero")
     try:
@@ -238,7 +236,6 @@ def _check_shape(key, value, shape):
 
 
 def _classes(effects):
-    """Return classes of effects by their names."""
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
     # A robot declares its followers, the delay of its commands and the lag of its
@@ -277,14 +274,12 @@ def _encode_effect(effect):
 
 
 def _is_setting(value):
-    """Whether a file can hold a parameter of an effect."""
     if isinstance(value, (tuple, list)):
         return all(map(_is_setting, value))
     return value is None or isinstance(value, (bool, int, float, str, np.generic))
 
 
 def _decode_setting(value):
-    """Return a parameter of an effect, lists as tuples."""
     if isinstance(value, list):
         return tuple(map(_decode_setting, value))
     return _SPELLED.get(value, value) if isinstance(value, str) else value
@@ -372,7 +367,6 @@ def decode(value, kind, at, classes=None):
 
 
 def decode_fields(value, kind, at, classes):
-    """Return the values of a dataclass by the names of its fields."""
     hints, before = get_type_hints(kind), f"{at}." if at else ""
     return {
         name: decode(_value(value, name, at), hints[name], f"{before}{name}", classes)
@@ -381,13 +375,11 @@ def decode_fields(value, kind, at, classes):
 
 
 def _saved(kind):
-    """Return the names of the fields of a dataclass that a file holds."""
     names = [field.name for field in fields(kind) if field.init]
     return [name for name in names if name not in _NOT_SAVED]
 
 
 def _decode_one_of(value, kinds, at, classes):
-    """Return a value of one of several types, the first that it suits."""
     if value is None and NoneType in kinds:
         return None
     *others, last = (kind for kind in kinds if kind is not NoneType)
@@ -418,7 +410,6 @@ def _object(value, at):
 
 
 def _value(value, key, at=""):
-    """Return the value of a key of an object."""
     if key not in _object(value, at):
         raise _wrong(f"{at}.{key}" if at else key, "is missing")
     return value[key]
@@ -444,7 +435,6 @@ def _number(value, at):
 
 
 def _array(value, at):
-    """Return the numbers, or the truths, of lists within lists, ndarray."""
     if isinstance(value, list) and value and all(type(one) is bool for one in value):
         return np.array(value)
     try:
@@ -456,7 +446,6 @@ def _array(value, at):
 
 
 def _numbers(value, at):
-    """Return numbers as nested lists, whole ones as they are."""
     if isinstance(value, list):
         return [_numbers(one, f"{at}[{k}]") for k, one in enumerate(value)]
     number = _number(value, at)
@@ -464,7 +453,6 @@ def _numbers(value, at):
 
 
 def readable(value, indent=0):
-    """Write JSON with one line for each list or object of plain values."""
     # Floats are written so that the same ones are read.
     if not isinstance(value, (dict, list)) or not value:
         return json.dumps(value, ensure_ascii=False, allow_nan=False)

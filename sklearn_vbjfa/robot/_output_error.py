@@ -15,6 +15,7 @@
 import warnings
 from dataclasses import dataclass, replace
 from itertools import compress
+from numbers import Real
 
 import numpy as np
 from scipy import linalg
@@ -94,7 +95,6 @@ class Windows:
 
     @property
     def count(self):
-        """Number of windows."""
         return self.measured.shape[0]
 
     @property
@@ -104,7 +104,6 @@ class Windows:
 
     @classmethod
     def of(cls, predictor, recording, states, rows):
-        """Cut a recording into windows of some number of rows."""
         # states: `RecordingStates`. What remains of a recording is left out, half of it
         # at each end; recordings shorter than a window are left out.
         nv = predictor.features_.n_joints_
@@ -139,7 +138,6 @@ class Windows:
         )
 
     def part(self, chosen):
-        """Return the recording of a slice of windows."""
         nv = self.measured.shape[2]
         index = np.arange(self.measured[:, :, 0].size).reshape(self.measured.shape[:2])
         index = index[chosen].ravel()
@@ -226,32 +224,21 @@ def _slowest(predictor, recording, states):
 
 
 def check_criterion(settings):
-    """Refuse settings of an identifier that simulation cannot follow."""
     if settings.criterion not in ("torque", "simulation"):
         raise ValueError(
             f"criterion must be 'torque' or 'simulation'; got {settings.criterion!r}."
         )
     if settings.criterion == "torque":
         return
-    _check_window(settings.fit_options.window)
+    window = settings.fit_options.window
+    good = isinstance(window, Real) and 0 < window < np.inf
+    if not good and not (isinstance(window, str) and window == "auto"):
+        raise ValueError(
+            f"window must be 'auto' or a positive time in s; got {window!r}."
+        )
     if settings.dt is None:
         raise ValueError(
             "criterion='simulation' needs the sample period: give dt in seconds."
-        )
-
-
-def _check_window(window):
-    """Refuse a window that is neither "auto" nor a positive time."""
-    if isinstance(window, str):
-        good = window == "auto"
-    else:
-        try:
-            good = np.isfinite(float(window)) and float(window) > 0
-        except (TypeError, ValueError):
-            good = False
-    if not good:
-        raise ValueError(
-            f"window must be 'auto' or a positive time in s; got {window!r}."
         )
 
 
@@ -284,7 +271,7 @@ def run_windows(predictor, windows, starts):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class SimulatedFit:
     """Simulated windows of some parameters and starts."""
 
     predictor: object  # robot with its parameters
@@ -294,7 +281,6 @@ class Fit:
 
     @classmethod
     def of(cls, predictor, windows, z):
-        """Simulate the windows."""
         states = run_windows(predictor, windows, windows.start + z * windows.noise)
         errors = states[:, :, : windows.measured.shape[2]] - windows.measured
         return cls(predictor=predictor, z=z, states=states, errors=errors)
@@ -312,7 +298,6 @@ class Fit:
         return np.hypot(self.position_errors(windows), least)
 
     def criterion(self, windows):
-        """Value of the criterion."""
         size = 2.0 * np.log(self.scale(windows))
         return float(windows.observations @ size + (self.z**2).sum())
 
@@ -328,7 +313,6 @@ class Normal:
 
     @classmethod
     def of(cls, fit, windows):
-        """Differentiate the criterion at simulated windows."""
         scale = fit.scale(windows)
         W, L, nv = windows.measured.shape
         p = fit.predictor.theta_.size
@@ -363,7 +347,6 @@ class Normal:
 
 
 def refine(predictor, found, recording, states, window, projector):
-    """Refine the parameters of a torque fit by output error."""
     # Steps of Gauss and Newton, damped after Levenberg and Marquardt in the metric of
     # the torque fit, each projected onto the physically consistent parameters in its
     # own metric, and taken only where the criterion falls. predictor: `IdentifiedRobot`
@@ -392,9 +375,8 @@ def refine(predictor, found, recording, states, window, projector):
 
 
 def _refine(predictor, found, windows, projector):
-    """Refine on windows; see `refine`."""
     nv = predictor.features_.n_joints_
-    fit = Fit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
+    fit = SimulatedFit.of(predictor, windows, np.zeros((windows.count, 2 * nv)))
     before = fit.position_errors(windows)
     value, count = fit.criterion(windows), windows.observations.sum()
     held = held_parameters(predictor)
@@ -452,7 +434,6 @@ def _shares(normal, metric, damping):
 
 
 def _largest(H, metric):
-    """Largest information of the simulation in units of the torque fit's."""
     root = scaled_eigen(metric).inverse_root()
     if not root.size:
         return 0.0
@@ -460,7 +441,6 @@ def _largest(H, metric):
 
 
 def _step(predictor, found, normal, own, held, projector):
-    """Parameters after a step in the metric `own`: as solved, and projected."""
     change = scaled_eigen(own).solve(-normal.g.sum(axis=0))
     change[held] = 0.0
     raw = predictor.theta_ + change
@@ -474,7 +454,7 @@ def _try(fit, normal, theta, windows):
     change = theta - fit.predictor.theta_
     z = fit.z + normal.step + normal.cross @ change
     try:
-        return Fit.of(replace(fit.predictor, theta_=theta), windows, z)
+        return SimulatedFit.of(replace(fit.predictor, theta_=theta), windows, z)
     except (SimulationError, ValueError):
         # Diverging motion, or a robot without positive inertia.
         return None
@@ -498,14 +478,11 @@ def deviations(normal, metric, damping, before):
     #     A = H + mu G,  T = 1 - A^-1 H,  nu = max(W - r, 3),
     # the sandwich of the gradients of the windows, whatever their errors are correlated
     # like within a window; where the simulation does not determine parameters (T = 1)
-    # they keep the covariance C of the torque fit.
-    # r counts the directions that the simulation determines. The fit leaves (W - r) / W
-    # of the squares of the gradients, if each window tells one direction, and Student's
-    # t of W - r degrees of freedom has the variance (W - r) / (W - r - 2): together W /
-    # (W - r - 2). A window that tells many directions loses less of its gradient, so
-    # that there are gradients left for W <= r as well, where the formula has no value.
-    # The floor of three degrees then multiplies their squares by W, which is more than
-    # enough for one direction a window and for many (tests/robot/test_output_error.py).
+    # they keep the covariance C of the torque fit. r = tr(A^-1 H) counts the directions
+    # that it determines. The fit leaves (W - r) / W of the squares of the gradients, if
+    # each window tells one direction, and Student's t of W - r degrees of freedom has
+    # the variance (W - r) / (W - r - 2). The floor of three degrees is more than enough
+    # where windows tell many directions (tests/robot/test_output_error.py).
     W = normal.g.shape[0]
     A = scaled_eigen(normal.H + damping * metric)
     inverse, shrunk = A.inverse(), _shares(normal, metric, damping)
@@ -555,7 +532,6 @@ class Slopes:
 
 
 def slopes(predictor, recording, states):
-    """Differentiate the torques of a robot along motions."""
     # predictor: `IdentifiedRobot`; recording: `Recording` with the segments and clock
     # of the motions; states (n, 3 nv). Returns `Slopes`, of true torques.
     mass, damping, stiffness = _of_bodies(predictor, states)
@@ -629,7 +605,6 @@ def _beside_bodies(predictor, recording, states):
 
 
 def _differences(predictor, recording, states):
-    """`Slopes` of friction and effects, without `Phi`."""
     n, nv = states.shape[0], states.shape[1] // 3
     sizes = np.ptp(states, axis=0)
     sizes[nv:] = np.abs(states[:, nv:]).max(axis=0)

@@ -11,7 +11,6 @@ _BATCH = 32
 
 
 def run(function, tasks, n_jobs):
-    """Yield ``function(*task)`` for each task, in order."""
     # Uses threads unless a `joblib.parallel_config` says otherwise: nearly all time is
     # spent in compiled code, and nothing has to be copied. Each has one BLAS thread:
     # matrices are small, and sums must not depend on the number of threads.

@@ -76,7 +76,6 @@ class Plan:
 
     @cached_property
     def lowpass(self):
-        """Low-pass of regressor and torques."""
         return _lowpass.design(self.dt or 1.0, self.cutoff)
 
     def clock(self, recording):
@@ -95,7 +94,6 @@ class Plan:
         return found[0] if found else None
 
     def applied(self, recording):
-        """Return a recording with the torques that belong to its motion."""
         if self.lag:
             recording = recording.with_torques_shifted(self.lag)
         return replace(recording, tau=recording.torques(self.delay))
@@ -106,7 +104,6 @@ class Plan:
         return any("time" in effect.needs for effect in self.effects)
 
     def set_to(self, recording):
-        """Return the plan with the time of the recording that it is for."""
         # Rejects stamps that the effects cannot use.
         clock = self.clock(recording)
         if not self.timed or clock is None:
@@ -114,7 +111,6 @@ class Plan:
         return replace(self, time=(float(clock[0]), float(clock[-1])))
 
     def passes(self):
-        """Plans of successive fits: effects that need the load come later."""
         # Those in the model have no columns in a fit; their values are corrected after.
         if not needs_load(e for e in self.effects if not e.in_model):
             return [self]
@@ -168,7 +164,6 @@ class Plan:
 
 
 def make_plan(settings, effects, lengths, estimator, facts):
-    """Resolve the settings of a fit to a `Plan`."""
     # lengths: rows of each recording; facts: `MotionFacts` of all recordings.
     dt = settings.dt
     cutoff = resolve_cutoff(
@@ -274,7 +269,6 @@ class MotionFacts:
 
     @classmethod
     def of_joints(cls, several):
-        """Join the statistics of some joints and of others in one recording."""
         joined = {
             name: np.concatenate([getattr(own, name) for own in several], axis=-1)
             for name in ("lowest", "highest", "fastest")
@@ -282,7 +276,6 @@ class MotionFacts:
         return cls(n=several[0].n, **joined)
 
     def merge(self, other, keep):
-        """Merge with the statistics of other recordings."""
         return MotionFacts(
             n=self.n + other.n,
             lowest=np.minimum(self.lowest, other.lowest),
@@ -354,7 +347,6 @@ def smooth(recording, estimator, halves, keep, n_jobs):
 
 
 def smooth_with_facts(x, start, estimator, halves, keep):
-    """`smooth_segment`, and the `MotionFacts` of its result."""
     states, both = smooth_segment(x, start, estimator, halves=halves)
     rows = slice(None)
     positions, speeds = states.derivative(rows, 0), states.derivative(rows, 1)

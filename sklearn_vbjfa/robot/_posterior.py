@@ -92,7 +92,6 @@ class BetweenRecordings:
 
 
 def _noise_within(found, keys, grams, scores, places):
-    """Variance of the noise, as it scatters in time within recordings."""
     # With values of their own in all recordings: what they differ by is no noise.
     stats, weight = found.moments, found.joint_weights
     own = scores[:, places]
@@ -159,7 +158,6 @@ class _RecordingEffects:
         return weights
 
     def _groups(self, typical):
-        """Group of each parameter's effects, with the others at typical scales."""
         # in units of the scales, where no eigenvalue is below one
         both, one = np.outer(typical, typical), np.eye(typical.size)
         own = np.linalg.inv(self._inner * both + one) * both
@@ -217,7 +215,6 @@ class Marginal:
         return logsumexp(own + log_ndtr(z), axis=0)
 
     def moments(self):
-        """Mean and standard deviation."""
         if not self.deviations.max() > 0:
             return max(self.centre, self.lowest), 0.0
         with np.errstate(divide="ignore"):
@@ -262,7 +259,6 @@ class Posterior:
 
     @classmethod
     def of(cls, robot):
-        """Take it from an `IdentifiedRobot`."""
         if robot.prediction_covariance is None:
             raise ValueError(
                 "samples and ranges need the covariance of the parameters, which this "
@@ -427,7 +423,6 @@ def seed_of(random_state):
 
 
 def check_number(name, value, least):
-    """Reject what is not a whole number, or too small."""
     is_number = isinstance(value, Integral) and not isinstance(value, bool)
     if not is_number or value < least:
         raise ValueError(
@@ -447,7 +442,6 @@ def _unit(covariance):
 
 
 def _spectrum(correlation):
-    """Eigenvalues, none negative, and eigenvectors of correlations."""
     value, axes = np.linalg.eigh(0.5 * (correlation + correlation.T))
     return np.maximum(value, 0.0), axes
 
@@ -480,7 +474,6 @@ class _Off:
 
     @classmethod
     def drawn(cls, between, cut, rngs, p):
-        """Draw recordings, not cut off."""
         off = cls(between, np.zeros((len(rngs), p)), None, np.arange(p))
         if between is None:
             return off
@@ -501,7 +494,6 @@ class _Off:
         return int(at[0]) if at.size else None
 
     def again(self, rows, k, least, numbers):
-        """Redraw the k-th parameter of some rows above a bound."""
         at = self.place(k)
         if at is None:
             return

@@ -28,7 +28,6 @@ _ENOUGH_ROWS = 64
 
 
 def check_widths(names, X, y=None):
-    """Reject positions, states or torques of the wrong number of joints."""
     nv = len(names)
     robot = f"The robot has {nv} joint(s) ({', '.join(names)}), so "
     if X.shape[1] not in {nv, 3 * nv}:
@@ -74,7 +73,6 @@ def check_speed(dt, fast, travel, model):
 
 
 def _other_units(dt, share, top):
-    """List plausible periods if dt was given in another unit."""
     meant = []
     for name, period in (
         ("milliseconds", dt / 1e3),
@@ -202,7 +200,6 @@ def check_weight(sample_weight, shape):
 
 
 def check_drive(settings):
-    """Refuse an invalid drive, or arguments that exclude a drive."""
     drive = settings.drive
     if drive is None:
         return

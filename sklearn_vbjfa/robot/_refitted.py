@@ -26,7 +26,6 @@ class Refitted:
 
     @classmethod
     def nothing(cls, nv):
-        """Return that of a robot that a file can hold."""
         return cls(added=np.zeros((nv, 3)), share=np.ones(nv))
 
 

@@ -99,7 +99,6 @@ class Inputs:
     smoother: object = None  # what the states come from; None if they were given
 
     def noiseless(self, plan):
-        """Return the same query, its states taken for those of the robot."""
         nothing = np.zeros(self.recording.nv)
         return replace(self, rest=plan.rest(nothing))
 
@@ -897,7 +896,6 @@ class IdentifiedRobot:
         return ranges_of(self, level, drive)
 
     def _sampled(self, sample, random_state):
-        """Return the robot of a file, and a note of which sample it is."""
         if sample is None:
             return self, ""
         number, seed = check_number("sample", sample, 0), seed_of(random_state)
@@ -1139,7 +1137,6 @@ class IdentifiedRobot:
         )
 
     def _on_clock(self, recording):
-        """Return a recording with the clock of the fit, where an effect needs one."""
         if not self.plan.timed:
             return recording
         clock = self.clock(recording.t, recording.n_samples)
@@ -1155,7 +1152,6 @@ class IdentifiedRobot:
         return np.concatenate([one.predict(self.theta_, n_jobs) for one in rows])
 
     def _rows(self, asked):
-        """Return the `RegressorRows` of each segment of `Inputs`."""
         recording = asked.recording
         own = [asked.states[rows] for rows in recording.segments]
         return regressor_rows(
@@ -1303,7 +1299,6 @@ class IdentifiedRobot:
 
 
 def _note_of_gravity(gravity):
-    """Say that a file has no gravity, where it is not what programs take for it."""
     if np.array_equal(gravity, [0.0, 0.0, -9.81]):
         return ""
     x, y, z = gravity

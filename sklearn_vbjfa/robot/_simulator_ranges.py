@@ -159,7 +159,6 @@ class Ranges:
         write_whole(path, self.to_json(described=described))
 
     def _content(self, described):
-        """Return what a file holds, dicts and lists of plain values."""
         taken = [k for k, one in enumerate(self) if _has_place(one, described)]
         left = [one for one in self if not _has_place(one, described)]
         joints = [
@@ -184,7 +183,6 @@ class Ranges:
         }
 
     def _values(self, taken, joint):
-        """Return the parameters of a joint, or of the robot as a whole."""
         own = [k for k in taken if self.parameters[k].joint == joint]
         among = self.correlation[np.ix_(own, own)].copy()
         # What does not vary goes together with nothing.
@@ -199,13 +197,11 @@ class Ranges:
 
 
 def _has_place(one, described):
-    """Whether a file has a parameter."""
     told = np.isfinite([one.lower, one.upper, one.std]).all()
     return bool(told and (described or one.measured))
 
 
 def _value(one):
-    """Return a parameter as a file has it."""
     return {
         "parameter": one.name,
         **one.words,
@@ -223,7 +219,6 @@ def _value(one):
 
 
 def _distribution(one):
-    """Say what distribution a parameter has."""
     if one.known == "given":
         return "fixed"
     kind = "normal" if one.between == 0 else "mixture of normals"
@@ -258,7 +253,6 @@ def ranges_of(robot, level, drive=None):
 
 
 def _given(names, kinds, drive):
-    """Yield the settings of a `PDDrive` as values without a range."""
     units = {"kp": ("N m/rad", "N/m"), "kd": ("N m s/rad", "N s/m")}
     for (word, unit), gains in zip(units.items(), drive.law(names)):
         for name, slides, gain in zip(names, kinds, gains.tolist()):
@@ -268,7 +262,6 @@ def _given(names, kinds, drive):
 
 
 def _fixed(name, joint, unit, value):
-    """Return a value that was given."""
     where = dict.fromkeys(("value", "lower", "upper", "mean"), value)
     spread = dict.fromkeys(("std", "within", "between"), 0.0)
     known = {"known": "given", "nonnegative": value >= 0}
@@ -276,7 +269,6 @@ def _fixed(name, joint, unit, value):
 
 
 def _range_of(robot, posterior, k, level):
-    """Return the `ParameterRange` of a parameter."""
     found, ends, mean, spread = posterior.marginal(k), (np.nan, np.nan), np.nan, np.nan
     if found is not None:
         ends = found.quantiles([0.5 - level / 2, 0.5 + level / 2])

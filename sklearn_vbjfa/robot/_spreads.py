@@ -216,7 +216,6 @@ class ColumnMeanSquares:
         return cls(friction=own[:, width - n_friction :].copy(), effects=tuple(found))
 
     def with_tangents(self, other, effects):
-        """Return them with the products of effects in the model from others."""
         taken = [
             theirs if effect.in_model else ours
             for effect, ours, theirs in zip(effects, self.effects, other.effects)
@@ -282,7 +281,6 @@ def _masses(robot):
 
 
 def body_masses(robot):
-    """Masses of a fitted identifier's bodies, tuple of `BodyMass`."""
     known = robot.robot_.known_
     model = robot.features_.model_
     nominal = nominal_parameters(model)[:, 0]

@@ -122,7 +122,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self._choose(longest, moving, spectra)
 
     def _choose(self, longest, moving, spectra):
-        """Choose the cut-offs, from the length of the longest recording and spectra."""
         # `moving` (nv,) tells which joints do, `spectra` what `acceleration_spectra`
         # says of all of them; None where all recordings are too short.
         dt, nv = check_dt(self.dt), self.n_features_in_
@@ -156,7 +155,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return self
 
     def _analyse(self, moving, spectra, dt):
-        """Noise, bandwidth and best cut-off of each joint."""
         frequency, power, noise_gain = spectra
         nv = moving.size
         self.noise_variance_, self.bandwidth_ = np.zeros((2, nv))
@@ -230,7 +228,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         return np.array([_smoothing.rounding(cutoff) for cutoff in self.cutoff_])
 
     def _splines(self, x, start):
-        """Fit a spline to each joint of the recording from row `start` on."""
         if x.shape[0] < _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {_MIN_SAMPLES} samples to be "
@@ -243,7 +240,6 @@ class StateEstimator(TransformerMixin, BaseEstimator):
         ]
 
     def _half_splines(self, x, start):
-        """Fit splines to the even and to the odd samples of a recording."""
         if x.shape[0] < 2 * _MIN_SAMPLES:
             raise ValueError(
                 f"A recording must have at least {2 * _MIN_SAMPLES} samples to be "
@@ -331,7 +327,6 @@ class SplineStates:
 
     @classmethod
     def of_joints(cls, several):
-        """Join the states of some joints and of others."""
         splines = [spline for states in several for spline in states._splines]
         return cls(splines, several[0].shape[0])
 
@@ -425,7 +420,6 @@ def lighter(estimator):
 
 
 def _with_cutoffs(estimator, cutoffs):
-    """Copy a fitted state estimator, with other cut-offs [Hz]."""
     given = [c if np.isfinite(c) else None for c in cutoffs]
     other = StateEstimator(estimator.dt, cutoff=given)
     fitted = {k: v for k, v in vars(estimator).items() if k.endswith("_")}
@@ -434,7 +428,6 @@ def _with_cutoffs(estimator, cutoffs):
 
 
 def of_joints(estimator, joints):
-    """Copy a fitted state estimator for a slice of the joints."""
     return _with_cutoffs(estimator, estimator.cutoff_[joints])
 
 

@@ -98,7 +98,6 @@ def noise_facts(residual, torque, states, dt, cutoff, n_jobs=None):
 
 
 def _of_joint(*given):
-    """Return for how many rows a torque is held, and the `NoiseFacts` of one joint."""
     # given: residual, torque, position and velocity (n,), dt [s], cutoff [Hz].
     residual, torque, q, v = map(np.ascontiguousarray, given[:4])
     dt, cutoff = given[4:]
@@ -173,7 +172,6 @@ def _gap_power(x, dt, cutoff):
 
 
 def _gap_shape():
-    """Independent ordinates in the bands of one window."""
     return np.maximum(np.diff(_GAP) * _WINDOW / 1.5, 1.0)
 
 
@@ -218,7 +216,6 @@ def filtered_noise(facts, dt, cutoff):
 
 
 def _mean(values, rows):
-    """Mean of recordings by their rows, and the rows that count, where it is known."""
     values = np.array(values)
     weight = rows[:, None] * np.isfinite(values)
     total = weight.sum(axis=0)
@@ -241,7 +238,6 @@ class _Family:
 
     @classmethod
     def of(cls, dt, hold, cutoff):
-        """Compute the family for torques that are held for `hold` rows."""
         step = dt * hold
         # cycles per held sample
         nu = np.unique(
@@ -345,7 +341,6 @@ class _Family:
 
 
 def _gain(dt, cutoff, frequency):
-    """Gain of the low-pass at frequencies [Hz]."""
     taps = _lowpass.design(dt, cutoff).taps
     n = 1 << int(np.ceil(np.log2(16 * taps.size)))
     gain = np.abs(np.fft.rfft(taps, n))
@@ -353,5 +348,4 @@ def _gain(dt, cutoff, frequency):
 
 
 def rows_looked_at(part):
-    """Return the rows of a recording used to measure its noise, a slice."""
     return slice(part.start, min(part.stop, part.start + _ROWS))

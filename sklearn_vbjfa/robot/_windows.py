@@ -271,7 +271,6 @@ joint_5, joint_6
 def follow_windows(
     robot, drive, recording, t=None, *, window=1.0, signals=None, beside=None
 ):
-    """Simulate windows of a recording, each from its commands alone."""
     # drive: `PDDrive`, whose channels are in the recording; window: None simulates a
     # single recording as a whole. The rest is that of `simulate_windows`.
     predictor = robot.robot_
@@ -294,12 +293,10 @@ def follow_windows(
 
 
 def _rows_of(made):
-    """Rows of windows in their recording, (n_windows, m)."""
     return made.starts[:, None] + np.arange(made.t.shape[1])
 
 
 def _run(made, simulated_window):
-    """Simulate windows one by one, noting those that fail."""
     # simulated_window: of the number of a window and its rows, the states (m, 3 nv).
     rows = _rows_of(made)
     simulated = np.full((*rows.shape, 3 * len(made.joint_names)), np.nan)
@@ -348,7 +345,6 @@ def _measured(predictor, X, groups, t, signals, window):
 
 
 def _taken_over(beside, X, names):
-    """Check that windows are those of the same rows and robot."""
     rows, nv = _rows_of(beside), len(names)
     same = beside.joint_names == names and rows.max() < len(X)
     if not (same and np.array_equal(beside.positions, X[rows][..., :nv])):
@@ -392,7 +388,6 @@ def _times(t, n_samples):
 
 
 def _length(window, dt):
-    """Return the number of steps in a window."""
     try:
         seconds = float(window)
     except (TypeError, ValueError):
@@ -438,7 +433,6 @@ def tell_once(caught, where, stacklevel):
 
 
 def _rms(errors, axis):
-    """Root mean square over an axis; nan stays."""
     return np.sqrt(np.mean(errors**2, axis=axis))
 
 
@@ -481,7 +475,6 @@ class Follower:
         )
 
     def tell_left_out(self, stacklevel):
-        """Warn of effects that a simulation goes without."""
         if self.left_out:
             warnings.warn(
                 f"The simulation leaves out {'; '.join(self.left_out)}.",

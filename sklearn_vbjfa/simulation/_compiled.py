@@ -33,13 +33,11 @@ compiled = numba.njit(
 
 @compiled
 def vector(x):
-    """Return three numbers as a tuple."""
     return x[0], x[1], x[2]
 
 
 @compiled
 def cross(x, y):
-    """Cross product of two vectors."""
     return (
         x[1] * y[2] - x[2] * y[1],
         x[2] * y[0] - x[0] * y[2],
@@ -49,7 +47,6 @@ def cross(x, y):
 
 @compiled
 def dot(x, y):
-    """Scalar product of two vectors."""
     return x[0] * y[0] + x[1] * y[1] + x[2] * y[2]
 
 
@@ -93,19 +90,16 @@ past_events = compiled(_integrate.past_events)
 
 @compiled
 def _get(state, at):
-    """Return three numbers from a place on."""
     return state[at], state[at + 1], state[at + 2]
 
 
 @compiled
 def _put(state, at, x):
-    """Write three numbers from a place on."""
     state[at], state[at + 1], state[at + 2] = x[0], x[1], x[2]
 
 
 @compiled
 def _add(state, at, x):
-    """Add three numbers from a place on."""
     state[at] += x[0]
     state[at + 1] += x[1]
     state[at + 2] += x[2]
@@ -113,7 +107,6 @@ def _add(state, at, x):
 
 @compiled
 def _scaled(a, x):
-    """Return a x."""
     return a * x[0], a * x[1], a * x[2]
 
 
@@ -233,7 +226,6 @@ def bodies_at(q, v, tree, bodies, armature, M, h):
 
 @compiled
 def _eliminate(A, b):
-    """Solve A x = b in place by elimination with row exchanges; x is in b."""
     n = b.size
     for k in range(n):
         best = k
@@ -365,7 +357,6 @@ def explicit_step(
     loaded,
     table,
 ):
-    """Runge-Kutta step of order four, its error by one of order three."""
     # q, v, a, power: at the beginning; tau, rate (nv,): torques there, and what they
     # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
     # units of which `tolerance` is; loaded (nv, 10): bodies that load the joints; the

@@ -153,7 +153,6 @@ class ForwardDynamics:
             self._set_robot(bodies)
 
     def _set_robot(self, bodies):
-        """Put together what compiled steps take of the robot."""
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
 
     def remember(self, q, v):
@@ -208,7 +207,6 @@ class ForwardDynamics:
         return q, v, work, (self.found.a, self.power), error
 
     def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
-        """Find accelerations with effects that are not of the library."""
         known = {} if self._signals is None else self._signals.at(self._time)
         own = self.terms.others.at(q, v, self._time, known, mode, stuck)
         a = self.found.a
@@ -287,7 +285,6 @@ class ForwardDynamics:
 
 
 def _solve(A, rhs, stuck):
-    """Accelerations of joints that do not stick, zero for the others."""
     if not stuck.any():
         return lapack.dgesv(A, rhs)[2]
     a = np.zeros(rhs.size)

@@ -124,7 +124,6 @@ class Integrator:
         return own.accelerate(q, v, tau, self._mode, self._stuck), own.power
 
     def settle(self, tau):
-        """Find which joints at rest stick, and all accelerations."""
         # Friction and accelerations of joints at rest solve a linear complementarity
         # problem: a joint sticks within its limit, or slides the way it is pushed.
         # Changing the first joint that does neither, again and again, ends at the one
@@ -151,7 +150,6 @@ class Integrator:
         self._arrive(slope)
 
     def _arrive(self, slope):
-        """Keep what the next step begins with."""
         own = self._dynamics
         self._slope = slope
         self._begin = _End(0.0, self.v, own.found)
@@ -224,7 +222,6 @@ class Integrator:
         return h, (q, v, work, slope, hit)
 
     def _accept(self, new, tau):
-        """Go to the end of a step, and through the events there."""
         self.q, self.v, work, slope, hit = new
         # Rounding of zero would be a velocity, and not at rest.
         self.v[self._stuck] = 0.0
@@ -248,7 +245,6 @@ class Integrator:
         self.settle(tau)
 
     def _explicit(self, tau, rate, h):
-        """Runge-Kutta step of order four, its error by one of order three."""
         own, evaluate = self._dynamics, self._evaluate
         if own.is_compiled:
             state = self.q, self.v, *self._slope, tau, rate, h
@@ -271,7 +267,6 @@ class Integrator:
         return q, v, work, slope, float(error)
 
     def _implicit(self, tau, rate, h):
-        """Rosenbrock step of order three, its error by one of order two."""
         own, stuck = self._dynamics, self._stuck
         q, v, (a, p) = self.q, self.v, self._slope
         # The Jacobian matrix and the masses are those of the beginning.
@@ -324,7 +319,6 @@ class Integrator:
         )
 
     def _first_event(self, before, after, known):
-        """Time of the first event of joints `known` between two ends of a step."""
         width, shares = after.time - before.time, []
         for j in np.flatnonzero(known):
             if self._stuck[j]:

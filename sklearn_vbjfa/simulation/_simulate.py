@@ -62,7 +62,6 @@ class Recorded:
         return float(np.interp(t, self._t, self._signals[name]))
 
     def at(self, t):
-        """Values of all of them at a time, by name."""
         return {name: self(name, t) for name in self._signals}
 
 
@@ -124,7 +123,6 @@ def _follow(robot, dynamics, motion, energy, i, t, tau, instants):
 
 
 def _diverged(robot, motion, time, row, joint):
-    """Say when and where a motion diverges."""
     unit = "m/s" if is_prismatic(robot.model)[joint] else "rad/s"
     return SimulationError(
         f"The simulation diverges at t = {time:.6g} s (before row {row}): "
@@ -145,7 +143,6 @@ class _Energy:
         self._largest, self._moved, self._work = 0.0, 0.0, 0.0
 
     def present(self, motion):
-        """Kinetic and potential energy [J]."""
         kinetic = self._dynamics.kinetic_energy(motion.v)
         self._largest = max(self._largest, kinetic)
         energy = kinetic + self._dynamics.potential_energy(motion.q)
@@ -156,11 +153,9 @@ class _Energy:
         return energy
 
     def jump(self, before, motion):
-        """Take over what a change of the robot itself does to its energy."""
         self._start += self.present(motion) - before
 
     def check(self, motion, t):
-        """Refuse energy that nothing has put in."""
         energy = self.present(motion)
         if self._start is None:
             self._start = energy
@@ -176,7 +171,6 @@ class _Energy:
             )
 
     def _reason(self):
-        """Say where energy can come from."""
         driving = self._dynamics.terms.drives()
         names = [n for n, bad in zip(self._robot.joint_names, driving) if bad]
         if names:
@@ -222,7 +216,6 @@ def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
 
 
 def _advance_held(robot, motion, drive, length, time, row):
-    """Go on under torques that are held, saying where that fails."""
     try:
         motion.advance(drive, drive, length)
     except Diverged as found:
@@ -241,7 +234,6 @@ def _advance_held(robot, motion, drive, length, time, row):
 
 
 def _start(robot, q0, v0):
-    """Check the state in the first row."""
     names, found = robot.joint_names, []
     for name, values in (("q0", q0), ("v0", v0)):
         values = np.zeros(len(names)) if values is None else values
@@ -270,7 +262,6 @@ def _start(robot, q0, v0):
 
 
 def _limits(model):
-    """Position limits of the joints, infinite where there are none."""
     low, high = np.array(model.lowerPositionLimit), np.array(model.upperPositionLimit)
     real = (low < high) & (np.abs(low) < 1e9) & (np.abs(high) < 1e9)
     return np.where(real, low, -np.inf), np.where(real, high, np.inf)
@@ -360,7 +351,6 @@ def _signals(signals, n):
 
 
 def _check_inertia(robot, dynamics, q0):
-    """Refuse a robot that some torque would accelerate the wrong way."""
     nv = robot.n_joints
     still = np.zeros(nv), np.zeros(nv), np.zeros(nv), np.zeros(nv, dtype=bool)
     dynamics.start(q0)
@@ -378,7 +368,6 @@ def _check_inertia(robot, dynamics, q0):
 
 
 def _tell_left_out(robot, dynamics):
-    """Warn of effects that a simulation does not have."""
     names, others = robot.joint_names, dynamics.terms.others
     left = [(e, e.not_simulated) for e in robot.effects if e.not_simulated]
     left += [] if others is None else others.left_out
@@ -411,7 +400,6 @@ def tell_held(robot, motion, stacklevel):
 
 
 def _tell_limits(robot, states, t):
-    """Warn of joints that leave their limits: nothing stops them in a simulation."""
     nv = robot.n_joints
     low, high = _limits(robot.model)
     outside = (states[:, :nv] < low) | (states[:, :nv] > high)

@@ -70,12 +70,10 @@ class TorqueModel:
 
     @property
     def n_joints(self):
-        """Number of joints."""
         return self.model.nv
 
     @property
     def joint_names(self):
-        """Names of the joints, tuple of str."""
         return joint_names(self.model)
 
     def true_torques(self, tau, t):
@@ -188,7 +186,6 @@ class Stepper:
         self.reset()
 
     def reset(self):
-        """Forget the motion: the next state is the first one of a recording."""
         self._n, self._last = 0, None
         self._plain, self._of_load = [], []
         for effect, coefs, own, held in self._pairs:
@@ -197,7 +194,6 @@ class Stepper:
             (self._of_load if "load" in effect.needs else self._plain).append(one)
 
     def _columns_of(self, effect):
-        """Return a function of a `State` to the columns of an effect."""
         law = effect.law(self._maths)
         if law is not None:
             return law
@@ -255,7 +251,6 @@ class Stepper:
                 )
 
     def _tell_time(self, t):
-        """Set the time of the row."""
         since, dt = self._model.since, self._model.dt
         if t is None:
             if dt is None:
@@ -286,7 +281,6 @@ class Stepper:
         return t - last
 
     def _read(self, signals):
-        """Return the recorded signals as floats."""
         signals = {} if signals is None else signals
         missing = sorted(self._signals - set(signals))
         if missing:
@@ -320,7 +314,6 @@ def _check_applies(model, effect):
 
 
 def _of_load(model):
-    """Coefficients of each effect in the torque of the load; empty without."""
     if model.load is None:
         return [np.empty(0) for _ in model.effects]
     return [np.asarray(own, dtype=float) for own in model.load.coefficients]

@@ -148,12 +148,10 @@ class TermTable:
         return True
 
     def add_level(self, joint, of, level):
-        """Add what changes with time: its size is level(t, signals)."""
         self._levels[len(self._rows)] = level
         return self.add(_LEVELS[of], joint)
 
     def slow(self, joint):
-        """Speed at or below which a joint may be standing."""
         return 0.0 if self._rest is None else self._rest.speed[joint]
 
     # -- what a simulation asks --------------------------------------------------------
@@ -195,13 +193,11 @@ class TermTable:
         )
 
     def set_levels(self, rows, t, signals):
-        """Write the present sizes of terms that change with time into rows."""
         for k, level in self._levels.items():
             rows[k][0] = level(t, signals)
 
 
 def _ends(held):
-    """Return the ends of the one signal that a law of the library depends on."""
     for quantity in HELD if held is not None else ():
         ends = held.ends(quantity)
         if ends != _ENDLESS:
@@ -386,7 +382,6 @@ class OtherEffects:
         self._held = tuple(ranges)
 
     def _motion(self, q, v, a, t, load, known):
-        """Make a `Motion` of rows."""
         return Motion(
             q=q,
             v=v,
@@ -400,7 +395,6 @@ class OtherEffects:
         )
 
     def _looks_around(self, effect, q, v, a, t, load, known):
-        """Whether the columns of rows differ when they are looked at one by one."""
         whole = effect.columns(self._motion(q, v, a, t, load, known))
         rows = [slice(i, i + 1) for i in range(t.size)]
         single = [
@@ -425,7 +419,6 @@ class OtherEffects:
         return out
 
     def at(self, q, v, t, known, mode, stuck):
-        """Torques at a state, `StateTorques`."""
         # mode (nv,): signs of dry friction; stuck (nv,), bool: joints that stick.
         turning = self.jumps & ~stuck & (v * mode <= 0)
         v = np.where(turning, _TURNS * mode, v)

@@ -97,11 +97,9 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     them apart here.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
-    columns between `RigidBodyFeatures` and this estimator. Columns that a scaler or a
-    PCA has passed are refused; as part of `regressor`
-    (``make_pipeline(StandardScaler(), Lasso())``) they do no harm, since the
-    coefficients are read off the whole. A single output without a projector gets a
-    warning instead: its coefficients are those of the columns as they are.
+    columns between `RigidBodyFeatures` and this estimator: columns that a scaler has
+    passed are refused (a single output without a projector gets a warning). As part of
+    `regressor` (``make_pipeline(StandardScaler(), Lasso())``) scalers do no harm.
 
     Examples
     --------

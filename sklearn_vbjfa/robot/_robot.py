@@ -391,9 +391,8 @@ class IdentifiedRobot:
 
         Notes
         -----
-        A joint at rest may have any dry friction within its band, and the sign of its
-        estimated velocity is noise. The sign of the velocity is therefore replaced by
-        its expected value over the possible true velocities,
+        A joint at rest may have any dry friction within its band. The sign of its
+        velocity is therefore replaced by its expected value over possible true ones,
 
         .. math::
 
@@ -401,10 +400,9 @@ class IdentifiedRobot:
             u \sim U(-w, w), \quad e \sim N(0, \sigma^2), \quad
             w = \frac{v_s}{1 + |a| T / v_s}.
 
-        sigma is the standard deviation of the velocity (`StateEstimator`), zero for
-        states; v_s is `standstill_`, and T the period of the fastest motion. Without
-        v_s (`standstill=None`) s is erf(v / (sqrt(2) sigma)). At rest s = 0; at a
-        reversal the acceleration is large, w is small, and the sign is kept.
+        sigma is the standard deviation of the velocity, zero for states; v_s is
+        `standstill_` (s is erf(v / (sqrt(2) sigma)) without), and T the period of the
+        fastest motion. At a reversal the acceleration is large, and the sign is kept.
 
         Outside the margin of its range, the torque of an effect is held constant: its
         columns are computed at the nearest of `EffectRange.ends`. Rigid bodies,
@@ -420,12 +418,11 @@ class IdentifiedRobot:
             \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
 
         phi is the row of the regressor, C the covariance of the parameters before the
-        projection, and s the residual of the joint in the fit. 90 % of the torques
-        are within 1.645 standard deviations if the model error on the new motion is
-        that of the fit: 88 to 91 % on simulated arms, but 80 to 97 % on other motions
-        of measured robots, and 41 % for joint 5 of a TX40. Corrections of the model,
-        shape parameters, dry friction at rest, and noise above the low-pass are not
-        included.
+        projection, and s the residual of the joint in the fit. On simulated arms 88 to
+        91 % of the torques are within 1.645 standard deviations, on other motions of
+        measured robots 80 to 97 % (41 % for joint 5 of a TX40). Corrections of the
+        model, shape parameters, dry friction at rest, and noise above the low-pass are
+        not included.
         """
         return self.predicted(X, groups, t, signals, return_std)
 
@@ -592,10 +589,8 @@ class IdentifiedRobot:
 
         Notes
         -----
-        A state takes some 10 microseconds for seven joints with friction, and as long
-        after an hour as at first. One robot object is for one loop; copy it
-        (`copy.deepcopy`) for another. Nothing is said of motion outside what was
-        fitted: ask `predict` for that before.
+        One robot object is for one loop; copy it (`copy.deepcopy`) for another. Nothing
+        is said of motion outside what was fitted, which `predict` warns of.
         """
         if self._stepper is None:
             object.__setattr__(self, "_stepper", Stepper(self.torque_model()))
@@ -649,14 +644,12 @@ class IdentifiedRobot:
         -----
         Friction and all other effects are those of `predict`. Dry friction holds a
         joint at rest up to its size; the times at which joints stop, turn round and
-        break loose are found, and steps of Runge's and Kutta's fourth order between
-        them are as long as their error estimate allows. Where smooth friction or a
-        stiffness is steep the steps are implicit (a Rosenbrock method). Delays and
-        filters of a torque channel, and its gain, are taken back from `tau` first.
+        break loose are found, with Runge-Kutta steps of order four between them, or
+        implicit ones (a Rosenbrock method) where friction or a stiffness is steep.
+        Delays, filters and gains of torque channels are taken back from `tau` first.
 
-        Without feedback errors add up: two motions under the same torques part within
-        seconds wherever gravity or a neighbour drives them apart. Compare with a
-        recording over windows of about a second, each from a measured state.
+        Without feedback errors add up: compare with a recording over windows of about a
+        second, each from a measured state (`diagnosis.simulate_windows`).
 
         Examples
         --------
@@ -841,18 +834,15 @@ class IdentifiedRobot:
             e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
 
         theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection, with one factor for the scatter between blocks of time.
-        With several recordings, e is a random effect by recording of all parameters
-        that are not of bodies, :math:`y_r = \Phi_r (\theta + u_r) + \epsilon` with
-        independent :math:`u_{rk} \sim N(0, s_k^2)`. h is the sum of the squared shares
-        of the recordings in the fitted value, 1/R for R equal recordings. The scale s
+        before the projection. With several recordings, e is a random effect by
+        recording of all parameters that are not of bodies; h is the sum of the squared
+        shares of the recordings in the fitted value, 1/R for R equal ones. The scale s
         is half-Cauchy around a fifth of the value, at most twice the value, and is
         drawn from its posterior given the second moments of the recordings.
 
-        Armature and friction are truncated at zero: rows with a negative value are
-        redrawn by Gibbs sampling (200 sweeps). Inconsistent bodies of a row are
-        projected in the metric of their posterior, and the other parameters are drawn
-        given them.
+        Rows with a negative armature or friction are redrawn by Gibbs sampling (200
+        sweeps). Inconsistent bodies are projected in the metric of their posterior, and
+        the other parameters are drawn given them.
         """
         n = check_number("n", n, 1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))

@@ -181,9 +181,8 @@ def simulate_windows(
 ):
     """Simulate windows of a recording, each from the measured state at its start.
 
-    Windows follow one another without gap, within each recording; the last row of one
-    is the first of the next. Those begin where the smoother sees both sides: a velocity
-    at the very end of a recording rests on one side only.
+    Windows follow one another without gap, within each recording, where the smoother
+    sees both sides.
 
     Parameters
     ----------

@@ -1,7 +1,6 @@
 """Bodies, friction and accelerations at one state, compiled by Numba.
 
-Numba is optional; `sklearn_vbjfa.simulation._dynamics` does the same in NumPy. The laws
-of friction are those of `sklearn_vbjfa.simulation._terms` themselves; bodies are what
+The laws of friction are those of `sklearn_vbjfa.simulation._terms`; bodies are what
 Pinocchio computes as well (`crba` and `nonLinearEffects`): vectors are in the axes of
 the base, and moments about the origin of the joint that a branch begins with, so that
 the inertia of composite bodies is a sum.

@@ -1,34 +1,27 @@
 """Accelerations of an identified robot under given torques."""
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import lapack
 
 from sklearn_vbjfa.model import describe, import_pinocchio
-from sklearn_vbjfa.simulation._terms import (
-    MOST_SIGNS,
-    Table,
-    TermTable,
-    add_terms,
-    load_size,
-    remember,
-)
+from sklearn_vbjfa.simulation._terms import Table, TermTable
 
 # Times that other effects are linearised anew, up to this change of accelerations.
 _MOST_TANGENTS, _SETTLED = 20, 1e-11
 
 
-@functools.cache
-def compiled():
-    """Return the module of compiled functions; None without Numba."""
+def import_compiled():
+    """Return the module of compiled functions."""
     try:
         from sklearn_vbjfa.simulation import _compiled
     except ImportError as error:
         if error.name != "numba":
             raise
-        return None
+        raise ImportError(
+            "Simulations need Numba, which is not installed: "
+            'pip install "sklearn-vbjfa[robot]".'
+        ) from error
     return _compiled
 
 
@@ -46,20 +39,6 @@ def with_bodies(model, bodies, armature=None):
         out.inertias[j + 1] = pin.Inertia.FromDynamicParameters(body)
     out.armature = np.zeros(model.nv) if armature is None else np.asarray(armature)
     return out
-
-
-def _inertia_by_columns(pin, model, data, q):
-    """Inertia matrix (nv, nv) by unit accelerations."""
-    none = np.zeros(model.nv)
-    still = pin.rnea(model, data, q, none, none).copy()
-    units = np.eye(model.nv)
-    return np.array([pin.rnea(model, data, q, none, a) - still for a in units]).T
-
-
-def _is_depth_first(model):
-    """Whether the joints of every subtree are numbered one after the other."""
-    subtrees = [list(own) for own in model.subtrees[1:]]
-    return all(own[-1] - own[0] == len(own) - 1 for own in subtrees)
 
 
 class Found(NamedTuple):
@@ -80,7 +59,7 @@ class ForwardDynamics:
     # that sticks, whose acceleration is zero, or that has none. signals: (name, t) ->
     # value of what was recorded beside the motion; power: of all torques that need not
     # dissipate [W], such as of drives and springs; mass (nv, nv): rotors included;
-    # compiled: module of compiled functions, None without Numba.
+    # compiled: module of compiled functions.
 
     def __init__(self, robot, signals=None):
         pin = import_pinocchio()
@@ -99,24 +78,14 @@ class ForwardDynamics:
         ]
         self.model = self._loaded[0][2]
         self._data = self.model.createData()
-        # For other orders of a tree's joints Pinocchio's algorithm of composite bodies
-        # is wrong.
-        self._inertia = pin.crba
-        if not _is_depth_first(self.model):
-            self._inertia = functools.partial(_inertia_by_columns, pin)
-        self._load_model = None
         self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
         self._tree = describe(self.model)
         self._set_robot(robot.bodies)
-        if terms.of_load or terms.others is not None:
-            self._load_model = with_bodies(robot.model, self._load_bodies)
-            self._load_data = self._load_model.createData()
-        self.compiled = compiled()
+        self._loads = terms.of_load or terms.others is not None
+        self.compiled = import_compiled()
         self.found = Found(*np.zeros((5, self.n_joints)))
         self.power, self.mass, self._time = 0.0, None, 0.0
         self._remembers = bool(terms.remembers.any())
-        self._asymmetric = bool(terms.inertia.any())
-        self._plain = not (terms.kinds.size or terms.coupling.any())
         self.start(np.zeros(self.n_joints))
 
     # -- what changes with time and with what was done before --------------------------
@@ -135,9 +104,6 @@ class ForwardDynamics:
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
         self._table = table = self.terms.table(q)
         self._own = table.kinds, table.joints, table.numbers, table.memory
-        if self.compiled is None:
-            # Plain Python reads lists faster than arrays.
-            self._own = tuple(one.tolist() for one in self._own)
 
     def set_time(self, t):
         """Set torques that change with time to what they are at t [s]."""
@@ -157,12 +123,8 @@ class ForwardDynamics:
 
     def remember(self, q, v):
         """Move memory on to a state q, v (nv,), to which no joint turned round."""
-        if not self._remembers:
-            return
-        if self.compiled is not None:
+        if self._remembers:
             self.compiled.remember(*self._own, q, v)
-        else:
-            remember(*self._own, q.tolist(), v.tolist())
 
     def potential_energy(self, q):
         """Potential energy of the bodies at positions q (nv,) [J]."""
@@ -177,24 +139,19 @@ class ForwardDynamics:
     def accelerate(self, q, v, tau, mode, stuck):
         """Find the accelerations (nv,) under true torques tau, by modes of friction."""
         # mode (nv,): signs of dry friction; stuck (nv,): joints that stick.
-        pin, data = self._pin, self._data
-        self.mass = M = self._inertia(self.model, data, q)
-        h = pin.nonLinearEffects(self.model, data, q, v)
-        ML, hL = M, h
-        if self._load_model is not None:
-            ML = self._inertia(self._load_model, self._load_data, q)
-            hL = pin.nonLinearEffects(self._load_model, self._load_data, q, v)
+        nv, (tree, bodies, armature, loaded) = self.n_joints, self._robot
+        M, h = np.empty((nv, nv)), np.empty(nv)
+        self.compiled.bodies_at(q, v, tree, bodies, armature, M, h)
+        self.mass, ML, hL = M, M, h
+        if self._loads:
+            ML, hL = np.empty((nv, nv)), np.empty(nv)
+            self.compiled.bodies_at(q, v, tree, loaded, np.zeros(nv), ML, hL)
         state = q, v, tau, mode, stuck
         if self.terms.others is None:
             self.found, self.power = self._solved(*state, M, h, ML, hL, None)
         else:
             self._with_others(*state, M, h, ML, hL)
         return self.found.a
-
-    @property
-    def is_compiled(self):
-        """Whether `explicit_step` can be used: Numba, and no torques of other code."""
-        return self.compiled is not None and not self.changes
 
     def explicit_step(self, q, v, a, power, *step):
         """Do a compiled step; (q, v, work, (a, power), error) at its end."""
@@ -227,68 +184,11 @@ class ForwardDynamics:
 
     def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
         """Solve for accelerations; dry (nv,): additional dry friction."""
-        state = M, h, ML, hL, tau, q, v, mode, stuck
-        if self.compiled is None:
-            return self._solved_plain(*state, dry)
         table = self._table
         if dry is not None:
             lines = table.lines.copy()
             lines[2] += dry
             table = Table(table.of_load, lines, *table[2:])
-        out = np.empty((5, q.size))
+        out, state = np.empty((5, q.size)), (M, h, ML, hL, tau, q, v, mode, stuck)
         power = self.compiled.accelerate(*state, table, self.found.a, out)
         return Found(*out), power
-
-    def _solved_plain(self, M, h, ML, hL, tau, q, v, mode, stuck, dry):
-        terms, none = self.terms, np.zeros(v.size)
-        dry = terms.dry if dry is None else terms.dry + dry
-        placed, smooth, load_smooth = terms.constant, terms.viscous * v, None
-        by_position, by_velocity = none, terms.viscous
-        if not self._plain:
-            # A coupling need not take energy: its work is counted with the drives'.
-            placed = placed + terms.coupling @ v
-            by_velocity = by_velocity + terms.coupling.diagonal()
-            sums = [placed, smooth, dry, none, by_position, by_velocity, none]
-            sums = [values.tolist() for values in sums]
-            add_terms(*self._own, q.tolist(), v.tolist(), sums)
-            placed, smooth, dry, load_smooth, *slopes = map(np.array, sums)
-            by_position, by_velocity, load_by_position = slopes
-        A = M + terms.inertia if self._asymmetric else M
-        rhs = tau - h - placed - smooth - dry * mode
-        limit = dry
-        if self._table.of_load:
-            size = terms.load_dry * mode
-            if load_smooth is not None:
-                size = size + load_smooth
-            constant, slope = load_size(ML @ self.found.a + hL, *terms.load_ends)
-            for _ in range(MOST_SIGNS):
-                way = size * slope
-                known = rhs - way * hL - size * constant
-                a = _solve(A + way[:, None] * ML, known, stuck)
-                L = ML @ a + hL
-                supposed = constant + slope * L
-                constant, slope = load_size(L, *terms.load_ends)
-                pressed = constant + slope * L
-                if (pressed == supposed).all():
-                    break
-            rhs = rhs - size * pressed
-            limit = dry + terms.load_dry * pressed
-            if load_smooth is not None:
-                by_position = by_position + load_by_position * pressed
-        else:
-            a = _solve(A, rhs, stuck)
-        moved = tau - placed
-        if self._asymmetric:
-            moved = moved - terms.inertia @ a
-        found = Found(a, rhs - A @ a, limit, by_position, by_velocity)
-        return found, float(moved @ v)
-
-
-def _solve(A, rhs, stuck):
-    if not stuck.any():
-        return lapack.dgesv(A, rhs)[2]
-    a = np.zeros(rhs.size)
-    free = np.flatnonzero(~stuck)
-    if free.size:
-        a[free] = lapack.dgesv(A[np.ix_(free, free)], rhs[free])[2]
-    return a

@@ -15,7 +15,6 @@ Angermann, BIT 45(4), 2005, doi:10.1007/s10543-005-0035-y):
         + h A sum_j gamma_ij k_j + gamma_i h f_t,  y(t + h) = y + h sum_i b_i k_i.
 """
 
-import sys
 from typing import NamedTuple
 
 import numpy as np
@@ -92,7 +91,7 @@ class Integrator:
 
     def __init__(self, dynamics, q, v, tau, t):
         self._dynamics = dynamics
-        self._steps = dynamics.compiled or sys.modules[__name__]
+        self._steps = dynamics.compiled
         nv = q.size
         self.q, self.v = q.copy(), v.copy()
         self.work, self.steps = 0.0, 0
@@ -246,7 +245,7 @@ class Integrator:
 
     def _explicit(self, tau, rate, h):
         own, evaluate = self._dynamics, self._evaluate
-        if own.is_compiled:
+        if not own.changes:
             state = self.q, self.v, *self._slope, tau, rate, h
             modes = self._mode, self._stuck
             return own.explicit_step(*state, *modes, self._fast, _TOLERANCE)
@@ -349,7 +348,7 @@ def _root(v0, v1, a0, a1):
     return high
 
 
-# -- arithmetic of a step: plain NumPy, which Numba compiles where it is installed -----
+# -- arithmetic of a step, which Numba compiles ----------------------------------------
 
 
 def step_error(h, a1, a4, a5, fast, tolerance):

@@ -4,7 +4,7 @@ A torque that the drive must produce in addition to the rigid bodies' is smooth 
 positions, velocities, time and memory), dry (a size times the sign of the joint's
 velocity, and anything between at rest), either of them over the load, or in proportion
 to accelerations. The library's effects are a table of numbers for one scalar function,
-`add_terms`, compiled where Numba is installed; others are evaluated by their columns.
+`add_terms`, which Numba compiles; others are evaluated by their columns.
 """
 
 import math

@@ -20,7 +20,6 @@ from sklearn_vbjfa.effects import (  # noqa: E402
 )
 from sklearn_vbjfa.simulation import (  # noqa: E402
     Stepper,
-    _dynamics,
     simulate,
 )
 from tests.simulation._machines import slider  # noqa: E402
@@ -205,17 +204,8 @@ def test_states_one_by_one_have_the_torques_of_all(name, seed):
     assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
 
 
-@pytest.fixture(params=["compiled", "plain"])
-def twin(request, monkeypatch):
-    """Both ways to compute accelerations."""
-    if request.param == "plain":
-        monkeypatch.setattr(_dynamics, "compiled", lambda: None)
-    else:
-        pytest.importorskip("numba")
-
-
 @pytest.mark.parametrize("name", [*DEPENDENT, "cubic"])
-def test_a_simulation_has_the_predicted_torques(name, twin):
+def test_a_simulation_has_the_predicted_torques(name):
     rng = np.random.default_rng(3)
     if name == "cubic":
         predictor = with_effect(rng, Cubic(1), [3.0])
@@ -258,7 +248,7 @@ def test_a_simulation_has_the_predicted_torques(name, twin):
 
 @pytest.mark.parametrize("k", [50.0, 2e4])
 @pytest.mark.parametrize(("long", "error"), [(0.01, 1e-6), (1.2, 3e-5)])
-def test_beyond_its_end_a_spring_is_a_constant_force(twin, k, long, error):
+def test_beyond_its_end_a_spring_is_a_constant_force(k, long, error):
     # Steps between rows are explicit, or so long that they are implicit; the bend at
     # the end is no event, and costs the step across it some of its order.
     mass, v0 = 2.0, 1.5

@@ -45,25 +45,6 @@ TAU = np.column_stack([6 * np.sin(5 * T), 2 * np.cos(8 * T)])
 START = [0.4, -0.6], [1.0, -2.0]
 
 
-@pytest.fixture(params=["compiled", "plain"])
-def twin(request, monkeypatch):
-    """Both ways to compute accelerations."""
-    if request.param == "plain":
-        monkeypatch.setattr(_dynamics, "compiled", lambda: None)
-    else:
-        pytest.importorskip("numba")
-
-
-@pytest.mark.parametrize("effects", [[], EFFECTS])
-def test_twins_agree_on_motions(effects, monkeypatch):
-    pytest.importorskip("numba")
-    robot = Arm().robot(FRICTION, effects)
-    one = simulate(robot, TAU[:30], *START)
-    monkeypatch.setattr(_dynamics, "compiled", lambda: None)
-    other = simulate(robot, TAU[:30], *START)
-    np.testing.assert_allclose(one[:, :4], other[:, :4], rtol=0, atol=1e-9)
-
-
 def test_order_of_effects():
     one = simulate(Arm().robot(FRICTION, EFFECTS), TAU, *START)
     other = simulate(Arm().robot(FRICTION, EFFECTS[::-1]), TAU, *START)
@@ -71,7 +52,7 @@ def test_order_of_effects():
 
 
 @pytest.mark.parametrize("factor", [1e-4, 1e4])
-def test_scale_of_masses_and_torques(factor, twin):
+def test_scale_of_masses_and_torques(factor):
     """A robot and its torques in another unit of mass."""
     robot = Arm().robot(FRICTION)
     scaled = machine(

@@ -1,17 +1,21 @@
 """Friction and rotor inertia fitted again to torques that a file has no place for."""
 
+import warnings
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import OfChannel, OfTime
+from sklearn_vbjfa.model import DoubtWarning
 
 # What joints of MJCF have, by the names of declared friction.
 TERMS = ("coulomb", "viscous", "rotor_inertia")
 # Rows of the motion, the frequencies of its sines over the first one, and the share of
 # a joint's top speed below which its friction may have any value.
 _ROWS, _FREQUENCIES, _REST = 6000, (0.35, 0.7, 1.0, 1.6), 0.02
+# Share of a joint's torque without which a file moves in another way.
+_MISSING = 0.02
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
 
@@ -21,12 +25,29 @@ class Refitted:
     """What is added to the joints of a file, and what the file still lacks."""
 
     added: np.ndarray  # (nv, 3): to `TERMS`
-    # (nv,): root mean square of what is left over that of what had no place
+    # (nv,): root mean square of what is left over that of what had no place, and over
+    # that of the whole torque
     share: np.ndarray
+    missing: np.ndarray
 
     @classmethod
     def nothing(cls, nv):
-        return cls(added=np.zeros((nv, 3)), share=np.ones(nv))
+        return cls(added=np.zeros((nv, 3)), share=np.ones(nv), missing=np.zeros(nv))
+
+    def warn(self, names):
+        """Warn of joints whose motion a file changes."""
+        told = [
+            f"{100 * share:.2g} % of the torque of {name}"
+            for name, share in zip(names, self.missing)
+            if share > _MISSING
+        ]
+        if told:
+            warnings.warn(
+                f"The MJCF file lacks {', '.join(told)}, which MuJoCo has no friction "
+                "for: simulate the saved robot instead (identified.json).",
+                DoubtWarning,
+                stacklevel=3,
+            )
 
 
 def has_no_place(effect):
@@ -79,7 +100,8 @@ def refitted(robot, totals):
             lacking[:, j] += columns @ coef
             if name in plain:
                 lacking[:, j] -= plain[name][:, j] * effect.in_file(coef).sum()
-    added, share = nothing.added.copy(), nothing.share.copy()
+    added, share, missing = nothing.added, nothing.share, nothing.missing
+    whole = robot.torques(robot.prepare(states).noiseless(robot.plan))
     for j in np.flatnonzero(moves & lacking.any(axis=0)):
         rows = np.abs(v[:, j]) > _REST * np.abs(v[:, j]).max()
         X = np.column_stack([plain[name][rows, j] for name in TERMS])
@@ -87,7 +109,9 @@ def refitted(robot, totals):
         lowest = -np.maximum(totals[j], 0.0) * size - _ROUNDING
         found = lsq_linear(X / size, y, (lowest, np.inf)).x / size
         found = np.maximum(found, -np.maximum(totals[j], 0.0))
-        before, after = (np.sqrt((x**2).mean()) for x in (y, y - X @ found))
+        sizes = [y, y - X @ found, whole[rows, j]]
+        before, after, torque = (np.sqrt((x**2).mean()) for x in sizes)
         if after < before:
             added[j], share[j] = found, after / before
-    return Refitted(added=added, share=share)
+        missing[j] = min(before, after) / max(torque, before)
+    return Refitted(added=added, share=share, missing=missing)

@@ -980,6 +980,12 @@ class IdentifiedRobot:
         ValueError
             If the parameters are not physically consistent, or a joint is helical.
 
+        Warns
+        -----
+        DoubtWarning
+            If friction that MuJoCo lacks is more than 2 % of a joint's torque, after
+            damping, frictionloss and armature were fitted again.
+
         Notes
         -----
         Dry friction of MuJoCo is a soft constraint: with the time step h of the file it
@@ -990,15 +996,18 @@ class IdentifiedRobot:
         """
         robot, which = self._sampled(sample, random_state)
         model = robot.torque_model()
-        return to_mjcf(
+        again = refitted(robot, plain_totals(model))
+        left = to_mjcf(
             path,
             model,
             robot.min_eigenvalues_,
             self.powers,
             [which, note_of_units(self.gains_), note_of_masses(self)],
             robot._servo(drive),
-            refitted(robot, plain_totals(model)),
+            again,
         )
+        again.warn(self.joint_names_)
+        return left
 
     def columns_of(self, states):
         """Return effects with their columns in states (n, 3 nv), a list of pairs."""

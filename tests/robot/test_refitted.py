@@ -1,5 +1,6 @@
 """MuJoCo files of robots whose friction MuJoCo lacks: the rest is fitted again."""
 
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import LoadFriction, Stribeck
+from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import _robot
 from sklearn_vbjfa.robot._refitted import TERMS, Refitted, typical_motion
 from tests.model._mujoco import drive_torques
@@ -39,7 +41,8 @@ def away(robot, path):
 
 def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
-    left = robot.to_mjcf(tmp_path / "again.xml")
+    with pytest.warns(DoubtWarning, match=r"lacks .* % of the torque of joint_3"):
+        left = robot.to_mjcf(tmp_path / "again.xml")
     assert {(one.name, one.joint) for one in left} == {
         ("stribeck", 1),
         ("load_friction", 2),
@@ -61,4 +64,6 @@ def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
     found = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
     assert found.added.shape == (6, len(TERMS))
     assert not found.added.any()
-    assert plain.to_mjcf(tmp_path / "plain.xml") == ()
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert plain.to_mjcf(tmp_path / "plain.xml") == ()

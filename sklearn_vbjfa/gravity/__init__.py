@@ -15,7 +15,7 @@ from sklearn_vbjfa.robot import (
     RobotIdentifier,
     StateEstimator,
 )
-from sklearn_vbjfa.robot._bodies import DESCRIBED, Description
+from sklearn_vbjfa.robot._bodies import DESCRIBED, BodyPrior
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 
 __all__ = ["GravityCorrection", "correct_gravity", "gravity_poses"]
@@ -198,7 +198,7 @@ def gravity_rows(features, q):
 
 def _described(features):
     """Return the bodies of a description; refuse one without masses."""
-    bodies = Description.of(features.model_, 10)
+    bodies = BodyPrior.of(features.model_, 10)
     if bodies is None:
         raise ValueError(
             "The description has no link with mass and inertia; gravity compensation "

@@ -229,7 +229,7 @@ class _Shared:
     parameter: str
     places: np.ndarray
 
-    def told(self, std):
+    def visible(self, std):
         """Return it without values of which deviations (p,) say that nothing tells."""
         own = std[self.places]
         known = np.isfinite(own) & (own > 0)
@@ -274,7 +274,7 @@ def _contrasts(n):
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _AlikeProblem:
     """Values as the data tell them one by one, y and S, in parts that are alike."""
 
     # Each value is in units of the mean of its part, which is free.
@@ -283,7 +283,7 @@ class _Problem:
     S: np.ndarray
     parts: tuple
 
-    def told(self, sites):
+    def precision(self, sites):
         """Precision (k, k) that sites say of all values."""
         precision = np.zeros(self.S.shape)
         for part, site in zip(self.parts, sites):
@@ -293,12 +293,12 @@ class _Problem:
 
     def solved(self, sites):
         """Mean and covariance of all values; None is a site without information."""
-        told = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
-        if not told:
+        active = [(p, s) for p, s in zip(self.parts, sites) if s is not None and p.size]
+        if not active:
             return self.y, self.S
-        root = np.zeros((sum(p.size - 1 for p, _ in told), self.y.size))
+        root = np.zeros((sum(p.size - 1 for p, _ in active), self.y.size))
         spread, aim, at = np.zeros((len(root), len(root))), [], 0
-        for part, site in told:
+        for part, site in active:
             rows = slice(at, at := at + part.size - 1)
             root[rows, part] = _contrasts(part.size)
             spread[rows, rows] = np.linalg.inv(site.precision)
@@ -382,7 +382,7 @@ class _Apart:
         if n > 2:
             weight = np.exp(self.evidence[:, k] - self.log_odds[k])
             scale = np.sqrt(weight @ SCALES**2)
-            problem = _Problem(self.y, self.S, (rest,))
+            problem = _AlikeProblem(self.y, self.S, (rest,))
             y, S = problem.solved([Site.of_scale(scale, n - 2)])
         else:
             y, S = self.y, self.S
@@ -472,7 +472,7 @@ class _Seen:
         scale = self.ratio[self.at] / self.unit
         S = self.C[np.ix_(self.at, self.at)] * np.outer(scale, scale)
         y = self.found.theta_unconstrained[self.at] / self.unit
-        return _Problem(y, S, self.parts)
+        return _AlikeProblem(y, S, self.parts)
 
     def beside(self, problem, sites):
         found, at, scale = self.found, self.at, self.unit / self.ratio[self.at]
@@ -500,7 +500,9 @@ class _Seen:
         if before is None:
             before = BodyPosterior.of_nothing(**known, noise=noise_of(self.found))
         prior, centre = before.prior.copy(), before.centre.copy()
-        prior[np.ix_(at, at)] += problem.told(sites) / np.outer(self.unit, self.unit)
+        prior[np.ix_(at, at)] += problem.precision(sites) / np.outer(
+            self.unit, self.unit
+        )
         centre[at] += self.unit * problem.centre(sites, theta[at] / self.unit)
         return replace(before, **known, prior=prior, centre=centre)
 
@@ -508,7 +510,7 @@ class _Seen:
 def beside_each_other(found, groups, robot):
     """Return an `Estimate` in which values of alike joints are near each other."""
     # What a joint stood still for is not told, and is not shared.
-    shared = [one.told(found.std) for one in shared_values(groups, robot)]
+    shared = [one.visible(found.std) for one in shared_values(groups, robot)]
     shared = [one for one in shared if one.places.size > 1]
     if not shared:
         return found
@@ -542,9 +544,9 @@ def _spread(y, S, unit):
     about = np.eye(n) - 1.0 / n
     between = (y @ about @ y + np.trace(about @ S)) / max(n - 1, 1)
     std = np.sqrt(S.sum()) / n
-    told = abs(mean) > HALF_WIDTH * std
+    significant = abs(mean) > HALF_WIDTH * std
     return {
         "value": float(size * mean),
         "std": float(size * std),
-        "scatter": float(np.sqrt(between) / abs(mean)) if told else np.nan,
+        "scatter": float(np.sqrt(between) / abs(mean)) if significant else np.nan,
     }

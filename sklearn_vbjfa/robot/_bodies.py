@@ -60,7 +60,7 @@ def _rounder(P):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Description:
+class BodyPrior:
     """Bodies of a description as the centre of a prior."""
 
     # The distance of a body from its description is tr((P0^-1 dP)^2) with its
@@ -160,7 +160,7 @@ class Site:
 
 
 @dataclass(frozen=True, eq=False)
-class _Solution:
+class _Gaussian:
     """Gaussian posterior of the change from a description, and of its common size."""
 
     # The last entry is the share by which all of its bodies together are larger.
@@ -191,13 +191,13 @@ def _along(description, A, b):
 
 
 @dataclass(frozen=True, eq=False)
-class _Problem:
+class _BodyProblem:
     """Normal equations A theta = b in units of the noise, with a description."""
 
     # Bodies are seen in coordinates in which their prior is round. `sized`: their
     # common size is that of the description.
 
-    description: Description
+    description: BodyPrior
     A: np.ndarray
     b: np.ndarray
     sized: bool = False
@@ -240,7 +240,7 @@ class _Problem:
             precision = centre @ across + DESCRIBED**-2 + across @ moved[:p]
             mean += moved * (of_size - across @ mean[:p]) / precision
             covariance += np.outer(moved, moved) / precision
-        return _Solution(mean, covariance)
+        return _Gaussian(mean, covariance)
 
     def common(self):
         """Size of all bodies together by least squares, all else free; or one."""
@@ -374,13 +374,13 @@ def _matched(precision, product, sites):
     every = np.arange(mean.shape[1])
     covariance = np.swapaxes(away, 1, 2) @ (away * weight[:, :, None])
     covariance[:, every, every] += _times(np.swapaxes(variance, 1, 2), weight)
-    told = np.zeros_like(covariance)
-    told[:, every, every] = value
+    data = np.zeros_like(covariance)
+    data[:, every, every] = value
     # A prior takes no precision away.
-    left, turned = np.linalg.eigh(inverse_of(covariance) - told)
+    left, turned = np.linalg.eigh(inverse_of(covariance) - data)
     left = np.maximum(left, _LEAST / DESCRIBED**2)
     own = (turned * left[:, None]) @ np.swapaxes(turned, 1, 2)
-    right = _times(own + told, mean) - rest
+    right = _times(own + data, mean) - rest
     moved = mean - _times(back, np.linalg.solve(precision, product[:, :, None])[..., 0])
     step = np.abs(moved) / np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     scale = np.sqrt(weight @ s2[:, 0]).tolist()
@@ -397,8 +397,8 @@ def around(description, A, b):
     """Estimate parameters from normal equations A theta = b and a description."""
     # A (p, p) and b (p,) are in units of the noise; parameters without a prior are
     # free.
-    first = _Problem(description, A, b).common()
-    problem = _Problem(description.scaled(first), A, b)
+    first = _BodyProblem(description, A, b).common()
+    problem = _BodyProblem(description.scaled(first), A, b)
     sites = problem.sites()
     solution, precision = problem.solved(sites), problem.precision(sites)
     change, covariance = solution.total(problem.centre)
@@ -406,15 +406,15 @@ def around(description, A, b):
     of_size = precision @ problem.centre
     share = problem.centre @ of_size + DESCRIBED**-2
     prior = precision - np.outer(of_size, of_size) / share
-    told = np.diagonal(A) + np.diagonal(prior) > 0
-    covariance[~told, ~told] = np.inf
+    seen = np.diagonal(A) + np.diagonal(prior) > 0
+    covariance[~seen, ~seen] = np.inf
     before = np.full(b.size, np.nan)
     before[description.places] = problem.description.deviation(sites)
     common = first * (1.0 + solution.mean[-1])
     common_std = first * np.sqrt(solution.covariance[-1, -1])
     # Whether a body departs is asked of a description in the unit of the torques.
     if abs(common - 1.0) < _FAR_OFF * common_std:
-        asked = _Problem(description, A, b, sized=True)
+        asked = _BodyProblem(description, A, b, sized=True)
     else:
         asked = problem
     return BodyPosterior(
@@ -455,7 +455,7 @@ def as_described(description, A, b):
 
 
 def described_bodies(settings):
-    """Return the `Description` that an identifier's bodies are near; None if free."""
+    """Return the `BodyPrior` that an identifier's bodies are near; None if free."""
     bodies, features = settings.bodies, settings.features_
     if not isinstance(bodies, str) or bodies not in WAYS:
         raise ValueError(
@@ -468,7 +468,7 @@ def described_bodies(settings):
         why = "a regressor: it estimates the bodies separately"
     elif bodies != "free":
         per_joint = features.n_parameters_ // features.n_joints_
-        found = Description.of(features.model_, per_joint)
+        found = BodyPrior.of(features.model_, per_joint)
         why = "a description in which no body has mass and extension"
     if bodies == "fixed" and found is None:
         raise ValueError(

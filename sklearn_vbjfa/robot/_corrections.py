@@ -207,10 +207,10 @@ def _axis_name(direction):
 def note_of_corrections(robot):
     """Say what an identified robot asks for that a URDF cannot hold; a list of str."""
     found = corrections_of(robot)
-    told = []
+    lines = []
     if found.tilt is not None:
         roll, pitch, yaw = found.tilt.lean_rpy
-        told.append(
+        lines.append(
             "The base of the recorded robot was not level: gravity is turned in its "
             f"frame by roll {found.tilt.roll_degrees:.4g} and pitch "
             f"{found.tilt.pitch_degrees:.4g} degrees, and the base leans the opposite "
@@ -219,22 +219,22 @@ def note_of_corrections(robot):
             f"{' '.join(f'{x:.6g}' for x in found.tilt.gravity)} m/s^2 in its frame: "
             "this file has a level base."
         )
-    told += [
+    lines += [
         f"Subtract {one.plain:.4g} {one.plain_unit} ({one.subtract:.6g} "
         f"{'m' if one.plain_unit == 'mm' else 'rad'}) from what the encoder of "
         f"{one.joint_name} reads: this file has the zeros of the description."
         for one in found.zeros
     ]
-    told += [
+    lines += [
         f"Divide the torque that the channel of {one.joint_name} reads by "
         f"{one.gain:.5g}: inertias and friction in this file are those of the true "
         "torque."
         for one in found.gains
     ]
-    told += [
+    lines += [
         f"The axis of {one.joint_name} was turned by {one.about_x_degrees:.4g} degrees "
         f"about the {one.about[0]} and {one.about_y_degrees:.4g} degrees about the "
         f"{one.about[1]} of its frame: the rpy of its origin has it."
         for one in found.axes
     ]
-    return told
+    return lines

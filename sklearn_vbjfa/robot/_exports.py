@@ -44,7 +44,7 @@ def to_mjcf(
 ):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
     # powers: without these all sizes are nan; notes: what else a reader of the file has
-    # to know; servo: of motors that are told positions; again: `Refitted`.
+    # to know; servo: of motors that follow positions; again: `Refitted`.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
     account = _Account(robot, powers, again)
     dynamics = _mjcf_dynamics(account, servo)
@@ -52,14 +52,14 @@ def to_mjcf(
     for j in np.flatnonzero(dynamics.ref):
         # The file says by `ref` what the corrected model has in its placements.
         level.move_zero(int(j), -float(dynamics.ref[j]))
-    told = [*_notes_of_mjcf(robot, dynamics, servo), *filter(None, notes)]
+    lines = [*_notes_of_mjcf(robot, dynamics, servo), *filter(None, notes)]
     write_mjcf(
         path,
         level.model,
         robot.bodies,
         dynamics,
         dt=robot.dt,
-        note=_note(told, account.left),
+        note=_note(lines, account.left),
         followers=following_joints(
             robot.effects, robot.coefficients, robot.joint_names
         ),
@@ -96,47 +96,47 @@ def to_urdf(
     return tuple(account.left)
 
 
-def _note(told, left):
+def _note(lines, left):
     if left:
         listed = "".join(f"\n- {one}" for one in left)
-        told = [
-            *told,
+        lines = [
+            *lines,
             "This file does not have (root mean square of the torque over the fitted "
             f"recording):{listed}",
         ]
-    return "\n".join(told)
+    return "\n".join(lines)
 
 
 def _notes_of_mjcf(robot, dynamics, servo):
-    told = [
+    lines = [
         "Controls of the motors, in the order of the recording, are what the torque "
         "channels read [N m or N]; positions are what the encoders read [rad or m].",
     ]
     if servo is not None:
-        told = _notes_of_servo(robot, dynamics, servo)
-    told += [
+        lines = _notes_of_servo(robot, dynamics, servo)
+    lines += [
         f"The encoder of {robot.joint_names[j]} reads {dynamics.ref[j]:.6g} at the "
         "zero of the description (ref)."
         for j in np.flatnonzero(dynamics.ref)
     ]
-    told += [
+    lines += [
         f"The torque channel of {robot.joint_names[j]} reads {dynamics.gain[j]:.5g} "
         "times the torque (gainprm of its motor is the inverse)."
         for j in np.flatnonzero(dynamics.gain != 1)
     ]
     notes = (effect.files.note for effect in robot.effects)
-    told += filter(None, dict.fromkeys(notes))
+    lines += filter(None, dict.fromkeys(notes))
     if dynamics.constant.any() or dynamics.slope.any():
-        told.append(
+        lines.append(
             "Constant torques, and springs without a stable rest, are biases of the "
             "motors (biasprm): they act in forward dynamics, and inverse dynamics "
             "leaves them to qfrc_actuator."
         )
-    return told
+    return lines
 
 
 def _notes_of_servo(robot, dynamics, servo):
-    told = [
+    lines = [
         "Controls of the motors, in the order of the recording, are commanded "
         "positions; these and positions are what the encoders read [rad or m]. With "
         "the gains kp and kd of a joint, a commanded velocity v and a torque ahead t "
@@ -145,20 +145,20 @@ def _notes_of_servo(robot, dynamics, servo):
     names = np.array(robot.joint_names)
     bare = ", ".join(names[servo.kp == 0])
     if bare:
-        told.append(f"Controls of {bare}, without kp, are torques [N m or N].")
+        lines.append(f"Controls of {bare}, without kp, are torques [N m or N].")
     if servo.delay > 0:
-        told.append(
+        lines.append(
             f"Commands act {servo.delay:.4g} s late (delay, for MuJoCo 3.5 and newer; "
             "older ones read the file without delay, nsample and interp). The history "
             "has room for the time step of the file and longer ones, and begins with "
             "controls of zero: mj_initCtrlHistory takes others."
         )
     limited = np.isfinite(servo.most) & (dynamics.slope != 0)
-    told += [
+    lines += [
         f"The spring of {name} counts towards the limit of its motor (forcerange)."
         for name in names[limited]
     ]
-    return told
+    return lines
 
 
 class _Account:
@@ -299,7 +299,7 @@ def _left_of_urdf(account):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Joints:
+class _JointTerms:
     """What effects enter into the joints of an MJCF file; see `Effect`."""
 
     damping: np.ndarray  # (nv,): viscous friction
@@ -325,7 +325,7 @@ def _mjcf_dynamics(account, servo=None):
     damping, frictionloss, armature = (
         account.passive(name) for name in ("viscous", "coulomb", "rotor_inertia")
     )
-    joints = _Joints(
+    joints = _JointTerms(
         damping=damping,
         constant=account.total("offset"),
         spring=np.zeros(nv),

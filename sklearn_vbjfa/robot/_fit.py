@@ -63,7 +63,7 @@ from sklearn_vbjfa.robot._torque_noise import filtered_noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Source:
+class FitData:
     """What a robot is fitted to."""
 
     recording: Recording
@@ -109,7 +109,7 @@ class Source:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Fit:
+class RobotFit:
     """A robot with its parameters, and what they were estimated from."""
 
     robot: IdentifiedRobot
@@ -137,9 +137,9 @@ class Fit:
         return cls(robot=robot, found=found, made=made).telling(found)
 
     def telling(self, found, **changes):
-        told = self.robot.prediction_covariance
-        if told is not None:
-            told = told.of(found.covariance)
+        spread = self.robot.prediction_covariance
+        if spread is not None:
+            spread = spread.of(found.covariance)
         robot = replace(
             self.robot,
             theta_=found.theta,
@@ -148,7 +148,7 @@ class Fit:
             coefficient_covariances=tuple(
                 map(Spread.of_deviations, self.robot.split(found.std))
             ),
-            prediction_covariance=told,
+            prediction_covariance=spread,
             **changes,
         )
         robot = replace(robot, known_=known_parameters(robot, found))
@@ -209,7 +209,7 @@ class Recipe:
     joint_weights: object = "auto"
     projector: object = "default"
     bodies: str = "free"
-    description: object = None  # that bodies are near, a `Description`
+    description: object = None  # that bodies are near, a `BodyPrior`
     gains: object = None
     masses: dict  # known ones [kg], by names of bodies
     alike: tuple = ()  # `AlikeJoints`
@@ -240,7 +240,7 @@ class Recipe:
         with stage("consistent bodies"):
             found = project(found, self.projector, robot.features_, robot.effects_)
         found = _without(found, held)
-        return Fit.of(robot, found, self._shown(found), made)
+        return RobotFit.of(robot, found, self._shown(found), made)
 
     def of_source(self, robot, source):
         """Fit a robot to its recording, in parallel where second moments suffice."""
@@ -520,7 +520,7 @@ def refine_fit(recipe, fit, source, window):
         std=refined.std,
     )
     ranges, powers = robot.effect_ranges_, robot.powers
-    fit = Fit.of(robot, found, robot.identifiable_, fit.made)
+    fit = RobotFit.of(robot, found, robot.identifiable_, fit.made)
     robot = replace(fit.robot, effect_ranges_=ranges, powers=powers)
     return replace(fit, robot=robot, criteria=refined.criteria)
 
@@ -598,9 +598,9 @@ class ModelValues:
         """Add to deviations (p,) and a covariance what the values leave unknown."""
         # The others were estimated with the values as found, and move with them, as
         # their columns are alike.
-        std, told = std.copy(), np.isfinite(self.std)
+        std, shown = std.copy(), np.isfinite(self.std)
         # What is held as described does not move.
-        own, rest = self.indices[told], std > 0
+        own, rest = self.indices[shown], std > 0
         rest[self.indices] = False
         within = self.estimate.covariance[np.ix_(own, own)]
         inverse = self.estimate.eigen.inverse()[:, own]
@@ -636,23 +636,23 @@ class ModelValues:
     def tell_bounds(self, names):
         """Warn of values at the bounds of the plausible: they fit something else."""
         # names: of the joints.
-        told, advice = [], []
+        lines, advice = [], []
         for effect in self.effects:
             if not effect.in_model:
                 continue
             below, above = _at_bounds(effect)
             if (below | above).any():
                 advice.append(effect.at_bounds)
-            told += [
+            lines += [
                 f"{name} of {effect.name} on {names[effect.joint]} ({value:.3g})"
                 for name, value, ends in zip(
                     effect.model_parameters, effect.values, below | above
                 )
                 if ends
             ]
-        if told:
+        if lines:
             warnings.warn(
-                f"{', '.join(told)} reached the limit of what is plausible: the "
+                f"{', '.join(lines)} reached the limit of what is plausible: the "
                 "recording shows something else, or does not show it. "
                 f"{' '.join(dict.fromkeys(advice))}",
                 DoubtWarning,

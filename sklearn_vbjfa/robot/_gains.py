@@ -334,8 +334,8 @@ def note_of_gains(gains):
     each = ", ".join(
         f"{name} {gain:.5g}" for name, gain in zip(gains.joint_names, gains.gain)
     )
-    told = f"Divide what the torque channels read by: {each}."
-    return " ".join(filter(None, [told, note_of_units(gains)]))
+    text = f"Divide what the torque channels read by: {each}."
+    return " ".join(filter(None, [text, note_of_units(gains)]))
 
 
 def note_of_units(gains):
@@ -470,7 +470,7 @@ def common_gain(masses, places, theta, estimate):
     sign = np.where(np.array(names) == PAYLOAD, np.sign(theta[at]), 1.0)
     given, own = np.array(given), theta[at] * sign
     covariance = estimate.covariance[np.ix_(at, at)] * np.outer(sign, sign)
-    told = tuple(
+    listed = tuple(
         KnownMass(
             name=name,
             mass=float(mass),
@@ -486,7 +486,7 @@ def common_gain(masses, places, theta, estimate):
     sums = _determined(estimate.eigen, at) * sign[:, None]
     y, x = given @ sums, own @ sums
     V = sums.T @ covariance @ sums
-    nothing = CommonGain(masses=told + missing), None
+    nothing = CommonGain(masses=listed + missing), None
     if not y.size:
         return nothing
     inverse = linalg.pinvh(V)
@@ -502,11 +502,13 @@ def common_gain(masses, places, theta, estimate):
     if not factor > HALF_WIDTH * std:
         return nothing
     share = np.abs(sums @ weight)
-    told = tuple(
+    listed = tuple(
         replace(one, used=bool(own > LOST * share.max()))
-        for one, own in zip(told, share)
+        for one, own in zip(listed, share)
     )
-    common = CommonGain(factor=factor, std=std, masses=told + missing, p_value=p_value)
+    common = CommonGain(
+        factor=factor, std=std, masses=listed + missing, p_value=p_value
+    )
     return common, estimate.covariance[:, at] @ (sums @ weight * sign)
 
 

@@ -35,8 +35,8 @@ from sklearn_vbjfa.robot._features import (
     with_followers,
 )
 from sklearn_vbjfa.robot._fit import (
+    FitData,
     Recipe,
-    Source,
     fit_robot,
     refine_fit,
     seems_late,
@@ -410,7 +410,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self._feedback = recording.feedback
         plan, recording, states = self._prepare(recording)
         robot = self._declared_robot(plan, recording.signals)
-        source = Source(
+        source = FitData(
             recording=recording,
             states=states,
             numbering=numbered(recording, plan),

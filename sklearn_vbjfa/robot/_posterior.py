@@ -267,10 +267,10 @@ class Posterior:
             )
         covariance = np.zeros(2 * robot.theta_.shape)
         known = robot.prediction_covariance.covariance
-        told = np.isfinite(np.diagonal(known))
-        covariance[np.ix_(told, told)] = known[np.ix_(told, told)]
+        finite = np.isfinite(np.diagonal(known))
+        covariance[np.ix_(finite, finite)] = known[np.ix_(finite, finite)]
         # Of values of the geometry only the deviations are known.
-        alone = of_the_model(robot) & ~told & np.isfinite(robot.theta_std_)
+        alone = of_the_model(robot) & ~finite & np.isfinite(robot.theta_std_)
         covariance[alone, alone] = robot.theta_std_[alone] ** 2
         moves = np.diagonal(covariance) > 0
         return cls(

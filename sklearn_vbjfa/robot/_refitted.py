@@ -36,14 +36,14 @@ class Refitted:
 
     def warn(self, names):
         """Warn of joints whose motion a file changes."""
-        told = [
+        lines = [
             f"{100 * share:.2g} % of the torque of {name}"
             for name, share in zip(names, self.missing)
             if share > _MISSING
         ]
-        if told:
+        if lines:
             warnings.warn(
-                f"The MJCF file lacks {', '.join(told)}, which MuJoCo has no friction "
+                f"The MJCF file lacks {', '.join(lines)}, which MuJoCo has no friction "
                 "for: simulate the saved robot instead (identified.json).",
                 DoubtWarning,
                 stacklevel=3,

@@ -18,7 +18,7 @@ _EXACT = 1e-16
 
 
 def with_signs(recipe, robot, source, before):
-    """Return the `Source` of a fit whose torques have both signs."""
+    """Return the `FitData` of a fit whose torques have both signs."""
     # robot: declared, its parameters not known; before: as for `fit_robot`.
     recording = source.recording
     sizes, weight = recording.tau, recording.weight

@@ -197,8 +197,8 @@ class Ranges:
 
 
 def _has_place(one, described):
-    told = np.isfinite([one.lower, one.upper, one.std]).all()
-    return bool(told and (described or one.measured))
+    finite = np.isfinite([one.lower, one.upper, one.std]).all()
+    return bool(finite and (described or one.measured))
 
 
 def _value(one):

@@ -139,12 +139,12 @@ class TorqueSpread:
         """Take what an `Estimate` has; None where its regressor has no covariance."""
         if found.covariance is None:
             return None
-        told, moments = np.isfinite(np.diagonal(found.covariance)), found.moments
-        known = found.covariance[np.ix_(told, told)]
+        finite, moments = np.isfinite(np.diagonal(found.covariance)), found.moments
+        known = found.covariance[np.ix_(finite, finite)]
         through, rest = found.noise()
         # A fit takes part of the noise for its own: residuals of its rows are smaller,
         # in the mean by the variance of what is predicted in them.
-        taken = np.einsum("jik,ik->j", moments.G[:, told][:, :, told], known)
+        taken = np.einsum("jik,ik->j", moments.G[:, finite][:, :, finite], known)
         with np.errstate(divide="ignore", invalid="ignore"):
             taken = np.where(moments.n > 0, taken / moments.n, 0.0)
         made = cls(covariance=known, through=through**2, rest=rest**2 + taken)
@@ -158,14 +158,14 @@ class TorqueSpread:
     def std(self, rows, *, noiseless):
         """Deviations (n, nv) for `RegressorRows`, with noise of positions or not."""
         # Infinite where a row asks for a parameter that nothing tells.
-        told = np.isfinite(np.diagonal(self.covariance))
-        known = self.covariance[np.ix_(told, told)]
+        finite = np.isfinite(np.diagonal(self.covariance))
+        known = self.covariance[np.ix_(finite, finite)]
         variance = self.rest if noiseless else self.rest + self.through
         made = []
         for Phi in rows.blocks():
-            own = Phi[:, :, told]
+            own = Phi[:, :, finite]
             spread = np.einsum("njk,njk->nj", own @ known, own) + variance
-            asked = (Phi != 0) & ~told & ~_rounding(Phi, rows.n_rigid)
+            asked = (Phi != 0) & ~finite & ~_rounding(Phi, rows.n_rigid)
             made.append(np.where(asked.any(axis=2), np.inf, spread))
         return np.sqrt(np.maximum(np.concatenate(made), 0.0))
 
@@ -438,10 +438,10 @@ def held_text(found, label=str):
     found = [one for one in found if one.quantity != "direction"]
     held = [name for one in found for name in one.held]
     others = [name for one in found for name in one.names if name not in one.held]
-    told = {"Held beyond the margin": held, "Going on by the law": others}
+    texts = {"Held beyond the margin": held, "Going on by the law": others}
     return ". ".join(
         f"{what}: {', '.join(label(name) for name in dict.fromkeys(names))}"
-        for what, names in told.items()
+        for what, names in texts.items()
         if names
     )
 

@@ -199,7 +199,7 @@ def filtered_noise(facts, dt, cutoff):
         if not seen_scales.any():
             continue
         if hold not in families:
-            families[hold] = _Family.of(dt, hold, cutoff)
+            families[hold] = _NoiseFamily.of(dt, hold, cutoff)
         independent = scale_rows / (hold * _DEPENDENCE * np.array(strides))
         scale_spread = np.hypot(
             _UNLIKE, _MEDIAN_SPREAD / np.sqrt(np.maximum(independent, 1.0))
@@ -225,7 +225,7 @@ def _mean(values, rows):
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Family:
+class _NoiseFamily:
     """Spectra that noise may have, each of one amplitude."""
 
     # White noise; noise of one pole, and of two (a sensor's low-pass), with their

@@ -275,7 +275,7 @@ def follow_windows(
     predictor = robot.robot_
     X, signals = predictor.checked(recording.inputs, signals)
     own = {**recording.signals, **(signals or {})}
-    follower = Follower(predictor, drive, replace(recording, signals=own))
+    follower = CommandFollower(predictor, drive, replace(recording, signals=own))
     follower.tell_left_out(stacklevel=2)
     if beside is None:
         made = _measured(predictor, X, recording.groups, t, signals, window)
@@ -427,8 +427,8 @@ def tell_once(caught, where, stacklevel):
         kinds.setdefault((one.category, kind), []).append(str(one.message))
     for (category, _), texts in kinds.items():
         many = f" (first of {len(texts)} {where})" if len(texts) > 1 else ""
-        told = f"{texts[0].rstrip('.')}{many}."
-        warnings.warn(told, category, stacklevel=stacklevel + 1)
+        text = f"{texts[0].rstrip('.')}{many}."
+        warnings.warn(text, category, stacklevel=stacklevel + 1)
 
 
 def _rms(errors, axis):
@@ -448,7 +448,7 @@ def unfollowed(effect):
     return effect.not_simulated or (_AT_ONCE if isinstance(effect, OfChannel) else "")
 
 
-class Follower:
+class CommandFollower:
     """A robot under its drive, with the commands of a recording as its only input."""
 
     # robot: `IdentifiedRobot`.
@@ -503,7 +503,7 @@ def follow(robot, drive, recording, window=None):
     """Simulate a robot from its commands, from the states of a recording on."""
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
-    follower, clock = Follower(robot, drive, recording), recording.clock()
+    follower, clock = CommandFollower(robot, drive, recording), recording.clock()
     follower.tell_left_out(stacklevel=3)
     measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples

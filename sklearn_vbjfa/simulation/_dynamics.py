@@ -5,7 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_vbjfa.model import describe, import_pinocchio
-from sklearn_vbjfa.simulation._terms import Table, TermTable
+from sklearn_vbjfa.simulation._terms import TermNumbers, TermTable
 
 # Times that other effects are linearised anew, up to this change of accelerations.
 _MOST_TANGENTS, _SETTLED = 20, 1e-11
@@ -41,7 +41,7 @@ def with_bodies(model, bodies, armature=None):
     return out
 
 
-class Found(NamedTuple):
+class StateSolution(NamedTuple):
     """What is found at one state, of each joint (nv,)."""
 
     a: np.ndarray  # accelerations
@@ -83,7 +83,7 @@ class ForwardDynamics:
         self._set_robot(robot.bodies)
         self._loads = terms.of_load or terms.others is not None
         self.compiled = import_compiled()
-        self.found = Found(*np.zeros((5, self.n_joints)))
+        self.found = StateSolution(*np.zeros((5, self.n_joints)))
         self.power, self.mass, self._time = 0.0, None, 0.0
         self._remembers = bool(terms.remembers.any())
         self.start(np.zeros(self.n_joints))
@@ -160,7 +160,7 @@ class ForwardDynamics:
         q, v, work, self.power, error, found, self.mass = self.compiled.explicit_step(
             q, v, a, power, *own
         )
-        self.found = Found(*found)
+        self.found = StateSolution(*found)
         return q, v, work, (self.found.a, self.power), error
 
     def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
@@ -188,7 +188,7 @@ class ForwardDynamics:
         if dry is not None:
             lines = table.lines.copy()
             lines[2] += dry
-            table = Table(table.of_load, lines, *table[2:])
+            table = TermNumbers(table.of_load, lines, *table[2:])
         out, state = np.empty((5, q.size)), (M, h, ML, hL, tau, q, v, mode, stuck)
         power = self.compiled.accelerate(*state, table, self.found.a, out)
-        return Found(*out), power
+        return StateSolution(*out), power

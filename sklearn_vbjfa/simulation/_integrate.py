@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import lapack
 
-from sklearn_vbjfa.simulation._dynamics import Found
+from sklearn_vbjfa.simulation._dynamics import StateSolution
 
 # Error of a step, in units of a joint's velocity.
 _TOLERANCE, _STIFF_TOLERANCE = 1e-8, 1e-7
@@ -79,7 +79,7 @@ class _End(NamedTuple):
 
     time: float
     v: np.ndarray
-    found: Found
+    found: StateSolution
 
 
 class Integrator:

@@ -51,7 +51,7 @@ _ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
 _SLOPE = 1e-3
 
 
-class Table(NamedTuple):
+class TermNumbers(NamedTuple):
     """Friction and effects of a robot as numbers, which compiled code takes."""
 
     of_load: bool  # whether friction depends on the load
@@ -76,8 +76,8 @@ class TermTable:
     """Friction and effects of a robot as terms, which the effects enter themselves."""
 
     # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
-    # over the load; inertia, coupling (nv, nv): see `Table`; payloads: instants [s],
-    # and what the last body's parameters (10,) change by; since: first time of the
+    # over the load; inertia, coupling (nv, nv): see `TermNumbers`; payloads: instants
+    # [s], and what the last body's parameters (10,) change by; since: first time of the
     # fit [s]; others: `OtherEffects`, or None.
 
     def __init__(self, robot, known=None):
@@ -175,13 +175,13 @@ class TermTable:
         return out
 
     def table(self, q):
-        """Return the `Table` at the start of a motion, at rest at positions q (nv,)."""
+        """Return the `TermNumbers` of a motion that begins at positions q (nv,)."""
         memory = np.zeros((self.kinds.size, 2))
         for k in np.flatnonzero(np.isin(self.kinds, _REMEMBERING)):
             memory[k, 0] = q[self.joints[k]]
             memory[k, 1] = memory[k, 0] if self.kinds[k] == _BACKLASH else 0.0
         lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
-        return Table(
+        return TermNumbers(
             of_load=self.of_load,
             lines=np.array(lines),
             inertia=self.inertia,

@@ -103,7 +103,7 @@ def a_problem(n=4, seed=0):
     rng = np.random.default_rng(seed)
     A = rng.standard_normal((n, 2 * n))
     S = 0.01 * A @ A.T
-    return _alike._Problem(1.0 + rng.standard_normal(n), S, (np.arange(n),))
+    return _alike._AlikeProblem(1.0 + rng.standard_normal(n), S, (np.arange(n),))
 
 
 def test_without_a_limit_each_value_is_its_own():
@@ -123,7 +123,7 @@ def test_without_scatter_there_is_one_value():
 
 def test_two_values_are_as_near_as_the_integral_over_their_scatter_has_them():
     y, S = np.array([1.2, 0.8]), np.diag([0.02, 0.03])
-    problem = _alike._Problem(y, S, (np.arange(2),))
+    problem = _alike._AlikeProblem(y, S, (np.arange(2),))
     mean, covariance = problem.solved(problem.sites())
     grid = np.geomspace(SCALES[0], SCALES[-1], 20001)
     # The difference over the square root of two is normal with the scatter.
@@ -319,7 +319,7 @@ def values(rng, n=4, noise=0.1, factor=1.0):
     S = np.diag(noise**2 * np.exp(0.5 * rng.standard_normal(n)))
     y = rng.multivariate_normal(x, S)
     unit = _alike._unit(y, S)
-    problem = _alike._Problem(y / unit, S / unit**2, (np.arange(n),))
+    problem = _alike._AlikeProblem(y / unit, S / unit**2, (np.arange(n),))
     left, sites, (apart,) = _alike._depart(problem, list("abcd"))
     mean, covariance = left.solved(sites)
     std = unit * np.sqrt(np.diagonal(covariance))

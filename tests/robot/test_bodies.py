@@ -12,7 +12,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import _bodies
 from sklearn_vbjfa.robot._bodies import (
     DESCRIBED,
-    Description,
+    BodyPrior,
     around,
     little_learned,
 )
@@ -82,7 +82,7 @@ def test_the_distance_from_a_description_has_no_frame():
     distance = []
     for frame in (pin.SE3.Identity(), turn):
         model.inertias[2] = frame.act(body)
-        own = Description.of(model, 10)
+        own = BodyPrior.of(model, 10)
         # The change is one of mass distributions: sums of point masses turn with it.
         points = [
             w
@@ -96,7 +96,7 @@ def test_the_distance_from_a_description_has_no_frame():
 
 
 def test_without_torques_a_body_is_as_described():
-    own = Description.of(a_robot(), 14)
+    own = BodyPrior.of(a_robot(), 14)
     found = around(own, np.zeros((42, 42)), np.zeros(42))
     np.testing.assert_allclose(found.theta[own.places], own.centre, rtol=1e-12)
     # A half-Cauchy scale up to one has a mean square of its own.
@@ -128,7 +128,7 @@ def equations_of(description, factors, width=14):
 def test_each_further_body_is_one_more_that_may_depart():
     odds = []
     for masses in ((3.0, 2.0), (3.0, 2.0, 1.0)):
-        own = Description.of(a_robot(masses), 14)
+        own = BodyPrior.of(a_robot(masses), 14)
         # The third tells nothing.
         (found,) = around(own, *equations_of(own, (1.0, 4.0))).departures
         odds.append(found.log_odds)
@@ -136,7 +136,7 @@ def test_each_further_body_is_one_more_that_may_depart():
 
 
 def test_no_body_weighs_less_than_nothing():
-    own = Description.of(a_robot(), 14)
+    own = BodyPrior.of(a_robot(), 14)
     found = around(own, *equations_of(own, (1.0, -2.0, 1.0)))
     assert all(min(one.factors) > 0 for one in found.departures)
     assert "joint_2" not in [name for one in found.departures for name in one.bodies]

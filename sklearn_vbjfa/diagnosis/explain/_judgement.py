@@ -19,7 +19,7 @@ from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import is_prismatic
 from sklearn_vbjfa.robot._equations import TorqueResiduals, torque_spread
 from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._windows import Follower, tell_once
+from sklearn_vbjfa.robot._windows import CommandFollower, tell_once
 
 # At most so much of the held-out part is simulated [s]: the beginnings of its
 # stretches.
@@ -62,7 +62,7 @@ def commands_alone(models, stretches, recording):
         warnings.simplefilter("always")
         for model in counted(list(dict.fromkeys(known.values())), "closed loop"):
             try:
-                follower = Follower(model.robot_, drive, recording)
+                follower = CommandFollower(model.robot_, drive, recording)
                 if model is models.judged:
                     left_out = follower.left_out
                 states = [

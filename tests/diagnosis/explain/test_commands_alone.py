@@ -82,7 +82,7 @@ def test_of_long_stretches_the_beginnings_are_simulated(models, recording, monke
 def test_a_model_that_diverges_has_no_error_and_a_reason(
     models, recording, monkeypatch
 ):
-    run, simple = _judgement.Follower.run, models.declared.robot_.theta_
+    run, simple = _judgement.CommandFollower.run, models.declared.robot_.theta_
 
     def diverges(self, rows, start, t):
         if self._model.friction.shape[1] < 2:
@@ -90,7 +90,7 @@ def test_a_model_that_diverges_has_no_error_and_a_reason(
         return run(self, rows, start, t)
 
     assert simple.size < models.judged.theta_.size
-    monkeypatch.setattr(_judgement.Follower, "run", diverges)
+    monkeypatch.setattr(_judgement.CommandFollower, "run", diverges)
     one, line = commands_alone(models, STRETCHES, recording)
     assert one.failed == {"before": "It diverges."}
     assert np.isnan(one.before).all()

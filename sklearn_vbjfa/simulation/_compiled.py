@@ -266,7 +266,7 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
     """Accelerations at one state, see `ForwardDynamics.accelerate`; power [W]."""
     # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
     # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
-    # joints that stick; table: `TermNumbers`; before (nv,): accelerations found before;
+    # joints that stick; table: `Table`; before (nv,): accelerations found before;
     # out (5, nv), written: accelerations, needed dry friction, its limit, derivatives
     # by position and velocity. The power is that of torques that do not dissipate.
     nv = q.size

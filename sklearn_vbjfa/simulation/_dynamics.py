@@ -5,10 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sklearn_vbjfa.model import describe, import_pinocchio
-from sklearn_vbjfa.simulation._terms import TermNumbers, TermTable
-
-# Times that other effects are linearised anew, up to this change of accelerations.
-_MOST_TANGENTS, _SETTLED = 20, 1e-11
+from sklearn_vbjfa.simulation._terms import TermTable
 
 
 def import_compiled():
@@ -81,7 +78,7 @@ class ForwardDynamics:
         self._load_bodies = robot.bodies if robot.load is None else robot.load.bodies
         self._tree = describe(self.model)
         self._set_robot(robot.bodies)
-        self._loads = terms.of_load or terms.others is not None
+        self._loads = terms.of_load
         self.compiled = import_compiled()
         self.found = StateSolution(*np.zeros((5, self.n_joints)))
         self.power, self.mass, self._time = 0.0, None, 0.0
@@ -146,11 +143,15 @@ class ForwardDynamics:
         if self._loads:
             ML, hL = np.empty((nv, nv)), np.empty(nv)
             self.compiled.bodies_at(q, v, tree, loaded, np.zeros(nv), ML, hL)
-        state = q, v, tau, mode, stuck
-        if self.terms.others is None:
-            self.found, self.power = self._solved(*state, M, h, ML, hL, None)
-        else:
-            self._with_others(*state, M, h, ML, hL)
+        torque = np.zeros(nv)
+        if self.terms.others is not None:
+            known = {} if self._signals is None else self._signals.at(self._time)
+            torque = self.terms.others.torque(q, v, self._time, known)
+        out, state = np.empty((5, nv)), (ML, hL, tau, q, v, mode, stuck)
+        power = self.compiled.accelerate(
+            M, h + torque, *state, self._table, self.found.a, out
+        )
+        self.found, self.power = StateSolution(*out), power - float(torque @ v)
         return self.found.a
 
     def explicit_step(self, q, v, a, power, *step):
@@ -162,33 +163,3 @@ class ForwardDynamics:
         )
         self.found = StateSolution(*found)
         return q, v, work, (self.found.a, self.power), error
-
-    def _with_others(self, q, v, tau, mode, stuck, M, h, ML, hL):
-        known = {} if self._signals is None else self._signals.at(self._time)
-        own = self.terms.others.at(q, v, self._time, known, mode, stuck)
-        a = self.found.a
-        for _ in range(_MOST_TANGENTS):
-            torque, slopes = own.tangent(a, ML, hL)
-            dry = own.dry(a, ML @ a + hL)
-            inner = M if slopes is None else M + slopes
-            self.found, self.power = self._solved(
-                q, v, tau, mode, stuck, inner, h + torque, ML, hL, dry
-            )
-            before, a = a, self.found.a
-            change = np.abs(a - before).max()
-            if slopes is None or change <= _SETTLED * (1.0 + np.abs(a).max()):
-                break
-        if slopes is not None:
-            torque = torque + slopes @ a
-        self.power -= float(torque @ v)
-
-    def _solved(self, q, v, tau, mode, stuck, M, h, ML, hL, dry):
-        """Solve for accelerations; dry (nv,): additional dry friction."""
-        table = self._table
-        if dry is not None:
-            lines = table.lines.copy()
-            lines[2] += dry
-            table = TermNumbers(table.of_load, lines, *table[2:])
-        out, state = np.empty((5, q.size)), (M, h, ML, hL, tau, q, v, mode, stuck)
-        power = self.compiled.accelerate(*state, table, self.found.a, out)
-        return StateSolution(*out), power

@@ -8,8 +8,6 @@ to accelerations. The library's effects are a table of numbers for one scalar fu
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -47,11 +45,9 @@ MOST_SIGNS = 8
 # torque jumps if that between these speeds on both sides of zero is at least this share
 # of that between -1 and 1.
 _ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
-# Their derivatives are differences over this share of the accelerations.
-_SLOPE = 1e-3
 
 
-class TermNumbers(NamedTuple):
+class Table(NamedTuple):
     """Friction and effects of a robot as numbers, which compiled code takes."""
 
     of_load: bool  # whether friction depends on the load
@@ -76,7 +72,7 @@ class TermTable:
     """Friction and effects of a robot as terms, which the effects enter themselves."""
 
     # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
-    # over the load; inertia, coupling (nv, nv): see `TermNumbers`; payloads: instants
+    # over the load; inertia, coupling (nv, nv): see `Table`; payloads: instants
     # [s], and what the last body's parameters (10,) change by; since: first time of the
     # fit [s]; others: `OtherEffects`, or None.
 
@@ -123,8 +119,6 @@ class TermTable:
         self.bends[self._joints_of([_ABSOLUTE])] = True
         self.has_dry = (self.dry != 0) | (self.load_dry != 0)
         self.has_dry[self._joints_of(_DRY)] = True
-        if self.others is not None:
-            self.has_dry |= self.others.jumps
 
     def _joints_of(self, kinds):
         return self.joints[np.isin(self.kinds, kinds)]
@@ -175,13 +169,13 @@ class TermTable:
         return out
 
     def table(self, q):
-        """Return the `TermNumbers` of a motion that begins at positions q (nv,)."""
+        """Return the `Table` of a motion that begins at positions q (nv,)."""
         memory = np.zeros((self.kinds.size, 2))
         for k in np.flatnonzero(np.isin(self.kinds, _REMEMBERING)):
             memory[k, 0] = q[self.joints[k]]
             memory[k, 1] = memory[k, 0] if self.kinds[k] == _BACKLASH else 0.0
         lines = self.viscous, self.constant, self.dry, self.load_dry, *self.load_ends
-        return TermNumbers(
+        return Table(
             of_load=self.of_load,
             lines=np.array(lines),
             inertia=self.inertia,
@@ -337,49 +331,35 @@ def load_size(L, low, high):
 
 
 class OtherEffects:
-    """Effects that are not of the library, by their own columns at one state."""
+    """Effects without terms, by their columns at a position, a velocity and a time."""
 
-    # Their torque may depend on accelerations and loads, and may jump where a joint
-    # turns (`jumps`, (nv,)), which is dry friction of that joint. What depends on
-    # several rows (a memory, a derivative) has no torque at one state and is left out;
-    # left_out says why. effects: with coefficients, and the `EffectRange` that they are
-    # held within or None; known: values of recorded signals.
+    # One whose torque depends on several rows (a memory, a derivative), on
+    # accelerations or loads, or jumps where its joint turns, is left out; left_out says
+    # why. effects: with coefficients, and the `EffectRange` that they are held within
+    # or None; known: values of recorded signals.
 
     def __init__(self, robot, effects, known):
-        self._nv = robot.n_joints
+        self._nv, self._since = robot.n_joints, robot.since
         self._prismatic = is_prismatic(robot.model)
-        self._since = robot.since
-        rng = np.random.default_rng(0)
-        q, v, a, load = rng.normal(size=(4, _ROWS, self._nv))
-        t = _PERIOD * np.arange(_ROWS) + (robot.since or 0.0)
-        tried = q, v, a, t, load, known
-        self._effects, self._held, left_out, ranges = [], (), [], []
+        self.left_out, kept = [], []
         for effect, coef, held in effects:
-            reason = effect.applies(self._motion(*tried))
+            reason = effect.applies(self._motion(*self._rows(), known))
             if reason:
                 raise ValueError(
                     f"effects holds {effect.name} on joint {effect.joint}: {reason}."
                 )
-            if self._looks_around(effect, *tried):
-                left_out.append((effect, "its torque depends on other rows"))
+            reason = self._reason(effect, known)
+            if reason:
+                self.left_out.append((effect, reason))
             else:
-                self._effects.append((effect, coef))
-                ranges.append(held)
-        self.left_out = tuple(left_out)
-        one = [values[0] for values in (q, v)]
-        torque = self._torque(*one, a[0], t[0], load[0], known)
-        moved = self._torque(*one, a[1], t[0], load[1], known)
-        self._accelerates = not np.array_equal(torque, moved, equal_nan=True)
-        self.jumps = np.zeros(self._nv, dtype=bool)
-        for j in range(self._nv):
-            sides = []
-            for speed in (-1.0, -_TURNS, _TURNS, 1.0):
-                v[0, j] = speed
-                sides.append(self._torque(q[0], v[0], a[0], t[0], load[0], known)[j])
-            far, near = sides[3] - sides[0], sides[2] - sides[1]
-            self.jumps[j] = abs(near) > _JUMP * abs(far)
-        # What they depend on was looked at without.
-        self._held = tuple(ranges)
+                kept.append((effect, coef, held))
+        self._effects = [(effect, coef) for effect, coef, _ in kept]
+        self._ranges = tuple(held for *_, held in kept)
+
+    def _rows(self):
+        """States (n, nv) and loads by chance, some time apart."""
+        q, v, a, load = np.random.default_rng(0).normal(size=(4, _ROWS, self._nv))
+        return q, v, a, _PERIOD * np.arange(_ROWS) + (self._since or 0.0), load
 
     def _motion(self, q, v, a, t, load, known):
         return Motion(
@@ -394,73 +374,29 @@ class OtherEffects:
             signals={name: np.full(t.size, value) for name, value in known.items()},
         )
 
-    def _looks_around(self, effect, q, v, a, t, load, known):
+    def _reason(self, effect, known):
+        """Why an effect is left out, or an empty string."""
+        q, v, a, t, load = self._rows()
         whole = effect.columns(self._motion(q, v, a, t, load, known))
-        rows = [slice(i, i + 1) for i in range(t.size)]
         single = [
-            effect.columns(self._motion(q[i], v[i], a[i], t[i], load[i], known))
-            for i in rows
+            effect.columns(self._motion(q[i], v[i], 2 * a[i], t[i], 2 * load[i], known))
+            for i in (slice(i, i + 1) for i in range(_ROWS))
         ]
-        return not np.allclose(np.concatenate(single), whole, equal_nan=True)
+        if not np.allclose(np.concatenate(single), whole, equal_nan=True):
+            return "its torque depends on more than position, velocity and time"
+        q, v = np.repeat(q[:1], 4, axis=0), np.repeat(v[:1], 4, axis=0)
+        v[:, effect.joint] = -1.0, -_TURNS, _TURNS, 1.0
+        motion = self._motion(q, v, a[:4], np.full(4, t[0]), load[:4], known)
+        values = effect.columns(motion)
+        far, near = (np.abs(values[k] - values[3 - k]).max() for k in (0, 1))
+        return "it jumps where the joint turns" if near > _JUMP * far else ""
 
-    def _torque(self, q, v, a, t, load, known):
-        """Torque at one state (nv,)."""
-        motion = self._motion(
-            q[None], v[None], a[None], np.array([t]), load[None], known
-        )
-        out = np.zeros(self._nv)
-        held = own_motions(self._effects, self._held, motion)
-        for (effect, coef), own in zip(self._effects, held):
-            torque = effect.columns(own)[0] @ coef
-            if effect.whole_robot:
-                out += torque
-            else:
-                out[effect.joint] += torque
+    def torque(self, q, v, t, known):
+        """Torque at a state, (nv,)."""
+        none, out = np.zeros((1, self._nv)), np.zeros(self._nv)
+        motion = self._motion(q[None], v[None], none, np.array([t]), none, known)
+        motions = own_motions(self._effects, self._ranges, motion)
+        for (effect, coef), own in zip(self._effects, motions):
+            which = slice(None) if effect.whole_robot else effect.joint
+            out[which] += effect.columns(own)[0] @ coef
         return out
-
-    def at(self, q, v, t, known, mode, stuck):
-        # mode (nv,): signs of dry friction; stuck (nv,), bool: joints that stick.
-        turning = self.jumps & ~stuck & (v * mode <= 0)
-        v = np.where(turning, _TURNS * mode, v)
-        held = self.jumps & stuck
-        if not held.any():
-            return StateTorques(
-                lambda a, load: self._torque(q, v, a, t, load, known),
-                lambda a, load: np.zeros(self._nv),
-                self._accelerates,
-            )
-
-        def sides(a, load):
-            return [
-                self._torque(q, np.where(held, way * _TURNS, v), a, t, load, known)
-                for way in (-1.0, 1.0)
-            ]
-
-        return StateTorques(
-            lambda a, load: 0.5 * sum(sides(a, load)),
-            lambda a, load: np.where(held, 0.5 * np.subtract(*sides(a, load)[::-1]), 0),
-            self._accelerates,
-        )
-
-
-@dataclass(frozen=True)
-class StateTorques:
-    """Torques of other effects at one state."""
-
-    # (a, load) -> torque (nv,), and the size of dry friction of joints that stick
-    torque: Callable
-    dry: Callable
-    accelerates: bool  # whether they depend on the accelerations or the load
-
-    def tangent(self, a, ML, hL):
-        """Torque at no acceleration, and by accelerations, as they are around `a`."""
-        # ML, hL: inertia matrix and nonlinear effects of the load. Returns ndarrays
-        # (nv,) and (nv, nv); None for the latter where there is nothing.
-        there = self.torque(a, ML @ a + hL)
-        if not self.accelerates:
-            return there, None
-        step = _SLOPE * (1.0 + np.abs(a).max())
-        moved = a + step * np.eye(a.size)
-        slopes = [(self.torque(b, ML @ b + hL) - there) / step for b in moved]
-        slopes = np.column_stack(slopes)
-        return there - slopes @ a, slopes

@@ -32,6 +32,7 @@ from sklearn_vbjfa.robot._bodies import (
 from sklearn_vbjfa.robot._equations import held_columns
 from sklearn_vbjfa.robot._estimate import noise_of
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._plan import effect_places
 
 # What tells one leg, arm or finger from another in the names of joints, beside numbers.
 _SIDES = frozenset(
@@ -247,14 +248,12 @@ def shared_values(groups, robot):
             place = j * per_joint + 10 + k
             if declared_alike(name) and place not in held:
                 joints.setdefault((name,), {})[j] = place
-    at = features.n_parameters_
-    for effect in robot.effects_:
-        for k, name in enumerate(effect.coefficients):
+    for effect, at in effect_places(robot.effects_, features.n_parameters_):
+        for place, name in zip(at, effect.coefficients):
             if effect.alike:
                 shape = tuple(sorted(effect.shape().items()))
                 key = (f"{effect.name}:{name}", type(effect), shape)
-                joints.setdefault(key, {})[effect.joint] = at + k
-        at += len(effect.coefficients)
+                joints.setdefault(key, {})[effect.joint] = place
     found = []
     for group in groups:
         for key, places in joints.items():

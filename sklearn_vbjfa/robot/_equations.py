@@ -27,6 +27,7 @@ from sklearn_vbjfa.robot._joint_moments import (
     sum_moments,
 )
 from sklearn_vbjfa.robot._parallel import run
+from sklearn_vbjfa.robot._plan import effect_places
 from sklearn_vbjfa.robot._spreads import SignalRanges
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
@@ -645,16 +646,15 @@ def _filter_rows(made, seen, lowpass, count, some=1):
     yield 0, [into.outputs for into in filters]
 
 
-def edge_rows(n, state_estimator):
+def edge_rows(n, state_estimator, most=0.05):
     """Return the number of rows at each end of n where the smoother is one-sided."""
-    # Zero for given states (no estimator).
+    # Zero for given states (no estimator); most: share of a short recording.
     if state_estimator is None:
         return 0
     slowest = state_estimator.cutoff_.min()
     if not np.isfinite(slowest):
         return 0
-    # At most a tenth of a short recording.
-    return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), n // 20)
+    return min(int(_EDGE_PERIODS / (slowest * state_estimator.dt)), int(most * n))
 
 
 def build_segments(
@@ -747,11 +747,11 @@ def held_columns(features, effects):
     # know the sum alone, and none of them.
     per_joint = features.n_parameters_ // features.n_joints_
     first = per_joint - len(features.friction_)
-    found, taken, at = [], set(), features.n_parameters_
-    for effect in effects:
+    found, taken = [], set()
+    for effect, at in effect_places(effects, features.n_parameters_):
         if effect.constant:
             if effect.joint in taken:
-                found.append(at + effect.coefficients.index(effect.constant))
+                found.append(at.start + effect.coefficients.index(effect.constant))
             elif "offset" in features.friction_:
                 term = features.friction_.index("offset")
                 found.append(effect.joint * per_joint + first + term)
@@ -759,7 +759,6 @@ def held_columns(features, effects):
         if effect.replaces in features.friction_:
             term = features.friction_.index(effect.replaces)
             found.append(effect.joint * per_joint + first + term)
-        at += len(effect.coefficients)
     return found
 
 

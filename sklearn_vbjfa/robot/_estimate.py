@@ -23,6 +23,7 @@ from sklearn_vbjfa.regression import (
 from sklearn_vbjfa.robot._bodies import around, as_described, little_learned
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
+from sklearn_vbjfa.robot._plan import effect_places
 
 # Largest weight of a joint's equations in units of its mean squared torque: no robot is
 # modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
@@ -398,12 +399,8 @@ def project(found, projector, features, effects=()):
 
 
 def _sizes_of_banks(features, effects):
-    places, at = [], features.n_parameters_
-    for effect in effects:
-        width = len(effect.coefficients)
-        places += range(at, at + width) if effect.bank else ()
-        at += width
-    return places
+    every = effect_places(effects, features.n_parameters_)
+    return [place for effect, places in every if effect.bank for place in places]
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):

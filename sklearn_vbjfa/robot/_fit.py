@@ -46,7 +46,7 @@ from sklearn_vbjfa.robot._gains import (
 )
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._output_error import refine
-from sklearn_vbjfa.robot._plan import needs_load, observe
+from sklearn_vbjfa.robot._plan import effect_places, needs_load, observe
 from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
@@ -565,12 +565,8 @@ class ModelValues:
         # Columns of the moments are those of the features, `n_rigid` of them, and then
         # those of the effects, with derivatives by the values; bodies: as for
         # `plain_estimate`.
-        places, at = [], n_rigid
-        for effect in effects:
-            stop = at + len(effect.coefficients)
-            if effect.in_model:
-                places += range(at, stop)
-            at = stop
+        every = effect_places(effects, n_rigid)
+        places = [place for effect, at in every if effect.in_model for place in at]
         found = plain_estimate(moments, joint_weights, bodies)
         shown = found.known[places]
         return cls(

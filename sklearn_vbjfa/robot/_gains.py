@@ -16,6 +16,7 @@ from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, LOST, noise_weights
+from sklearn_vbjfa.robot._plan import effect_places
 
 # Gains are plausible within this factor of those of the other channels, and known if
 # their 90 % interval is narrower than that ...
@@ -227,12 +228,9 @@ def with_gains(effects, gains):
 
 def gain_places(effects, n_rigid):
     """Where the gains of all joints are among the parameters, ndarray of int."""
-    places, at = {}, n_rigid
-    for effect in effects:
-        if isinstance(effect, TorqueGain):
-            places[effect.joint] = at
-        at += len(effect.coefficients)
-    return np.array([places[joint] for joint in sorted(places)], dtype=int)
+    every = effect_places(effects, n_rigid)
+    gains = {e.joint: at.start for e, at in every if isinstance(e, TorqueGain)}
+    return np.array([gains[joint] for joint in sorted(gains)], dtype=int)
 
 
 # -- what a fit says -------------------------------------------------------------------
@@ -442,11 +440,9 @@ def mass_places(masses, model, effects, n_rigid):
     for name, mass in masses.items():
         if name in bodies:
             found.append((name, mass, bodies.index(name) * (n_rigid // model.nv)))
-    at = n_rigid
-    for effect in effects:
+    for effect, at in effect_places(effects, n_rigid):
         if isinstance(effect, Payload) and PAYLOAD in masses:
-            found.append((PAYLOAD, masses[PAYLOAD], at))
-        at += len(effect.coefficients)
+            found.append((PAYLOAD, masses[PAYLOAD], at.start))
     return found
 
 

@@ -235,6 +235,14 @@ def effect_names(effects, model):
     return tuple(names), tuple(units)
 
 
+def effect_places(effects, first):
+    """Pair effects with the ranges of their coefficients among the parameters."""
+    # first: place of the first one, behind those of the features.
+    widths = (len(effect.coefficients) for effect in effects)
+    ends = itertools.accumulate(widths, initial=first)
+    return list(zip(effects, itertools.starmap(range, itertools.pairwise(ends))))
+
+
 # -- statistics of recordings ----------------------------------------------------------
 
 

@@ -15,6 +15,7 @@ from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
 from sklearn_vbjfa.robot._joint_moments import weighted_parts
+from sklearn_vbjfa.robot._plan import effect_places
 
 # How far values of a drive are expected to be off from one recording to another, as a
 # share of the value: half-Cauchy, as descriptions are around bodies. Scales that are
@@ -392,11 +393,9 @@ def places_between(robot):
 
 def _of_effects(robot, asked):
     """Parameters (p,), bool, of the effects of which something is true."""
-    out, at = np.zeros(robot.theta_.size, dtype=bool), robot.features_.n_parameters_
-    for effect in robot.effects_:
-        stop = at + len(effect.coefficients)
-        out[at:stop] = asked(effect)
-        at = stop
+    out = np.zeros(robot.theta_.size, dtype=bool)
+    for effect, at in effect_places(robot.effects_, robot.features_.n_parameters_):
+        out[at] = asked(effect)
     return out
 
 
@@ -407,11 +406,8 @@ def _nonnegative(robot):
     width = features.n_parameters_ // features.n_joints_
     for k, name in enumerate(features.friction_):
         out[10 + k : features.n_parameters_ : width] = declared_nonnegative(name)
-    at = features.n_parameters_
-    for effect in robot.effects_:
-        for k, name in enumerate(effect.coefficients):
-            out[at + k] = name in effect.nonnegative
-        at += len(effect.coefficients)
+    for effect, at in effect_places(robot.effects_, features.n_parameters_):
+        out[at] = [name in effect.nonnegative for name in effect.coefficients]
     return out
 
 

@@ -35,6 +35,7 @@ from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     build_segments,
     compare,
+    edge_rows,
     equations,
     is_plain,
     joined,
@@ -83,9 +84,7 @@ from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal
 
-# Periods of the cut-off at each end in which the smoother sees one side only, ...
-_EDGE_PERIODS = 1.0
-# ... but at most this share of a recording.
+# Share of a recording at each end in which at most the smoother sees one side only.
 _EDGE_SHARE = 0.25
 
 
@@ -118,22 +117,13 @@ class Inputs:
         shape = self.states.shape[0], self.recording.nv
         inner = np.zeros(shape, dtype=bool)
         for part in self.recording.segments:
-            edge = self._edge(part.stop - part.start)
+            edge = edge_rows(part.stop - part.start, self.smoother, _EDGE_SHARE)
             inner[part.start + edge : part.stop - edge] = True
         if self.recording.weight is not None:
             inner &= self.recording.weight > 0
         speeds = np.abs(self.states[:, shape[1] : 2 * shape[1]])
         moves = inner & (speeds > standstill)
         return {"position": inner, "speed": moves, "load": inner, "direction": moves}
-
-    def _edge(self, n):
-        if self.smoother is None:
-            return 0
-        slowest = self.smoother.cutoff_.min()
-        if not np.isfinite(slowest):
-            return 0
-        rows = int(_EDGE_PERIODS / (slowest * self.smoother.dt))
-        return min(rows, int(_EDGE_SHARE * n))
 
 
 def recording_of(names, dt, X, y, groups=None, weight=None, t=None, signals=None):

@@ -22,6 +22,7 @@ from sklearn_vbjfa.effects import (
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.model._trees import body_names
+from sklearn_vbjfa.robot._plan import effect_places
 
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3
@@ -201,10 +202,9 @@ class ColumnMeanSquares:
         own = mean[:, :n_rigid, :n_rigid].diagonal(axis1=1, axis2=2)
         width = n_rigid // nv
         own = own.reshape(nv, nv, width)[np.arange(nv), np.arange(nv)]
-        found, at = [], n_rigid
-        for effect in effects:
-            stop = at + len(effect.coefficients)
-            block = mean[:, at:stop, at:stop].copy()
+        found = []
+        for effect, at in effect_places(effects, n_rigid):
+            block = mean[:, at.start : at.stop, at.start : at.stop].copy()
             if isinstance(effect, TorqueGain):
                 # Its column is the true torque already.
                 block *= (np.asarray(gains) ** 2)[:, None, None]
@@ -212,7 +212,6 @@ class ColumnMeanSquares:
             if effect.in_model and not block.any():
                 block[:] = np.nan
             found.append(block)
-            at = stop
         return cls(friction=own[:, width - n_friction :].copy(), effects=tuple(found))
 
     def with_tangents(self, other, effects):

@@ -273,6 +273,7 @@ def test_examples_run(page, tmp_path, monkeypatch):
         exec(compile(block, str(page), "exec"), namespace)
 
 
+@pytest.mark.slow
 def test_the_readme_needs_no_more_than_it_installs(tmp_path):
     pytest.importorskip("pinocchio")
     # Of other extras, and no dependency of what `pip install ".[robot]"` installs.

@@ -457,8 +457,7 @@ class CorrelatedProblem:
             new = noise_given_shape(fit, self.n, self.d, penalty)
         else:
             start, centre = (mean - self.direct, s2), -self.direct
-            known = self.rest, self.latent, G, start, alpha, centre
-            mean, new = mean_and_noise(*known)
+            mean, new = mean_and_noise(self.rest, self.latent, G, start, alpha, centre)
             mean = mean + self.direct
         new = max(new, self.floor)
         logdet = beta.logdet + self.d * np.log(new / s2)
@@ -704,8 +703,9 @@ def solve_correlated(
 
     def up(point, most):
         found = climb(FixedPointSteps(problem, tol, joint=joint), point, most)
-        known = {"latent": problem.latent, "direct": problem.direct}
-        return CorrelatedSolution(**known, **vars(found))
+        return CorrelatedSolution(
+            latent=problem.latent, direct=problem.direct, **vars(found)
+        )
 
     found = up(problem.start(fast=joint), max_iter)
     if not (problem.latent.exact and more):

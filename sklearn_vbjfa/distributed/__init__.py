@@ -141,8 +141,11 @@ def _identify(identifier, paths):
     first = np.cumsum([0, *(len(one["lengths"]) for one in extents)]).tolist()
     numbering = BlockAssignment.of([plan.lowpass.centres(n).size for n in lengths])
     halves = identifier.input_noise is not None
-    given = plan, identifier.features_, halves, numbering, dict(zip(paths, first))
-    found = (one for one in every("equations", _moments, *given) if one is not None)
+    firsts = dict(zip(paths, first))
+    sums = every(
+        "equations", _moments, plan, identifier.features_, halves, numbering, firsts
+    )
+    found = (one for one in sums if one is not None)
 
     def noise(robot):
         return [one for facts in every("noise", _noise, robot) for one in facts]

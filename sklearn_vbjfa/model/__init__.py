@@ -4,7 +4,12 @@ from sklearn_vbjfa import _lazily
 
 # For users there is `sklearn_vbjfa.load_model`; the rest is for other rooms.
 _MODULES = {
-    "_corrected": ("CorrectedModel", "TorqueDerivatives"),
+    "_dynamics": (
+        "CorrectedModel",
+        "TorqueDerivatives",
+        "TreeRegressor",
+        "rounding_entries",
+    ),
     "_loading": (
         "build_model",
         "description_text",
@@ -18,7 +23,6 @@ _MODULES = {
         "write_reduced",
     ),
     "_mjcf": ("FollowingJoint", "JointDynamics", "Tendon", "write_mjcf"),
-    "_regressor": ("TreeRegressor", "rounding_entries"),
     "_shapes": ("NoShapes", "import_coal", "load_shapes"),
     "_trees": (
         "body_names",

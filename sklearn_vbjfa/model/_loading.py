@@ -34,8 +34,15 @@ from sklearn_vbjfa.model._trees import (
     solid_bodies,
     with_extension,
 )
-from sklearn_vbjfa.model._urdf import hold_in_urdf, is_text, read_urdf, text_of_tree
-from sklearn_vbjfa.model._xml import parse_description, parse_text, write_tree
+from sklearn_vbjfa.model._urdf import (
+    hold_in_urdf,
+    is_text,
+    parse_description,
+    parse_text,
+    read_urdf,
+    text_of_tree,
+    write_tree,
+)
 
 if TYPE_CHECKING:
     import pinocchio as pin

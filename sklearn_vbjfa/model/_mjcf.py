@@ -19,8 +19,13 @@ from sklearn_vbjfa.model._trees import (
     is_prismatic,
     joint_names,
 )
-from sklearn_vbjfa.model._urdf import body_about_com
-from sklearn_vbjfa.model._xml import add_comment, number, numbers, write_tree
+from sklearn_vbjfa.model._urdf import (
+    add_comment,
+    body_about_com,
+    number,
+    numbers,
+    write_tree,
+)
 
 # Longest time step [s]. MuJoCo's dry friction is a soft constraint whose reference
 # brings a joint to rest within one step (see `_FRICTION`): shorter steps make it full

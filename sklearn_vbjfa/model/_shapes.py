@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from sklearn_vbjfa.model._trees import import_pinocchio
-from sklearn_vbjfa.model._xml import parse_description
+from sklearn_vbjfa.model._urdf import parse_description
 
 # Prefixes after which a package's name and a path in it follow.
 _IN_PACKAGE = re.compile(r"(?:package|model)://([^/]+)/(.+)")

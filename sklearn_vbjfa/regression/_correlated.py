@@ -17,7 +17,7 @@ from sklearn_vbjfa._core._correlated import (
 )
 from sklearn_vbjfa._core._linear_systems import find_dependencies
 from sklearn_vbjfa._core._updates import LinearModel
-from sklearn_vbjfa.regression._input_noise import standard_noise
+from sklearn_vbjfa.regression._base import standard_noise
 
 # An input is relevant when its coefficient is more than this many posterior standard
 # deviations away from zero.

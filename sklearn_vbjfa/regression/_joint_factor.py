@@ -19,8 +19,13 @@ from sklearn_vbjfa._core._updates import (
     coefficients_noisy,
     expect_hidden,
 )
-from sklearn_vbjfa.regression._base import BaseRegressor, Interval, StrOptions
-from sklearn_vbjfa.regression._input_noise import noise_shares, resolve_input_noise
+from sklearn_vbjfa.regression._base import (
+    BaseRegressor,
+    Interval,
+    StrOptions,
+    noise_shares,
+    resolve_input_noise,
+)
 
 # Up to this many features the scatter matrix is cheap, however few the rows are.
 _GRAM_FEATURES = 256

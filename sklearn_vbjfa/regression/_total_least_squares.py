@@ -7,8 +7,11 @@ import numpy as np
 from sklearn.utils.validation import check_array, check_consistent_length, column_or_1d
 
 from sklearn_vbjfa._core._linear_systems import mixed_tls, scaled_eigen
-from sklearn_vbjfa.regression._base import Interval, LinearRegressor
-from sklearn_vbjfa.regression._input_noise import resolve_input_noise
+from sklearn_vbjfa.regression._base import (
+    Interval,
+    LinearRegressor,
+    resolve_input_noise,
+)
 
 
 class TotalLeastSquares(LinearRegressor):

@@ -3,12 +3,12 @@
 import numpy as np
 
 from sklearn_vbjfa._core._updates import Prior
-from sklearn_vbjfa.regression._base import StrOptions
-from sklearn_vbjfa.regression._correlated import fit_correlated
-from sklearn_vbjfa.regression._input_noise import (
+from sklearn_vbjfa.regression._base import (
+    StrOptions,
     resolve_cross_noise,
     resolve_input_noise,
 )
+from sklearn_vbjfa.regression._correlated import fit_correlated
 from sklearn_vbjfa.regression._joint_factor import BaseJointFactorRegressor
 
 # The default prior on the input noise: inverse-gamma on each variance psi_x with its

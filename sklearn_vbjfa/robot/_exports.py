@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.effects import CommandDelay
-from sklearn_vbjfa.model._corrected import CorrectedModel
+from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf

@@ -19,8 +19,8 @@ from sklearn_vbjfa.effects import (
     TorqueGain,
     resolve,
 )
+from sklearn_vbjfa.model._dynamics import rounding_entries
 from sklearn_vbjfa.model._loading import nominal_parameters
-from sklearn_vbjfa.model._regressor import rounding_entries
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._plan import effect_places
 

@@ -244,14 +244,12 @@ def as_table(path, state, command, renamed=None):
 OLD = {"kp": "Kp", "kd": "Kd", "tau_est": "tauEst"}
 LOGS = {
     "lines": as_lines,
-    "csv": lambda path: as_table(path, "motor_state[{}].{}", "motor_cmd[{}].{}"),
     "PlotJuggler": lambda path: as_table(
         path, "/lowstate/motor_state[{}]/{}", "/lowcmd/motor_cmd[{}]/{}"
     ),
     "legged": lambda path: as_table(
         path, "state.motorState[{}].{}", "motorCmd[{}].{}", OLD
     ),
-    "pandas": lambda path: as_table(path, "motor_state_{}_{}", "motor_cmd_{}_{}"),
 }
 
 

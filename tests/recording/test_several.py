@@ -176,23 +176,11 @@ DIFFERENT = {
         {},
         "has positions in rad and {} has positions in rad, m",
     ),
-    "currents": (
-        motion(0.1),
-        {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
-        {"gains": "unknown"},
-        "has torques in N m and {} has torques in A",
-    ),
     "currents with known gains": (
         motion(0.1),
         {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
         {"gains": (8.0, 8.0)},
         "has torques in N m and {} has torques in A",
-    ),
-    "velocities": (
-        motion(0.1),
-        without(motion(0.2), "v1", "v2"),
-        {},
-        "has velocities and {} has no velocities",
     ),
     "accelerations": (
         motion(0.1),

@@ -4,8 +4,6 @@ What of a description does not enter the model is said in one warning.
 """
 
 import contextlib
-import importlib
-import importlib.util
 import os
 import warnings
 import xml.etree.ElementTree as ElementTree
@@ -51,12 +49,6 @@ if TYPE_CHECKING:
 # below which a warning says so. (What was identified and projected lies between it and
 # what counts as solid.)
 _POSSIBLE = 1e-12
-# File of a measured set without description, and module of robot_descriptions with it.
-_PUBLIC_DESCRIPTIONS = {
-    "franka_panda": ("panda.urdf", "panda_description"),
-    "tiago": ("tiago.urdf", "tiago_description"),
-    "ur5": ("ur5_robot.urdf", "ur5_description"),
-}
 # Masses and levers of the double pendulum's links.
 _M1, _R1 = 0.5593806151425046, 0.3
 _M2, _R2 = 0.6043459469186889, 0.18377686083653508
@@ -337,8 +329,15 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
     import_pinocchio()
     if urdf is None and name in _BUILT:
         model = _built(name)
+    elif urdf is None:
+        raise FileNotFoundError(
+            f"Recording {name!r} comes without a robot description. Of a measured set, "
+            "pip install example-robot-data and fetch it again, or put the URDF into "
+            "its folder in data_home; else set the field urdf with "
+            "dataclasses.replace(recording, urdf=path)."
+        )
     else:
-        model = load_reduced(urdf or _from_robot_descriptions(name), joint_names)
+        model = load_reduced(urdf, joint_names)
     names = list(model.names)[1:]
     if names != list(joint_names) or model.nq != model.nv:
         raise ValueError(
@@ -347,23 +346,6 @@ def build_model(name: str, urdf: str | None, joint_names: Sequence[str]) -> "pin
             f"nv = {model.nv}; use a description with the recorded joints."
         )
     return model
-
-
-def _from_robot_descriptions(name: str) -> str:
-    """Ask the robot_descriptions package, which may download, for a URDF."""
-    if name not in _PUBLIC_DESCRIPTIONS:
-        raise FileNotFoundError(
-            f"Recording {name!r} comes without a robot description; set its urdf "
-            "field with dataclasses.replace(recording, urdf=path), or fetch it with "
-            "download_if_missing=True."
-        )
-    file, module = _PUBLIC_DESCRIPTIONS[name]
-    if importlib.util.find_spec("robot_descriptions") is None:
-        raise FileNotFoundError(
-            f"No {file} for {name!r}: pip install example-robot-data and "
-            f"fetch again, or put the file into the folder of the set in data_home."
-        )
-    return importlib.import_module(f"robot_descriptions.{module}").URDF_PATH
 
 
 def _built(name: str) -> "pin.Model":

@@ -6,7 +6,6 @@ import shutil
 import sys
 import threading
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from types import SimpleNamespace
 from urllib.parse import unquote
 
 import numpy as np
@@ -15,7 +14,6 @@ from scipy.signal import butter, filtfilt
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa.datasets import SETS, _measured, remote_files
-from sklearn_vbjfa.model import build_model
 from sklearn_vbjfa.robot import PDDrive
 
 # name -> (samples of each recording, joints, period [s])
@@ -403,18 +401,8 @@ def test_description_without_any_source(monkeypatch, tmp_path, undescribed):
     monkeypatch.setattr(sys, "prefix", str(tmp_path))
     tiago = undescribed()
     assert tiago.urdf is None
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: None)
     with pytest.raises(FileNotFoundError, match="pip install example-robot-data"):
         tiago.robot_model()
-
-
-def test_description_comes_from_robot_descriptions(monkeypatch, fetch):
-    pytest.importorskip("pinocchio")
-    ur5 = fetch("ur5")
-    package = SimpleNamespace(URDF_PATH=ur5.urdf)
-    monkeypatch.setattr(importlib.util, "find_spec", lambda name: True)
-    monkeypatch.setattr(importlib, "import_module", lambda name: package)
-    assert build_model("ur5", None, ur5.joint_names).nv == 6
 
 
 def _filtered(recording, cutoff):

@@ -113,8 +113,8 @@ def _write(done, arguments, notes):
             (part / name).replace(folder / name)
     paths = [str(folder / name) for name in done.files]
     if done.page:
-        count = f"; notes: {len(notes)}" if notes else ""
-        paths = [f"{paths[0]} (more{count})", f"{len(paths) - 1} files"]
+        count = f", with notes: {len(notes)}" if notes else ""
+        paths = [f"{paths[0]} (all details{count})", f"{len(paths) - 1} more files"]
     return folder, [*lines, f"written: {', '.join(paths)}"]
 
 

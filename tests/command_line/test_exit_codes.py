@@ -151,7 +151,7 @@ RECORDINGS = {
         lambda x: {name: column[:100] for name, column in x.items()},
         {
             "": (0, ""),
-            "identify": (3, r"noise unknown \(joint 1 \(shoulder\)\)"),
+            "identify": (3, r"noise floor unknown \(joint 1 \(shoulder\)\)"),
             "simulate": (2, "No recording is as long as a window of 0.3 s"),
         },
     ),

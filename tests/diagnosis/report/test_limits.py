@@ -180,7 +180,7 @@ def test_sound_recordings_need_no_words():
     [
         ("assumed", "from other"),
         ("mixed", "other robots"),
-        ("measured", "4 left"),
+        ("measured", "from 4 recordings"),
     ],
 )
 def test_the_next_recording_says_what_it_rests_on(source, said):

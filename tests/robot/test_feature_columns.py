@@ -15,7 +15,6 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import JointTorqueRegressor, RigidBodyFeatures
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot._features import parameter_names_of
 
 FRICTION = ("viscous", "coulomb", "offset")
 
@@ -33,22 +32,32 @@ def fixture_features(recording):
     return RigidBodyFeatures(recording.urdf, friction=FRICTION).fit(recording.states)
 
 
-def test_names_of_the_parameters(features):
-    names = features.get_feature_names_out()
-    assert parameter_names_of(names, 6) == features.parameter_names_
-    prefixed = [f"robot__{name}" for name in names]
-    assert parameter_names_of(prefixed, 6) == features.parameter_names_
+def fitted(recording, features, names, kept=slice(None)):
+    """Fit to columns of the features with these names."""
+    pandas = pytest.importorskip("pandas")
+    X = features.transform(recording.states[::10])[:, kept]
+    X = pandas.DataFrame(X, columns=names)
+    return JointTorqueRegressor(LinearRegression()).fit(X, recording.tau[::10])
 
 
-def test_names_that_are_not_all_there_are_refused(features):
+def test_names_of_the_parameters(recording, features):
     names = features.get_feature_names_out()
-    for wrong in (names[::-1], np.delete(names, range(5, 11))):
+    for given in (names, [f"robot__{name}" for name in names]):
+        found = fitted(recording, features, given).parameter_names_
+        assert found == features.parameter_names_
+
+
+def test_names_that_are_not_all_there_are_refused(recording, features):
+    names = features.get_feature_names_out()
+    kept = np.delete(np.arange(names.size), range(5, 11))
+    for wrong in (names[::-1], names[kept]):
+        rows = kept if wrong.size == kept.size else slice(None)
         with pytest.raises(ValueError, match="left out, renamed or put in another"):
-            parameter_names_of(wrong, 6)
+            fitted(recording, features, wrong, rows)
     shuffled = names.copy()
     shuffled[[100, 101]] = names[[101, 100]]
     with pytest.raises(ValueError, match="468 columns from tau_joint_1/joint_1:m to"):
-        parameter_names_of(shuffled, 6)
+        fitted(recording, features, shuffled)
 
 
 # -- scalers

@@ -9,9 +9,8 @@ if TYPE_CHECKING:
     from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
     from sklearn_vbjfa.robot._equations import TorqueResiduals
     from sklearn_vbjfa.robot._features import RigidBodyFeatures
-    from sklearn_vbjfa.robot._identifier import RobotIdentifier
+    from sklearn_vbjfa.robot._identifier import FitOptions, RobotIdentifier
     from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-    from sklearn_vbjfa.robot._options import FitOptions
     from sklearn_vbjfa.robot._states import StateEstimator
 
 __all__ = [
@@ -44,7 +43,7 @@ _MODULES = {
     "_features": ("RigidBodyFeatures",),
     "_fit": ("ModelValues",),
     "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
-    "_identifier": ("RobotIdentifier",),
+    "_identifier": ("FitOptions", "RobotIdentifier"),
     ".recording._drives": ("CurrentDrive", "PDDrive", "VoltageDrive"),
     "_joint_moments": (
         "JointMoments",
@@ -53,7 +52,6 @@ _MODULES = {
         "sum_moments",
     ),
     "_joint_torque": ("JointTorqueRegressor",),
-    "_options": ("FitOptions",),
     "_output_error": ("slopes",),
     "_plan": ("MotionFacts", "Plan"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),

@@ -175,12 +175,15 @@ def design_motion(
 
     Examples
     --------
+    >>> import numpy as np
+    >>> import pinocchio
     >>> from sklearn_vbjfa.datasets import load_demo_recording
     >>> from sklearn_vbjfa.design import design_motion
-    >>> urdf = load_demo_recording().urdf
-    >>> motion = design_motion(urdf, duration=3.0, dt=0.05, random_state=0)
+    >>> arm = load_demo_recording().robot_model()
+    >>> arm = pinocchio.buildReducedModel(arm, [3, 4, 5, 6], np.zeros(6))
+    >>> motion = design_motion(arm, duration=3.0, dt=0.05, random_state=0)
     >>> motion.q.shape, motion.within_limits
-    ((60, 6), True)
+    ((60, 2), True)
     """
     rng = check_random_state(random_state)
     task = pose(

@@ -202,6 +202,7 @@ def test_the_first_step_is_what_was_not_checked_and_none_where_it_was(
     assert "SELF-COLLISION" not in captured.out
 
 
+@pytest.mark.slow
 def test_a_described_robot_with_held_joints_and_slow(here, capsys):
     more = {"name": "hand", "joint": "grip", "parent": "lower", "origin": 0.3}
     (here / "arm.urdf").write_text(

@@ -7,7 +7,7 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.design import MotionLimits, design_motion
 from sklearn_vbjfa.model import load_model
-from tests.design._chains import chain, problem_of
+from tests.design._chains import chain, posed, problem_of
 
 RANGE = np.array([[-1.5, 1.5]] * 2)
 
@@ -58,7 +58,7 @@ def test_a_robot_without_torque_limits_gets_numbers_that_do(tmp_path):
     with pytest.raises(ValueError, match="no torque limit of chain_1") as refused:
         design_motion(bare, duration=4.0, dt=0.02)
     told = refused.value.options["torque"]
-    problem_of(bare, limits=MotionLimits.of(bare, torque=told))
+    posed(bare, limits=MotionLimits.of(bare, torque=told))
 
 
 def test_a_robot_without_velocity_limits_gets_numbers_that_do(tmp_path):
@@ -66,7 +66,7 @@ def test_a_robot_without_velocity_limits_gets_numbers_that_do(tmp_path):
     with pytest.raises(ValueError, match="no velocity limit of chain_1") as refused:
         design_motion(bare, duration=4.0, dt=0.02)
     told = refused.value.options["velocity"]
-    problem_of(bare, limits=MotionLimits.of(bare, velocity=told))
+    posed(bare, limits=MotionLimits.of(bare, velocity=told))
 
 
 def number_after(text, words):
@@ -87,9 +87,9 @@ def test_a_duration_too_short_gets_one_that_does(path):
 def test_a_weak_drive_gets_a_torque_that_does(path):
     weak = limits(torque=[60.0, 1e-3])
     with pytest.raises(ValueError, match="chain_2 needs") as refused:
-        problem_of(path, limits=weak)
+        posed(path, limits=weak)
     told = number_after(str(refused.value), "a torque limit of ")
-    problem_of(path, limits=limits(torque=[60.0, told]))
+    posed(path, limits=limits(torque=[60.0, told]))
 
 
 def test_limits_of_another_robot(path):

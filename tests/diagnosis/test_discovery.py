@@ -347,6 +347,7 @@ def test_the_search_does_not_touch_the_untouched_part(springy):
 # -- recordings
 
 
+@pytest.mark.slow
 def test_recordings_are_used_together():
     """Hysteresis that starts anew with each of two recordings."""
     other = record("ZY", seed=9, duration=14.0)

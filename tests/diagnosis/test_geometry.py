@@ -132,6 +132,7 @@ def test_a_robot_without_faults_has_none():
     assert ("joint_zero", 1) not in told
 
 
+@pytest.mark.slow
 def test_two_faults_and_friction_are_told_apart():
     truth = [BaseTilt(0, 0.06, 0.03), JointZero(1, 0.06)]
     loop = discover(truth, joint_3=lambda r: 0.5 * r.v[:, 2] * np.abs(r.v[:, 2]))

@@ -108,6 +108,7 @@ def test_a_robot_that_comes_to_rest():
     assert np.all(loop.error_after_ < 0.1)
 
 
+@pytest.mark.slow
 def test_joints_that_move_one_at_a_time():
     t = seconds(80.0)
     loop = close(*measure(t, pauses(t, [(1, 40)], [(41, 79)])))
@@ -204,6 +205,7 @@ def test_columns_are_found_by_the_names_of_joints(two_motions):
         loop.fit(X.rename(columns={"q_joint_2": "q_elbow"}), y, groups=groups)
 
 
+@pytest.mark.slow
 def test_what_a_payload_does_not_excite_takes_no_interval_from_the_rest():
     """One axis along z: the height of the centre of mass is felt by nobody."""
     import pinocchio as pin

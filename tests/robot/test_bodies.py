@@ -179,6 +179,7 @@ def test_values_that_the_motion_does_not_tell_apart_are_near_the_truth():
     assert away["prior"] < 0.5 * away["free"]
 
 
+@pytest.mark.slow
 def test_the_unit_of_the_torque_and_of_the_masses_do_not_matter(recording):
     q, tau = recording
     robot = fitted(a_robot(), recording)

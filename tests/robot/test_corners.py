@@ -146,6 +146,7 @@ def test_what_was_smoothed_is_not_taken_for_inertia(tmp_path):
     assert np.abs(without.predict(asked) - known.predict(asked)).max() > 0.1
 
 
+@pytest.mark.slow
 def test_a_fifth_of_what_corners_moved_is_not_known(monkeypatch):
     """Delay, armature and friction together, as they were moved together."""
     drive, recording = driven()

@@ -570,7 +570,8 @@ def assert_same_motion(found, expected):
     assert (left < 3e-3 * expected.std(axis=0)).all()
 
 
-@pytest.mark.parametrize("limit", [pytest.param(None, marks=pytest.mark.slow), 0.8])
+@pytest.mark.slow
+@pytest.mark.parametrize("limit", [None, 0.8])
 def test_mujoco_follows_commands_as_the_package_does(tmp_path, limit):
     """Gains, delay, an offset, and a limit that acts on the law and not on it."""
     pytest.importorskip("mujoco")

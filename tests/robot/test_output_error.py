@@ -92,7 +92,7 @@ def sensitivities(robot, states, tau, rows=60):
     return predictor, windows, made, propagate(found, made, DT), positions
 
 
-@pytest.mark.parametrize("case", one_in(3, ROBOTS))
+@pytest.mark.parametrize("case", one_in(5, ROBOTS))
 def test_sensitivities_are_derivatives_of_the_simulation(case):
     axes, effects = ROBOTS[case]
     friction = ("viscous",) if case == "smooth friction" else FRICTION

@@ -399,6 +399,7 @@ def test_ranges_are_written_by_joint(several, tmp_path):
     assert whole["left_out"] == []
 
 
+@pytest.mark.slow
 def test_mujoco_computes_the_torques_of_a_sample(simulated, tmp_path):
     pytest.importorskip("mujoco")
     robot = RobotIdentifier(simulated.urdf, dt=simulated.dt)

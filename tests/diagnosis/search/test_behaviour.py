@@ -99,6 +99,7 @@ def test_late_loads_that_are_put_down_are_none(begin):
     assert names(close(lambda r: carried(r, begin, middle), ["payload"])) == []
 
 
+@pytest.mark.slow
 def test_a_spring_of_the_first_third_is_none():
     """Beside friction, which is there throughout."""
     first = ARM.t < 0.75 * ARM.t[-1] / 3

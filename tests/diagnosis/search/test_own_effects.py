@@ -42,6 +42,7 @@ INERT = {
 }
 
 
+@pytest.mark.slow
 def test_what_the_model_has_already_is_never_named(springy):
     """Offset, friction, inertia and weight are fitted anyway."""
     inert = [own(kind, columns) for kind, columns in INERT.items()]

@@ -66,7 +66,7 @@ def test_the_orientation_is_that_of_the_loop(run, tmp_path):
         "turned by rpy 90 0 0 degrees (base_orientation or --base-orientation turns it"
     )
     # Torque noise of 5 %.
-    assert max(report["error_after"]) < 0.08
+    assert max(one["after"] for one in report["errors"]) < 0.08
 
 
 @pytest.mark.parametrize(

@@ -13,8 +13,19 @@ from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._render import Voice
 from sklearn_vbjfa.diagnosis.report._verdict import NO_ANSWER, judge
 
-# Fields of an outcome that `to_dict` leaves out: pictures, and classes for the words.
-_NOT_DATA = ("curves", "library")
+# Fields of an outcome with a value for each joint, by their names in `to_dict`.
+_OF_JOINTS = {
+    "before": "error_before",
+    "plain": "error_plain",
+    "after": "error_after",
+    "floor": "floor",
+    "wide": "wide_after",
+    "spread": "spread",
+    "seconds": "seconds",
+    "enough": "enough",
+}
+# Fields that `to_dict` leaves out: pictures, and classes for the words.
+_NOT_DATA = ("curves", "library", "intervals", *_OF_JOINTS.values())
 # Channels with these faults are left out of what was asked for.
 _LEFT_OUT = ("coarse_torque", "still_joint")
 
@@ -150,6 +161,9 @@ class Report:
         -------
         dict
             Lists instead of arrays, None instead of nan, joints from zero.
+            ``"errors"`` has a row for each joint: the errors ``before``, ``plain`` and
+            ``after`` and the noise ``floor`` over the ``spread`` of the torque [N m or
+            N], their ``intervals``, and the verdict.
             ``"effects"`` are reported,
             ``"possible"`` are more probable than not; both with
             ``"log_odds"`` and ``"probability"``. Values are in SI units; an effect
@@ -161,7 +175,7 @@ class Report:
             "status": self.status,
             "headline": self.headline,
             "verdict": self.verdict,
-            "joints": _json(self.joints),
+            "errors": [self._row(one) for one in self.joints],
             "uses": [
                 {"name": x.name, "allowed": x.allowed, "reason": x.reason}
                 for x in self.uses
@@ -177,6 +191,15 @@ class Report:
                 if _facts.in_model(self.outcome, effect):
                     told["plain"] = _json(_facts.plain_values(effect))
         return data
+
+    def _row(self, verdict):
+        """Return the errors of a joint and the verdict on it."""
+        outcome, j = self.outcome, verdict.joint
+        row = {"joint": outcome.joint_names[j], "unit": outcome.torque_units[j]}
+        row |= {key: getattr(outcome, name)[j] for key, name in _OF_JOINTS.items()}
+        ends = {key: x[:, j] for key, x in outcome.intervals.items()}
+        row |= {"intervals": ends, "status": verdict.status, "text": verdict.text}
+        return _json(row | {"n_effects": verdict.n_effects})
 
     def to_html(self):
         """Return the report as one self-contained page.

@@ -339,14 +339,17 @@ def test_the_dictionary_is_json(outcome):
     assert json.loads(json.dumps(data, allow_nan=False)) == data
     assert not {"curves", "library"} & set(data)
     assert len(data["effects"]) == len(outcome.effects)
-    assert len(data["error_before"]) == len(outcome.joint_names)
+    assert [one["joint"] for one in data["errors"]] == list(outcome.joint_names)
+    for j, one in enumerate(data["errors"]):
+        assert one["before"] == outcome.error_before[j]
+        assert one["intervals"]["after"][1] == pytest.approx(1.1 * one["after"])
 
 
 def test_the_dictionary_has_the_effect_and_no_nan():
     effect = replace(make_effect(0, 0, ("a",)), effect=Coulomb(joint=0))
     values = {"floor": np.array([np.nan]), "effects": (effect,)}
     data = Report(make_outcome(nv=1, **values)).to_dict()
-    assert data["floor"] == [None]
+    assert data["errors"][0]["floor"] is None
     assert data["effects"][0]["effect"]["class"] == "Coulomb"
     assert data["effects"][0]["effect"]["parameters"]["joint"] == 0
 

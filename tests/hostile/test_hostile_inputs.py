@@ -64,7 +64,7 @@ def verdict(report):
     content = json.loads(Path(report).read_text(encoding="utf-8"))
     sure = [x for x in content["effects"] if x["probability"] > 0.99]
     effects = sorted((x["name"], x["joint"]) for x in sure)
-    return effects, [joint["status"] for joint in content["joints"]]
+    return effects, [joint["status"] for joint in content["errors"]]
 
 
 @pytest.fixture(scope="module")

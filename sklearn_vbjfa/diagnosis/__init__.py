@@ -12,13 +12,10 @@ if TYPE_CHECKING:
     )
     from sklearn_vbjfa.diagnosis.report._report import Report
     from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings
-    from sklearn_vbjfa.robot._windows import (
-        SimulatedWindows,
-        simulate_windows,
-    )
+    from sklearn_vbjfa.robot._windows import simulate_windows
 
 _MODULES = {
-    ".robot._windows": ("SimulatedWindows", "simulate_windows"),
+    ".robot._windows": ("simulate_windows",),
     "_discovery": ("EffectDiscovery",),
     "_displays": ("ResidualDisplay", "TorqueDisplay"),
     "report._report": ("Report",),
@@ -29,7 +26,6 @@ __all__ = [
     "Report",
     "ResidualDisplay",
     "SearchSettings",
-    "SimulatedWindows",
     "TorqueDisplay",
     "simulate_windows",
 ]

@@ -80,8 +80,8 @@ def clean(runner, tmp_path_factory):
 
 def folder_of(arguments, folder):
     """Return the folder for the report."""
-    last = max(k for k, x in enumerate(arguments) if x == "--out")
-    return folder / arguments[last + 1]
+    given = " ".join(arguments).replace("--out ", "--out=").split("--out=")[-1]
+    return folder / (given.split(" ")[0] or "arm-report")
 
 
 def check_refusal(outcome):

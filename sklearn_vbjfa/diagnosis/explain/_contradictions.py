@@ -1,5 +1,6 @@
 """Recordings that differ: the parameter that is another in one of them, or in each."""
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,8 @@ from sklearn_vbjfa.effects import Coulomb, Offset, Payload, Viscous
 _PARTS = 3
 # A recording suffers if most of its squared error comes from the other recordings.
 _MOST = 0.5
+# Inertial parameters of a body, which a payload changes.
+_INERTIAL = 10
 # Directions that the data tell less about than this share are left alone.
 _KNOWN = 1e-9
 # Parameters of a joint that may differ, and recordings from which they may scatter.
@@ -123,9 +126,7 @@ class _Comparison:
 
     def __init__(self, parts, rivals):
         self.parts, self.rivals = parts, rivals
-        nv, body = parts.nv, parts.width
-        # Columns of the last body, which a payload changes.
-        self._last = np.arange(body)[-parts.per_joint :][:10]
+        nv = parts.nv
         self._all = tuple(np.flatnonzero(parts.used).tolist())
         self.count = parts.count * (len(_PLAIN) * nv + 4) + len(_PLAIN) * nv
 
@@ -205,7 +206,6 @@ class _Comparison:
         made = made[: len(made) // len(group.recordings)]
         size, freedom = parts.within(made, [*kept, *columns], coef, theta)
         rank = len(columns) - (len(made) if group.scatters else 0)
-        # Parts that differ by less than noise make no recording differ.
         # A recording may differ by what its thirds differ by: it is no mean over them.
         size = max(size, 1.0)
         limit = 1.0 + _PARTS * (size - 1.0)
@@ -236,7 +236,8 @@ class _Comparison:
             elif group.name == "gain":
                 value += 1.0
         same = [g for g in near if (g.name, g.joints) == (group.name, group.joints)]
-        recordings = dict.fromkeys(g.recordings[0] for g in same if not g.scatters)
+        near_by = (g.recordings[0] for g in same if not g.scatters)
+        recordings = dict.fromkeys([group.recordings[0], *near_by])
         return Deviation(
             recordings=group.recordings if group.scatters else tuple(recordings),
             name=group.name,
@@ -257,7 +258,7 @@ class _Comparison:
         """Return the columns of a group as coefficients of the joints' designs."""
         parts = self.parts
         if group.name == Payload.name:
-            return [parts.of_parameter(k) for k in self._last]
+            return [parts.of_parameter(k) for k in parts.last_body]
         if group.name == "model":
             every = [parts.of_parameter(k) for k in range(parts.width)]
             return every + [parts.of_term(j, k) for j in self._all for k in range(3)]
@@ -293,7 +294,8 @@ class Parts:
         Phi = fit.columns()
         self.width = Phi.shape[2]
         features = fit.identifier.features_
-        self.per_joint = features.n_parameters_ // features.n_joints_
+        last = features.n_parameters_ - features.n_parameters_ // features.n_joints_
+        self.last_body = range(last, last + _INERTIAL)
         self.columns, self._weights = [], []
         # By thirds of time; by positions and by speeds of the joint, over which the
         # parameters of a model differ that does not hold.
@@ -391,14 +393,16 @@ class Parts:
         G, g = self._system(chosen, self.precision)
         return scaled_eigen(G, _KNOWN).solve(g)
 
+    @functools.cached_property
+    def _whole(self):
+        """Normal equations of all parts, their decomposition, and the solution."""
+        G, g = self._system(np.ones(len(self.recording), dtype=bool), self.noise)
+        eigen = scaled_eigen(G, _KNOWN)
+        return G, eigen, eigen.solve(g)
+
     def fitted(self, columns):
         """Fit further columns; returns what they explain, theta and coefficients."""
-        chosen = np.ones(len(self.recording), dtype=bool)
-        if not hasattr(self, "_whole"):
-            G, g = self._system(chosen, self.noise)
-            eigen = scaled_eigen(G, _KNOWN)
-            self._whole = eigen, g, eigen.solve(g)
-        eigen, g, theta = self._whole
+        _, eigen, theta = self._whole
         if not columns:
             return 0.0, theta, np.empty(0)
         K = len(columns)
@@ -418,8 +422,7 @@ class Parts:
 
     def size(self, theta):
         """Root of the squared torques of some parameters."""
-        G, _ = self._system(np.ones(len(self.recording), dtype=bool), self.noise)
-        return float(np.sqrt(max(theta @ G @ theta, 0.0)))
+        return float(np.sqrt(max(theta @ self._whole[0] @ theta, 0.0)))
 
     def within(self, designs, columns, coef, theta):
         """Return what designs explain of parts of recordings, over their number."""

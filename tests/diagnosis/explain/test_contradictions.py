@@ -94,6 +94,19 @@ def test_what_is_another_in_one_recording(recordings, spoil, name, joints, value
         assert one.alone < np.sqrt(0.5) * one.together
 
 
+def test_a_fault_of_the_model_is_no_difference_and_hides_none():
+    def fault(k, torque, recording):
+        lacking = np.sin(5 * recording.q) * np.sign(recording.v)
+        return torque + 0.03 * torque.std(axis=0) * lacking
+
+    def with_offset(k, torque, recording):
+        return fault(k, torque, recording) + [0.0, 0.12 * torque[:, 1].std() * (k == 1)]
+
+    assert compared(FOUR, fault)[1] == Contradictions()
+    (cause,) = compared(FOUR, with_offset)[1].deviations
+    assert (cause.name, cause.recordings, cause.joints) == ("offset", (1,), (1,))
+
+
 def test_another_load_in_one_recording():
     def load(k, torque, recording):
         if k != 1:

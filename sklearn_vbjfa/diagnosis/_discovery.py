@@ -15,6 +15,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     judge,
     make_outcome,
     split_in_time,
+    unnamed_torques,
 )
 from sklearn_vbjfa.diagnosis.report._report import Report
 from sklearn_vbjfa.diagnosis.search._branches import (
@@ -353,6 +354,10 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             if found.effects:
                 again = self._with(found.effects).begin_with(self.baseline_)
                 self.judged_ = _fitted(again, part)
+            unnamed = self._unnamed(found)
+            if unnamed:
+                again = self._with((*found.effects, *unnamed))
+                self.judged_ = _fitted(again.begin_with(self.judged_), part)
             models = Models(
                 declared=self.declared_, plain=self.baseline_, judged=self.judged_
             )
@@ -360,7 +365,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             del part, seen
             judgement = judge(models, found, split, near, whole, told)
         with stage("final model"):
-            final = self._hand_over(found, whole, split.amount.moving, silent, known)
+            asked = whole, split.amount.moving, silent, known
+            final = self._hand_over(found, unnamed, *asked)
         asked = self.get_params(deep=False)
         with stage("explaining"):
             return make_outcome(
@@ -490,7 +496,15 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         asked["effects"] = (*asked["effects"], *effects)
         return clone(self.baseline_).set_params(**asked)
 
-    def _hand_over(self, found, whole, moving, silent, known):
+    def _unnamed(self, found):
+        """Find the joint torque beyond the effects; none where few were looked for."""
+        if not isinstance(self.effects, str) or self.identifier.drive is not None:
+            return ()
+        added = added_effects(self.judged_, len(found.effects))
+        fit = FinalFit(self.baseline_, self.judged_, found.model.view, added)
+        return unnamed_torques(fit, found.settings)
+
+    def _hand_over(self, found, unnamed, whole, moving, silent, known):
         """Fit the completed model to all data, in the band that was judged."""
         band = {}
         if isinstance(self.identifier.cutoff, str):
@@ -511,6 +525,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             effects = tuned_apart(found, lambda b: b.view(seen, silent, **given))
         else:
             effects = tuned_on(view, found.effects, found.settings)
+        effects = (*effects, *unnamed)
         again = self._with(effects).set_params(**band).begin_with(self.judged_)
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))

@@ -81,6 +81,7 @@ from sklearn_vbjfa.effects._motion import (
     own_motions,
 )
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._unnamed import UnnamedTorque
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 __all__ = [

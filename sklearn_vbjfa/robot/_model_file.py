@@ -17,6 +17,7 @@ from sklearn_vbjfa.effects import (
     Follower,
     Shaped,
     TorqueLag,
+    UnnamedTorque,
     available,
     resolve,
 )
@@ -238,9 +239,9 @@ def _check_shape(key, value, shape):
 def _classes(effects):
     if isinstance(effects, (type, Effect)):
         effects = (effects,)
-    # A robot declares its followers, the delay of its commands and the lag of its
-    # torques; the library has none to search for.
-    found = {one.name: one for one in (Follower, CommandDelay, TorqueLag)}
+    # What a robot has without a search in the library.
+    own = Follower, CommandDelay, TorqueLag, UnnamedTorque
+    found = {one.name: one for one in own}
     for one in effects:
         kind = one if isinstance(one, type) else type(one)
         if not issubclass(kind, Effect):

@@ -68,6 +68,7 @@ _MODULES = {
         "named_values",
     ),
     "_split": ("split_in_time",),
+    "_unnamed": ("unnamed_torques",),
 }
 __all__ = []
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -11,7 +11,6 @@ from sklearn_vbjfa.diagnosis.explain._curves import Spectra, TimeLine, over_time
 from sklearn_vbjfa.diagnosis.explain._gaps import SMALLEST_GAIN, memory_seconds
 from sklearn_vbjfa.diagnosis.explain._intervals import (
     FinalFit,
-    added_effects,
     error_intervals,
 )
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
@@ -256,7 +255,7 @@ def judge(models, found, split, near, whole, commanded):
         del behind
     before, plain, after = (each[one] for one in three)
     step = model.view.step
-    added = added_effects(completed, len(found.effects))
+    added = completed.effects_[len(models.plain.effects_) :]
     fit = FinalFit(models.plain, completed, model.view.corrected(()), added)
     seen = near.searched_parts
     of_plain, of_completed = (_numbered(one, seen) for one in fit.residuals())

@@ -42,7 +42,13 @@ from sklearn_vbjfa.diagnosis.explain._intervals import (
 )
 from sklearn_vbjfa.diagnosis.explain._judgement import CommandsAlone, ConsistencyCost
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
-from sklearn_vbjfa.effects import EffectRange, OfTime, declarable, resolve
+from sklearn_vbjfa.effects import (
+    EffectRange,
+    OfTime,
+    UnnamedTorque,
+    declarable,
+    resolve,
+)
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
 from sklearn_vbjfa.robot._gains import ChannelGains
@@ -197,6 +203,8 @@ class Outcome:
     # told positions
     commands_alone: CommandsAlone | None = None
     provenance: Provenance | None = None
+    # joint torque of the completed model beyond the effects, `UnnamedTorque`s
+    unnamed: tuple = ()
 
 
 def make_outcome(search, models, final, judgement, channels, asked, whole, recordings):
@@ -271,6 +279,7 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         parameters=parameter_values(final.identifier),
         recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
         commands_alone=judgement.alone,
+        unnamed=tuple(e for e in final.effects if isinstance(e, UnnamedTorque)),
     )
 
 

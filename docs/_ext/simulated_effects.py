@@ -109,6 +109,7 @@ def uses():
         Use(effect=effects.Stribeck(joint=1, vs=0.15), coef=(4.0,)),
         Use(effect=effects.ViscousQuadratic(joint=1), coef=(5.0,)),
         Use(effect=effects.LoadFriction(joint=1), coef=(0.1,)),
+        Use(effect=effects.GearLoss(joint=1), coef=(0.15, 0.05)),
         Use(
             effect=effects.MaxwellSlip(joint=1, displacements=(0.005, 0.02, 0.08)),
             coef=(2.0, 2.0, 2.0),

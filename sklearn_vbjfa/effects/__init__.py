@@ -33,6 +33,7 @@ from sklearn_vbjfa.effects._drive import (
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
+    GearLoss,
     LoadFriction,
     Stribeck,
     Viscous,
@@ -96,6 +97,7 @@ __all__ = [
     "Drift",
     "Effect",
     "Elastic",
+    "GearLoss",
     "InFiles",
     "InModel",
     "Jerk",

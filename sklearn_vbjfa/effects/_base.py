@@ -57,11 +57,6 @@ class Effect(TransformerMixin, BaseEstimator):
     corrects the rigid-body model. Instances are passed to
     ``EffectDiscovery(effects=[...])`` and ``RobotIdentifier(effects=[...])``.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Index of the joint, from zero.
-
     Attributes
     ----------
     name : str
@@ -444,11 +439,6 @@ class Shaped(Effect):
 
     They are parameters of ``__init__``; `Effect.shapes` lists values to try.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Index of the joint, from zero.
-
     Attributes
     ----------
     shape_units : tuple of (str, (str, str))
@@ -501,11 +491,6 @@ class Shaped(Effect):
 class Stateful(Effect):
     """An effect whose columns depend on other rows than their own.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Index of the joint, from zero.
-
     Attributes
     ----------
     memory : {"past", "future"}
@@ -533,11 +518,6 @@ class Stateful(Effect):
 class OfTime(Effect):
     """An effect that changes with time: a search counts its slow changes alone.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Index of the joint, from zero.
-
     Attributes
     ----------
     afterwards : str
@@ -558,11 +538,6 @@ class JointEffect(Effect):
 
     Such a column is cheap to make for all joints at once, so that a robot may declare
     it by name: ``RobotIdentifier(friction=["coulomb"])``.
-
-    Parameters
-    ----------
-    joint : int, default=0
-        Index of the joint, from zero.
 
     Examples
     --------

@@ -398,11 +398,6 @@ class Jerk(Stateful):
     the reversal of the friction need not be, where it is the drive's own. A torque that
     lags makes it with J < 0, and so does a flexible drive with a damped spring [1]_.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     Notes
     -----
     `Delay` and `TorqueFilter` shift or filter all of the model's torque; where it is

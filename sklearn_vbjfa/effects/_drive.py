@@ -30,11 +30,6 @@ _DEFLECTION = 1e-4
 class RotorInertia(JointEffect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     Notes
     -----
     On the first joints of an arm it lies in the span of the links' inertias.
@@ -43,12 +38,6 @@ class RotorInertia(JointEffect):
     ----------
     .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
        Butterworth-Heinemann, 2004, chapter 9.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import RotorInertia
-    >>> RotorInertia().fit_transform([[0.1, -2.0, 5.0]])
-    array([[5.]])
     """
 
     name = "rotor_inertia"
@@ -256,21 +245,10 @@ class Elastic(Stateful):
     along -(tau, dtau/dt, d2tau/dt2): mostly the second derivative of the joint torque
     times the link's inertia [1]_.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Elastic joint, from zero; all joints feel it.
-
     References
     ----------
     .. [1] M. W. Spong, "Modeling and control of elastic joint robots", J. Dyn. Sys.,
        Meas., Control 109(4), 1987. :doi:`10.1115/1.3143860`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Elastic
-    >>> Elastic(joint=2).parameters([0.001])
-    {'k': 1000.0}
     """
 
     name = "elastic"

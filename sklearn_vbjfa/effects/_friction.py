@@ -19,22 +19,11 @@ class Viscous(JointEffect):
 
     Part of the model of [1]_, the eleventh parameter of each joint there.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     References
     ----------
     .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
        with input and output noise", Neural Networks 24(1), 2011.
        :doi:`10.1016/j.neunet.2010.08.011`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Viscous
-    >>> Viscous().fit_transform([[0.1, 2.0, 0.0]])
-    array([[2.]])
     """
 
     name = "viscous"
@@ -61,22 +50,11 @@ class Coulomb(JointEffect):
 
     The limit of `MaxwellSlip` for small displacements.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     References
     ----------
     .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
        analysis tools and compensation methods for the control of machines with
        friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Coulomb
-    >>> Coulomb().fit_transform([[0.1, -2.0, 0.0]])
-    array([[-1.]])
     """
 
     name = "coulomb"
@@ -105,11 +83,6 @@ class AsymmetricFriction(Effect):
     viscous coefficients for v > 0 and for v < 0, in addition to the symmetric `Coulomb`
     and `Viscous` halves. Without dFv it equals an `Offset`.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     Notes
     -----
     Usual in screw drives and where gravity loads the gear flanks, see [1]_.
@@ -118,12 +91,6 @@ class AsymmetricFriction(Effect):
     ----------
     .. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS",
        Nonlinear System Identification Benchmarks, 2019.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import AsymmetricFriction
-    >>> AsymmetricFriction().fit_transform([[0.1, -2.0, 0.0]])
-    array([[1., 2.]])
     """
 
     name = "asymmetric_friction"
@@ -176,12 +143,6 @@ class Stribeck(Shaped):
     .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
        analysis tools and compensation methods for the control of machines with
        friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Stribeck
-    >>> Stribeck(vs=1.0).fit_transform([[0.1, -1.0, 0.0]]).round(3)
-    array([[-0.368]])
     """
 
     name = "stribeck"
@@ -233,22 +194,11 @@ class ViscousQuadratic(Effect):
     Drag of fans and fluids; its negative, friction that grows less than in proportion
     to speed, as in lubricated gears [1]_.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     References
     ----------
     .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
        modeling and identification of load and temperature effects", J. Dyn. Sys.,
        Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import ViscousQuadratic
-    >>> ViscousQuadratic().fit_transform([[0.1, -2.0, 0.0]])
-    array([[-4.]])
     """
 
     name = "viscous_quadratic"
@@ -283,22 +233,11 @@ class LoadFriction(Effect):
     Gears and bearings press harder under load; section 3 of [1]_. The load is the
     torque of the rigid bodies of the model.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     References
     ----------
     .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a
        dry friction model depending on load and velocity", IROS, 2010.
        :doi:`10.1109/IROS.2010.5649189`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import LoadFriction
-    >>> LoadFriction().fit([[0, 1.0, 0]]).transform([[0, 1.0, 0]], load=[[-3.0]])
-    array([[3.]])
     """
 
     name = "load_friction"
@@ -321,3 +260,51 @@ class LoadFriction(Effect):
     def law(self, maths):
         j, sign = self.joint, maths.sign(self.joint)
         return lambda state: (abs(state.load[j]) * sign(state.v[j], state.a[j]),)
+
+
+class GearLoss(Effect):
+    """Friction over the load that differs with the direction of power.
+
+    tau = mud abs(tau_load) sign(v) while the drive moves the load, and mub
+    abs(tau_load) sign(v) while the load moves the drive: the efficiencies of a gear
+    forward and backward [1]_. It is `LoadFriction` of their mean, and half of their
+    difference times the load, as a `TorqueGain` adds.
+
+    References
+    ----------
+    .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a
+       dry friction model depending on load and velocity", IROS, 2010.
+       :doi:`10.1109/IROS.2010.5649189`
+    """
+
+    name = "gear_loss"
+    alike = True
+    label = "gear loss by direction of power"
+    formula = (
+        r"\mu_d\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
+        r" \quad\text{driving}, \quad"
+        r" \mu_b\,|\tau_\mathrm{load}|\,\mathrm{sign}(v) \quad\text{back-driven}"
+    )
+    coefficients = ("mud", "mub")
+    nonnegative = ("mud", "mub")
+    units = (("", ""), ("", ""))
+    contains = ("load_friction", "coulomb", "viscous")
+    needs = ("load",)
+    depends = ("load", "direction")
+    seen_over = "load"
+    with_motion = True
+    visible = "the load is lifted and lowered"
+    record = "reversals at two loads, of either sign"
+    files = InFiles.nowhere("friction in proportion to the load")
+
+    def law(self, maths):
+        j, sign = self.joint, maths.sign(self.joint)
+
+        def torque(state):
+            load = state.load[j]
+            loss = abs(load) * sign(state.v[j], state.a[j])
+            # Driving, it has the sign of the load.
+            along = 0.5 + 0.5 * maths.sign_of(load * loss)
+            return along * loss, (1.0 - along) * loss
+
+        return torque

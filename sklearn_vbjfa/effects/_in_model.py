@@ -78,11 +78,6 @@ class InModel(Effect):
     `at`. `RobotIdentifier` iterates these corrections, so that in ``theta_`` the
     parameters of the effect are the values themselves.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     Attributes
     ----------
     model_parameters : tuple of str
@@ -187,35 +182,16 @@ class BaseTilt(InModel):
 
     Notes
     -----
-    The columns are d tau / d g times d g / d roll and d g / d pitch: what the turned
-    gravity adds to the torque of every joint that it can move. It shows wherever a
-    joint holds weight in several poses. It is hidden in a recording without gravity on
-    any axis, and in one in which the base's first joint, if vertical, stands still:
-    pose by pose a tilt is then an offset or a counterbalance of the other joints. A
-    `JointAxis` of a first joint turns the whole robot as well and has equal columns,
-    and so has the `JointZero` of a first joint that is horizontal, for one of the two.
-    Values within 15 degrees count as plausible.
+    The columns are d tau / d g times d g / d roll and d g / d pitch. The effect is
+    visible where joints hold weight in several poses, and hidden where a vertical first
+    joint stands still. A `JointAxis` of a first joint, and the `JointZero` of a
+    horizontal one, have equal columns. Values within 15 degrees count as plausible.
 
     References
     ----------
     .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
        Hermes Penton, 2002, chapter 11 (placement of the base as calibration
        parameters).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.datasets import make_robot_recording
-    >>> from sklearn_vbjfa.effects import BaseTilt
-    >>> recording = make_robot_recording(duration=20.0, dt=0.01, random_state=0)
-    >>> model = recording.robot_model().copy()
-    >>> model.gravity.linear = np.array([0.0, 0.0, -9.81])
-    >>> robot = RobotIdentifier(model, dt=recording.dt, effects=[BaseTilt()])
-    >>> robot = robot.fit(recording.q, recording.tau)
-    >>> (tilt,) = robot.effects_
-    >>> bool(np.abs(np.rad2deg([tilt.roll, tilt.pitch])).max() < 1.0)
-    True
     """
 
     name = "base_tilt"
@@ -299,25 +275,16 @@ class JointZero(InModel):
 
     Notes
     -----
-    The column is -d tau / d q_j, on all joints at once [1]_. It shows in gravity and
-    inertia of what lies on either side of the joint. Hidden, whatever the motion, are
-    the zero of the last joint (its body, turned along, is as good), that of a first
-    joint with a vertical axis (all directions around it are alike), and that of a
-    prismatic joint along which nothing but its own position changes. The zeros of
-    neighbours with parallel axes have nearly equal columns: only their sum is seen
-    well. Values within 15 degrees (0.26 m) count as plausible; larger ones, in steps of
-    45 degrees, are found by the inspection of the channels.
+    The column is -d tau / d q_j, on all joints at once [1]_. The zeros of the last
+    joint, of a first joint with a vertical axis, and of a prismatic joint along which
+    nothing else changes are hidden; of neighbours with parallel axes only the sum is
+    visible. Values within 15 degrees (0.26 m) count as plausible; the inspection of the
+    channels finds larger ones, in steps of 45 degrees.
 
     References
     ----------
     .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
        Hermes Penton, 2002, chapter 11 (joint offsets as calibration parameters).
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import JointZero
-    >>> JointZero(joint=2, zero=0.07).parameters([0.07])
-    {'zero': 0.07}
     """
 
     name = "joint_zero"
@@ -374,25 +341,16 @@ class JointAxis(InModel):
     Notes
     -----
     The columns are the derivatives of the torque by these two turns, on all joints at
-    once; with the joint's own `JointZero` they are all turns of its placement [1]_.
-    It shows where weight or inertia is carried around the axis and the joints before it
-    move; in the last joint too, whose torque is that about the turned axis. Of a first
-    joint it is a `BaseTilt`; about the axis of the joint before it, where that runs
-    through this one, it is that joint's `JointZero`. Hidden is what would turn the axis
-    about itself, and, for a joint that carries no weight, what its inertia alone has to
-    show. Values within 10 degrees count as plausible.
+    once [1]_. The effect is visible where weight or inertia is carried around the axis
+    and the joints before it move. Of a first joint it is a `BaseTilt`; about the axis
+    of the joint before it, where that runs through this one, that joint's `JointZero`.
+    Values within 10 degrees count as plausible.
 
     References
     ----------
     .. [1] S. Hayati, M. Mirmirani, "Improving the absolute positioning accuracy of
        robot manipulators", Journal of Robotic Systems 2(4), 1985.
        :doi:`10.1002/rob.4620020406`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import JointAxis
-    >>> JointAxis(joint=3).linearised_at([0.05, 0.0])
-    JointAxis(about_x=0.05, joint=3)
     """
 
     name = "joint_axis"
@@ -457,27 +415,16 @@ class TorqueGain(InModel):
 
     Notes
     -----
-    The column is the torque of the model on the joint [1]_. It shows in what the joint
-    shares with others: the bodies that it moves are moved by the joints before it as
-    well, with the same inertial parameters. A gain that all channels have in common is
-    in every parameter, and no recording shows it without a mass that is known; the gain
-    of the only joint, or of one that shares no body, is hidden in the same way.
-
-    The gain is taken on the side of the model: the measured torque stays an output with
-    noise. A regression on measured torques, with the inverse gains as coefficients,
-    would take that noise for signal and make these too small.
+    The column is the torque of the model on the joint [1]_. The effect is visible where
+    other joints move the same bodies. A common gain of all channels, and that of a
+    joint that shares no body, are in the parameters. Measured torques stay outputs
+    with noise: a regression on them, with inverse gains as coefficients, is biased.
 
     References
     ----------
     .. [1] M. Gautier, S. Briot, "Global identification of joint drive gains and dynamic
        parameters of robots", J. Dyn. Sys., Meas., Control 136(5), 2014.
        :doi:`10.1115/1.4027506`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import TorqueGain
-    >>> TorqueGain(joint=1, gain=1.1).linearised_at([0.05]).gain
-    1.1500000000000001
     """
 
     name = "torque_gain"
@@ -529,38 +476,61 @@ class TorqueGain(InModel):
         return model_torque(motion, self.joint)[:, None] / self.gain
 
 
-class CommandDelay(InModel):
+class _OfTheClock(InModel):
+    """A delay of all channels [s]: it corrects times, and not the robot model."""
+
+    units = (("s", "s"),)
+    nominal = (0.0,)
+    of_bodies = False
+    needs = ()
+    whole_robot = True
+    scope = "robot"
+    lacking = ""  # why it cannot be looked for without torques by commands
+
+    def bounds(self):
+        return np.array([-_LATE]), np.array([_LATE])
+
+    def correct(self, robot):
+        """Leave the robot model unchanged."""
+
+    def applies(self, motion):
+        return (
+            Effect.applies(self, motion)
+            if motion.command is not None
+            else (self.lacking)
+        )
+
+    @staticmethod
+    def _slope(motion, delay):
+        """Slope (n, nv, 1) of the torques by commands, some time before each row."""
+        known = motion.command, motion.parts, motion.t
+        return interpolate(*known, delay, 1)[:, :, None]
+
+
+class CommandDelay(_OfTheClock):
     r"""The drive follows its commands later than the log says.
 
     With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
     a `PDDrive`, the drive makes tau(t) + c(t - delay) - c(t) where tau(t) is its law at
-    no delay.
+    no delay [1]_.
 
     Parameters
     ----------
     joint : int, default=0
         0; the delay is that of all drives.
     delay : float, default=0.0
-        Present value [s].
+        Present value [s], within 0.1 s; negative if the logged positions are old.
 
     Notes
     -----
-    The column is the slope of c at t - delay. It shows wherever commands change. Where
-    the robot follows closely, v_d is nearly v, and a delay nearly viscous friction of
-    K times the delay: the parameters know it, by their covariance. Delays within 0.1 s
-    count as plausible, also negative ones, of logs whose positions are old.
+    The column is the slope of c at t - delay. Where the robot follows closely, v_d is
+    nearly v, and a delay nearly viscous friction of K times the delay.
 
     References
     ----------
     .. [1] F. Bjelonic et al., "Towards bridging the gap: systematic sim-to-real
        transfer for diverse legged robots", 2025 (delay of the command among the
        parameters of a drive).
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import CommandDelay
-    >>> CommandDelay(delay=0.004).linearised_at([0.001]).delay
-    0.005
     """
 
     name = "command_delay"
@@ -569,19 +539,13 @@ class CommandDelay(InModel):
     subject = ("the delay of the commands", "the delay of the commands")
     files = InFiles.nowhere("torques of the file act at once")
     formula = r"c(t - \mathrm{delay}) - c(t)"
-    coefficients = ("delay",)
-    units = (("s", "s"),)
-    model_parameters = ("delay",)
-    nominal = (0.0,)
-    of_bodies = False
-    needs = ()
-    whole_robot = True
-    scope = "robot"
+    coefficients = model_parameters = ("delay",)
     at_bounds = (
         "Commands and positions may be of two clocks, or the drive of another mode: "
         "shift the commands by what is known of their delay, or give it to the drive "
         "(delay=)."
     )
+    lacking = "needs the commands of a drive, drive=PDDrive(...)"
     visible = "commands that change"
     record = "faster commands, and some that the robot does not follow closely"
 
@@ -592,27 +556,17 @@ class CommandDelay(InModel):
     def prefix(self, joint_name):
         return "drive"
 
-    def bounds(self):
-        return np.array([-_LATE]), np.array([_LATE])
-
-    def correct(self, robot):
-        """Leave the robot model unchanged."""
-
-    def applies(self, motion):
-        if motion.command is None:
-            return "needs the commands of a drive, drive=PDDrive(...)"
-        return Effect.applies(self, motion)
-
     def columns(self, motion):
-        known = motion.command, motion.parts, motion.t
-        return interpolate(*known, self.delay, 1)[:, :, None]
+        return self._slope(motion, self.delay)
 
 
-class TorqueLag(InModel):
+class TorqueLag(_OfTheClock):
     r"""All torques are recorded later than the positions.
 
     A recorded torque :math:`\tau(t + \mathrm{lag})` belongs to the motion at t: two
-    clocks, or a delay of the torque channels.
+    clocks, or a delay of the torque channels. The column is minus the slope of the
+    recorded torque at t + lag. `RobotIdentifier.fit` declares the effect where
+    `inspect_recording` finds a lag.
 
     Parameters
     ----------
@@ -620,17 +574,6 @@ class TorqueLag(InModel):
         0; the lag is that of all channels.
     lag : float, default=0.0
         Present value [s]; negative if torques are early.
-
-    Notes
-    -----
-    The column is minus the slope of the recorded torque at t + lag.
-    `RobotIdentifier.fit` declares the effect where `inspect_recording` finds a lag.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import TorqueLag
-    >>> TorqueLag(lag=0.004).linearised_at([0.001]).lag
-    0.005
     """
 
     name = "torque_lag"
@@ -639,15 +582,9 @@ class TorqueLag(InModel):
     subject = ("the lag of the torques", "the lag of the torques")
     files = InFiles.nowhere("a property of the log")
     formula = r"\tau(t + \mathrm{lag})"
-    coefficients = ("lag",)
-    units = (("s", "s"),)
-    model_parameters = ("lag",)
-    nominal = (0.0,)
-    of_bodies = False
-    needs = ()
-    whole_robot = True
-    scope = "robot"
+    coefficients = model_parameters = ("lag",)
     at_bounds = "Torques and positions may be of two recordings: compare their files."
+    lacking = "needs recorded torques"
     visible = "torques that change"
     record = "faster motion"
 
@@ -658,17 +595,5 @@ class TorqueLag(InModel):
     def prefix(self, joint_name):
         return "torques"
 
-    def bounds(self):
-        return np.array([-_LATE]), np.array([_LATE])
-
-    def correct(self, robot):
-        """Leave the robot model unchanged."""
-
-    def applies(self, motion):
-        if motion.command is None:
-            return "needs recorded torques"
-        return Effect.applies(self, motion)
-
     def columns(self, motion):
-        known = motion.command, motion.parts, motion.t
-        return -interpolate(*known, -self.lag, 1)[:, :, None]
+        return -self._slope(motion, -self.lag)

@@ -9,6 +9,7 @@ from sklearn_vbjfa.effects._drive import Coupling, CouplingSpring, Elastic, Roto
 from sklearn_vbjfa.effects._friction import (
     AsymmetricFriction,
     Coulomb,
+    GearLoss,
     LoadFriction,
     Stribeck,
     Viscous,
@@ -28,6 +29,7 @@ _LIBRARY = {
         Stribeck,
         ViscousQuadratic,
         LoadFriction,
+        GearLoss,
         MaxwellSlip,
         Backlash,
         Offset,

@@ -181,7 +181,7 @@ class Motion:
 class Arrays:
     """Functions of signals (n,) of a recording; see `Effect.law`."""
 
-    exp, cos, sin, sqrt = np.exp, np.cos, np.sin, np.sqrt
+    exp, cos, sin, sqrt, sign_of = np.exp, np.cos, np.sin, np.sqrt, np.sign
 
     def __init__(self, rest):
         self.rest = rest
@@ -204,6 +204,11 @@ class Floats:
     """The same of the numbers of one state, whose velocities have no noise."""
 
     exp, cos, sin, sqrt = math.exp, math.cos, math.sin, math.sqrt
+
+    @staticmethod
+    def sign_of(x):
+        """Sign of a number."""
+        return (x > 0) - (x < 0)
 
     def __init__(self, rest):
         self.rest = rest

@@ -26,21 +26,10 @@ _CYCLES = 0.3
 class Offset(JointEffect):
     """Constant torque, tau = c: a sensor's zero, a drive's bias.
 
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
-
     References
     ----------
     .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
        Butterworth-Heinemann, 2004, chapter 12.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Offset
-    >>> Offset().fit_transform([[0.1, -2.0, 0.0]])
-    array([[1.]])
     """
 
     name = "offset"
@@ -61,11 +50,6 @@ class Offset(JointEffect):
 
 class Spring(Effect):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
-
-    Parameters
-    ----------
-    joint : int, default=0
-        Joint, from zero.
 
     Notes
     -----

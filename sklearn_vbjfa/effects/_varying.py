@@ -319,12 +319,6 @@ class Payload(Shaped, OfTime):
     .. [1] W. Khalil, M. Gautier, P. Lemoine, "Identification of the payload inertial
        parameters of industrial manipulators", ICRA, 2007.
        :doi:`10.1109/ROBOT.2007.364241`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Payload
-    >>> Payload(instant=12.0).parameters([0.5, 0.0, 0.1, 0.0, 0.0])["dm"]
-    0.5
     """
 
     name = "payload"

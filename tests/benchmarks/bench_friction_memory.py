@@ -31,7 +31,7 @@ ACCEPTED = {
     "friction_by_position": {"maxwell_slip", "load_friction"},
     "tendon_friction": {"coupling"},
     "tendon_spring": {"coupling_spring"},
-    "gear_loss": {"load_friction", "maxwell_slip", "torque_gain"},
+    "gear_loss": {"gear_loss", "load_friction", "maxwell_slip", "torque_gain"},
     "warm_up": {"drift"},
     "two_coggings": {"ripple"},
     "nothing": set(),

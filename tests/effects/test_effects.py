@@ -213,6 +213,13 @@ def closed_forms():
         ),
         "viscous_quadratic": ({}, [sign * v**2]),
         "load_friction": ({}, [np.sqrt(load**2) * sign]),
+        "gear_loss": (
+            {},
+            [
+                np.where(load * v > 0, load, 0.0),
+                np.where(load * v < 0, -load, 0.0),
+            ],
+        ),
         "maxwell_slip": (
             {"displacements": (0.02, 0.3), "loaded": (0.1,), "falling": (0.05,)},
             [

@@ -7,21 +7,22 @@ from sklearn_vbjfa.effects import UnnamedTorque
 
 # Penalties of the terms of one quantity, over the number of rows, for columns of unit
 # size; infinity leaves them out.
-_PENALTIES = (np.inf, 10.0, 1.0, 0.1, 0.01, 0.001)
+_PENALTIES = (np.inf, 1.0, 0.1, 0.01, 0.001)
 _SWEEPS = 2
 
 
 def unnamed_torques(fit, settings):
     """Find what the residual of a `FinalFit` holds, tuple of `UnnamedTorque`."""
-    found, residual = [], fit.residuals()[1].residual * fit.view.root
-    for joint in np.flatnonzero(fit.view.precision > 0):
-        found += _of_joint(fit, int(joint), residual[:, joint], settings)
+    view, robot = fit.view, fit.identifier.robot_
+    motion = view.motion_of(robot.linear_part(robot.theta_))
+    found, residual = [], fit.residuals()[1].residual * view.root
+    for joint in np.flatnonzero(view.precision > 0).tolist():
+        found += _of_joint(view, motion, joint, residual[:, joint], settings)
     return tuple(found)
 
 
-def _of_joint(fit, joint, residual, settings):
+def _of_joint(view, motion, joint, residual, settings):
     """Return those of one joint: none if they save no error of left-out blocks."""
-    view, motion = fit.view, fit.motion
     scales = {"reach": motion.range(joint), "fast": motion.speed(joint)}
     if not (min(scales.values()) > 0 and residual.any()):
         return []
@@ -52,7 +53,9 @@ class _Bank:
 
     def __init__(self, X, y, blocks):
         self.X, self.y, self.blocks = X, y, blocks
-        folds = [blocks.fold == f for f in range(blocks.n_folds)]
+        # Long stretches, as what comes next is, and not blocks among others.
+        fold = blocks.label * blocks.n_folds // blocks.n_blocks
+        folds = [fold == f for f in range(blocks.n_folds)]
         self.folds = folds
         self.grams = [X[own].T @ X[own] for own in folds]
         self.rights = [X[own].T @ y[own] for own in folds]

@@ -57,6 +57,11 @@ class Effect(TransformerMixin, BaseEstimator):
     corrects the rigid-body model. Instances are passed to
     ``EffectDiscovery(effects=[...])`` and ``RobotIdentifier(effects=[...])``.
 
+    Parameters
+    ----------
+    joint : int, default=0
+        Index of the joint, from zero; the first parameter of every effect.
+
     Attributes
     ----------
     name : str

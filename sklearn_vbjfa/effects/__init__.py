@@ -23,11 +23,9 @@ from sklearn_vbjfa.effects._channels import (
     smooth,
 )
 from sklearn_vbjfa.effects._drive import (
-    ChainJoint,
     Coupling,
     CouplingSpring,
     Elastic,
-    Follower,
     RotorInertia,
 )
 from sklearn_vbjfa.effects._friction import (

@@ -538,6 +538,18 @@ class TreeRegressor:
         return torque
 
 
+def last_body_columns(tree, q, v, a):
+    """Columns (n, 10) of the last body in the torque of each joint of a `Tree`."""
+    links = links_of(tree, q, v, a)
+    forces, moments = _forces_and_moments(links[-1:])
+    found = []
+    for link in links:
+        torque = dot(link.moment[:, None], moments[:, 0])
+        torque[:4] += dot(link.force[:, None], forces[:, 0])
+        found.append(torque.T)
+    return found
+
+
 def _forces_and_moments(links):
     """Return forces (3, nv, 4, n) by m and mc, and moments (3, nv, 10, n)."""
     p, field, w, dw = (

@@ -14,7 +14,6 @@ from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.effects import (
     CommandDelay,
     Effect,
-    Follower,
     Shaped,
     TorqueLag,
     UnnamedTorque,
@@ -26,6 +25,7 @@ from sklearn_vbjfa.model._trees import in_order
 from sklearn_vbjfa.recording._table import quoted
 from sklearn_vbjfa.robot._equations import is_plain
 from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._followers import Follower
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._states import StateEstimator
 

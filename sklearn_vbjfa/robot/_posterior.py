@@ -10,10 +10,11 @@ from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
-from sklearn_vbjfa.effects import Follower, OfTime, declared_nonnegative
+from sklearn_vbjfa.effects import OfTime, declared_nonnegative
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
+from sklearn_vbjfa.robot._followers import Follower
 from sklearn_vbjfa.robot._joint_moments import weighted_parts
 from sklearn_vbjfa.robot._plan import effect_places
 

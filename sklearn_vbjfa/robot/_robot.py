@@ -7,7 +7,7 @@ import numpy as np
 from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
-from sklearn_vbjfa.effects import CommandDelay, EffectRange, Follower, OfTime
+from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
 from sklearn_vbjfa.effects._motion import Rest, outside, own_motions
 from sklearn_vbjfa.model._loading import (
     description_text,
@@ -52,6 +52,7 @@ from sklearn_vbjfa.robot._exports import (
     to_urdf,
 )
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
+from sklearn_vbjfa.robot._followers import Follower
 from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._posterior import (

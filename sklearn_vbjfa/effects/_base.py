@@ -452,9 +452,9 @@ class Shaped(Effect):
         Those that are searched between the values of `shapes` as well.
     positive : tuple of str
         Those that must be greater than zero.
-    neutral : tuple of (str, float)
-        Values at which they do nothing: a search leaves them there unless the data
-        contradict.
+    averaged : tuple of (str, tuple)
+        One with few values, and these, over which intervals are averaged, of an effect
+        with one coefficient.
     cyclic : tuple of str
         Angles [rad], the same again after a turn.
     jumping : tuple of str
@@ -469,7 +469,7 @@ class Shaped(Effect):
     shape_units: tuple = ()
     continuous: tuple[str, ...] = ()
     positive: tuple[str, ...] = ()
-    neutral: tuple = ()
+    averaged: tuple = ()
     cyclic: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
     partners: tuple[str, ...] = ()

@@ -155,6 +155,7 @@ class Stribeck(Shaped):
     contains = ("coulomb", "viscous")
     continuous = ("vs",)
     shape_units = (("vs", SPEED), ("k", ("", "")))
+    averaged = ("k", (1, 2))
     positive = ("vs",)
     depends = ("direction",)
     seen_over = "speed"

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import special, stats
+from scipy.special import softmax
 from sklearn.base import clone
 
-from sklearn_vbjfa._core._linear_systems import block_variance
+from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.robot._equations import TorqueResiduals, held_columns, make_motion
 from sklearn_vbjfa.robot._joint_moments import BlockAssignment
@@ -17,6 +18,10 @@ from sklearn_vbjfa.robot._joint_moments import BlockAssignment
 _UPPER_END = 0.95
 # Relative step of the derivative by a shape parameter.
 _STEP = 1e-3
+# Where the shape of another form of an effect is looked for, over that of this one; and
+# the smallest eigenvalue of what is known of the others, over the largest.
+_WAYS = tuple(np.geomspace(1 / 3, 3.0, 21).tolist())
+_RANK = 1e-10
 # Time for which errors are predicted [s].
 NEXT_SECONDS = 50.0
 # Slowest cosines of time whose mean square is the long-run variance. Few of them leave
@@ -42,6 +47,9 @@ class EffectEstimate:
     shape: tuple  # shape parameters that were tuned
     covariance: np.ndarray  # (k + n_shape, k + n_shape)
     freedom: float  # of the covariance
+    # other forms of the effect, of which `Shaped.averaged` tells: their probabilities
+    # and parameters
+    forms: tuple = ()
 
 
 def added_effects(identifier, count):
@@ -175,9 +183,58 @@ class FinalFit:
                 covariance=covariance[place, place],
                 # A column that the recording does not excite has none.
                 freedom=float(np.fmin.reduce(found.freedom[place], initial=np.inf)),
+                forms=self._forms(i, covariance[place, place]),
             )
-            for coef, shape, place in zip(coefs, shapes, places)
+            for i, (coef, shape, place) in enumerate(zip(coefs, shapes, places))
         ]
+
+    def _forms(self, i, covariance):
+        """Other forms of an effect of one column, with what each makes of the data."""
+        effect, view = self.effects[i], self.view
+        if not (isinstance(effect, Shaped) and effect.averaged):
+            return ()
+        form, values = effect.averaged
+        (name,), j = effect.continuous, effect.joint
+        values = [value for value in values if value != getattr(effect, form)]
+        tried = [
+            clone(effect).set_params(**{form: value, name: way * getattr(effect, name)})
+            for value in values
+            for way in _WAYS
+        ]
+        residual, factor = self._scaled_residual()
+        others = [own for k, own in enumerate(self._columns) if k != i]
+        base = np.concatenate(
+            [
+                view.Z.transpose(1, 0, 2),
+                *(own * view.root[:, :, None] for own in others),
+            ],
+            axis=2,
+        )
+        base *= factor[:, None]
+        every = [self._columns[i], *(self.in_equations(one) for one in tried)]
+        C = np.hstack([own[:, j] for own in every]) * (factor * view.root)[:, [j]]
+        y = residual * factor
+        y[:, j] += C[:, 0] * self._split(self.identifier.theta_unconstrained_)[i]
+        flat = base.reshape(-1, base.shape[2])
+        cross, eigen = base[:, j].T @ C, scaled_eigen(flat.T @ flat, _RANK)
+        root = eigen.inverse_root()
+        seen = root.T @ cross
+        H = (C**2).sum(axis=0) - (seen**2).sum(axis=0)
+        q = C.T @ y[:, j] - seen.T @ (root.T @ (flat.T @ y.ravel()))
+        # Evidence is discounted by the scatter between blocks over that of white noise.
+        own = np.atleast_2d(covariance)
+        known = own[0, 0] - own[0, 1] ** 2 / own[1, 1] if len(own) > 1 else own[0, 0]
+        gain = 0.5 * q**2 / H / max(1.0, known * H[0])
+        found, weights = [], [0.0]
+        for k in range(len(values)):
+            at = 1 + k * len(_WAYS)
+            best = at + int(np.argmax(gain[at : at + len(_WAYS)]))
+            one = tried[best - 1]
+            found.append(
+                one.parameters([q[best] / H[best]]) | {name: getattr(one, name)}
+            )
+            weights.append(gain[best] - gain[0])
+        return tuple(zip(softmax(weights)[1:].tolist(), found))
 
     def _slope(self, effect, name, coef):
         """Differentiate an effect's torque by a shape parameter, (m, nv, 1)."""
@@ -190,8 +247,8 @@ class FinalFit:
         above, below = (self.view.in_equations(e, self.motion) @ coef for e in sides)
         return ((above - below) / step)[:, :, None]
 
-    def _variance(self, extra):
-        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
+    def _scaled_residual(self):
+        """Weighted residuals (m, nv), and one over their scale for each joint (nv,)."""
         view = self.view
         theta = self.identifier.theta_unconstrained_
         residual = (view.equations.tau - self._predicted(theta)) * view.root
@@ -199,6 +256,12 @@ class FinalFit:
         squares = (residual**2).sum(axis=0)
         used = (count > 0) & (squares > 0)
         factor = np.sqrt(np.where(used, count / np.where(used, squares, 1.0), 0.0))
+        return residual, factor
+
+    def _variance(self, extra):
+        """Scatter between blocks of the fit with the columns (m, nv, q) of effects."""
+        view = self.view
+        residual, factor = self._scaled_residual()
         grams, scores, places = [], [], []
         for block, place in _blocks(view):
             declared = view.Z[:, block].transpose(1, 0, 2)

@@ -416,6 +416,11 @@ def named_values(effect, estimate):
             values[name] = float(getattr(effect, name))
             own = np.arange(len(covariance)) == k + i
             deviations[name] = _deviation(own.astype(float), covariance)
+    # About the value, of all forms together.
+    for weight, other in estimate.forms:
+        for key, value in other.items():
+            away = np.sqrt(weight) * (value - values[key])
+            deviations[key] = float(np.hypot(deviations[key], away))
     for name, value in effect.shape().items():
         values.setdefault(name, value)
     return values, deviations

@@ -424,8 +424,6 @@ class Path:
                 found = self._refined(rest, [effect])
                 again = self._instants(rest, found, self._family(found))
                 found = self._refined(rest, [found, *again])
-            elif effect.neutral:
-                found = self._refined(rest, [effect])
             else:
                 continue
             members = list(fit.members)

@@ -21,8 +21,6 @@ _STARTS = 3
 _INSTANTS, _AROUND = 9, 0.1
 # Rows left out: so many times as long as between two rows.
 _GAP = 1.5
-# A parameter that does nothing at a value stays there unless so much is gained [nats].
-_NEUTRAL = 2.0
 # Prior deviation of a step, over the way between the grid's points: none.
 _FREE = 1e3
 
@@ -130,8 +128,6 @@ def refined(candidates, trials, motion):
 
 def _plainer(effect, motion):
     """Parameters that need a reason to be left, and how good a one [nats]."""
-    if effect.neutral:
-        return [(dict(effect.neutral), _NEUTRAL)]
     between = _between(motion)
     found = []
     for name in effect.jumping:

@@ -203,13 +203,8 @@ class FinalFit:
         ]
         residual, factor = self._scaled_residual()
         others = [own for k, own in enumerate(self._columns) if k != i]
-        base = np.concatenate(
-            [
-                view.Z.transpose(1, 0, 2),
-                *(own * view.root[:, :, None] for own in others),
-            ],
-            axis=2,
-        )
+        others = [own * view.root[:, :, None] for own in others]
+        base = np.concatenate([view.Z.transpose(1, 0, 2), *others], axis=2)
         base *= factor[:, None]
         every = [self._columns[i], *(self.in_equations(one) for one in tried)]
         C = np.hstack([own[:, j] for own in every]) * (factor * view.root)[:, [j]]

@@ -90,7 +90,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
     Attributes
     ----------
     effects_ : tuple of DiscoveredEffect
-        Reported effects, each with `name`, `joint` (from zero), `log_odds` (natural
+        Reported effects, those that reduce the cross-validated error the most first,
+        each with `name`, `joint` (from zero), `log_odds` (natural
         logarithm of the posterior odds), `probability`, `rivals` (effects that could
         replace it within three nats), `parameters`, `units`, `intervals` (90 %), and
         `ranges` (of the fitted motion). The values are those of `identifier_`.

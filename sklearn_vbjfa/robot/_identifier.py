@@ -295,7 +295,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     bodies act on the joints that move them, tau = A' Phi(A q + b) pi; see `effects_`.
 
     The regressor matrix is reduced to second moments piece by piece, unless `regressor`
-    needs the equations themselves.
+    needs the equations themselves. Beyond 50,000 rows, its rigid-body columns are
+    computed from at least five samples per filtered row.
 
     `theta_std_` compares the observed scatter between forty blocks of time with that
     expected for white residuals (a block sandwich estimate with Student's t). If a

@@ -13,6 +13,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     ParameterValue,
     Provenance,
     RecordedMotion,
+    ResidualCurves,
     SpectrumCurves,
     TimeLine,
     TorqueCurves,
@@ -21,6 +22,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     curves_over,
 )
 from sklearn_vbjfa.effects import Ripple
+from sklearn_vbjfa.robot import BodyMass
 from tests.diagnosis.report._outcomes import make_outcome
 
 FILES = ("report.json", "parameters.csv", "identified.urdf")
@@ -89,11 +91,22 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         )
         for j in range(nv)
     )
+    residuals = tuple(
+        ResidualCurves(
+            joint=j,
+            predicted=speed[:200],
+            residual=0.1 * rng.standard_normal(200),
+            lags=0.01 * np.arange(40),
+            correlation=0.9 ** np.arange(40),
+            chance=0.1,
+        )
+        for j in range(nv)
+    )
     line = TimeLine(
         torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
     )
     drawn = {"effects": tuple(curves), "line": line}
-    drawn |= {"friction": friction, "spectra": spectra}
+    drawn |= {"friction": friction, "spectra": spectra, "residuals": residuals}
     values = {
         "effects": tuple(
             replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects
@@ -113,6 +126,11 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
                 ("m", 1.25, "yes"),
                 ("viscous", np.nan, "in combination"),
             )
+        ),
+        "bodies": tuple(
+            BodyMass(joint=j, name=name, mass=1.5, std=0.1, nominal=1.2, known=known)
+            for j, name in enumerate(names)
+            for known in (("yes", "in combination")[j % 2],)
         ),
         "recorded": RecordedMotion(samples=4000, seconds=20.0, rate=200.0),
         "recordings": ("slow", "fast"),

@@ -248,7 +248,7 @@ def test_currents_are_a_drive(command, signed, run, told, currents):
         page = Path("arm-report/report.html").read_text(encoding="utf-8")
         assert "torques are computed from the input of the motor" in page
         with open("arm-report/report.json") as file:
-            spread = json.load(file)["spread"]
+            spread = [one["spread"] for one in json.load(file)["errors"]]
         sizes = [currents[f"current_{x}"].std() * CONSTANTS[x] for x in CONSTANTS]
         assert spread == pytest.approx(sizes, rel=0.2)
 

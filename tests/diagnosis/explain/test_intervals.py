@@ -16,7 +16,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     error_intervals,
     named_values,
 )
-from sklearn_vbjfa.effects import AsymmetricFriction
+from sklearn_vbjfa.effects import AsymmetricFriction, Stribeck
 from sklearn_vbjfa.robot import FitOptions, TorqueResiduals
 from tests.diagnosis._recordings import SPRINGY, named, record
 from tests.effects._arms import arm, inverse_dynamics, motion
@@ -308,3 +308,15 @@ def test_of_two_effects_with_a_constant_one_is_told_with_it():
     assert low - 0.5 * (high - low) < truth < high + 0.5 * (high - low)
     ((other, lost),) = constants - {(name, key)}
     assert by_name[other].parameters[lost] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_forms_widen_the_interval_by_how_far_their_values_are():
+    known = {"coef": np.array([0.3]), "shape": ("vs",), "freedom": 30.0}
+    known["covariance"] = np.diag([0.03, 0.04]) ** 2
+    effect = Stribeck(vs=0.2)
+    alone = named_values(effect, EffectEstimate(**known))[1]
+    forms = ((0.25, {"Fs": 0.22, "vs": 0.26}),)
+    both = named_values(effect, EffectEstimate(**known, forms=forms))[1]
+    assert_allclose(alone["Fs"], 0.03, rtol=1e-6)
+    assert_allclose(both["Fs"], np.sqrt(0.03**2 + 0.25 * 0.08**2), rtol=1e-6)
+    assert_allclose(both["vs"], np.sqrt(0.04**2 + 0.25 * 0.06**2), rtol=1e-6)

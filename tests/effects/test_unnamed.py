@@ -1,0 +1,91 @@
+"""Unnamed joint torque: its terms, its place in a robot, and when it is not there."""
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+pytest.importorskip("pinocchio")
+
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, load_identified
+from sklearn_vbjfa.effects import MaxwellSlip, Ripple, Spring, UnnamedTorque
+from tests.effects._arms import arm, inverse_dynamics, motion
+
+T, X = motion(1, duration=40.0, dt=0.02, seed=5)
+Q, V, _ = np.split(X, 3, axis=1)
+MODEL = arm("Y")
+NOISE = 0.02 * np.random.default_rng(3).normal(size=Q.shape)
+
+
+def recorded(torque):
+    """Measured torques of an arm with a further torque."""
+    return inverse_dynamics(MODEL, X) + 0.5 * V + torque + NOISE
+
+
+def step(q):
+    """Torque of a detent, which the library lacks."""
+    return 2.0 * np.tanh(8 * np.sin(2.2 * q))
+
+
+@pytest.mark.parametrize("of", UnnamedTorque.kinds)
+def test_columns_are_the_weighted_terms_of_library_effects(of):
+    effect = UnnamedTorque(of=of, reach=2.0, fast=3.0)
+    states, given = X[:200], {"load": 2.0 * X[:200, :1]}
+    terms = np.hstack([p.fit(states).transform(states, **given) for p in effect.parts])
+    effect.weights = tuple(np.arange(1.0, terms.shape[1] + 1))
+    found = effect.fit(states).transform(states, **given)
+    assert_allclose(found[:, 0], terms @ effect.weights)
+
+
+def test_position_terms_are_a_spring_and_three_ripples():
+    spring, *ripples = UnnamedTorque(of="position", reach=2.0).parts
+    assert isinstance(spring, Spring)
+    assert [r.period for r in ripples if isinstance(r, Ripple)] == [4.0, 2.0, 1.0]
+
+
+def test_an_unknown_quantity_is_refused():
+    with pytest.raises(ValueError, match="one of"):
+        UnnamedTorque(of="time").fit(X)
+
+
+@pytest.fixture(scope="module")
+def robot():
+    parts = (
+        UnnamedTorque(of="position", weights=(0.5, 0.1, *6 * [0.2]), reach=1.5),
+        UnnamedTorque(of="memory", weights=(0.3, 0.2, 0.1, 0.4), reach=1.5),
+    )
+    torque = sum(part.fit_transform(X) for part in parts)
+    robot = RobotIdentifier(MODEL, dt=0.02, friction=("viscous",), effects=parts)
+    return robot.fit(Q, recorded(torque))
+
+
+def test_shares_are_found_and_saved(robot, tmp_path):
+    shares = dict(zip(robot.parameter_names_, robot.theta_))
+    found = [value for name, value in shares.items() if "unnamed" in name]
+    assert_allclose(found, 1.0, atol=0.1)
+    robot.save(tmp_path / "robot.json")
+    read = load_identified(tmp_path / "robot.json")
+    assert_allclose(read.predict(Q), robot.predict(Q))
+    expected = read.predict(X)
+    read.reset()
+    one_by_one = [read.step(*np.split(row, 3)) for row in X[:100]]
+    assert_allclose(one_by_one, expected[:100], atol=1e-9)
+
+
+def test_it_is_simulated(robot):
+    memory = MaxwellSlip(displacements=robot.effects_[1].parts[0].displacements)
+    assert not robot.robot_.left_out_
+    states = robot.simulate(np.zeros((20, 1)), q0=[0.3])
+    assert np.isfinite(states).all()
+    assert memory.coefficients == ("F1", "F2", "F3", "F4")
+
+
+def test_a_search_adds_it_only_where_something_is_left():
+    for torque, wanted in ((0.0 * Q, False), (step(Q), True)):
+        robot = RobotIdentifier(MODEL, dt=0.02, friction=("viscous",))
+        loop = EffectDiscovery(robot, random_state=0, max_effects=0)
+        loop.fit(Q, recorded(torque))
+        assert loop.effects_ == ()
+        assert bool(loop.report_.outcome.unnamed) == wanted
+        assert ("unnamed" in loop.report_.to_html().lower()) == wanted
+        if wanted:
+            assert loop.error_after_[0] < 0.8 * loop.error_plain_[0]

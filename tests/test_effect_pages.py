@@ -62,7 +62,9 @@ def test_a_page_has_its_parts_and_links_to_others(name):
 @pytest.mark.parametrize("name", NAMES)
 def test_what_stands_in_a_formula_is_a_parameter_or_is_explained(name):
     use = USES[name]
-    told = page(name) + " ".join(explanation(type(use.effect)))
+    said = explanation(type(use.effect))
+    assert "---" not in " ".join(said)
+    told = page(name) + " ".join(said)
     parameters = effect_facts.parameters_of(use)
     formula = effect_facts.symbols(use.effect.formula)
     explained = effect_facts.symbols(

@@ -143,9 +143,9 @@ def about_effect(effect):
 
 
 def explanation(kind):
-    """Return what a class says it is: its docstring up to the parameters, a tuple."""
+    """Return what a class says it is: its docstring up to the sections, a tuple."""
     text = inspect.getdoc(kind) or ""
-    paragraphs = text.split("\n\nParameters\n")[0].split("\n\n")
+    paragraphs = re.split(r"\n\n\w+\n-{3,}\n", text)[0].split("\n\n")
     return tuple(" ".join(one.split()) for one in paragraphs if one.strip())
 
 

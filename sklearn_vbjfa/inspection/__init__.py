@@ -12,7 +12,7 @@ _MODULES = {
         "refusal",
     ),
     "_motion": ("JointMotion", "motion_of", "one_speed"),
-    "_samples": (
+    "_rows": (
         "at_rest",
         "levels",
         "nothing_moves",
@@ -20,9 +20,8 @@ _MODULES = {
         "shuffled_rows",
         "two_values",
     ),
-    "_reading": ("Reading", "score_of"),
-    "_torques": ("size_message",),
-    "_units": ("most_explaining", "signed_columns"),
+    "_reading": ("Reading",),
+    "_torques": ("most_explaining", "signed_columns", "size_message"),
 }
 __all__ = [
     "ChannelFinding",

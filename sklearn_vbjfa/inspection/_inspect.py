@@ -2,20 +2,14 @@
 
 import numpy as np
 
-from sklearn_vbjfa.inspection import _joints, _scene, _torques, _units
 from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection import _positions, _torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Reading, every, score_of
-from sklearn_vbjfa.inspection._samples import (
-    inspect_samples,
-    shuffled_rows,
-    unlike_channels,
-)
-from sklearn_vbjfa.inspection._signals import Change, long_parts
-from sklearn_vbjfa.inspection._units import counts, unsigned_torques
+from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts
+from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
+from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
 from sklearn_vbjfa.recording import (
-    COMMANDS,
     ChannelFinding,
     RecordingRefused,
     check_dt,
@@ -26,13 +20,7 @@ from sklearn_vbjfa.recording import (
 __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 
 # What was done to a log, and what is looked for once nothing else is found.
-TABLE = (
-    *_units.HYPOTHESES,
-    *_joints.HYPOTHESES,
-    *_torques.HYPOTHESES,
-    *_scene.HYPOTHESES,
-)
-LAST = _scene.LAST
+TABLE = (*_positions.HYPOTHESES, *_torques.HYPOTHESES)
 # What is found of torques whose unit is not N m or N, or not known.
 OF_SIZE = ("torque_unit", "torque_factors", "gear_factor")
 
@@ -116,29 +104,9 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     Returns
     -------
     findings : tuple of ChannelFinding
-        Findings, the worst first. Kinds:
-
-        - errors, which a search for effects would find instead of effects:
-          "shuffled_rows", "wrapped_position", "position_degrees", "position_turns",
-          "position_counts", "position_sign", "position_zeros" of all joints,
-          "velocity_as_position", "copied_position", "copied_torque",
-          "stuck_position", "wrong_dt", "constant_torque", "two_torques" if no torque
-          has more than two values, "still_joint" if no joint moves,
-          "unsigned_torque" if only sizes were logged, "torque_sign", "flipped_joint"
-          (both signs), "swapped_torques", "swapped_positions", "swapped_joints"
-          (both), "velocity_as_torque", "silent_torque", "no_gravity", "gravity_only",
-          "base_orientation";
-        - doubts, which rule out a favourable verdict: "torque_unit" if all torques are
-          another multiple of N m, or the masses of the robot are wrong;
-          "torque_factors" if each joint has a multiple; "gear_factor",
-          "computed_torque", "external_force", "position_zero", "frozen_recording",
-          "held_position", "held_torque", "torque_dropouts", "clipped_torque" of more
-          than few samples, "repeated_rows" if there are many, "wrong_dt" if the motion
-          is merely slower than a robot's, "position_jumps";
-        - warnings: "clipped_torque", "coarse_torque", "delay", "torque_lowpass",
-          "frozen_position", "repeated_rows", "position_spikes", "torque_spikes",
-          "still_joint", and "unverified" for what this motion of this description
-          cannot show.
+        Findings, the worst first. An "error" is what a search for effects would find
+        instead of effects; a "doubt" rules out a favourable verdict; a "warning" is
+        harmless, or says what this motion of this robot cannot show ("unverified").
 
     Notes
     -----
@@ -178,34 +146,35 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
         return in_order(shuffled)
     q, tau = q[rows], tau[rows]
     revolute = ~is_prismatic(model)
-    findings, usable, q = inspect_samples(names, q, tau, dt, parts, rows, revolute)
-    findings += unlike_channels(names, q, tau, dt, parts)
+    findings, usable, q = inspect_rows(names, q, tau, dt, parts, rows, revolute)
     if _names(findings, "velocity_as_torque", "copied_position"):
         return in_order(findings)
-    commanded = drive is not None and drive.told in COMMANDS
-    reading = Reading(model, names, q, tau, dt, parts, usable, commanded=commanded)
-    unsigned = drive is not None and drive.unsigned
-    return in_order(findings + _compared(reading, unsigned))
+    return in_order(
+        findings
+        + _compared(Reading(model, names, q, tau, dt, parts, usable, drive=drive))
+    )
 
 
-def _compared(reading, unsigned):
+def _compared(reading):
     """Return what the description of the robot shows of a log."""
     # Such positions allow no further question, nor do torques without signs.
-    found = counts(reading)
+    found = _positions.counts(reading)
     if found:
         return found
-    without = unsigned_torques(reading)
+    without = _torques.unsigned_torques(reading)
     if without:
-        return [] if unsigned else without
+        return [] if reading.drive is not None and reading.drive.unsigned else without
     if reading.tell_nothing():
-        return _scene.too_fast(reading) + _unverified(reading)
+        return _positions.implausible_speed(reading) + _unverified(reading)
     findings, reading = _examined(reading)
     if reading is None:
         return findings
-    if not findings:
-        findings = _scene.too_fast(reading) or _scene.crawling(reading)
+    findings = findings or _positions.implausible_speed(reading)
     if not any(one.severity == "error" for one in findings):
-        findings += _last(reading)
+        for hypothesis in _torques.LAST:
+            candidate = hypothesis.candidate(reading)
+            if candidate is not None:
+                findings.append(hypothesis.finding(reading, candidate))
     return findings + _unverified(reading)
 
 
@@ -214,33 +183,36 @@ def _examined(reading):
     # Returns findings and the repaired log, None if it cannot be repaired.
     findings = []
     for _ in range(reading.nv + 3):
-        best = _most_probable(reading)
-        if best is None:
+        proposed = [x for x in TABLE if not x.if_poor]
+        proposed = _proposed(reading, proposed)
+        if reading.poor or proposed:
+            proposed += _proposed(reading, [x for x in TABLE if x.if_poor])
+        proposed.sort(key=lambda pair: -pair[1].log_odds)
+        for hypothesis, candidate in proposed:
+            after = reading.changed(candidate.change) if hypothesis.repairs else None
+            if after is None or _scores_better(reading, after):
+                break
+        else:
             break
-        hypothesis, candidate, after = best
-        findings.append(hypothesis.finding(reading, candidate))
+        if not candidate.clear:
+            break
+        rivals = [
+            (one.kind or other.name).partition(":")[0]
+            for other, one in proposed
+            if other is not hypothesis
+            and candidate.log_odds - one.log_odds < number.RIVAL
+        ]
+        findings.append(hypothesis.finding(reading, candidate, rivals))
         if after is None:
             return findings, None
         reading = after
     return findings, reading
 
 
-def _most_probable(reading):
-    """Return the best hypothesis, its candidate and the repaired log; None if none."""
-    proposed = [
-        (hypothesis, candidate)
-        for hypothesis in TABLE
-        if hypothesis.applies(reading)
-        and (candidate := hypothesis.propose(reading)) is not None
-        and candidate.log_odds > number.DECISIVE
-    ]
-    for hypothesis, candidate in sorted(proposed, key=lambda x: -x[1].log_odds):
-        if not hypothesis.repairs:
-            return hypothesis, candidate, None
-        after = reading.changed(candidate.change)
-        if _scores_better(reading, after):
-            return hypothesis, candidate, after
-    return None
+def _proposed(reading, hypotheses):
+    """Return hypotheses that are probable, each with its candidate."""
+    found = [(one, one.candidate(reading)) for one in hypotheses]
+    return [(one, candidate) for one, candidate in found if candidate is not None]
 
 
 def _scores_better(before, after):
@@ -248,54 +220,34 @@ def _scores_better(before, after):
     if after.tell_nothing():
         return False
     robot = DescribedRobot(after.bodies, after.signals, before.robot.times)
-    return score_of(robot).evidence > before.now.evidence
-
-
-def _last(reading):
-    """Return what is looked for in a log that has the right channels."""
-    found = []
-    for hypothesis in LAST:
-        if hypothesis.applies(reading):
-            candidate = hypothesis.propose(reading)
-            if candidate is not None and candidate.log_odds > number.DECISIVE:
-                found.append(hypothesis.finding(reading, candidate))
-    return found
+    return robot.now.evidence > before.robot.now.evidence
 
 
 def _unverified(reading):
     """Say what the description cannot show in this motion."""
-    why = ""
     if reading.bodies.massless:
-        why = "a body of the description has no mass"
+        kind = "unverified:massless"
     elif reading.signals is None or not reading.signals.informative().any():
         return []
     elif reading.bodies.weightless:
-        why = "gravity loads no joint of the description"
-    if why:
-        message = (
-            f"The size and the signs of the torques, the zeros and the direction of "
-            f"gravity cannot be verified from this motion: {why}."
-        )
-        return [ChannelFinding("unverified", every(reading), "warning", message)]
-    return _assumed_order(reading)
-
-
-def _assumed_order(reading):
-    """Say that an order of joints is assumed if the one by name fits as well."""
-    order = np.argsort(reading.names, kind="stable")
-    if (order == np.arange(reading.nv)).all():
+        kind = "unverified:weightless"
+    elif _order_assumed(reading):
+        kind = "unverified:order"
+    else:
         return []
-    for other in (order, np.argsort(order)):
-        score = reading.tried(Change(positions=other, torques=other))
-        if score is None or reading.now.evidence - score.evidence > number.RIVAL:
-            continue
-        message = (
-            "The columns are assumed to be in the order of the description "
-            f"({', '.join(reading.names)}): in the order of the names the torques "
-            "agree as well."
-        )
-        return [ChannelFinding("unverified", every(reading), "warning", message)]
-    return []
+    return [finding(kind, reading.names, reading.every, "warning")]
+
+
+def _order_assumed(reading):
+    """Whether the order of joints by name fits as well as that of the description."""
+    order = np.argsort(reading.names, kind="stable")
+    least = reading.robot.now.evidence - number.RIVAL
+    for other in (order, np.argsort(order)) if (np.diff(order) < 0).any() else ():
+        change = Change(positions=other, torques=other)
+        fit = reading.tried(change, least=least)
+        if fit is not None and fit.evidence > least:
+            return True
+    return False
 
 
 def _names(findings, *kinds):

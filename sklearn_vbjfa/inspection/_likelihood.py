@@ -7,50 +7,26 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._signals import Change
 from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
 
 
-@dataclass(frozen=True, kw_only=True)
-class Fit:
-    """Described bodies and plain terms, fitted to the torques of all joints.
-
-    Attributes
-    ----------
-    evidence : float
-        Logarithm of the marginal likelihood, up to a constant of the torques.
-    factors, covariance : ndarray of shape (m,) and (m, m)
-        Estimates of the factors asked for.
-    noise : ndarray of shape (n_joints,)
-        Residual variances [(N m)^2] of the informative joints.
-    power : ndarray of shape (n_joints,)
-        Mean power that friction takes out of the motion, in standard errors.
-    """
-
-    evidence: float
-    factors: np.ndarray
-    covariance: np.ndarray
-    noise: np.ndarray
-    power: np.ndarray
-
-    @property
-    def errors(self):
-        """Standard errors of the factors, ndarray (m,)."""
-        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+def under_gravity(model, gravity):
+    """Return a copy of a robot under another gravity (3,) [m/s^2]."""
+    model = model.copy()
+    model.gravity.linear = gravity
+    return model
 
 
 class Bodies:
     """Described bodies of a robot, and their regressors by motion and by gravity."""
 
     def __init__(self, model):
-        self.model, self.nv = model, model.nv
-        gravity = np.array(model.gravity.linear)
-        self.size = float(np.linalg.norm(gravity))
-        self.pull = gravity / 9.81
+        self.nv = model.nv
+        self.pull = np.array(model.gravity.linear) / 9.81
         self.parameters = nominal_parameters(model).ravel()
         self.spread = body_spread(model)
         pulls = np.vstack([np.zeros(3), 9.81 * np.eye(3)])
-        made = [TreeRegressor(Change(gravity=x).model(model)) for x in pulls]
+        made = [TreeRegressor(under_gravity(model, x)) for x in pulls]
         # Entries that any motion or any gravity makes nonzero, joint by joint.
         self.support = np.any([x.support for x in made], axis=0)
         self.used = [np.flatnonzero(row) for row in self.support.reshape(self.nv, -1)]
@@ -61,11 +37,10 @@ class Bodies:
     @property
     def weightless(self):
         """Whether gravity loads no joint of the description."""
-        rng = np.random.default_rng(0)
         states = np.zeros((8, 3 * self.nv))
-        states[:, : self.nv] = rng.normal(size=(8, self.nv))
-        load, whole = self.torques(self.whole(states)), self.parameters[::10].sum()
-        return bool(np.abs(load).max(initial=0.0) <= 1e-9 * whole * max(self.size, 1.0))
+        states[:, : self.nv] = np.random.default_rng(0).normal(size=(8, self.nv))
+        load, mass = self.torques(self.whole(states)), self.parameters[::10].sum()
+        return bool(np.abs(load).max(initial=0.0) <= 1e-9 * mass)
 
     @property
     def massless(self):
@@ -80,17 +55,14 @@ class Bodies:
         """Regressor entries of the motion, and of 1 g along each axis."""
         still = states.copy()
         still[:, self.nv :] = 0.0
-        return self._entries(self._motion, states), [
-            self._entries(one, still) for one in self._pulls
-        ]
+        by_gravity = [self._entries(one, still) for one in self._pulls]
+        return self._entries(self._motion, states), by_gravity
 
     def torques(self, entries):
         """Torques (n, nv) of the described bodies from regressor entries."""
+        edges = zip(self.used, self.edges, self.edges[1:])
         return np.column_stack(
-            [
-                self.parameters[used] @ entries[a:b]
-                for used, a, b in zip(self.used, self.edges, self.edges[1:])
-            ]
+            [self.parameters[used] @ entries[a:b] for used, a, b in edges]
         )
 
     def rows_of(self, entries, j):
@@ -98,24 +70,63 @@ class Bodies:
         return entries[self.edges[j] : self.edges[j + 1]].T
 
     def _entries(self, regressor, states):
-        n = len(states)
-        out = np.zeros((self.edges[-1], n))
+        out = np.zeros((self.edges[-1], len(states)))
         places = np.full(self.support.shape, -1)
         places[self.support] = np.arange(self.edges[-1])
         places = np.where(regressor.support, places, -1)
-        regressor.entries(
-            *map(np.ascontiguousarray, np.split(states, 3, axis=1)), places, out
-        )
+        parts = map(np.ascontiguousarray, np.split(states, 3, axis=1))
+        regressor.entries(*parts, places, out)
         return out
+
+
+def body_spread(model):
+    """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
+    parameters = nominal_parameters(model)
+    mass = np.maximum(parameters[:, 0], 0.02 * parameters[:, 0].max() + 1e-12)
+    trace = parameters[:, [4, 6, 9]].sum(axis=1)
+    length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
+    columns = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
+    return number.NOMINAL_ERROR * np.column_stack(columns).ravel()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fit:
+    """Described bodies and plain terms, fitted to the torques of some joints.
+
+    Attributes
+    ----------
+    evidence : float
+        Logarithm of the marginal likelihood of torques in units of their deviations,
+        so that readings in other units and orders can be compared.
+    left : ndarray of shape (n_joints,)
+        Logarithm of the share of each torque's variance that is left.
+    factors, covariance : ndarray of shape (m,) and (m, m)
+        Estimates of the factors asked for.
+    power : ndarray of shape (n_joints,)
+        Mean power that friction takes out of the motion, in standard errors.
+    """
+
+    evidence: float
+    left: np.ndarray
+    factors: np.ndarray
+    covariance: np.ndarray
+    power: np.ndarray
+
+    @property
+    def errors(self):
+        """Standard errors of the factors, ndarray (m,)."""
+        return np.sqrt(np.maximum(np.diagonal(self.covariance), 0.0))
+
+    def fall(self, other):
+        """Sum over joints by which the log squared errors are below another's."""
+        return float(np.sum(other.left - self.left))
 
 
 class DescribedRobot:
     """A described robot in the motion of a log."""
 
     # times (nv,): correlation times [rows] of residuals; readings of one log are only
-    # compared with the same.
-
-    # entries: of the regressors, where another reading has them already.
+    # compared with the same. entries: of the regressors, if they are known.
 
     def __init__(
         self, bodies, signals, times=None, most=number.MOST_FITTED, entries=None
@@ -123,18 +134,15 @@ class DescribedRobot:
         nv = bodies.nv
         thin = int(np.clip(number.MOST_ENTRIES // (nv * nv * 10), number.LEAST, most))
         self.bodies, self.signals = bodies, signals.thinned(thin)
+        self.rows = [np.flatnonzero(w > 0) for w in self.signals.weight.T]
         size = self.signals.now.var(axis=0)
         varies = size > number.LEAST_VARIANCE * size.max(initial=0.0)
-        self.rows = [np.flatnonzero(w > 0) for w in self.signals.weight.T]
-        least = [
-            min(number.ROWS_PER_PARAMETER * used.size, number.ENOUGH_ROWS)
-            for used in bodies.used
-        ]
+        least = number.ROWS_PER_PARAMETER * np.array([x.size for x in bodies.used])
+        least = np.minimum(least, number.ENOUGH_ROWS)
         enough = np.array([rows.size for rows in self.rows]) >= least
         self.joints = np.flatnonzero(self.signals.informative() & varies & enough)
-        if entries is None:
-            entries = bodies.whole(self.signals.states)
-        self.entries = entries
+        whole = entries is None
+        self.entries = bodies.whole(self.signals.states) if whole else entries
         self.times = self.correlation_times() if times is None else times
 
     @functools.cached_property
@@ -166,16 +174,16 @@ class DescribedRobot:
         """Torques (n, nv) of the described bodies by gravity alone."""
         return self.described - self.moving
 
-    @property
-    def information(self):
-        """Independent rows of each informative joint, ndarray (n_joints,)."""
-        return np.array([self.rows[j].size / self.times[j] for j in self.joints])
+    @functools.cached_property
+    def now(self):
+        """`Fit` of the torques as they are."""
+        return self.fit()
 
     @property
-    def variance(self):
-        """Variances of the torques of informative joints, ndarray (n_joints,)."""
-        now = self.signals.now
-        return np.array([now[self.rows[j], j].var() for j in self.joints]) + 1e-300
+    def sizes(self):
+        """Deviation of each torque over that of the described one, ndarray (nv,)."""
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return self.signals.now.std(axis=0) / self.described.std(axis=0)
 
     def fit(
         self,
@@ -186,8 +194,11 @@ class DescribedRobot:
         mean=None,
         columns=None,
         deviation=number.FACTOR,
+        joints=None,
+        least=-np.inf,
     ):
         """Fit torques (n, nv), less a mean; columns (n, nv, m) get factors."""
+        # joints: some only. A fit whose evidence will stay below `least` is given up.
         bodies = self.bodies
         entries = self.entries if entries is None else entries
         tau = self.signals.now if tau is None else tau
@@ -195,64 +206,58 @@ class DescribedRobot:
             mean = scale * bodies.torques(entries)
         n_factors = 0 if columns is None else columns.shape[2]
         prior = np.r_[scale * bodies.spread, np.full(n_factors, deviation)]
-        own = bodies.spread.size + np.arange(n_factors)
+        extra = bodies.spread.size + np.arange(n_factors)
         parts = []
-        for j in self.joints:
-            rows, time = self.rows[j], self.times[j]
-            design, used = bodies.rows_of(entries, j)[rows], bodies.used[j]
+        for j in self.joints if joints is None else joints:
+            rows, used = self.rows[j], bodies.used[j]
+            design = bodies.rows_of(entries, j)[rows]
             if n_factors:
-                design, used = np.hstack([design, columns[rows, j]]), np.r_[used, own]
-            plain, y = self._plain(j)[rows], tau[rows, j]
+                design, used = np.hstack([design, columns[rows, j]]), np.r_[used, extra]
+            y = tau[rows, j]
             wide = number.WIDE * max(np.sqrt(np.mean(y**2)), 1e-300)
-            whole = np.column_stack(
-                [design * prior[used], plain * wide, y - mean[rows, j]]
-            )
-            parts.append((used, whole.T @ whole, rows.size, time, np.var(y) + 1e-300))
-        return _solve(parts, prior, n_factors)
+            plain = wide * self._plain(j)[rows]
+            whole = np.column_stack([design * prior[used], plain, y - mean[rows, j]])
+            moments, variance = whole.T @ whole, np.var(y) + 1e-300
+            parts.append(_Joint(used, moments, rows.size, self.times[j], variance))
+        return _solve(parts, prior, n_factors, least)
 
-    def residual(self, columns=None):
+    def with_times(self, times):
+        """Return the robot with other correlation times (nv,)."""
+        return DescribedRobot(
+            self.bodies, self.signals, times, len(self.signals.row), self.entries
+        )
+
+    def residual(self, columns=None, without=None):
         """Return what bodies that are free for each joint leave of torques, (n, nv)."""
-        # Zero where a joint stands.
+        # Zero where a joint stands. without (n,): rows that are not fitted.
         left = np.zeros(self.signals.now.shape)
         for j in self.joints:
-            rows, solve = self._ridge(j, 1e-6, columns)
-            left[rows, j] = solve(self.signals.now[rows, j])
+            left[self.rows[j], j] = self._left(j, columns, without)
         return left
 
     def errors(self):
         """Relative errors (n_joints,) of torques with bodies free for each joint."""
-        left = self.residual()
-        # Parameters that are fitted explain a part of any noise.
-        left = [
-            left[self.rows[j], j].var() / max(1 - (used.size + 4) / rows.size, 0.1)
-            for j, rows, used in zip(
-                self.joints,
-                (self.rows[j] for j in self.joints),
-                (self.bodies.used[j] for j in self.joints),
-            )
-        ]
-        return np.sqrt(np.array(left) / self.variance)
+        left, errors = self.residual(), []
+        for j in self.joints:
+            rows, now = self.rows[j], self.signals.now[:, j]
+            # Parameters that are fitted explain a part of any noise.
+            free = max(1 - (self.bodies.used[j].size + 4) / rows.size, 0.1)
+            errors.append(left[rows, j].var() / free / (now[rows].var() + 1e-300))
+        return np.sqrt(errors)
 
-    def crossed(self):
-        """Share (n_joints, n_joints) of each torque that the joint's motion leaves."""
-        out, scale = np.empty((self.joints.size,) * 2), np.sqrt(self.variance)
-        torque = self.signals.now[:, self.joints] / scale
-        for place, j in enumerate(self.joints):
-            rows, solve = self._ridge(j, 1e-3)
-            out[place] = (solve(torque[rows]) ** 2).mean(axis=0)
-        return np.maximum(out, 1e-12)
-
-    def _ridge(self, j, share, columns=None):
-        """Rows of a joint, and a function from their torques to residuals."""
-        rows, bodies = self.rows[j], self.bodies
-        rigid = bodies.rows_of(self.entries, j)[rows]
-        others = [] if columns is None else [columns[rows]]
-        X = np.column_stack([rigid, self._plain(j)[rows], *others])
+    def _left(self, j, columns, without):
+        """Return what free bodies leave of one torque, in the joint's rows."""
+        rows, rigid = self.rows[j], self.bodies.rows_of(self.entries, j)
+        others = [] if columns is None else [columns]
+        X = np.column_stack([rigid, self._plain(j), *others])[rows]
         X = X[:, X.any(axis=0)]
         X /= np.sqrt((X**2).mean(axis=0))
-        gram = X.T @ X
-        gram[np.diag_indices_from(gram)] += share * rows.size
-        return rows, lambda y: y - X @ np.linalg.solve(gram, X.T @ y)
+        y, fitted = self.signals.now[rows, j], X
+        if without is not None:
+            fitted = X * ~without[rows, None]
+        gram = fitted.T @ fitted
+        gram[np.diag_indices_from(gram)] += 1e-6 * rows.size
+        return y - X @ np.linalg.solve(gram, fitted.T @ y)
 
     def _plain(self, j):
         """Columns (n, 4) of viscous and Coulomb friction, rotor and offset."""
@@ -283,68 +288,97 @@ def correlation_time(x):
     return max(1.0, 1.0 + 2.0 * float(correlation[1:stop].sum()))
 
 
-def _solve(parts, prior, n_factors):
+class _Joint:
+    """Moments of one joint's equations, its plain terms rotated to be uncorrelated."""
+
+    def __init__(self, used, moments, n, time, variance):
+        # moments: of [bodies | 4 plain terms | torque] of n rows.
+        k = used.size
+        self.used, self.block = used, np.ix_(used, used)
+        self.rows, self.variance = n / time, variance
+        values, turn = np.linalg.eigh(moments[k:-1, k:-1])
+        self.values = np.maximum(values, 0.0) / time
+        rest = np.r_[np.arange(k), len(moments) - 1]
+        self.others = moments[np.ix_(rest, rest)] / time
+        self.crossed = turn.T @ moments[k:-1, rest] / time
+        self._offset = turn[:2], moments[k, k : k + 2] / time
+
+    def marginal(self, noise):
+        """Moments of bodies and torque once plain terms are integrated out."""
+        share = 1 / (noise + self.values)
+        reduced = self.crossed * np.sqrt(share)[:, None]
+        return (self.others - reduced.T @ reduced) / noise, share
+
+    def plain(self, theta, noise):
+        """Estimated plain terms, and the square of what is left."""
+        x = np.r_[theta, -1.0]
+        phi = -(self.crossed @ x) / (noise + self.values)
+        cross = phi @ (self.crossed @ x)
+        return phi, float(x @ self.others @ x + 2 * cross + self.values @ phi**2)
+
+    def power(self, phi, noise, shared):
+        """Mean power of friction in standard errors."""
+        turn, moments = self._offset
+        share = 1 / (noise + self.values)
+        solved = turn @ (share[:, None] * self.crossed[:, :-1])
+        spread = (turn * noise * share) @ turn.T + solved @ shared @ solved.T
+        error = np.sqrt(max(moments @ spread @ moments, 1e-300))
+        return float(moments @ (turn @ phi) / error)
+
+
+def _solve(joints, prior, n_factors, least):
     """`Fit` of joints that share bodies, each with its own plain terms and noise."""
-    # parts: used bodies, moments of [design | plain | torque], rows, correlation time
-    # and variance of the torque of each joint. Noise variances are found by EM.
-    noise = np.array([0.01 * part[-1] for part in parts])
-    p = prior.size
-    blocks = [np.ix_(part[0], part[0]) for part in parts]
-    for last in range(number.ITERATIONS):
-        A, b, plain = np.eye(p), np.zeros(p), []
-        for (used, M, _, time, _), block, variance in zip(parts, blocks, noise):
-            k, w = used.size, 1.0 / (variance * time)
-            H = np.eye(4) + w * M[k:-1, k:-1]
-            solved = np.linalg.solve(H, w * M[k:-1])
-            A[block] += w * (M[:k, :k] - M[:k, k:-1] @ solved[:, :k])
-            b[used] += w * (M[:k, -1] - M[:k, k:-1] @ solved[:, -1])
-            plain.append((H, solved))
+    # Noise variances are found by fixed points of the evidence (MacKay, Bayesian
+    # interpolation, Neural Computation 4, 1992).
+    noise, p = np.array([0.01 * one.variance for one in joints]), prior.size
+    rows = np.array([one.rows for one in joints])
+    for passed in range(number.ITERATIONS):
+        A, b, plain = np.eye(p), np.zeros(p), 0.0
+        for one, variance in zip(joints, noise):
+            M, share = one.marginal(variance)
+            A[one.block] += M[:-1, :-1]
+            b[one.used] += M[:-1, -1]
+            plain += np.log(variance * share).sum()
         covariance = np.linalg.inv(A)
-        theta = covariance @ b
-        before, noise, squares, values = noise, np.empty(len(parts)), [], []
-        for i, (used, M, n, time, variance) in enumerate(parts):
-            k, solved = used.size, plain[i][1]
-            phi = solved[:, -1] - solved[:, :k] @ theta[used]
-            x = np.r_[theta[used], phi, -1.0]
-            squares.append(float(x @ M @ x))
-            values.append(phi)
-            spent = np.sum(covariance[blocks[i]] * M[:k, :k]) / (before[i] * time) + 4.0
-            rows = n / time
-            left = max(rows - min(spent, 0.5 * rows), 1.0)
-            noise[i] = max(squares[i] / time / left, number.LEAST_NOISE * variance)
-        if last and np.allclose(noise, before, rtol=number.CONVERGED):
+        theta, before, noise, misfit = covariance @ b, noise, noise.copy(), 0.0
+        phis = []
+        for i, one in enumerate(joints):
+            phi, square = one.plain(theta[one.used], before[i])
+            spent = np.sum(covariance[one.block] * one.others[:-1, :-1]) / before[i] + 4
+            left = max(one.rows - min(spent, 0.5 * one.rows), 1.0)
+            noise[i] = max(square / left, number.LEAST_NOISE * one.variance)
+            misfit += square / before[i] + phi @ phi
+            phis.append(phi)
+        change = np.log(noise / before)
+        if passed and np.abs(change).max() < number.CONVERGED:
             break
-    evidence, power = -0.5 * (theta @ theta + np.linalg.slogdet(A)[1]), []
-    for i, (used, M, n, time, _) in enumerate(parts):
-        k, (H, solved), phi = used.size, plain[i], values[i]
-        evidence -= 0.5 * n / time * np.log(before[i])
-        evidence -= 0.5 * squares[i] / (before[i] * time)
-        evidence -= 0.5 * (np.linalg.slogdet(H)[1] + phi @ phi)
-        shared = covariance[blocks[i]]
-        power.append(_power(M[k, k : k + 2], phi, H, solved[:2, :k], shared))
+        if passed > 1 and np.isfinite(least):
+            # Each further pass changes noise by less than the one before.
+            gain = rows @ np.maximum(-change, 0.0)
+            size = [one.variance for one in joints]
+            evidence = _evidence(theta, A, plain, misfit, rows, before / size)
+            if evidence + gain < least:
+                break
+    size = np.array([one.variance for one in joints])
+    evidence = _evidence(theta, A, plain, misfit, rows, before / size)
+    power = [
+        one.power(phi, variance, covariance[one.block])
+        for one, phi, variance in zip(joints, phis, before)
+    ]
     # Friction takes power out of a motion; what feeds it is unlikely.
     friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
-    own = slice(p - n_factors, p)
+    factors = slice(p - n_factors, p)
     return Fit(
         evidence=float(evidence + friction),
-        factors=theta[own] * prior[own],
-        covariance=covariance[own, own] * np.outer(prior[own], prior[own]),
-        noise=noise,
+        left=np.log(noise / size),
+        factors=theta[factors] * prior[factors],
+        covariance=covariance[factors, factors]
+        * np.outer(prior[factors], prior[factors]),
         power=np.array(power),
     )
 
 
-def _power(moments, phi, H, solved, shared):
-    """Mean power of friction (2,) in standard errors."""
-    spread = np.linalg.inv(H)[:2, :2] + solved @ shared @ solved.T
-    return float(moments @ phi[:2] / np.sqrt(max(moments @ spread @ moments, 1e-300)))
-
-
-def body_spread(model):
-    """Prior standard deviations of all inertial parameters, ndarray (10 nv,)."""
-    parameters = nominal_parameters(model)
-    mass = np.maximum(parameters[:, 0], 0.02 * parameters[:, 0].max() + 1e-12)
-    trace = parameters[:, [4, 6, 9]].sum(axis=1)
-    length = np.maximum(np.sqrt(np.maximum(0.5 * trace / mass, 0.0)), 0.05)
-    columns = [mass] + 3 * [mass * length] + 6 * [mass * length**2]
-    return number.NOMINAL_ERROR * np.column_stack(columns).ravel()
+def _evidence(theta, A, plain, misfit, rows, noise):
+    """Logarithm of the marginal likelihood; noise: over each torque's variance."""
+    bodies = theta @ theta + np.linalg.slogdet(A)[1] - plain
+    return -0.5 * (bodies + misfit + rows @ np.log(noise))

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._signals import filtered, long_parts
+from sklearn_vbjfa.inspection._reading import filtered, long_parts
 from sklearn_vbjfa.model import (
     TreeRegressor,
     is_prismatic,

@@ -8,7 +8,7 @@ import numpy as np
 # it is reported, and log odds within which two are rivals.
 PRIOR = -np.log(100.0)
 DECISIVE = 5.0
-RIVAL = 3.0
+RIVAL = np.log(19.0)
 # Standard errors of a 90 % interval.
 INTERVAL = 1.645
 # Another reading must lower the squared errors of all joints by this factor [log], ...
@@ -19,6 +19,12 @@ CLEAR_OF_JOINT = np.log(4.0)
 # error. All orders of up to so many joints are tried if half of them have more than
 # the next one: single swaps help little before most joints are in place.
 GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
+# Changes of one kind that the likelihood is computed of, and pairs of joints whose
+# exchange is examined by each of two rankings.
+MOST_LIKELY, MOST_PAIRS = 6, 40
+# In the rough score of changes, described torques of another sign count as an error of
+# four times this share of their square.
+ROUGH_PRIOR = 0.05
 # Places by which all columns may be shifted: columns that belong to no joint may stand
 # before the first one.
 ROLLED = 3
@@ -48,14 +54,14 @@ NO_WEIGHT = 0.5
 # which the search finds among its rivals), pulls as gravity does to this factor, and in
 # no direction is its pull less certain than this [g].
 TURNED, AS_HEAVY, UNSHOWN = np.radians(45.0), 1.5, 0.5
-# A scale with a larger error [log] is not shown.
-SHOWN = 1.0
 # Sample periods that are tried, as multiples.
 PERIODS = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3)
 # A joint without a speed limit does not move faster than this [rad/s, m/s], nor any
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.
 FASTEST_TURN, FASTEST_SLIDE, TOO_FAST, SPEED_SAMPLES = 60.0, 10.0, 5.0, 5
+# No other period is offered at which a joint exceeds its limit by this factor.
+PLAUSIBLE = 2.0
 # A robot that is slower than its limits by this factor hardly moves, and motions are
 # seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
 TOO_SLOW, LONG_PERIOD = 0.01, 0.15
@@ -64,8 +70,8 @@ TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # are followed by so many moves. Time constants of a low-pass, over the lag.
 LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
 # A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
-# for about one of these parts of the log.
-CONTACT, CONTACT_PARTS = 3.0, (3, 6, 12)
+# for this part of the log at least.
+CONTACT, SHORTEST_CONTACT = 3.0, 20
 
 # -- positions and torques without a likelihood ----------------------------------------
 
@@ -74,14 +80,14 @@ CONTACT, CONTACT_PARTS = 3.0, (3, 6, 12)
 LARGEST_TURN, FAR_BEYOND = 25.0, 5.0
 # Encoder counts are whole numbers that span at least this range.
 FEWEST_COUNTS = 25.0
-# Integrated velocities stay within this multiple of a joint's range; where the model
-# has no limits, the range is taken to be this many radians or metres. Their means are
-# at most this share of their standard deviation.
-RANGE_MARGIN, RANGE_TURN, RANGE_SLIDE, LARGEST_MEAN = 1.25, 4 * np.pi, 5.0, 0.5
 # Signs must lower the squared error of a torque of one sign by this factor, and both
 # must be had by this share of the rows. A joint turns round between speeds of at least
 # this share of its fastest.
 SIGN_GAIN, RARE, STANDS = 2.0, 0.02, 0.05
+# Rows with which signs are looked for, most rounds, and dry friction to begin with, in
+# root mean squares of the rigid bodies' torque.
+LOOKED_AT, SIGN_ROUNDS = 20_000, 50
+DRY_STARTS = (0.0, 0.25, 0.5, 1.0, 2.0, 4.0, np.inf)
 
 # -- likelihood ------------------------------------------------------------------------
 
@@ -97,6 +103,8 @@ WIDE, FACTOR = 10.0, 1e3
 FRICTION = 15.0
 # Iterations of the noise, the relative change that ends them, and passes of factors.
 ITERATIONS, CONVERGED, PASSES = 20, 1e-2, 6
+# Change [log] of a factor that ends the passes.
+SETTLED = 0.05
 # Least variances, relative to a torque's and to the largest of all torques.
 LEAST_NOISE, LEAST_VARIANCE = 1e-6, 1e-12
 # Autocorrelation at which residuals count as independent.
@@ -135,7 +143,7 @@ TURN_LEFT = 0.15
 FEWEST_REPEATED, REPEATED_SHARE, MANY_REPEATED = 3, 0.002, 0.1
 # The logger was frozen if this many rows are equal while a joint moves at this share of
 # its speed over this many samples right before and right after them.
-FROZEN_ROWS, HELD_SPEED, FROZEN_BESIDE = 5, 0.1, 3
+FROZEN_ROWS, HELD_SPEED, BESIDE = 5, 0.1, 3
 # Steps of this multiple of the channel's resolution are not rounding; the rate of a
 # channel takes at least this many of them, and this share of all, most of which must
 # come equally often.
@@ -153,17 +161,12 @@ PLATEAU, PLATEAU_RUN, PLATEAU_RUNS, LONG_PLATEAU, DENSITY = 1e-3, 5, 3, 12, 8.0
 # Clipped samples are a doubt from this share of a torque's: on simulated arms, 0.3 % of
 # them raise the error of no joint by more than 3 %, and 1 % of them by up to 70 %.
 MANY_CLIPPED = 0.005
-# A torque of zero is a dropout if it lasts for this many samples, and the value before
-# or after is this many times the usual step and this share of the spread; in at least
-# this many places both are.
-DROPOUT_RUN, DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 3, 4.0, 0.05, 3
+# Torques of zero are dropouts if the values before and after are this many times the
+# usual step and this share of the spread, in at least this many places.
+DROPOUT_STEP, LEAST_DROPOUT, DROPOUT_RUNS = 4.0, 0.05, 3
 # A torque is stuck if it keeps a value for this many samples, and repeats itself no
 # more often than this in the others.
 STUCK_RUN, STUCK_REPEATS = 50, 0.1
-# Repeated positions are a dropout if the motion around them covers this many standard
-# deviations of the noise and the step after them is this many times the others, in runs
-# of at least this length, of a joint that moves at this share of its speed.
-FROZEN_TRAVEL, FROZEN_STEP, FROZEN_RUN, FROZEN_SPEED = 6.0, 2.5, 3, 0.02
 # A stop of a joint within one sample takes this many times its usual acceleration and
 # lasts this many samples; all of them are this share of the recording.
 SUDDEN, LEAST_STOP, STUCK_SHARE, USUAL = 3.5, 10, 0.03, 0.99
@@ -177,9 +180,7 @@ SAME = 0.02
 # -- what a motion shows ---------------------------------------------------------------
 
 # A joint has one speed if this share of its moving time, about the middle, lies in a
-# range of this share of the speed: speeds that are even in it deviate by a tenth of
-# their mean, and Coulomb friction, which is the line through them at no speed at all,
-# is ten times less certain than the friction at that speed.
+# range of this share of the speed: even speeds deviate by a tenth of their mean then.
 MIDDLE, ONE_SPEED = 0.8, np.sqrt(12.0) / 10.0
 # What saturates after a reversal must have done so in either direction several times.
 FEW_REVERSALS = 10

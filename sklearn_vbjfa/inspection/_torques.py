@@ -1,17 +1,19 @@
-"""Hypotheses on torques: their size, and what they leave out."""
+"""Hypotheses on torques: signs, size, weight, direction of gravity, lag, contact."""
 
 import numpy as np
+import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
-from sklearn_vbjfa.inspection._reading import (
+from sklearn_vbjfa.inspection._hypotheses import (
     Candidate,
     Hypothesis,
-    every,
-    of,
-    score_of,
+    judged,
+    odds,
 )
-from sklearn_vbjfa.inspection._signals import Change
-from sklearn_vbjfa.recording import listed_joints
+from sklearn_vbjfa.inspection._reading import Change
+from sklearn_vbjfa.inspection._sentences import SENTENCES, finding, percent
+from sklearn_vbjfa.model import TreeRegressor, nominal_parameters
+from sklearn_vbjfa.recording import UNSIGNED, listed_joints
 
 # Torque in N m is this many times a number in the unit.
 _UNITS = {
@@ -25,235 +27,203 @@ _UNITS = {
     "gf cm": 9.80665e-5,
 }
 
+# -- signs -----------------------------------------------------------------------------
+
+
+def _signs(reading):
+    """Return the torques whose signs are wrong: one, some, or all."""
+    robot, nv, tau = reading.robot, reading.nv, reading.robot.signals.now
+    judge = robot.joints[robot.errors() < number.WORST].tolist()
+    if not judge:
+        return None
+
+    def fit(wrong):
+        return robot.fit(tau=tau * _negative(wrong, nv).scale, joints=judge)
+
+    def score(wrong):
+        found = fit(wrong)
+        against = {j for j, power in zip(judge, found.power) if power < -number.SURE}
+        # A sign that friction contradicts is not a wrong one.
+        if not against & wrong:
+            scores[frozenset(wrong)] = found
+
+    # Joint by joint, with bodies of their own; those that this leaves open together.
+    gain = {j: _of_other_sign(robot, j) for j in judge}
+    turned = {j for j in judge if gain[j] > number.DECISIVE}
+    unclear = {j for j in judge if abs(gain[j]) <= number.DECISIVE}
+    now = fit(())
+    scores = {frozenset(): now}
+    for wrong in (turned, *(turned | {j} for j in unclear), turned | unclear):
+        if wrong and frozenset(wrong) not in scores:
+            score(wrong)
+    most = max(x.evidence for x in scores.values())
+    near = [x for x, one in scores.items() if one.evidence > most - number.RIVAL]
+    # That all signs are wrong is likelier than that those are right which do not show.
+    every = frozenset(judge)
+    best = every if every in near else min(near, key=len)
+    if not best:
+        return None
+    joints = reading.every if best == every else tuple(sorted(best))
+    hidden = [j for j in joints if j not in turned] if best == every and nv > 1 else []
+    also = listed_joints(reading.names, hidden)
+    also = f" As all that can be seen are wrong, so is the sign of {also}." * bool(
+        hidden
+    )
+    change = _negative(joints, nv)
+    return Candidate(
+        change=change,
+        joints=joints,
+        log_odds=odds(scores[best], now, nv if len(best) == 1 else 1),
+        fall=scores[best].fall(now),
+        remedy={"gains": tuple(change.scale.tolist())},
+        facts={"also": also},
+    )
+
+
+def _of_other_sign(robot, j):
+    """Return what the other sign of one torque gains, with bodies of its own."""
+    tau = robot.signals.now
+    return robot.fit(tau=-tau, joints=[j]).evidence - robot.fit(joints=[j]).evidence
+
+
+def _negative(joints, nv):
+    return Change(scale=np.where(np.isin(np.arange(nv), list(joints)), -1.0, 1.0))
+
 
 # -- size ------------------------------------------------------------------------------
 
 
-def factor_of(robot):
-    """Factor of all torques against the described ones, and its relative error."""
-    factor, nothing = 1.0, np.zeros_like(robot.signals.now)
-    columns = robot.described[:, :, None]
+def _scaled(reading):
+    """Return all torques over a factor against the described ones."""
+    robot = reading.robot
+    sizes = robot.sizes[robot.joints]
+    sizes = sizes[np.isfinite(sizes) & (sizes > 0)]
+    factor = float(np.median(sizes)) if sizes.size else 1.0
+    columns, nothing = robot.described[:, :, None], np.zeros_like(robot.described)
     for _ in range(number.PASSES):
-        fit = robot.fit(scale=abs(factor), mean=nothing, columns=columns)
-        factor = float(fit.factors[0])
+        fit = robot.fit(scale=factor, mean=nothing, columns=columns)
+        before, factor = factor, float(fit.factors[0])
         if factor <= 0:
-            return 0.0, np.inf
-    return factor, float(fit.errors[0]) / factor
+            return None
+        if abs(np.log(factor / before)) < number.SETTLED:
+            break
+    if 1 / number.SCALE < factor < number.SCALE:
+        return None
+    error = float(fit.errors[0]) / factor
+    return Candidate(
+        change=Change(scale=1 / factor),
+        joints=reading.every,
+        log_odds=odds(robot.fit(scale=factor), robot.now),
+        facts=_size_facts(factor, error, reading.nv),
+    )
+
+
+def _size_facts(factor, error, n_joints):
+    # error: standard error of the logarithm.
+    low, high = (factor * np.exp(x * number.INTERVAL * error) for x in (-1.0, 1.0))
+    units = " or ".join(name for name, x in _UNITS.items() if low < 1 / x < high)
+    unknown = ', or --gain unknown (Python: gains="unknown")' if n_joints > 1 else ""
+    return {
+        "factor": factor,
+        "low": low,
+        "high": high,
+        "what": "motor currents, or in another unit"
+        if factor < 1
+        else "in another unit",
+        "inside": f" ({units} would be inside)" if units else "",
+        "gain": 1 / factor,
+        "unknown": unknown,
+    }
 
 
 def size_message(factor, error, n_joints):
     """Say that all torques are so many times the described ones."""
-    # error: standard error of the logarithm.
-    low, high = (factor * np.exp(x * number.INTERVAL * error) for x in (-1.0, 1.0))
-    inside = [name for name, x in _UNITS.items() if low < 1 / x < high]
-    unit = f" ({' or '.join(inside)} would be inside)" if inside else ""
-    what = (
-        "motor currents, or in another unit than N m"
-        if factor < 1
-        else "in another unit than N m"
-    )
-    unknown = ', or --gain unknown (Python: gains="unknown")' if n_joints > 1 else ""
-    return (
-        f"All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) times what "
-        f"the described masses require: they are {what}{unit}, or the described masses "
-        f"are wrong. Give the factor to N m (--gain {1 / factor:.3g}){unknown}; if "
-        'they are N m, use --bodies free (Python: bodies="free").'
-    )
+    return SENTENCES["torque_unit"].format(**_size_facts(factor, error, n_joints))
 
 
-def _scaled(reading):
-    """Return all torques over a factor."""
-    factor, error = factor_of(reading.robot)
-    if factor == 0.0 or 1 / number.SCALE < factor < number.SCALE:
-        return None
-    score = score_of(reading.robot, reading.robot.fit(scale=factor))
-    return Candidate(
-        change=Change(scale=1 / factor),
-        joints=every(reading),
-        log_odds=of(score, reading.now, 1),
-        values={"factor": factor, "error": error},
-    )
-
-
-def _say_scaled(reading, candidate):
-    values = candidate.values
-    return size_message(values["factor"], values["error"], reading.nv)
-
-
-def _factors(robot):
-    """Factor of each joint's torque (nv,), and its error; nan where nothing is said."""
-    nv = robot.bodies.nv
-    columns = np.zeros((*robot.described.shape, nv))
-    columns[:, np.arange(nv), np.arange(nv)] = robot.described
-    factors = np.ones(nv)
+def _scaled_each(reading):
+    """Return torques of which one has another factor than the rest, or all have."""
+    robot, nv = reading.robot, reading.nv
+    columns = np.einsum("nj,jk->njk", robot.described, np.eye(nv))
+    factors = np.where(np.isfinite(robot.sizes) & (robot.sizes > 0), robot.sizes, 1.0)
     for _ in range(number.PASSES):
         tau = robot.signals.now / factors
         fit = robot.fit(tau=tau, mean=np.zeros_like(tau), columns=columns)
         error = number.INTERVAL * fit.errors
-        # Of joints that the masses hardly load, nothing is said.
+        # Of joints that the masses hardly load, nothing is shown.
         known = (fit.factors > 2 * error) & (error < 1.0)
-        factors = factors * np.where(known, fit.factors, 1.0)
-    return np.where(known, factors, np.nan)
-
-
-def _scaled_each(reading):
-    """Return torques with a different factor on each joint."""
-    robot = reading.robot
-    factors = _factors(robot)
-    known = np.isfinite(factors)
+        more = np.where(known, fit.factors, 1.0)
+        factors = factors * more
+        if np.abs(np.log(more)).max() < number.SETTLED:
+            break
     if known.sum() < 2:
         return None
-    # Of many, a single one that is off is another finding.
-    ordered = np.sort(factors[known])
-    ordered = ordered[1:-1] if ordered.size > 3 else ordered
-    if ordered[-1] < number.SCALE * ordered[0]:
+    logs = np.log(factors[known])
+    away = np.abs(logs - np.median(logs)) > np.log(number.SINGLE)
+    if away.sum() == 1 and known.sum() > 2:
+        # A doubt and not an error: a description with invented inertias looks the same.
+        j = int(np.flatnonzero(known)[away][0])
+        change = Change(scale=np.where(np.arange(nv) == j, 1 / factors[j], 1.0))
+        ratio = 1 / factors[j]
+        ratio = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"
+        facts = {"factor": factors[j], "ratio": ratio}
+        return judged(reading, change, variants=nv, kind="gear_factor", facts=facts)
+    # The factors of many hold two that are off by chance.
+    ordered = np.sort(logs)[1:-1] if logs.size > 3 else np.sort(logs)
+    if ordered[-1] - ordered[0] < np.log(number.SCALE):
         return None
-    whole = np.where(known, factors, np.exp(np.log(factors[known]).mean()))
-    change = Change(scale=1 / whole)
-    score = reading.tried(change)
-    return score and Candidate(
-        change=change,
-        joints=every(reading),
-        log_odds=of(score, reading.now, 1),
-        values={"factors": factors},
-    )
-
-
-def _say_each(reading, candidate):
-    factors = candidate.values["factors"]
+    change = Change(scale=1 / np.where(known, factors, np.exp(logs.mean())))
     each = ", ".join(
-        f"{reading.names[j]} {factors[j]:.2g}"
-        for j in np.flatnonzero(np.isfinite(factors))
+        f"{reading.names[j]} {factors[j]:.2g}" for j in np.flatnonzero(known)
     )
-    return (
-        "The torques have different factors against what the described masses require "
-        f"({each}): motor currents, or shares of each joint's rated torque. Give the "
-        'factors to N m (--gain), or --gain unknown (Python: gains="unknown").'
-    )
-
-
-def _scaled_one(reading):
-    """Return the torque of one joint over a factor that differs from the others'."""
-    # A doubt and not an error: a description with invented inertias looks the same.
-    robot, best = reading.robot, None
-    now, nv = robot.signals.now, reading.nv
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = now.std(axis=0) / robot.described.std(axis=0)
-    for j in robot.joints:
-        others = [sizes[k] for k in robot.joints if k != j and np.isfinite(sizes[k])]
-        middle = float(np.median(others)) if others else 1.0
-        if not np.isfinite(sizes[j]) or sizes[j] <= 0:
-            continue
-        if 1 / number.SINGLE < sizes[j] / max(middle, 1e-300) < number.SINGLE:
-            continue
-        factor = _factor_of_joint(robot, j, sizes[j])
-        if factor is None or 1 / number.SINGLE < factor < number.SINGLE:
-            continue
-        change = Change(scale=np.where(np.arange(nv) == j, 1 / factor, 1.0))
-        score = reading.tried(change)
-        if score is None:
-            continue
-        log_odds = of(score, reading.now, nv)
-        if best is None or log_odds > best.log_odds:
-            best = Candidate(
-                change=change,
-                joints=(int(j),),
-                log_odds=log_odds,
-                values={"factor": factor},
-            )
-    return best
-
-
-def _factor_of_joint(robot, j, factor):
-    """Factor of one torque, about a first value; None if it is not shown."""
-    columns = np.zeros((*robot.described.shape, 1))
-    columns[:, j, 0] = robot.described[:, j]
-    mean = robot.described.copy()
-    mean[:, j] = 0.0
-    for _ in range(number.PASSES):
-        tau = robot.signals.now.copy()
-        tau[:, j] /= factor
-        fit = robot.fit(tau=tau, mean=mean, columns=columns)
-        if not fit.factors[0] > 2 * number.INTERVAL * fit.errors[0]:
-            return None
-        factor *= float(fit.factors[0])
-    return factor
-
-
-def _say_one(reading, candidate):
-    (j,), factor = candidate.joints, candidate.values["factor"]
-    ratio = f"{1 / factor:.3g}" if factor < 1 else f"1/{factor:.3g}"
-    return (
-        f"The torque of {reading.names[j]} is {factor:.3g} times what the masses of "
-        "the robot description require: torque of the motor instead of the joint, a "
-        f"current, or another unit? Multiply it by the gear ratio (about {ratio} would "
-        "fit)."
-    )
+    return judged(reading, change, joints=reading.every, facts={"each": each})
 
 
 def _silent(reading):
     """Return a torque that does not follow a motion that should load it."""
     robot = reading.robot
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = robot.signals.now.std(axis=0) / robot.described.std(axis=0)
+    sizes = robot.sizes
+    # Nor does it follow the motion of another joint, as if they were exchanged.
+    least = 2 * np.log(number.UNRELATED)
+    follows = (reading.rough_crossed < least).any(axis=0)
+    follows = set(reading.few.joints[follows].tolist())
     for j, error in zip(robot.joints, robot.errors()):
+        if j in follows:
+            continue
         others = [k for k in robot.joints if k != j and np.isfinite(sizes[k])]
         usual = min(np.median(sizes[others]), 1.0) if others else 1.0
         if sizes[j] < number.SILENT * usual and error > number.UNRELATED:
-            return Candidate(
-                change=Change(),
-                joints=(int(j),),
-                log_odds=np.inf,
-                values={"size": sizes[j]},
-            )
+            facts = {"size": sizes[j]}
+            return Candidate(joints=(int(j),), log_odds=np.inf, facts=facts)
     return None
-
-
-def _say_silent(reading, candidate):
-    (j,) = candidate.joints
-    return (
-        f"The torque of {reading.names[j]} does not follow the motion and is "
-        f"{candidate.values['size']:.2g} times what the description requires: only "
-        "noise was recorded. Check the cable or the column, or leave the joint out "
-        "(--joints)."
-    )
 
 
 def _commanded(reading):
     """Return commanded torques whose order of magnitude contradicts the model."""
-    now, described = reading.robot.signals.now, reading.robot.described
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sizes = now.std(axis=0) / described.std(axis=0)
-    joints = [j for j in reading.robot.joints if np.isfinite(sizes[j])]
+    sizes = reading.robot.sizes
+    joints = [int(j) for j in reading.robot.joints if np.isfinite(sizes[j])]
     middle = float(np.median(sizes[joints])) if joints else 1.0
     if 1 / number.COMMANDED < middle < number.COMMANDED:
         return None
     return Candidate(
         change=Change(scale=1 / middle),
-        joints=tuple(int(j) for j in joints),
+        joints=tuple(joints),
         log_odds=np.inf,
-        values={"factor": middle, "name": "gear_factor"},
-    )
-
-
-def _say_commanded(reading, candidate):
-    return (
-        f"The commanded torques are {candidate.values['factor']:.2g} times those of "
-        "the described robot, in the median over the joints: check the numbers of the "
-        "drive (--drive)."
+        kind="gear_factor:commanded",
+        facts={"factor": middle, "numbers": reading.drive.numbers},
     )
 
 
 # -- weight ----------------------------------------------------------------------------
 
 
-def loaded(robot, weight):
+def _loaded(robot, weight):
     """Joints that weights (n, nv) load, and the largest weight."""
     heavy = np.abs(weight).max(axis=0)
     return [int(j) for j in robot.joints if heavy[j] > 0.1 * heavy.max()], heavy.max()
 
 
-def as_springs(robot):
+def _as_springs(robot):
     """Return the evidence for springs between all joints, the weight as described."""
     # In a small motion the lack of weight, or its turn, is linear in the positions.
     nv, tau = robot.signals.now.shape[1], robot.signals.now
@@ -266,55 +236,44 @@ def as_springs(robot):
 
 def _weightless(reading):
     """Return torques without the weight of the links."""
-    robot = reading.robot
-    down, moving, weight = robot.bodies.pull, robot.moving, robot.weight
-    columns, share, scale = np.stack([moving, weight], axis=-1), 1.0, 1.0
-    nothing = np.zeros_like(moving)
+    robot, down, share, scale = reading.robot, reading.bodies.pull, 1.0, 1.0
+    moving, weight = robot.moving, robot.weight
+    columns, nothing = np.stack([moving, weight], axis=-1), np.zeros_like(moving)
     for _ in range(number.PASSES):
         entries = robot.pulled(share * down)
         fit = robot.fit(entries, scale=scale, mean=nothing, columns=columns)
         error = number.INTERVAL * fit.errors
-        # Slow motion does not show the scale: it is that of N m then.
-        shown = fit.factors[0] > 2 * error[0]
-        scale = float(fit.factors[0]) if shown else 1.0
-        share = float(fit.factors[1]) / scale
-    least = number.NO_WEIGHT if shown else 0.1 * number.NO_WEIGHT
-    if abs(share) + error[1] / scale > least:
+        # What may be N m is, and slow motion does not show the scale.
+        part = float(fit.factors[0])
+        shown = part > 2 * error[0]
+        scale = part if shown and not 1 / number.SCALE < part < number.SCALE else 1.0
+        before, share = share, float(fit.factors[1]) / scale
+        if share - error[1] / scale > number.NO_WEIGHT:
+            return None
+        if abs(share - before) < number.SETTLED * error[1] / scale:
+            break
+    if abs(share) + error[1] / scale > number.NO_WEIGHT:
         return None
     # Without any weight, or with that of the description taken off.
-    added = robot.fit(tau=robot.signals.now + scale * weight, scale=scale)
+    added = robot.fit(mean=scale * moving, scale=scale)
     without = robot.fit(robot.pulled(0 * down), scale=scale)
-    described = robot.fit(scale=scale)
-    joints, heavy = loaded(robot, weight)
-    # What balances a single joint is likelier a spring.
-    severity = "doubt" if len(joints) < 2 else "error"
     best = max(without, added, key=lambda fit: fit.evidence)
-    if as_springs(robot) > best.evidence - number.RIVAL:
+    # As little weight have torques in another unit, if inertia does not show that.
+    small = robot.fit(scale=share).evidence if share > 0 and not shown else -np.inf
+    if max(_as_springs(robot), small) > best.evidence - number.RIVAL:
         return None
-    now = max(reading.now.evidence, score_of(robot, described).evidence)
+    now = max(robot.now.evidence, robot.fit(scale=scale).evidence)
+    joints, heavy = _loaded(robot, weight)
+    # What balances a single joint is likelier a spring.
+    severity, other = "error", ""
+    if len(joints) < 2:
+        severity, other = "doubt", " Or a spring balances it."
+    facts = {"share": share, "error": error[1] / scale, "heavy": heavy, "other": other}
     return Candidate(
-        change=Change(gravity=np.zeros(3)),
         joints=tuple(joints),
-        log_odds=score_of(robot, best).evidence - now + number.PRIOR,
-        values={
-            "severity": severity,
-            "share": share,
-            "error": error[1] / scale,
-            "heavy": heavy,
-        },
-    )
-
-
-def _say_weightless(reading, candidate):
-    values = candidate.values
-    other = " Or a spring balances it." if values["severity"] == "doubt" else ""
-    return (
-        f"The torques contain no weight of the links: the factor of gravity is "
-        f"{values['share']:.2f} ± {values['error']:.2f} (described weight: up to "
-        f"{values['heavy']:.3g} N m on "
-        f"{listed_joints(reading.names, candidate.joints)}). "
-        "Controllers that compensate gravity report such torques: log the full torque, "
-        f"or add the weight.{other}"
+        log_odds=best.evidence - now + number.PRIOR,
+        severity=severity,
+        facts=facts,
     )
 
 
@@ -325,55 +284,334 @@ def _static(reading):
     fit = robot.fit(mean=np.zeros_like(robot.moving), columns=columns)
     error = number.INTERVAL * fit.errors
     part, weight = fit.factors
-    if not (abs(part) + error[0] < number.NO_WEIGHT and weight > error[1]):
+    # Or exactly the described weight, though the motion needs more.
+    exact = _share_beside(robot, robot.weight).max() < number.COMPUTED
+    exact &= _share_beside(robot, robot.described).max() > 2 * number.COMPUTED
+    # A model has no friction either.
+    rubs = (fit.power > number.SURE).any()
+    slow = abs(part) + error[0] > number.NO_WEIGHT or weight < error[1]
+    if (slow or rubs) and not exact:
         return None
     still = robot.fit(robot.entries - robot.pulled(np.zeros(3)))
     return Candidate(
-        change=Change(),
-        joints=every(reading),
-        log_odds=of(score_of(robot, still), reading.now, 1),
-        values={"part": part, "error": error[0]},
+        joints=reading.every,
+        log_odds=np.inf if exact else odds(still, robot.now),
+        facts={"part": part, "error": 0.0 if exact else error[0]},
     )
 
 
-def _say_static(reading, candidate):
-    values = candidate.values
-    return (
-        "The torques contain the weight of the links alone: the factor of their "
-        f"inertia is {values['part']:.2f} ± {values['error']:.2f}. A model of gravity "
-        "was logged, not a measurement: log the torques or currents of the motors."
+def _share_beside(robot, torques):
+    """Return how far each torque is from others (n, nv), in its deviations."""
+    left, rows, now = robot.signals.now - torques, robot.rows, robot.signals.now
+    return np.sqrt(
+        [
+            np.mean(left[rows[j], j] ** 2) / (now[rows[j], j].var() + 1e-300)
+            for j in robot.joints
+        ]
     )
 
 
 def _computed(reading):
     """Return torques that are those of the description: no friction, no noise."""
     robot = reading.robot
-    left = robot.signals.now - robot.described
-    share = [
-        np.sqrt(np.mean(left[robot.rows[j], j] ** 2) / variance)
-        for j, variance in zip(robot.joints, robot.variance)
-    ]
-    if len(share) < 2 or max(share) > number.COMPUTED:
+    share = _share_beside(robot, robot.described)
+    # A single joint may well be without friction.
+    if share.size < 2 or share.max() > number.COMPUTED:
+        return None
+    facts = {"share": percent(share.max())}
+    return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
+
+
+def _turned(reading):
+    """Return another orientation of the base than described."""
+    robot, start = reading.robot, reading.bodies.pull
+    usual = np.linalg.norm(start)
+
+    def fitted(pull):
+        entries = robot.pulled(pull)
+        return robot.fit(entries, mean=robot.moving, columns=robot.by_gravity)
+
+    fit = fitted(start)
+    if np.linalg.norm(fit.factors - start) < 0.5 * number.TURNED * usual:
+        return None
+    axes = usual * np.vstack([np.eye(3), -np.eye(3)])
+    pull, turned = _best_pull(robot, start, [fit.factors, *axes])
+    for _ in range(number.PASSES):
+        fit = fitted(pull)
+        pull, better = _best_pull(robot, pull, [fit.factors])
+        if better.evidence < turned.evidence + number.SETTLED:
+            break
+        turned = better
+    # What the motion does not show of the direction stays as described.
+    values, turn = np.linalg.eigh(fit.covariance)
+    shown = turn[:, values < number.UNSHOWN**2]
+    found, hidden = shown @ (shown.T @ fit.factors), start - shown @ (shown.T @ start)
+    size, rest = np.linalg.norm(found), np.linalg.norm(hidden)
+    if rest > 1e-6 * usual:
+        hidden = hidden / rest * np.sqrt(max(usual**2 - size**2, 0.0))
+        size = max(size, usual)
+    pull = found + hidden
+    pull = pull * usual / np.linalg.norm(pull)
+    angle = float(np.arccos(np.clip(pull @ start / usual**2, -1, 1)))
+    # A spring that more than balances a single joint looks the same.
+    if (
+        not 1 / number.AS_HEAVY < size / usual < number.AS_HEAVY
+        or len(_loaded(robot, robot.by_gravity @ pull)[0]) < 2
+    ):
+        return None
+    turned = robot.fit(robot.pulled(pull))
+    shown = ", ".join(f"{x:.2f}" for x in pull / usual)
+    if _as_springs(robot) > turned.evidence - number.RIVAL:
         return None
     return Candidate(
-        change=Change(),
-        joints=every(reading),
-        log_odds=np.inf,
-        values={"share": max(share)},
+        change=Change(gravity=9.81 * pull),
+        joints=reading.every,
+        log_odds=odds(turned, robot.now),
+        clear=angle > number.TURNED,
+        facts={"angle": np.degrees(angle), "pull": shown},
     )
 
 
-def _say_computed(reading, candidate):
-    return (
-        "The torques are those of the description to "
-        f"{100 * candidate.values['share']:.1g} %, without friction: a model was "
-        "logged, not a measurement, and nothing can be identified beyond it. Log the "
-        "torques or currents of the motors."
+def _best_pull(robot, pull, others):
+    """Return the direction of gravity of most evidence, as large, and its fit."""
+    usual = np.linalg.norm(pull)
+    pulls = [pull, *(usual * x / max(np.linalg.norm(x), 1e-300) for x in others)]
+    fits = [robot.fit(robot.pulled(x)) for x in pulls]
+    best = int(np.argmax([one.evidence for one in fits]))
+    return pulls[best], fits[best]
+
+
+# -- lag -------------------------------------------------------------------------------
+
+
+def _lag(reading):
+    """Return a lag common to all torques, or a low-pass of them."""
+    first, error = _slope(reading.robot)
+    if not abs(first) > number.LEAST_LAG * error:
+        return None
+    samples, gained, after = 0.0, 0.0, reading
+    for _ in range(number.MOVES):
+        if after.tell_nothing():
+            return None
+        more, spread, gain = _shift(after.robot)
+        samples, gained = samples + more, gained + gain
+        if np.isfinite(spread):
+            break
+        after = reading.changed(Change(lag=round(samples)))
+    if not abs(samples) > number.LEAST_LAG * spread:
+        return None
+    seconds, error = samples * reading.dt, number.INTERVAL * spread * reading.dt
+    filtered = samples > 0 and _lowpass(reading.robot, samples)
+    # Of the two, a lag is what is corrected; a filter has to be the likelier by far.
+    lowpass = filtered and filtered > gained + number.DECISIVE
+    return Candidate(
+        change=Change(lag=round(samples)),
+        joints=reading.every,
+        log_odds=(filtered if lowpass else gained) + number.PRIOR,
+        kind="torque_lowpass" if lowpass else "delay",
+        value=seconds,
+        facts={
+            "size": 1e3 * abs(seconds),
+            "error": 1e3 * error,
+            "late": "late" if seconds > 0 else "early",
+            "but": "" if lowpass else _others(reading.names, after, reading.dt),
+        },
     )
+
+
+def _others(names, reading, dt):
+    """Name joints whose lag differs from the common one that a reading corrects."""
+    robot, nv = reading.robot, reading.nv
+    columns = -np.einsum("nj,jk->njk", _slopes(robot), np.eye(nv))
+    fit = robot.fit(columns=columns)
+    common = np.median(fit.factors[robot.joints])
+    found = [
+        f"{names[j]} {1e3 * dt * (fit.factors[j] - common):+.2g} ms"
+        for j in robot.joints
+        if abs(fit.factors[j] - common) > number.SURE * fit.errors[j]
+    ]
+    return f", but for {', '.join(found)}" if found else ""
+
+
+def _slopes(robot):
+    """Return derivatives (n, nv) of the torques by the sample."""
+    shifts, tau = robot.signals.shifts, robot.signals.tau
+    middle = shifts.size // 2
+    return (tau[..., middle + 1] - tau[..., middle - 1]) / (2.0 * shifts[middle + 1])
+
+
+def _slope(robot):
+    """Return a small lag [samples] common to all torques, and its error."""
+    fit = robot.fit(columns=-_slopes(robot)[:, :, None])
+    return float(fit.factors[0]), float(fit.errors[0])
+
+
+def _shift(robot):
+    """Return the lag [samples] common to all torques, its deviation and the gain."""
+    # Positive if torques are late. The gain is that of the evidence; the deviation is
+    # infinite where the lag exceeds the shifts.
+    shifts, middle = robot.signals.shifts, robot.signals.shifts.size // 2
+    fits = [robot.fit(tau=x) for x in np.moveaxis(robot.signals.tau, -1, 0)]
+    evidence = np.array([one.evidence for one in fits])
+    best = int(np.argmax(evidence))
+    gain = float(evidence[best] - evidence[middle])
+    step = float(shifts[1] - shifts[0])
+    if best in (0, shifts.size - 1) and fits[best].left.size > 1:
+        return float(shifts[best]), np.inf, gain
+    change = fits[best].left - fits[middle].left
+    shared = (
+        change.size > 1 and (change < 0).mean() > 0.5 and change.max() < number.HARM
+    )
+    if (best != middle and not shared) or not 0 < best < shifts.size - 1:
+        return 0.0, 1.0, 0.0
+    low, high, after = evidence[best - 1 : best + 2]
+    bend = low - 2 * high + after
+    if bend >= 0:
+        return step * (best - middle), step, gain
+    vertex, spread = 0.5 * (low - after) / bend, 1 / np.sqrt(-bend)
+    # The top lies between shifts.
+    gain += 0.25 * (after - low) * vertex
+    return step * (best - middle + vertex), step * spread, gain
+
+
+def _lowpass(robot, samples):
+    """Gain of the evidence by a low-pass of all torques, of some time constants."""
+    # What a filter of first order let through is undone by its derivative.
+    now, slope = robot.signals.now, _slopes(robot)
+    made = [now + part * samples * slope for part in number.CONSTANTS]
+    return max(robot.fit(tau=y).evidence for y in made) - robot.now.evidence
+
+
+# -- contact ---------------------------------------------------------------------------
+
+
+def _contact(reading):
+    """Return an interval in which something else acts on the robot."""
+    robot = reading.few
+    rows, inside = robot.signals.row, np.zeros(len(robot.signals.row), dtype=bool)
+    for _ in range(number.PASSES):
+        before, place = inside, _pushed(robot, inside)
+        inside = np.zeros(rows.size, dtype=bool)
+        inside[slice(*place)] = True
+        if (inside == before).all():
+            break
+    # A contact makes what is left correlated for as long as it lasts.
+    times = robot.correlation_times(inside[:, None].astype(float))
+    robot = robot.with_times(np.minimum(robot.times, times))
+    size = robot.signals.now[:, robot.joints].std(axis=0)
+    columns = np.einsum("n,jk->njk", inside.astype(float), np.eye(reading.nv))
+    fit, now = robot.fit(columns=columns, deviation=size.max()), robot.now
+    push = np.abs(fit.factors[robot.joints]) / (size * np.exp(0.5 * fit.left))
+    felt = robot.joints[push > number.CONTACT]
+    # A force on a link loads the joints before it; friction of a single one varies.
+    if felt.size < min(robot.joints.size, 2):
+        return None
+    if fit.fall(now) < number.CLEAR_OF_JOINT:
+        return None
+    begin, end = (rows[min(k, rows.size - 1)] * reading.dt for k in place)
+    pushes = ", ".join(
+        f"{reading.names[j]} {fit.factors[j]:+.2g} {'N' if slides else 'N m'}"
+        for j, slides in zip(felt, reading.slides[felt])
+    )
+    return Candidate(
+        joints=tuple(felt.tolist()),
+        log_odds=odds(fit, now, rows.size),
+        facts={"begin": begin, "end": end, "pushes": pushes},
+    )
+
+
+def _pushed(robot, inside):
+    """Rows between which constant torques explain most of what bodies leave."""
+    # inside (n,): rows with which the bodies are not fitted.
+    left = robot.residual(without=inside)[:, robot.joints]
+    left = left / np.sqrt(np.maximum((left[~inside] ** 2).mean(axis=0), 1e-300))
+    n, sums = len(left), np.vstack([np.zeros(left.shape[1]), left.cumsum(axis=0)])
+    gain = ((sums[None] - sums[:, None]) ** 2).sum(axis=-1)
+    width = np.arange(n + 1) - np.arange(n + 1)[:, None]
+    allowed = (width >= n // number.SHORTEST_CONTACT) & (width <= n // 2)
+    gain = np.where(allowed, gain / np.maximum(width, 1), -np.inf)
+    return np.unravel_index(np.argmax(gain), gain.shape)
+
+
+# -- torques without signs -------------------------------------------------------------
+
+
+def unsigned_torques(reading):
+    """Find torques of which only sizes were logged."""
+    tau, signals = reading.tau, reading.signals
+    # Where they are, all of one sign are: what loads a joint little shows nothing.
+    one_way = (tau >= 0).all(axis=0) | (tau <= 0).all(axis=0)
+    one_way = np.flatnonzero(one_way & reading.usable.any(axis=0)).tolist()
+    if not one_way or signals is None:
+        return []
+    regressor, bodies = TreeRegressor(reading.model), nominal_parameters(reading.model)
+    explanations = signed_columns(regressor, signals.states, bodies)
+    still = signals.states.copy()
+    still[:, reading.nv :] = 0.0
+    weights = signed_columns(regressor, still, bodies)
+    found = False
+    for j in one_way:
+        columns, sizes = explanations[j], np.abs(signals.now[:, j])
+        more = np.column_stack([columns, weights[j][:, 0]])
+        plain = more @ np.linalg.lstsq(more, sizes)[0]
+        left = ((sizes - plain) ** 2).sum()
+        if left < number.GOOD_FIT**2 * sizes.var() * sizes.size:
+            continue
+        made = columns @ most_explaining(columns, sizes)
+        least = min((made < 0).mean(), (made > 0).mean())
+        signed = ((sizes - np.abs(made)) ** 2).sum()
+        found |= number.SIGN_GAIN * signed < left and least > number.RARE
+    if not found:
+        return []
+    drive = {"drive": UNSIGNED}
+    args = "unsigned_torque", reading.names, one_way, "error"
+    return [finding(*args, remedy=drive, **drive)]
+
+
+def signed_columns(regressor, states, bodies):
+    """Make the columns that torques may consist of, nv arrays (n, 5)."""
+    # regressor: with a method `torques` of bodies (nv, 10). Rigid bodies, dry and
+    # viscous friction, inertia, and an offset.
+    q, v, a = map(np.ascontiguousarray, np.split(states, 3, axis=1))
+    rigid = regressor.torques(q, v, a, np.ascontiguousarray(bodies))
+    columns = rigid, np.sign(v), v, a, np.ones_like(v)
+    return [np.column_stack([x[:, j] for x in columns]) for j in range(v.shape[1])]
+
+
+def most_explaining(columns, sizes):
+    """Coefficients of columns with which signs explain most of sizes (n,), by EM."""
+    # columns: see `signed_columns`. A few thousand rows tell as much as all.
+    some = slice(None, None, max(len(sizes) // number.LOOKED_AT, 1))
+    columns, sizes = columns[some], sizes[some]
+    # All of them but the offset are positive by nature: with the other sign of all,
+    # a torque has the same size.
+    unit = np.sqrt((columns[:, 0] ** 2).mean()) or 1.0
+    both = np.column_stack([columns, -columns[:, -1]])
+    size = np.sqrt((both**2).sum(axis=0))
+    size = np.where(size > 0, size, 1.0)
+    found = []
+    for share in number.DRY_STARTS:
+        start = columns[:, 1] if np.isinf(share) else columns[:, 0]
+        if 0 < share < np.inf:
+            start = start + share * unit * columns[:, 1]
+        signs = np.where(start < 0, -1.0, 1.0)
+        for _ in range(number.SIGN_ROUNDS):
+            coef = scipy.optimize.nnls(both / size, signs * sizes)[0] / size
+            coef = np.append(coef[:-2], coef[-2] - coef[-1])
+            new = np.where(columns @ coef < 0, -1.0, 1.0)
+            if (new == signs).all():
+                break
+            signs = new
+        found.append((((signs * sizes - columns @ coef) ** 2).sum(), len(found), coef))
+    return min(found)[2]
 
 
 def _measured(reading):
     return not reading.commanded
+
+
+def _poor_measured(reading):
+    return _measured(reading) and reading.poor
 
 
 def _measured_weight(reading):
@@ -381,63 +619,18 @@ def _measured_weight(reading):
 
 
 HYPOTHESES = (
-    Hypothesis(
-        name="torque_unit",
-        severity="doubt",
-        applies=_measured,
-        propose=_scaled,
-        message=_say_scaled,
-    ),
-    Hypothesis(
-        name="torque_factors",
-        severity="doubt",
-        applies=_measured,
-        propose=_scaled_each,
-        message=_say_each,
-    ),
-    Hypothesis(
-        name="gear_factor",
-        severity="doubt",
-        applies=_measured,
-        propose=_scaled_one,
-        message=_say_one,
-    ),
-    Hypothesis(
-        name="commanded_size",
-        severity="doubt",
-        applies=lambda reading: reading.commanded,
-        propose=_commanded,
-        message=_say_commanded,
-    ),
-    Hypothesis(
-        name="no_gravity",
-        severity="error",
-        applies=_measured_weight,
-        propose=_weightless,
-        message=_say_weightless,
-    ),
-    Hypothesis(
-        name="gravity_only",
-        severity="error",
-        applies=_measured_weight,
-        propose=_static,
-        message=_say_static,
-        repairs=False,
-    ),
-    Hypothesis(
-        name="computed_torque",
-        severity="doubt",
-        applies=_measured,
-        propose=_computed,
-        message=_say_computed,
-        repairs=False,
-    ),
-    Hypothesis(
-        name="silent_torque",
-        severity="error",
-        applies=_measured,
-        propose=_silent,
-        message=_say_silent,
-        repairs=False,
-    ),
+    Hypothesis("torque_sign", "error", _signs),
+    Hypothesis("torque_unit", "doubt", _scaled, _measured),
+    Hypothesis("torque_factors", "doubt", _scaled_each, _measured),
+    Hypothesis("gear_factor", "doubt", _commanded, lambda reading: reading.commanded),
+    Hypothesis("no_gravity", "error", _weightless, _measured_weight, repairs=False),
+    Hypothesis("gravity_only", "error", _static, _measured_weight, repairs=False),
+    Hypothesis("base_orientation", "error", _turned, _measured_weight),
+    Hypothesis("computed_torque", "doubt", _computed, _measured, repairs=False),
+    Hypothesis("silent_torque", "error", _silent, _measured, repairs=False),
+)
+# Looked for once nothing else is found.
+LAST = (
+    Hypothesis("external_force", "doubt", _contact, _poor_measured, repairs=False),
+    Hypothesis("delay", "warning", _lag, _measured, repairs=False),
 )

@@ -51,6 +51,8 @@ class ChannelFinding:
         Size of the fault in SI units, where it has one: the lag [s] of a "delay".
     remedy : mapping
         Options of `read_recording` that undo the fault; empty for none.
+    rivals : tuple of str
+        Other kinds of faults that explain the log nearly as well.
     """
 
     kind: str
@@ -59,6 +61,7 @@ class ChannelFinding:
     message: str
     value: float = np.nan
     remedy: Mapping = field(default_factory=dict)
+    rivals: tuple[str, ...] = ()
 
 
 def in_order(findings):

@@ -105,11 +105,6 @@ def quarter_turn(q, tau, dt, j, rng):
     return q, tau, dt
 
 
-def velocities(q, tau, dt, j, rng):
-    """Velocities in the columns of positions."""
-    return np.gradient(smooth(q), dt, axis=0), tau, dt
-
-
 # -- several channels ------------------------------------------------------------------
 
 
@@ -242,9 +237,6 @@ FAULTS = {
         kinds=frozenset({"position_zero"}),
         seen_by="geometry",
         revolute=True,
-    ),
-    "velocities as positions": Fault(
-        put=velocities, kinds=frozenset({"velocity_as_position"})
     ),
     "dt in ms": Fault(put=milliseconds, kinds=_DT),
     "rate as dt": Fault(put=hertz, kinds=_DT),

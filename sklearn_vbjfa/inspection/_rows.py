@@ -1,0 +1,533 @@
+"""Faults that the rows of a log show without a robot model: statistics of each channel.
+
+Most are runs of rows in which a channel keeps its value although the robot moves.
+"""
+
+from itertools import pairwise
+
+import numpy as np
+
+from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._sentences import finding, percent
+
+
+class Rows:
+    """Rows of a log, their differences within recordings, and faults found in them."""
+
+    # q [rad or m], tau [N m or N] (n, nv); parts: slices of the recordings, which hold
+    # all rows; rows (n,): row numbers for messages.
+
+    def __init__(self, names, q, tau, dt, parts, rows):
+        self.names, self.q, self.tau = names, q, tau
+        self.dt, self.parts, self.rows = dt, parts, rows
+        self.label = np.repeat(np.arange(len(parts)), [p.stop - p.start for p in parts])
+        self.first = np.isin(np.arange(len(q)), [part.start for part in parts])
+        self.usable = np.ones(q.shape, dtype=bool)
+        self.lost = np.zeros(len(q), dtype=bool)
+        self.still = still_joints(q, parts)
+        self.moving = self.moves(q)
+        self.findings = []
+
+    def steps(self, x):
+        """Return differences to the row before, zero where a recording begins."""
+        step = np.diff(x, axis=0, prepend=x[:1])
+        step[self.first] = 0
+        return step
+
+    def runs(self, flags):
+        """Return first and last row of each run of flags within a recording."""
+        before = np.r_[False, flags[:-1]] & ~self.first
+        starts = np.flatnonzero(flags & ~before)
+        ends = np.flatnonzero(flags & ~np.r_[flags[1:] & ~self.first[1:], False])
+        return list(zip(starts.tolist(), ends.tolist()))
+
+    def together(self, first, last):
+        """Whether two rows exist and are of one recording."""
+        inside = 0 <= first and last < len(self.label)
+        return inside and self.label[first] == self.label[last]
+
+    def moves(self, x):
+        """Return the rows (n,) in which any channel of x (n, m) moves."""
+        moving = np.zeros(len(x), dtype=bool)
+        for part in self.parts:
+            y = x[part]
+            width = max(2, min(20, len(y) // 8))
+            travel = np.zeros(y.shape)
+            travel[width:-width] = np.abs(y[2 * width :] - y[: -2 * width])
+            high = np.maximum(np.quantile(travel, 0.99, axis=0), 1e-300)
+            moving[part] = (travel > 0.02 * high).any(axis=1)
+        return moving
+
+    def report(self, kind, joints, severity, **facts):
+        """Add a finding."""
+        self.findings.append(finding(kind, self.names, joints, severity, **facts))
+
+
+def inspect_rows(names, q, tau, dt, parts, rows, revolute):
+    """Inspect each channel; return findings, sound samples, unwrapped positions."""
+    findings, q = _wrapped_positions(names, q, revolute, parts, rows)
+    log = Rows(names, q, tau, dt, parts, rows)
+    log.findings += findings
+    _rest(log)
+    _repeated_rows(log)
+    held = [_held(log, what, x) for what, x in (("position", q), ("torque", tau))]
+    constant = _constant(log)
+    switched = two_values(names, ~log.still, tau)
+    log.findings += switched
+    for j in np.flatnonzero(~log.still):
+        if not (constant[j] or switched):
+            _torque(log, j, held[1][j])
+        if not held[0][j]:
+            log.usable[_stuck(log, j)] = False
+        log.usable[_jumps(log, j)] = False
+    _copies(log, "position", q)
+    _copies(log, "torque", tau)
+    _velocities(log)
+    log.usable[:, log.still | constant | bool(switched)] = False
+    log.usable[log.lost] = False
+    return log.findings, log.usable, q
+
+
+# -- order and wraps -------------------------------------------------------------------
+
+
+def shuffled_rows(names, q, parts, labels=None):
+    """Find rows of positions (n, nv) that are out of time order; one error or none."""
+    # parts: slices of the recordings; labels (n,): their names, if any.
+    parts = [part for part in parts if part.stop > part.start]
+    pieces, evidence = [np.asarray(q[part]) for part in parts], ""
+    if labels is not None:
+        different = {labels[part.start] for part in parts}
+        many = len(parts) >= number.RUNS_PER_LABEL * len(different)
+        if many and q.shape[0] < number.SHORT_RUN * len(parts):
+            evidence = f"the labels (groups) change {len(parts) - 1} times"
+    sizes = np.array([len(x) for x in pieces])
+    n = int(sizes.sum()) - len(pieces)
+    if not evidence and n >= number.SHORT_RUN:
+        square = sum((np.diff(x, axis=0) ** 2).sum(axis=0) for x in pieces) / n
+        variance = sizes @ np.array([x.var(axis=0) for x in pieces]) / sizes.sum()
+        moves = variance > number.LEAST_MOTION**2
+        least = (square[moves] / (2 * variance[moves])).min(initial=np.inf)
+        if number.SHUFFLED <= least < np.inf:
+            change = np.sqrt(2 * least)
+            evidence = f"positions change by {change:.2g} times their spread in a row"
+    if not evidence:
+        return []
+    joints = range(len(names))
+    return [finding("shuffled_rows", names, joints, "error", evidence=evidence)]
+
+
+def _wrapped_positions(names, q, revolute, parts, rows):
+    """Find angles (n, nv) that jump by a full turn, and unwrap them."""
+    # An error: differentiating across a jump gives speeds of hundreds of rad/s.
+    findings, unwrapped = [], q
+    for turn, name in ((2 * np.pi, "2 pi"), (360.0, "360")):
+        jumps = {int(j): _turns(q[:, j], turn, parts) for j in np.flatnonzero(revolute)}
+        jumps = {j: over for j, over in jumps.items() if over.size}
+        if not jumps:
+            continue
+        unwrapped = unwrapped.copy()
+        for j in jumps:
+            for part in parts:
+                x = np.unwrap(q[part, j], period=turn)
+                # Each recording may begin in another turn.
+                unwrapped[part, j] = x - turn * np.round(x.mean() / turn)
+        joints = list(jumps)
+        facts = {"turn": name, "count": sum(x.size for x in jumps.values())}
+        facts |= {"row": rows[min(x[0] for x in jumps.values())]}
+        facts |= {"at": joints[0] if len(joints) == 1 else joints}
+        options = "" if len(joints) == 1 else ", axis=0"
+        facts |= {"options": options + ("" if turn < 7 else ", period=360")}
+        findings.append(finding("wrapped_position", names, joints, "error", **facts))
+    return findings, unwrapped
+
+
+def _turns(x, turn, parts):
+    """Return the rows after jumps by a full turn."""
+    found = [np.zeros(0, dtype=int)]
+    for part in parts:
+        y = x[part]
+        step = np.diff(y)
+        over = np.flatnonzero(np.abs(step) > (1 - number.TURN_LEFT) * turn)
+        # Steps as large as a turn everywhere are another fault.
+        if not 0 < over.size <= 0.05 * step.size or np.ptp(y) > 1.1 * turn:
+            continue
+        rest = step - turn * np.round(step / turn)
+        usual = np.quantile(np.abs(np.delete(step, over)), 0.999)
+        # After unwrapping, the steps must match those of the motion.
+        over = over[np.abs(rest[over]) <= 3 * usual + 1e-3 * turn]
+        found.append(part.start + over + 1)
+    return np.concatenate(found)
+
+
+# -- rest ------------------------------------------------------------------------------
+
+
+def still_joints(q, parts):
+    """Joints at rest throughout, but for the noise of their positions, (nv,), bool."""
+    pieces = [q[part] for part in parts if part.stop > part.start]
+    bends = [np.diff(x, n=3, axis=0) for x in pieces]
+    # The third difference of white noise has 20 times its variance.
+    count = max(20 * sum(map(len, bends)), 1)
+    noise = np.sqrt(sum((x**2).sum(axis=0) for x in bends) / count)
+    travel = np.max([np.ptp(x, axis=0) for x in pieces], axis=0)
+    return travel <= number.STILL_TRAVEL * noise
+
+
+def at_rest(q, parts):
+    """Whether nothing moves, in rows whose order nobody has examined."""
+    # Rows out of order look like noise as well, but like more of it.
+    still = still_joints(q, parts).all()
+    return bool(still and q.std(axis=0).max() <= number.LEAST_MOTION)
+
+
+def nothing_moves(names, q):
+    """Return the finding that every joint is at rest."""
+    most = int(np.argmax(np.ptp(q, axis=0)))
+    facts = {"name": names[most], "range": np.ptp(q[:, most])}
+    facts |= {"mean": q[:, most].mean()}
+    return finding("still_joint:all", names, range(len(names)), "error", **facts)
+
+
+def _rest(log):
+    """Name joints that never move."""
+    if log.still.all():
+        log.findings.append(nothing_moves(log.names, log.q))
+        return
+    for j in np.flatnonzero(log.still):
+        x = log.q[:, j]
+        facts = {"range": np.ptp(x), "mean": x.mean()}
+        log.report("still_joint", j, "warning", **facts)
+
+
+# -- whole rows ------------------------------------------------------------------------
+
+
+def _repeated_rows(log):
+    """Find rows that equal the row before in every channel amid a motion."""
+    same = (log.steps(np.hstack([log.q, log.tau])) == 0).all(axis=1) & ~log.first
+    speed = number.HELD_SPEED * np.quantile(np.abs(log.steps(log.q)), 0.995, axis=0)
+    found, beside = [], number.BESIDE
+    for a, b in log.runs(same):
+        # Rows a - 1 to b are equal.
+        if not log.together(a - 1 - beside, b):
+            continue
+        into = (log.q[a - 1] - log.q[a - 1 - beside]) / beside
+        fast = np.abs(into) > speed
+        if log.together(b, b + 1 + beside):
+            out = (log.q[b + 1 + beside] - log.q[b + 1]) / beside
+            fast &= (np.abs(out) > speed) & (into * out > 0)
+        elif log.together(b, b + 1):
+            continue
+        if fast.any():
+            found.append((a, b))
+    count = sum(b - a + 1 for a, b in found)
+    longest = max((b - a + 2 for a, b in found), default=0)
+    few = count < max(number.FEWEST_REPEATED, number.REPEATED_SHARE * len(log.q))
+    if not found or (few and longest < number.FROZEN_ROWS):
+        return
+    for a, b in found:
+        log.lost[a : b + 1] = True
+    frozen = longest >= number.FROZEN_ROWS
+    # A few are recognisable from the motion around them; many make the speed and the
+    # sample period wrong.
+    doubt = frozen or count > number.MANY_REPEATED * len(log.q)
+    log.report(
+        "frozen_recording" if frozen else "repeated_rows",
+        range(len(log.names)),
+        "doubt" if doubt else "warning",
+        count=count,
+        share=percent(count / len(log.q)),
+        longest=longest,
+        row=log.rows[found[0][0] - 1],
+    )
+
+
+def _held(log, what, channels):
+    """Find positions or torques that have new values at a lower rate than the rows."""
+    # They lag by half a period and change in steps, which looks like delay, elasticity
+    # and friction at reversals, but they show the recorded motion: a doubt.
+    rates = {j: _rate(log, channels[:, j]) for j in np.flatnonzero(~log.still)}
+    rates = {int(j): rate for j, rate in rates.items() if rate}
+    if rates:
+        k = round(float(np.median(list(rates.values()))))
+        facts = {"k": k, "late": 0.5e3 * (k - 1) * log.dt, "dt": k * log.dt}
+        log.report(f"held_{what}", list(rates), "doubt", **facts)
+    return np.isin(np.arange(len(log.names)), list(rates))
+
+
+def _rate(log, x):
+    """Rows per new value; zero if every row of every recording has one."""
+    found = []
+    for part in log.parts:
+        y = x[part][~log.lost[part]]
+        change = np.flatnonzero(np.diff(y) != 0)
+        if change.size <= number.FEWEST_STEPS:
+            continue
+        steps, gaps = np.abs(y[change + 1] - y[change])[1:], np.diff(change)
+        # A quantised signal changes by its resolution and is constant where it is slow;
+        # steps of several quanta within one row cannot follow rows without any.
+        fast = steps >= number.STEP * np.quantile(steps, 0.02)
+        if fast.sum() < max(number.FEWEST_STEPS, number.STEP_SHARE * steps.size):
+            continue
+        k = np.median(gaps[fast])
+        # If the rates have no integer ratio, some gaps are longer or shorter by a row.
+        regular = (np.abs(gaps[fast] - k) <= 1) & (gaps[fast] >= 2)
+        found += [k] if regular.mean() >= number.SAME_RATE else []
+    return float(np.median(found)) if found else 0.0
+
+
+# -- torques ---------------------------------------------------------------------------
+
+
+def levels(tau):
+    """Lowest, second highest and highest value of each torque, ndarray (3, nv)."""
+    # The second is the lowest where a torque has no third value. Levels of levels are
+    # those of all rows together.
+    low, high = tau.min(axis=0), tau.max(axis=0)
+    return np.stack([low, np.where(tau < high, tau, low).max(axis=0), high])
+
+
+def two_values(names, moves, tau):
+    """Find torques that have two values only, of all joints that move: one or none."""
+    # moves (nv,): which joints move; tau (n, nv), or their `levels`. Where one joint's
+    # torque shows more, those of others are merely coarse.
+    low, second, high = levels(tau)
+    joints = np.flatnonzero(moves & (low < high))
+    if not joints.size or (moves & (low < second)).any():
+        return []
+    j = joints[0]
+    facts = {"low": low[j], "high": high[j]}
+    facts |= {"which": f" of {names[j]}" if joints.size > 1 else ""}
+    return [finding("two_torques", names, joints, "error", **facts)]
+
+
+def _constant(log):
+    """Find torques that are constant, or nothing, while their joints move."""
+    nothing = np.abs(log.tau).max(axis=0) < number.NOTHING
+    constant = ~log.still & ((np.ptp(log.tau, axis=0) == 0) | nothing)
+    joints = np.flatnonzero(constant)
+    if joints.size:
+        values = (0.0 if nothing[j] else log.tau[0, j] for j in joints)
+        values = " or ".join(dict.fromkeys(f"{x:.6g}" for x in values))
+        named = ", ".join(log.names[j] for j in joints)
+        log.report("constant_torque", joints, "error", named=named, values=values)
+    return constant
+
+
+def _torque(log, j, held):
+    """Find torques that are coarse, lost or clipped."""
+    x = log.tau[:, j]
+    if _coarse(log, j, x, held):
+        log.usable[:, j] = False
+        return
+    bad = np.zeros(x.shape, dtype=bool) if held else _lost(log, j, x)
+    log.usable[:, j] &= ~(bad | _clipped(log, j, x, log.moving & ~bad))
+
+
+def _coarse(log, j, x, held):
+    """Find a torque too coarsely quantised to show its shape."""
+    step = np.abs(log.steps(x))[log.moving]
+    changes = step[step > 0]
+    if changes.size == 0:
+        return False
+    same = 1.0 - changes.size / step.size
+    # If the torque mostly stays on one quantisation level, a typical change is one
+    # step; if it is sampled so slowly that it passes several, the smallest change is. A
+    # held value is far from the next one, whatever the resolution.
+    size = np.quantile(changes, 0.5 if same >= 0.5 and not held else 0.02)
+    spread = max(x[log.moving].std(), np.finfo(float).tiny)
+    if size / np.sqrt(12) < number.COARSE * spread:
+        return False
+    log.report("coarse_torque", j, "warning", step=size, spread=spread)
+    return True
+
+
+def _lost(log, j, x):
+    """Find torques that keep a value while their joint moves, as lost readings do."""
+    repeats, step = log.steps(x) == 0, np.abs(log.steps(x))
+    moves = log.moves(log.q[:, [j]]) & ~log.lost
+    # Torques that pass zero slowly stay there, but do not jump there and back.
+    usual = np.median(step[step > 0]) if step.any() else 0.0
+    jump = max(number.DROPOUT_STEP * usual, number.LEAST_DROPOUT * x.std())
+    zeros = [
+        (a, b)
+        for a, b in log.runs((x == 0) & log.moving & ~log.lost)
+        if b - a >= 2 and log.together(a - 1, b + 1)
+    ]
+    both = [(np.abs(x[[a - 1, b + 1]]) > jump).all() for a, b in zeros]
+    found = (
+        [(a, b) for a, b in zeros if (np.abs(x[[a - 1, b + 1]]) > jump).any()]
+        if sum(both) >= number.DROPOUT_RUNS
+        else []
+    )
+    if not found:
+        # What repeats itself everywhere is coarse, and the ends are those of a limit.
+        runs = [(a - 1, b) for a, b in log.runs(repeats & moves & ~log.first)]
+        found = [
+            (a, b)
+            for a, b in runs
+            if b - a + 1 >= number.STUCK_RUN and x[b] not in (x.min(), x.max())
+        ]
+    bad = np.zeros(x.shape, dtype=bool)
+    for a, b in found:
+        bad[a : b + 1] = True
+    if not found or repeats[~bad].mean() > number.STUCK_REPEATS:
+        return np.zeros_like(bad)
+    longest = max(b - a + 1 for a, b in found)
+    log.report(
+        "torque_dropouts",
+        j,
+        "doubt",
+        level=x[found[0][0]],
+        count=len(found),
+        share=percent(bad.mean()),
+        longest=longest * log.dt,
+    )
+    return bad
+
+
+def _clipped(log, j, x, moving):
+    """Find plateaus at the highest or the lowest torque."""
+    bad, ends, longest = np.zeros(x.shape, dtype=bool), [], 0
+    width = number.PLATEAU * np.ptp(x)
+    # If a torque hardly ever repeats a value, one plateau is proof enough.
+    rare = (log.steps(x) == 0).mean() < 0.25
+    # No drive has the limit zero: these are sizes, or readings that were lost.
+    for level in {x.max(), x.min()} - {0.0}:
+        away, found = np.abs(x - level), np.zeros(x.shape, dtype=bool)
+        runs = log.runs((away <= width) & moving)
+        runs = [(a, b) for a, b in runs if b - a + 1 >= number.PLATEAU_RUN]
+        for a, b in runs:
+            found[a : b + 1] = True
+        long = max((b - a + 1 for a, b in runs), default=0)
+        beside = ((away > width) & (away <= 6 * width) & moving).sum() / 5
+        dense = ((away <= width) & moving).sum() >= number.DENSITY * max(beside, 0.5)
+        exact = (x[found] == level).all() and long >= number.LONG_PLATEAU
+        if dense and (len(runs) >= number.PLATEAU_RUNS or (rare and exact)):
+            ends.append(level)
+            bad |= found
+            longest = max(longest, long)
+    if ends:
+        where = " and ".join(f"{level:.4g}" for level in sorted(ends))
+        if len(ends) == 2 and np.isclose(ends[0], -ends[1], rtol=number.PLATEAU):
+            where = f"+-{max(ends):.4g}"
+        facts = {"where": where, "share": percent(bad.mean()), "longest": longest}
+        severity = "doubt" if bad.mean() > number.MANY_CLIPPED else "warning"
+        log.report("clipped_torque", j, severity, **facts)
+    return bad
+
+
+# -- positions -------------------------------------------------------------------------
+
+
+def _stuck(log, j):
+    """Find positions that stop within one sample in the middle of a motion."""
+    x, step = log.q[:, j], log.steps(log.q[:, j])
+    moves = (step[1:] != 0) & (step[:-1] != 0)
+    change, speed = np.abs(np.diff(step))[moves], np.abs(step)
+    bad, others = np.zeros(x.shape, dtype=bool), ~log.still
+    others[j] = False
+    stands = (log.steps(log.q[:, others]) == 0) & ~log.first[:, None]
+    if not change.size:
+        return bad
+    usual = number.SUDDEN * np.quantile(change, number.USUAL)
+    fast, found = max(usual, 0.5 * np.median(speed[speed > 0])), []
+    for a, b in log.runs((step == 0) & ~log.first & ~log.lost):
+        # Rows a - 1 to b are equal.
+        inside = log.parts[log.label[a]]
+        before = speed[max(a - 2, inside.start) : a]
+        around = np.r_[before, speed[b + 1 : min(b + 3, inside.stop)]]
+        # When several joints stop together, the robot paused.
+        pauses = stands[a + 2 : b - 1].all(axis=0).any()
+        sudden = around.max(initial=0.0) > fast
+        if b - a >= number.LEAST_STOP and sudden and not pauses:
+            found.append((a - 1, b))
+            bad[a - 1 : b + 2] = True
+    if found:
+        count = sum(b - a + 1 for a, b in found)
+        first, last = max(found, key=lambda run: run[1] - run[0])
+        longest = last - first + 1
+        facts = {"level": x[first], "longest": longest, "seconds": longest * log.dt}
+        facts |= {"row": log.rows[first], "count": count}
+        severity = "error" if count > number.STUCK_SHARE * len(x) else "warning"
+        log.report("stuck_position", j, severity, **facts)
+    return bad
+
+
+def position_jumps(names, q, parts):
+    """Find jumps of positions (n, nv), as between concatenated recordings."""
+    pieces = [np.asarray(q[part]) for part in parts if part.stop > part.start]
+    whole = np.concatenate(pieces)
+    bends = [np.abs(np.diff(x, 2, axis=0)).max(axis=0, initial=0.0) for x in pieces]
+    # Interpolated, a jump takes two steps.
+    least = 0.4 * number.LEAST_JUMP * np.ptp(whole, axis=0)
+    joints = np.flatnonzero(np.max(bends, axis=0) > least)
+    if not joints.size:
+        return []
+    stops = np.cumsum([0, *map(len, pieces)])
+    parts = [slice(a, b) for a, b in pairwise(stops)]
+    log = Rows(names, whole, whole, 1.0, parts, np.arange(len(whole)))
+    for j in joints:
+        _jumps(log, j)
+    return [one for one in log.findings if one.severity == "doubt"]
+
+
+def _jumps(log, j):
+    """Find steps of a position that its neighbours contradict."""
+    x = log.q[:, j]
+    bad, jumps, least = np.zeros(x.shape, dtype=bool), [], number.LEAST_JUMP * np.ptp(x)
+    for part in log.parts:
+        step = np.diff(x[part])
+        if step.size < number.FEWEST_AROUND:
+            continue
+        # The next steps are left out: an interpolated jump takes two of them.
+        near = [step[:-6], step[1:-5], step[2:-4], step[4:-2], step[5:-1], step[6:]]
+        usual = np.median(near, axis=0)
+        over = np.abs(step[3:-3] - usual)
+        # The quantile keeps the scale above zero if the joint stands.
+        middle, high = np.quantile(over, [0.5, 0.9])
+        scale = max(middle / 0.6745, high / 1.645, np.finfo(float).tiny)
+        far = (over > number.OUTLIER * scale) & (over > least)
+        far &= over > 2.5 * np.abs(usual)
+        jumps += list(part.start + 4 + np.flatnonzero(far))
+    jumps = [k for k in jumps if not (log.lost[k] or log.usable[k].sum() == 0)]
+    if not 0 < len(jumps) <= number.MOST_OUTLIERS * x.size:
+        return bad
+    for k in jumps:
+        bad[max(k - 2, 0) : k + 2] = True
+    # A single wrong sample is a jump there and back.
+    sizes = np.array([x[k] - x[k - 1] for k in jumps])
+    back = abs(sizes.sum()) < 0.5 * abs(sizes[0])
+    kind, severity = ("position_jumps", "doubt")
+    if back:
+        kind, severity = ("position_spikes", "warning")
+    facts = {"count": len(jumps), "step": sizes[0], "row": log.rows[jumps[0]]}
+    log.report(kind, j, severity, **facts)
+    return bad
+
+
+# -- channels that hold another one ----------------------------------------------------
+
+
+def _copies(log, kind, values):
+    """Find channels that equal each other in every row."""
+    moving = np.flatnonzero(np.ptp(values, axis=0) > 0)
+    for place, j in enumerate(moving):
+        same = [k for k in moving[:place] if np.array_equal(values[:, j], values[:, k])]
+        if same:
+            facts = {"first": log.names[same[0]], "second": log.names[j]}
+            log.report(f"copied_{kind}", [same[0], j], "error", **facts)
+
+
+def _velocities(log):
+    """Find torques that are velocities."""
+    inner = [part for part in log.parts if part.stop - part.start > 2]
+    v = [np.gradient(log.q[part], log.dt, axis=0)[1:-1] for part in inner]
+    v, y = np.concatenate(v), np.concatenate([log.tau[part][1:-1] for part in inner])
+    moves = (np.ptp(v, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
+    size = np.maximum((v**2).mean(axis=0), 1e-300)
+    left = np.sqrt(((y - v) ** 2).mean(axis=0) / size)
+    if moves.any() and (left[moves] <= number.SAME).all():
+        facts = {"share": percent(left[moves].max())}
+        log.report("velocity_as_torque", range(len(log.names)), "error", **facts)

@@ -1,0 +1,192 @@
+"""The sentences of all findings, by kind."""
+
+import numpy as np
+
+from sklearn_vbjfa.recording import ChannelFinding, listed_joints
+
+# {who}: the joints by name; {odds}: log odds against the log as it is; {fall}: factor
+# by which the squared torque errors fall. A colon separates a kind from its variant.
+_SWAPPED = (
+    "The {what} of {pair} appear to be swapped: the other way round the squared torque "
+    "errors fall by the factor {fall:.3g} (log odds {odds:.0f}). Exchange the columns."
+)
+_ORDER = (
+    "The columns of {what} are in another order: read as {order} the squared torque "
+    "errors fall by the factor {fall:.3g} (log odds {odds:.0f}). Put them into the "
+    "order of the model, {names}."
+)
+_UNIT = (
+    "The positions of {who} look like {unit}: {name} runs from {low:.4g} to "
+    "{high:.4g}, and in {unit} they explain the torques better (log odds {odds:.0f}). "
+    'Give the mapping "q=q{column} [{short}]" with the names of your columns '
+    "(columns=, or --columns)."
+)
+_UNVERIFIED = (
+    "The size and the signs of the torques, the zeros and the direction of gravity "
+    "cannot be verified from this motion: "
+)
+SENTENCES = {
+    # -- rows
+    "shuffled_rows": "The rows are not in the order of time: {evidence}. Give whole "
+    "recordings as logged, split by time and not at random (shuffle=False), or sort "
+    "them by time.",
+    "wrapped_position": "The position of {who} is wrapped: it jumps by {turn} {count} "
+    "time(s), first to row {row}; unwrap it, q[:, {at}] = numpy.unwrap(q[:, {at}]"
+    "{options}), each recording for itself.",
+    "still_joint": "{who} never moves: its position stays within {range:.3g} of "
+    "{mean:.4g}, which is its noise. Its own parameters are not identifiable: lock it "
+    "in the model or record a motion of it.",
+    "still_joint:all": "No joint moves: each position stays within its noise, that of "
+    "{name} within {range:.3g} of {mean:.4g}. Check the position columns, or record a "
+    "motion that excites the joints.",
+    "repeated_rows": "{count} rows ({share}) equal the row before them in every "
+    "channel though the robot moves, the longest {longest} rows, the first from row "
+    "{row} on: the logger wrote old values. Drop them and resample on the time stamps.",
+    "frozen_recording": "{count} rows ({share}) equal the row before them in every "
+    "channel though the robot moves, the longest {longest} rows, the first from row "
+    "{row} on: the logger was frozen. Drop them and split the recording there "
+    "(groups).",
+    "held_position": "The position of {who} has a new value only every {k} rows: it is "
+    "late by {late:.3g} ms and goes in steps. Keep one row for each new position "
+    "(dt={dt:.6g}), or record it at the full rate.",
+    "held_torque": "The torque of {who} has a new value only every {k} rows: it is "
+    "late by {late:.3g} ms and goes in steps. Keep one row for each new torque "
+    "(dt={dt:.6g}), or record it at the full rate.",
+    "two_torques": "The torque of {who} has two values only ({low:.6g} and {high:.6g}"
+    "{which}): a direction or a switch, and no torque; record the torques themselves.",
+    "constant_torque": "The torques of {named} are constant ({values}) while the "
+    "joints move: nothing was measured there. Log the torques or currents, or lock "
+    "the joints in the model.",
+    "coarse_torque": "The torque of {who} goes in steps of {step:.3g} and has a spread "
+    "of {spread:.3g}: too coarse for an identification. Leave the joint out, or record "
+    "its torque finer.",
+    "torque_dropouts": "The torque of {who} stays at {level:.4g} {count} time(s) while "
+    "the robot moves ({share} of its samples, up to {longest:.3g} s): readings were "
+    "lost. Remove these rows, or record again.",
+    "clipped_torque": "The torque of {who} is clipped at {where}: {share} of its "
+    "samples lie there, up to {longest} in a row. Record with a wider range, or a "
+    "slower motion.",
+    "stuck_position": "The position of {who} stays at {level:.4g} for {longest} rows "
+    "({seconds:.3g} s) from row {row} on and stops or starts within one sample "
+    "({count} rows in all): the encoder was stuck. Leave these rows out.",
+    "position_jumps": "The position of {who} jumps {count} time(s), first {step:.3g} "
+    "to row {row}, which its speed around contradicts: samples were lost. "
+    "Split the recording there (groups).",
+    "position_spikes": "The position of {who} jumps away and back, first "
+    "by {step:.3g} to row {row}: samples are wrong. Interpolate them, or give them no "
+    "weight.",
+    "copied_position": "The position of {second} equals that of {first} in every row: "
+    "one channel was logged twice. Log the other one, or leave the joint out "
+    "(--joints).",
+    "copied_torque": "The torque of {second} equals that of {first} in every row: one "
+    "channel was logged twice. Log the other one, or leave the joint out (--joints).",
+    "velocity_as_torque": "The torques are the velocities of the joints to {share}: "
+    "the wrong columns were taken. Give those of the torques (--columns).",
+    # -- positions and time
+    "position_degrees": _UNIT,
+    "position_turns": _UNIT,
+    "position_counts": "The positions of {who} are neither radians nor degrees: {name} "
+    "has {evidence}, more than it can move; they look like encoder counts. Convert "
+    "them to rad (times 2 pi over the counts of a turn, from the joint's zero).",
+    "position_counts:slide": "The positions of {who} are not in metres: {name} has "
+    "{evidence}, more than it can move; convert encoder counts or millimetres to m.",
+    "position_zero": "The zero of {who} appears to be off by about {off:.0f} degrees: "
+    "with {add:+.0f} degrees added to its position the squared torque errors fall by "
+    "the factor {fall:.3g} (log odds {odds:.0f}). Add them, or, if the robot is "
+    "mounted in another way or carries a tool, correct the model.",
+    "position_zeros": "All positions begin at zero, and the torques require other "
+    "zeros (log odds {odds:.0f}): the encoders were set to zero at power-up. Add to "
+    "the positions, about [rad]: {values}.",
+    "swapped_torques:pair": _SWAPPED,
+    "swapped_positions:pair": _SWAPPED,
+    "swapped_joints:pair": _SWAPPED,
+    "swapped_torques": _ORDER,
+    "swapped_positions": _ORDER,
+    "swapped_joints": _ORDER,
+    "flipped_joint": "{who} turns the other way round in the log than in the model: "
+    "with its position and its torque times -1 the squared torque errors fall by the "
+    "factor {fall:.3g} (log odds {odds:.0f}). Multiply both columns by -1, or turn the "
+    "axis in the model.",
+    "position_sign": "The position of {who} has the wrong sign: with the other one the "
+    "squared torque errors fall by the factor {fall:.3g} (log odds {odds:.0f}). "
+    "Multiply it by -1.",
+    "wrong_dt": "dt={dt:.6g} s is inconsistent with the motion: with a period of "
+    "{period:.2g} s the squared torque errors fall by the factor {fall:.3g} (log odds "
+    "{odds:.0f}){other}; dt is the sample period in seconds.",
+    "wrong_dt:fast": "Implausible speed: with dt={dt:.6g} s {name} moves at "
+    "{speed:.3g} {unit}, and {limit:.3g} would be five times what it can; give dt as "
+    "the sample period in seconds, and positions in rad or m.",
+    "wrong_dt:slow": "dt={dt:.6g} s is inconsistent with the motion: the fastest "
+    "joint, {name}, moves at {speed:.2g} {unit}, far less than it can{other}; dt is "
+    "the sample period in seconds.",
+    # -- torques
+    "torque_sign": "The torque of {who} has the wrong sign: with the other one "
+    "friction, weight and inertia agree with the description (log odds {odds:.0f})."
+    "{also} Multiply it by -1.",
+    "torque_unit": "All torques together are {factor:.3g} ({low:.2g} to {high:.2g}) "
+    "times what the described masses require: they are {what} than N m{inside}, or the "
+    "described masses are wrong. Give the factor to N m (--gain {gain:.3g}){unknown}; "
+    'if they are N m, use --bodies free (Python: bodies="free").',
+    "torque_factors": "The torques have different factors against what the described "
+    "masses require ({each}): motor currents, or shares of each joint's rated torque. "
+    'Give the factors to N m (--gain), or --gain unknown (Python: gains="unknown").',
+    "gear_factor": "The torque of {who} is {factor:.3g} times what the described "
+    "masses require: torque of the motor, a current, or another unit. Multiply it by "
+    "the gear ratio (about {ratio} would fit).",
+    "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
+    "the described robot, in the median over the joints: check {numbers}.",
+    "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
+    "times what the description requires: only noise was recorded. Check the cable or "
+    "the column, or leave the joint out (--joints).",
+    "unsigned_torque": "The torques of {who} have one sign only, and with signs that "
+    "change the motion explains them better: sizes were logged, as of unsigned "
+    'currents. Give --drive "{drive}", which finds the signs (Python: '
+    "drive=CurrentDrive(signed=False)).",
+    "no_gravity": "The torques contain no weight of the links: the factor of gravity "
+    "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on {who})."
+    "{other} Controllers that compensate gravity report such torques: log the full "
+    "torque, or add the weight.",
+    "gravity_only": "The torques contain the weight of the links alone: the factor of "
+    "their inertia is {part:.2f} ± {error:.2f}. A model of gravity was logged, not a "
+    "measurement: log the torques or currents of the motors.",
+    "computed_torque": "The torques are those of the description to {share}, without "
+    "friction: a model was logged, not a measurement, and nothing can be identified "
+    "beyond it. Log the torques or currents of the motors.",
+    "base_orientation": "By the torques, gravity pulls along ({pull}) of the base "
+    "frame, {angle:.0f} degrees from the description: the base is mounted in another "
+    "orientation, as on a wall or a ceiling. Turn it in the description.",
+    "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
+    "(log odds {odds:.0f}){but}: two clocks, or a delay of the torques. The search "
+    "shifts them by this lag.",
+    "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
+    "of about {size:.2g} ms (log odds {odds:.0f}): log them before the filter, or with "
+    "a higher cut-off frequency.",
+    "external_force": "From {begin:.1f} to {end:.1f} s after the start something else "
+    "acts on the robot ({pushes}; log odds {odds:.0f}): a contact, a load, or an "
+    "external force. Leave this interval out.",
+    "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
+    "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
+    "unverified:order": "The columns are assumed to be in the order of the description "
+    "({names}): in the order of the names the torques agree as well.",
+}
+
+
+def finding(
+    kind, names, joints, severity, *, value=np.nan, remedy=None, rivals=(), **facts
+):
+    """Return a finding on some joints, in the words of its kind."""
+    # kind: with a variant, if it has some; rivals: kinds that are nearly as probable.
+    joints = tuple(int(j) for j in np.atleast_1d(joints))
+    facts = {"who": listed_joints(names, joints), "names": ", ".join(names)} | facts
+    message = SENTENCES[kind].format(**facts)
+    if rivals:
+        message += f" Nearly as probable by this log: {', '.join(rivals)}."
+    kind, _, _ = kind.partition(":")
+    return ChannelFinding(
+        kind, joints, severity, message, value, remedy or {}, tuple(rivals)
+    )
+
+
+def percent(share):
+    """Write a share in per cent."""
+    return f"{100 * share:.2g} %"

@@ -379,7 +379,7 @@ def _lost(log, j, x):
         "torque_dropouts",
         j,
         "doubt",
-        level=x[found[0][0]],
+        level=x[found[0][0]] + 0.0,  # no minus before zero
         count=len(found),
         share=percent(bad.mean()),
         longest=longest * log.dt,

@@ -139,8 +139,8 @@ SENTENCES = {
     "times what the description requires: only noise was recorded. Check the cable or "
     "the column, or leave the joint out (--joints).",
     "unsigned_torque": "The torques of {who} have one sign only, and with signs that "
-    "change the motion explains them better: sizes were logged, as of unsigned "
-    'currents. Give --drive "{drive}", which finds the signs (Python: '
+    "change the motion explains them better: their signs were not logged, as of "
+    'unsigned currents. Give --drive "{drive}", which finds the signs (Python: '
     "drive=CurrentDrive(signed=False)).",
     "no_gravity": "The torques contain no weight of the links: the factor of gravity "
     "is {share:.2f} ± {error:.2f} (described weight: up to {heavy:.3g} N m on {who})."

@@ -159,10 +159,12 @@ def _scaled_each(reading):
     if known.sum() < 2:
         return None
     logs = np.log(factors[known])
-    away = np.abs(logs - np.median(logs)) > np.log(number.SINGLE)
-    if away.sum() == 1 and known.sum() > 2:
+    middle = np.array([np.median(np.delete(logs, k)) for k in range(logs.size)])
+    away = np.abs(logs - middle) > np.log(number.SINGLE)
+    one = int(np.argmax(np.abs(logs) * away))
+    if away.any() and np.ptp(np.delete(logs, one)) < np.log(number.SCALE):
         # A doubt and not an error: a description with invented inertias looks the same.
-        j = int(np.flatnonzero(known)[away][0])
+        j = int(np.flatnonzero(known)[one])
         change = Change(scale=np.where(np.arange(nv) == j, 1 / factors[j], 1.0))
         ratio = 1 / factors[j]
         ratio = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"

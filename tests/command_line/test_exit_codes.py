@@ -71,7 +71,7 @@ RECORDINGS = {
     "sound": (lambda x: x, {"": (0, "")}),
     "another unit": (
         lambda x: x | {"tau1": 100 * x["tau1"]},
-        {"": (3, "The torque of shoulder is .* times what the masses of the robot")},
+        {"": (3, "The torque of shoulder is .* times what the described masses")},
     ),
     "torques in another unit": (
         lambda x: x | {k: x[k] / 9 for k in ("tau1", "tau2")},
@@ -88,7 +88,7 @@ RECORDINGS = {
     ),
     "lost readings": (
         lambda x: x | {"tau1": x["tau1"] * (np.arange(N) % 200 >= 20)},
-        {"": (3, "The torque of shoulder drops to exactly 0 and back")},
+        {"": (3, "The torque of shoulder stays at 0 ")},
     ),
     "torques without signs": (
         lambda x: x | {k: np.abs(x[k]) for k in ("tau1", "tau2")},

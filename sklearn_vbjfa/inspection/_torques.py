@@ -156,23 +156,30 @@ def _scaled_each(reading):
         factors = factors * more
         if np.abs(np.log(more)).max() < number.SETTLED:
             break
-    if known.sum() < 2:
+    # Far from those of others, a factor may be uncertain.
+    shown = np.flatnonzero(fit.factors > error)
+    if not shown.size:
         return None
-    logs = np.log(factors[known])
-    middle = np.array([np.median(np.delete(logs, k)) for k in range(logs.size)])
+    logs = np.log(factors[shown])
+    others = [np.delete(logs, k) for k in range(logs.size)]
+    middle = np.array([np.median(x) if x.size else 0.0 for x in others])
     away = np.abs(logs - middle) > np.log(number.SINGLE)
     one = int(np.argmax(np.abs(logs) * away))
-    if away.any() and np.ptp(np.delete(logs, one)) < np.log(number.SCALE):
+    # Of two joints, it is the one whose torque is farther from the described one.
+    if away.sum() == 1 or (away.any() and shown.size == 2):
         # A doubt and not an error: a description with invented inertias looks the same.
-        j = int(np.flatnonzero(known)[one])
+        j = int(shown[one])
         change = Change(scale=np.where(np.arange(nv) == j, 1 / factors[j], 1.0))
         ratio = 1 / factors[j]
         ratio = f"{ratio:.3g}" if ratio > 1 else f"1/{1 / ratio:.3g}"
         facts = {"factor": factors[j], "ratio": ratio}
         return judged(reading, change, variants=nv, kind="gear_factor", facts=facts)
+    if known.sum() < 2:
+        return None
+    logs = np.log(factors[known])
     # The factors of many hold two that are off by chance.
     ordered = np.sort(logs)[1:-1] if logs.size > 3 else np.sort(logs)
-    if ordered[-1] - ordered[0] < np.log(number.SCALE):
+    if np.ptp(ordered) < np.log(number.SCALE):
         return None
     change = Change(scale=1 / np.where(known, factors, np.exp(logs.mean())))
     each = ", ".join(

@@ -275,7 +275,10 @@ class Reading:
     @functools.cached_property
     def few(self):
         """The described robot in fewer rows, for hypotheses with many variants."""
-        return DescribedRobot(self.bodies, self.signals, most=number.MOST_TRIED)
+        few = DescribedRobot(self.bodies, self.signals, most=number.MOST_TRIED)
+        # Short motions have no rows to spare.
+        same = np.array_equal(few.joints, self.robot.joints)
+        return few if same else self.robot
 
     @property
     def poor(self):
@@ -312,7 +315,7 @@ class Reading:
     def robot_at(self, change, *, few=False):
         """Return the described robot in the motion of a change."""
         base = self.few if few else self.robot
-        most = number.MOST_TRIED if few else number.MOST_FITTED
+        most = len(base.signals.row)
         signals = change.signals(base.signals)
         entries = None if change.moves else base.entries
         return DescribedRobot(self.bodies, signals, base.times, most, entries)

@@ -14,7 +14,7 @@ from sklearn_vbjfa.inspection._likelihood import (
     DescribedRobot,
     under_gravity,
 )
-from sklearn_vbjfa.model import is_prismatic
+from sklearn_vbjfa.model import described_torques, is_prismatic
 from sklearn_vbjfa.recording import COMMANDS, contiguous_groups
 
 
@@ -346,7 +346,7 @@ def _left(model, signals, joints, tau):
     nv, weight = model.nv, signals.weight[:, joints].T
     states = np.split(signals.states, 3, axis=1)
     v, a = (x[:, joints] for x in states[1:])
-    bodies = [x[:, joints] for x in _described(model, *states)]
+    bodies = [x[:, joints] for x in described_torques(model, *states)]
     X = np.stack([*bodies, v, signals.sign[:, joints], a, np.ones_like(v)], axis=-1)
     X = X.swapaxes(0, 1) * weight[:, :, None]
     y = np.broadcast_to(tau, (len(v), nv))[:, joints].T * weight
@@ -363,17 +363,6 @@ def _left(model, signals, joints, tau):
         axis=1
     ) * number.ROUGH_PRIOR
     return np.log(np.maximum(left / np.maximum(size, 1e-300), 1e-12))
-
-
-def _described(model, q, v, a):
-    """Return described torques (n, nv) of the motion, and of gravity."""
-    import pinocchio
-
-    data, still = model.createData(), np.zeros(model.nv)
-    rows = zip(q, v, a)
-    whole = np.array([pinocchio.rnea(model, data, *row) for row in rows])
-    weight = np.array([pinocchio.rnea(model, data, x, still, still) for x in q])
-    return whole - weight, weight
 
 
 def _late(tau, samples, parts, usable):

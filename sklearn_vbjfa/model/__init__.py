@@ -27,6 +27,7 @@ _MODULES = {
     "_trees": (
         "body_names",
         "describe",
+        "described_torques",
         "import_pinocchio",
         "in_order",
         "is_prismatic",

@@ -294,6 +294,7 @@ class GearLoss(Effect):
     depends = ("load", "direction")
     seen_over = "load"
     with_motion = True
+    not_simulated = "its direction of power depends on the accelerations"
     visible = "the load is lifted and lowered"
     record = "reversals at two loads, of either sign"
     files = InFiles.nowhere("friction in proportion to the load")

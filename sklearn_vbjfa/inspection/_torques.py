@@ -63,6 +63,10 @@ def _signs(reading):
     best = every if every in near else min(near, key=len)
     if not best:
         return None
+    # Joints that are explained too badly to be judged may say that theirs is right.
+    others = [j for j in robot.joints.tolist() if j not in judge]
+    if sum(_of_other_sign(robot, j) for j in others) < -number.RIVAL:
+        every = frozenset()
     joints = reading.every if best == every else tuple(sorted(best))
     hidden = [j for j in joints if j not in turned] if best == every and nv > 1 else []
     also = listed_joints(reading.names, hidden)

@@ -668,7 +668,7 @@ def swapped(torque):
     ("spoil", "message"),
     [
         (flipped, "torque of joint_2 has the wrong sign"),
-        (constant, r"torque of joint_2 is constant"),
+        (constant, "torques of joint_2 are constant"),
         (swapped, "torques of joint_1 and joint_2 appear to be swapped"),
         (lambda y: y[:, :1], "y must have 2 column"),
         (lambda y: y[:-3], "inconsistent numbers of samples"),

@@ -33,6 +33,7 @@ DEPENDENT = [
     name
     for name in effects.available()
     if set(effects.resolve([name])[0].depends) - {"direction"}
+    and not effects.resolve([name])[0].not_simulated
 ]
 BOUNDED = [name for name in DEPENDENT if effects.resolve([name])[0].growth == "bounded"]
 

@@ -339,6 +339,8 @@ def _solve(joints, prior, n_factors, least):
             A[one.block] += M[:-1, :-1]
             b[one.used] += M[:-1, -1]
             plain += np.log(variance * share).sum()
+        # Columns of wrong units may be so large that rounding exceeds the prior.
+        A[np.diag_indices(p)] *= 1.0 + 1e-11
         covariance = np.linalg.inv(A)
         theta, before, noise, misfit = covariance @ b, noise, noise.copy(), 0.0
         phis = []

@@ -80,7 +80,7 @@ def table(errors):
 
 
 table({f"{name}, package": own.errors for name, own in windows.items()})
-table({"stays": one.staying().errors, "goes on": one.going_on().errors})
+table({name: rival.errors for name, rival in one.rivals.items()})
 
 # %%
 # Simulation by MuJoCo

@@ -243,7 +243,7 @@ def robot(arguments, urdf, joints, folder):
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
     said, base = [], arguments.base_orientation
     try:
-        with _parser_messages(said):
+        with parser_messages(said):
             if joints:
                 load_reduced(urdf, joints, base)
             else:
@@ -283,7 +283,7 @@ def _reduced(urdf, moving, folder, base=None):
 
 
 @contextlib.contextmanager
-def _parser_messages(said):
+def parser_messages(said):
     """Collect what the URDF parser, which is compiled code, writes to stderr."""
     sys.stderr.flush()
     with tempfile.TemporaryFile() as file:

@@ -317,6 +317,17 @@ def _edited(*place, value):
     return change
 
 
+def _parameter(name, value):
+    """Return a change of one parameter of the robot in the file."""
+
+    def change(text):
+        content = json.loads(text)
+        content["theta_"][content["parameters"].index(name)] = value
+        return json.dumps(content)
+
+    return change
+
+
 MODELS = {
     "whole": lambda text: text,
     "empty": lambda text: "",
@@ -327,15 +338,11 @@ MODELS = {
     "deep": lambda text: "[" * 100_000,
     "newer": _edited("version", value=99),
     "no joints": _edited("joints", value=[]),
-    "nan": _edited("parameters", 0, "value", value=float("nan")),
-    "text": _edited("parameters", 0, "value", value="heavy"),
-    "no description": _edited("urdf", value="<robot/>"),
-    "friction that drives": lambda text: re.sub(
-        r'("name": "shoulder:viscous",\s+"value": )[^,]+', r"\1 -1000.0", text
-    ),
-    "no mass": lambda text: re.sub(
-        r'("name": "elbow:m",\s+"value": )[^,]+', r"\1 -2.0", text
-    ),
+    "nan": _parameter("elbow:m", float("nan")),
+    "text": _parameter("elbow:m", "heavy"),
+    "no description": _edited("text", value="<robot/>"),
+    "friction that drives": _parameter("shoulder:viscous", -1000.0),
+    "no mass": _parameter("elbow:m", -2.0),
 }
 
 

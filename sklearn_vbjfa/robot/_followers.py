@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_vbjfa.effects import Effect, InFiles
 from sklearn_vbjfa.model._dynamics import last_body_columns
 from sklearn_vbjfa.model._trees import Tree
+from sklearn_vbjfa.physical import INERTIAL_NAMES
 
 _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
@@ -75,18 +76,7 @@ class Follower(Effect):
     name = "follower"
     label = "body of a joint that follows another joint"
     formula = r"A^{\mathsf T}\Phi_f(Aq + b, A\dot q, A\ddot q)\,\pi_f"
-    coefficients = (
-        "m",
-        "mc_x",
-        "mc_y",
-        "mc_z",
-        "I_xx",
-        "I_xy",
-        "I_yy",
-        "I_xz",
-        "I_yz",
-        "I_zz",
-    )
+    coefficients = INERTIAL_NAMES
     units = (_MASS,) + (_MOMENT,) * 3 + (_INERTIA,) * 6
     visible = "the joint that leads moves"
     whole_robot = True
@@ -122,7 +112,7 @@ class Follower(Effect):
         )
         states = [rate * x[:, joints] for x in (motion.q, motion.v, motion.a)]
         states[0] += offset
-        out = np.zeros((motion.q.shape[0], motion.n_joints, 10))
+        out = np.zeros((motion.q.shape[0], motion.n_joints, len(INERTIAL_NAMES)))
         for joint, factor, own in zip(joints, rate, last_body_columns(tree, *states)):
             out[:, joint] += factor * own
         return out

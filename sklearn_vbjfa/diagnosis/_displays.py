@@ -1,6 +1,7 @@
 """Figures of fitted models and a recording, drawn by Matplotlib."""
 
 import importlib
+from dataclasses import dataclass
 
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
@@ -16,7 +17,8 @@ _POINTS = 4000
 _BINS, _FEWEST = 25, 5
 # Samples beyond this quantile of the residual do not set the scale.
 _QUANTILE = 0.998
-_GREY, _COLOUR, _FLOOR, _MEASURED = "0.72", "tab:blue", "tab:orange", "0.25"
+_COLOURS = {"measured": "0.25", "before": "0.72", "after": "tab:blue"}
+_FLOOR = "tab:orange"
 
 
 class _Display:
@@ -65,26 +67,35 @@ class _Display:
                     f"got {type(estimator).__name__}."
                 )
             models = (estimator.declared_, estimator.identifier_)
-        names, prismatic = models[0].joint_names_, models[0].features_.model_
-        chosen = list(range(len(names)))
-        if joints is not None:
-            chosen = [int(j) for j in joints]
+        robot = models[-1]
+        names, slides = robot.joint_names_, is_prismatic(robot.features_.model_)
+        chosen = [*range(len(names))] if joints is None else [int(j) for j in joints]
         if not chosen or any(not 0 <= j < len(names) for j in chosen):
             raise ValueError(
                 f"joints must be some of 0 to {len(names) - 1}; got {joints!r}."
             )
         found = [m.residuals(X, y, groups, t=t, signals=signals) for m in models]
-        slides = is_prismatic(prismatic)
+        clock = check_clock(t, np.shape(X)[0], robot.dt)
         return cls(
-            **cls._values(models[-1], found, X, groups, t, chosen),
+            **cls._values(robot, found, X, groups, clock, chosen),
             joint_names=tuple(names[j] for j in chosen),
             units=tuple("N" if slides[j] else "N m" for j in chosen),
         )
 
-    def _open(self, ax, shape, **subplots):
-        """Take axes of a shape, or make a figure with them."""
+    def _axes(self, ax, columns, **subplots):
+        """Take axes with one row a joint, or make a figure with them."""
+        shape = len(self.joint_names), columns
         if ax is None:
-            figure, axes = _import_pyplot(type(self).__name__).subplots(
+            name = "matplotlib.pyplot"
+            try:
+                # By name, so that nothing here imports an optional package.
+                pyplot = importlib.import_module(name)
+            except ImportError as error:
+                raise ImportError(
+                    f"{type(self).__name__}.plot needs matplotlib; install it with pip "
+                    "install matplotlib."
+                ) from error
+            figure, axes = pyplot.subplots(
                 *shape, squeeze=False, layout="constrained", **subplots
             )
         else:
@@ -95,24 +106,24 @@ class _Display:
                     f"{axes.size}."
                 )
             figure = axes.flat[0].figure
-        self.figure_, self.axes_ = figure, axes.reshape(shape)
-        self.lines_ = []
+        self.figure_, self.axes_, self.lines_ = figure, axes.reshape(shape), []
+        for own, joint, unit in zip(self.axes_, self.joint_names, self.units):
+            own[0].set_ylabel(f"{joint} [{unit}]")
 
-    def _close(self, ax):
+    def _legend(self, ax):
         """Make one legend of the artists of all axes."""
-        entries = {}
-        for axis in self.axes_.flat:
-            for handle, label in zip(*axis.get_legend_handles_labels()):
-                entries.setdefault(label, handle)
-        place = {"handles": list(entries.values()), "labels": list(entries)}
+        labelled = [axis.get_legend_handles_labels() for axis in self.axes_.flat]
+        entries = {x: handle for own in labelled for handle, x in zip(*own)}
+        handles, labels = list(entries.values()), list(entries)
         if ax is None:
-            place |= {"loc": "outside upper left", "ncols": len(entries)}
-            self.figure_.legend(**place, frameon=False)
+            place = {"loc": "outside upper left", "ncols": len(labels)}
+            self.figure_.legend(handles, labels, frameon=False, **place)
         else:
-            self.axes_.flat[0].legend(**place, fontsize="small")
+            self.axes_.flat[0].legend(handles, labels, fontsize="small")
         return self
 
 
+@dataclass(kw_only=True, eq=False)
 class ResidualDisplay(_Display):
     """Torque residuals against velocity, position, load and time.
 
@@ -153,43 +164,31 @@ class ResidualDisplay(_Display):
     (200, 1)
     """
 
-    def __init__(
-        self,
-        *,
-        residual_before,
-        residual_after=None,
-        signals,
-        joint_names,
-        units,
-        floor=None,
-    ):
-        self.residual_before = residual_before
-        self.residual_after = residual_after
-        self.signals = signals
-        self.joint_names = joint_names
-        self.units = units
-        self.floor = floor
+    residual_before: np.ndarray
+    residual_after: np.ndarray | None = None
+    signals: dict
+    joint_names: tuple
+    units: tuple
+    floor: np.ndarray | None = None
 
     @staticmethod
-    def _values(robot, found, X, groups, t, joints):
+    def _values(robot, found, X, groups, clock, joints):
         """Return the arguments of the display."""
         values = [np.where(r.weight > 0, r.residual, np.nan)[:, joints] for r in found]
         return {
             "residual_before": values[0],
             "residual_after": values[1] if len(values) > 1 else None,
-            "signals": _signals(robot, X, groups, t, found[0].index, joints),
+            "signals": _signals(robot, X, groups, clock, found[0].index, joints),
             "floor": np.asarray(robot.noise_floor_, dtype=float)[joints],
         }
 
-    def plot(self, ax=None, *, scatter_kwargs=None, line_kwargs=None):
+    def plot(self, ax=None):
         """Draw.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
             One row a joint, one column a signal; None makes a figure.
-        scatter_kwargs, line_kwargs : dict, default=None
-            Arguments of matplotlib's ``plot`` for the samples and for the medians.
 
         Returns
         -------
@@ -203,50 +202,42 @@ class ResidualDisplay(_Display):
         ValueError
             If the axes do not match.
         """
-        rows, columns = shape = len(self.joint_names), len(self.signals)
-        size = {"figsize": (3.0 * columns + 0.6, 1.7 * rows + 0.7), "sharey": "row"}
-        self._open(ax, shape, **size)
+        rows, columns = len(self.joint_names), len(self.signals)
+        size = 3.0 * columns + 0.6, 1.7 * rows + 0.7
+        self._axes(ax, columns, figsize=size, sharey="row")
         self.median_lines_ = []
         for j, axes in enumerate(self.axes_):
             for axis, (name, signal) in zip(axes, self.signals.items()):
                 x = np.asarray(signal)
-                x = x[:, j] if x.ndim == 2 else x
-                self._panel(axis, j, x, scatter_kwargs or {}, line_kwargs or {})
+                self._panel(axis, j, x[:, j] if x.ndim == 2 else x)
                 if j == rows - 1:
                     axis.set_xlabel(name)
-            axes[0].set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
         if ax is None:
             self.figure_.supylabel("torque residual", fontsize="medium")
-        return self._close(ax)
+        return self._legend(ax)
 
-    def _panel(self, ax, j, x, dots, line):
+    def _panel(self, ax, j, x):
         """Draw the residuals of a joint over a signal."""
-        floor = np.nan if self.floor is None else float(self.floor[j])
-        if np.isfinite(floor):
+        if self.floor is not None and np.isfinite(self.floor[j]):
             band = {"color": _FLOOR, "alpha": 0.25, "lw": 0, "label": "noise floor"}
-            ax.axhspan(-floor, floor, **band)
+            ax.axhspan(-self.floor[j], self.floor[j], **band)
         ax.axhline(0.0, color="0.5", lw=0.6)
         every = slice(None, None, max(1, x.size // _POINTS))
-        shown = [np.empty(0)]
-        for label, values, colour, dark in (
-            ("before", self.residual_before, _GREY, "0.35"),
-            ("after", self.residual_after, _COLOUR, "navy"),
-        ):
-            if values is None:
-                continue
-            r = np.asarray(values)[:, j]
-            shown.append(np.abs(r[np.isfinite(r)]))
-            style = {"ls": "", "marker": ".", "ms": 2.5, "color": colour, "alpha": 0.7}
-            style |= {"rasterized": True, "label": label} | dots
-            self.lines_ += ax.plot(x[every], r[every], **style)
-            style = {"color": dark, "lw": 1.5} | line
-            self.median_lines_ += ax.plot(*running_median(x, r), **style)
-        shown = np.concatenate(shown)
-        limit = 1.1 * float(np.quantile(shown, _QUANTILE)) if shown.size else 0.0
+        models = {"before": self.residual_before, "after": self.residual_after}
+        shown = {k: np.asarray(r)[:, j] for k, r in models.items() if r is not None}
+        for label, r in shown.items():
+            style = {"ms": 2.5, "alpha": 0.7, "rasterized": True, "label": label}
+            self.lines_ += ax.plot(x[every], r[every], ".", c=_COLOURS[label], **style)
+            dark = {"before": "0.35", "after": "navy"}[label]
+            self.median_lines_ += ax.plot(*running_median(x, r), c=dark, lw=1.5)
+        sizes = np.abs(np.concatenate(list(shown.values())))
+        sizes = sizes[np.isfinite(sizes)]
+        limit = 1.1 * float(np.quantile(sizes, _QUANTILE)) if sizes.size else 0.0
         if limit > 0:
             ax.set_ylim(-limit, limit)
 
 
+@dataclass(kw_only=True, eq=False)
 class TorqueDisplay(_Display):
     """Measured and predicted torques over time.
 
@@ -287,18 +278,17 @@ class TorqueDisplay(_Display):
     (200, 1)
     """
 
-    def __init__(self, *, time, measured, before, after=None, joint_names, units):
-        self.time = time
-        self.measured = measured
-        self.before = before
-        self.after = after
-        self.joint_names = joint_names
-        self.units = units
+    time: np.ndarray
+    measured: np.ndarray
+    before: np.ndarray
+    after: np.ndarray | None = None
+    joint_names: tuple
+    units: tuple
 
     @staticmethod
-    def _values(robot, found, X, groups, t, joints):
+    def _values(robot, found, X, groups, clock, joints):
         """Return the arguments of the display."""
-        index, clock = found[0].index, check_clock(t, np.shape(X)[0], robot.dt)
+        index = found[0].index
         predicted = [r.predicted[:, joints] for r in found]
         return {
             "time": index if clock is None else clock[index],
@@ -307,15 +297,13 @@ class TorqueDisplay(_Display):
             "after": predicted[1] if len(predicted) > 1 else None,
         }
 
-    def plot(self, ax=None, *, line_kwargs=None):
+    def plot(self, ax=None):
         """Draw.
 
         Parameters
         ----------
         ax : array-like of Axes, default=None
             One for each joint; None makes a figure.
-        line_kwargs : dict, default=None
-            Arguments of matplotlib's ``plot`` for all curves.
 
         Returns
         -------
@@ -329,34 +317,18 @@ class TorqueDisplay(_Display):
         ValueError
             If the axes do not match.
         """
-        rows = len(self.joint_names)
-        self._open(ax, (rows, 1), sharex=True, figsize=(8.0, 1.6 * rows + 0.7))
+        size = 8.0, 1.6 * len(self.joint_names) + 0.7
+        self._axes(ax, 1, sharex=True, figsize=size)
         every = slice(None, None, max(1, len(self.time) // _POINTS))
+        models = {"measured": self.measured, "before": self.before, "after": self.after}
         for j, axis in enumerate(self.axes_[:, 0]):
-            for label, values, colour in (
-                ("measured", self.measured, _MEASURED),
-                ("before", self.before, _FLOOR),
-                ("after", self.after, _COLOUR),
-            ):
+            for label, values in models.items():
                 if values is not None:
-                    style = {"color": colour, "lw": 1.0, "label": label}
                     shown = np.asarray(values)[every, j]
-                    style |= line_kwargs or {}
+                    style = {"c": _COLOURS[label], "lw": 1.0, "label": label}
                     self.lines_ += axis.plot(self.time[every], shown, **style)
-            axis.set_ylabel(f"{self.joint_names[j]} [{self.units[j]}]")
         self.axes_[-1, 0].set_xlabel("time [s]")
-        return self._close(ax)
-
-
-def _import_pyplot(display):
-    """Import matplotlib.pyplot; an error names the display that needs it."""
-    try:
-        # By name, so that nothing here imports an optional package.
-        return importlib.import_module("matplotlib.pyplot")
-    except ImportError as error:
-        raise ImportError(
-            f"{display}.plot needs matplotlib; install it with pip install matplotlib."
-        ) from error
+        return self._legend(ax)
 
 
 def running_median(x, y):
@@ -370,28 +342,25 @@ def running_median(x, y):
     return (np.array([np.median(z[part]) for part in parts]) for z in (x, y))
 
 
-def _signals(robot, X, groups, t, index, joints):
+def _signals(robot, X, groups, clock, index, joints):
     """Velocity, position, load and time at the rows of the residuals."""
-    X = np.asarray(X, dtype=float)
-    clock = check_clock(t, X.shape[0], robot.dt)
     motion = make_motion(
         robot.features_,
-        robot.robot_.states(X, groups),
+        robot.robot_.states(np.asarray(X, dtype=float), groups),
         clock,
-        contiguous_groups(groups, X.shape[0]),
+        contiguous_groups(groups, np.shape(X)[0]),
         robot.theta_[: robot.features_.n_parameters_],
         robot.cutoff_,
     )
     kinds = motion.prismatic[joints]
-
-    def unit(turning, sliding):
-        return " or ".join(dict.fromkeys(sliding if k else turning for k in kinds))
-
-    signals = {
-        f"velocity [{unit('rad/s', 'm/s')}]": motion.v[index][:, joints],
-        f"position [{unit('rad', 'm')}]": motion.q[index][:, joints],
-        f"rigid-body torque [{unit('N m', 'N')}]": motion.load[index][:, joints],
-    }
+    signals = {}
+    for name, values, turning, sliding in (
+        ("velocity", motion.v, "rad/s", "m/s"),
+        ("position", motion.q, "rad", "m"),
+        ("rigid-body torque", motion.load, "N m", "N"),
+    ):
+        units = " or ".join(dict.fromkeys(sliding if k else turning for k in kinds))
+        signals[f"{name} [{units}]"] = values[index][:, joints]
     if clock is not None:
         signals["time [s]"] = clock[index]
     return signals

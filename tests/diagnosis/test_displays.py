@@ -109,13 +109,9 @@ def test_plot_into_given_axes(pyplot):
         make_display().plot(axes)
 
 
-def test_artists_are_kept_and_take_styles(pyplot):
-    display = make_display().plot(
-        scatter_kwargs={"color": "red"}, line_kwargs={"lw": 3}
-    )
+def test_artists_are_kept(pyplot):
+    display = make_display().plot()
     assert len(display.lines_) == len(display.median_lines_) == 8
-    assert {line.get_color() for line in display.lines_} == {"red"}
-    assert {line.get_linewidth() for line in display.median_lines_} == {3}
     assert display.axes_[0, 0] is display.lines_[0].axes
 
 

@@ -31,7 +31,6 @@ _MODULES = {
         "MotionLimit",
         "SMALLEST_GAIN",
         "Unexplained",
-        "Whitening",
         "dependences",
         "inseparable",
         "motion_limits",

@@ -41,7 +41,7 @@ def test_what_a_residual_follows_is_named_first():
     position = seen["position of elbow"]
     bend = np.cos(3 * position / np.abs(position).max())
     residual = (bend - bend.mean()) / bend.std() + noise()
-    first, *_ = dependences(residual, VIEW.equations.weight[:, 1], seen, VIEW)
+    first, *_ = dependences(residual, VIEW.equations.weight[:, 1], seen, VIEW.blocks)
     assert first.signal == "position of elbow"
     assert first.share == pytest.approx(0.5, abs=0.1)
     assert first.p_value < 0.01 / len(seen)
@@ -50,9 +50,9 @@ def test_what_a_residual_follows_is_named_first():
 @pytest.mark.parametrize("seed", range(5))
 def test_white_noise_follows_nothing(seed):
     weight = VIEW.equations.weight[:, 0]
-    assert dependences(noise(seed), weight, signals(), VIEW) == ()
+    assert dependences(noise(seed), weight, signals(), VIEW.blocks) == ()
 
 
 def test_without_rows_nothing_is_said():
     nothing = np.zeros(VIEW.index.size)
-    assert dependences(noise(), nothing, signals(), VIEW) == ()
+    assert dependences(noise(), nothing, signals(), VIEW.blocks) == ()

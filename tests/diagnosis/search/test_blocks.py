@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_array_equal
 from scipy.signal import lfilter
 
-from sklearn_vbjfa.diagnosis.explain import Whitening
 from sklearn_vbjfa.diagnosis.search._blocks import (
     FEWEST,
     _integrated,
@@ -111,28 +110,11 @@ def stationary(keep, n, seed=0):
     return lfilter([1.0], [1.0, -keep], steps, zi=[keep * rng.normal()])[0]
 
 
-def whitened(x, root=None, starts=(0,), step=0.1, **given):
-    """Whitening of one joint's rows and what it makes of them."""
-    root = np.ones((x.size, 1)) if root is None else root
-    white = Whitening(x[None] * root.T, root, starts, step, **given)
-    return white, white(x[None] * root.T, [0])[0]
-
-
-def lagged(x, lag=1):
-    return np.corrcoef(x[lag:], x[:-lag])[0, 1]
-
-
 @pytest.mark.parametrize("keep", [0.0, 0.6, 0.95])
-def test_what_is_left_is_white(keep):
-    x = stationary(keep, 4000)
-    white, left = whitened(x)
-    # Three standard errors of an autocorrelation.
-    for lag in (1, 2, 5, 20):
-        assert abs(lagged(left, lag)) < 3 / np.sqrt(x.size)
-    assert left.std() == pytest.approx(np.sqrt(1 - keep**2), rel=0.05)
+def test_the_memory_is_that_of_the_autoregression(keep):
+    memory = fit_memory(stationary(keep, 4000), np.ones(4000, bool), [0], 0.1)
     # Sum of keep^k over both sides.
-    expected = 0.1 * (1 + keep) / (1 - keep)
-    assert white.memory[0].time == pytest.approx(expected, rel=0.3)
+    assert memory.time == pytest.approx(0.1 * (1 + keep) / (1 - keep), rel=0.3)
 
 
 def test_slow_residuals_of_short_recordings_are_not_read_too_short():
@@ -159,44 +141,18 @@ def test_a_random_walk_is_correlated_for_ever():
     assert memory.phi.sum() <= 1.0
 
 
-def test_columns_and_torques_go_the_same_way():
-    """What explains the rows explains the whitened ones with the same coefficients."""
-    rng = np.random.default_rng(0)
-    m, starts = 400, np.array([0, 150])
-    root = np.sqrt(rng.uniform(0.2, 1.0, size=(m, 2)))
-    root[60:75, 0] = 0.0
-    root[148:153, 1] = 0.0
-    root[-3:] = 0.0
-    A, theta = rng.normal(size=(2, m, 3)), np.array([1.0, -2.0, 0.5])
-    residual = np.array([stationary(0.9, m, s) for s in (1, 2)]) * root.T
-    rows = A * root.T[:, :, None]
-    white = Whitening(residual, root, starts, 0.1)
-    y = rows @ theta + residual
-    left = white(y, [0, 1]) - white(rows, [0, 1]) @ theta
-    assert_allclose(left, white(residual, [0, 1]), atol=1e-12)
-    # Rows that do not count stay so; a joint may come alone.
-    assert_array_equal(left[root.T == 0], 0.0)
-    assert_allclose(white(y[[1]], [1]), white(y, [0, 1])[[1]])
-
-
 def test_nothing_passes_from_one_recording_to_the_next():
     x = np.concatenate([stationary(0.9, 300, s) for s in range(4)])
     level = np.repeat([0.0, 50.0, 0.0, 50.0], 300)
     starts = np.arange(0, 1200, 300)
-    white, apart = whitened(x + level, starts=starts)
-    beginnings = starts[1:, None] + np.arange(3)
-    assert np.abs(apart[beginnings]).max() < 10.0
-    assert white.memory[0].phi[0] == pytest.approx(0.9, abs=0.2)
+    memory = fit_memory(x + level, np.ones(1200, bool), starts, 0.1)
+    assert memory.phi[0] == pytest.approx(0.9, abs=0.2)
 
 
 def test_the_low_pass_is_no_memory():
-    """Rows that are alike because of the filter stay alike."""
     rng = np.random.default_rng(0)
     x = np.convolve(rng.normal(size=4003), np.ones(4) / 2, mode="valid")
-    white, left = whitened(x, step=0.025, cutoff=5.0)
-    assert lagged(x) > 0.7
-    assert lagged(left) > 0.6
-    assert white.memory[0].time < 0.2
+    assert fit_memory(x, np.ones(4000, bool), [0], 0.025, stride=4).time < 0.2
 
 
 @pytest.mark.parametrize(

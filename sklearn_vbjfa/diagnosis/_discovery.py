@@ -531,9 +531,7 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         self.identifier_ = _fitted(again, whole)
         effects = added_effects(self.identifier_, len(effects))
         share = seen.n_samples / whole.n_samples
-        final = FinalFit(self.baseline_, self.identifier_, view, effects, share)
-        self.identifier_.tell_spreads(final.effect_estimates)
-        return final
+        return FinalFit(self.baseline_, self.identifier_, view, effects, share)
 
     def _set(self, outcome):
         """Set the results and the report."""

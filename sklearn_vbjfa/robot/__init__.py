@@ -61,7 +61,6 @@ _MODULES = {
         "BodyMass",
         "ColumnMeanSquares",
         "SignalRanges",
-        "Spread",
         "body_masses",
         "note_of_masses",
     ),

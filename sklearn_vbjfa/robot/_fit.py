@@ -52,7 +52,6 @@ from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import (
     ColumnMeanSquares,
-    Spread,
     TorqueSpread,
     effect_ranges,
     known_parameters,
@@ -145,9 +144,6 @@ class RobotFit:
             theta_=found.theta,
             theta_unconstrained_=found.theta_unconstrained,
             theta_std_=found.std,
-            coefficient_covariances=tuple(
-                map(Spread.of_deviations, self.robot.split(found.std))
-            ),
             prediction_covariance=spread,
             **changes,
         )

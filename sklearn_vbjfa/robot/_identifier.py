@@ -65,7 +65,7 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._robot import IdentifiedRobot, recording_of
 from sklearn_vbjfa.robot._signs import signed, with_signs
-from sklearn_vbjfa.robot._spreads import Spread, ends
+from sklearn_vbjfa.robot._spreads import ends
 from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import given_noise
 
@@ -567,15 +567,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # In units of the weighted equations.
         bodies = self._bodies
         return None if bodies is None else (bodies.noise * bodies.prior, bodies.centre)
-
-    def tell_spreads(self, estimates):
-        """Take how well the last effects are known, for predictions."""
-        # estimates: for each, tuned parameters `shape` and the joint `covariance` of
-        # coefficients and shape.
-        if estimates:
-            last = [Spread(shape=e.shape, covariance=e.covariance) for e in estimates]
-            every = (*self._robot.coefficient_covariances[: -len(last)], *last)
-            self._robot = replace(self._robot, coefficient_covariances=every)
 
     # -- from the arguments to a plan --------------------------------------------------
 

@@ -194,7 +194,6 @@ def _check_shapes(robot):
     for key, n in (
         ("known_", sizes["p"]),
         ("effect_ranges_", nv * m + len(widths)),
-        ("coefficient_covariances", len(widths)),
     ):
         if len(getattr(robot, key)) != n:
             raise _wrong(key, f"must hold {n} values, not {len(getattr(robot, key))}")
@@ -208,13 +207,9 @@ def _check_shapes(robot):
     for key in ("theta_", "theta_unconstrained_"):
         if not np.isfinite(getattr(robot, key)).all():
             raise _wrong(key, "must hold finite numbers")
-    for k, (width, spread) in enumerate(zip(widths, robot.coefficient_covariances)):
-        size = width + len(spread.shape)
-        key = f"coefficient_covariances[{k}].covariance"
-        _check_shape(key, spread.covariance, (size, size))
-        if robot.powers is not None:
-            squares = robot.powers.effects[k]
-            _check_shape(f"powers.effects[{k}]", squares, (nv, width, width))
+    for k, width in enumerate(widths if robot.powers is not None else ()):
+        squares = robot.powers.effects[k]
+        _check_shape(f"powers.effects[{k}]", squares, (nv, width, width))
     for key, n in (("recording_variance.places", sizes["p"]), ("gains_.reference", nv)):
         value = _at(robot, key)
         if value is not None and not np.isin(value, np.arange(n)).all():

@@ -8,7 +8,7 @@ from sklearn.utils.validation import check_array
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
-from sklearn_vbjfa.effects._motion import Rest, outside, own_motions
+from sklearn_vbjfa.effects._motion import Rest, outside
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,
@@ -40,7 +40,6 @@ from sklearn_vbjfa.robot._equations import (
     is_plain,
     joined,
     make_motion,
-    motion_of,
     regressor_rows,
 )
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
@@ -70,13 +69,11 @@ from sklearn_vbjfa.robot._refitted import refitted
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     ColumnMeanSquares,
-    Spread,
     TorqueSpread,
-    beyond_text,
-    effect_of_time,
     note_of_masses,
     outside_text,
     signals_outside_text,
+    time_outside_text,
     warn_outside,
 )
 from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
@@ -231,7 +228,6 @@ class IdentifiedRobot:
     effect_ranges_: tuple[EffectRange, ...] = ()
     # lowest and highest value of each recorded signal in the fit
     signal_ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
-    coefficient_covariances: tuple[Spread, ...] = ()  # how well each effect is known
     # [Hz], of a smoother for positions where the fit was given states
     state_cutoff: float | str | tuple[float | None, ...] | None = "auto"
     # how large columns of friction and effects were in the fit
@@ -437,15 +433,6 @@ class IdentifiedRobot:
             self.prediction_covariance.std(one, noiseless=noiseless) for one in rows
         ]
         return torques, np.concatenate(spreads)
-
-    def effects_of_time(self, X, groups=None, t=None, signals=None):
-        """Return the `EffectOfTime` of each drift and payload; arguments of `predict`.
-
-        Each has `name`, `joint`, `torque` and its standard deviation `std`, (n_samples,
-        nv) [N m or N], and `beyond`, the time of each row after the fit [s].
-        """
-        X, signals = self.checked(X, signals)
-        return self.of_time(self.prepare(X, groups, t, signals=signals))
 
     def residuals(
         self,
@@ -1170,29 +1157,11 @@ class IdentifiedRobot:
         joints = self.joint_names_, is_prismatic(self.features_.model_)
         said = [outside_text(found, *joints)] if found else []
         said += signals_outside_text(self.signal_ends, asked.recording.signals)
-        timed = self.of_time(asked)
-        return said + (beyond_text(timed, self.plan.time, *joints) if timed else [])
-
-    def of_time(self, asked):
-        """Share of each effect of time in `Inputs`, tuple of `EffectOfTime`."""
-        if not any(isinstance(effect, OfTime) for effect in self.effects_):
-            return ()
-        motion = motion_of(
-            asked.recording,
-            asked.states,
-            self.prediction_plan,
-            self.features_,
-            theta=self.load_parameters,
-            rest=asked.rest,
-        )
-        motions = own_motions(self.effects_, self.held, motion)
-        spreads = self.coefficient_covariances
-        each = zip(self.effects_, self.split(self.theta_), spreads, motions)
-        return tuple(
-            effect_of_time(effect, coef, spread, own, self.plan.time)
-            for effect, coef, spread, own in each
-            if isinstance(effect, OfTime)
-        )
+        timed = [effect for effect in self.effects_ if isinstance(effect, OfTime)]
+        if timed:
+            t = asked.recording.clock(stamped=True)
+            said += time_outside_text(timed, self.plan.time, t)
+        return said
 
     # -- for other fits, and for simulation -------------------------------------------
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa.effects import Motion, resolve
-from sklearn_vbjfa.robot import Plan, Spread, is_plain
+from sklearn_vbjfa.robot import Plan, is_plain
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build
 
@@ -110,10 +110,6 @@ def random_predictor(rng, nv, names, *, since=0.0, length=200, gravity=None):
         plan=plan,
         theta_=np.r_[parameters(), coefficients()],
         load_parameters=np.r_[parameters(), coefficients(is_plain)],
-        coefficient_covariances=tuple(
-            Spread.of_deviations(np.ones(len(effect.coefficients)))
-            for effect in effects
-        ),
     )
 
 

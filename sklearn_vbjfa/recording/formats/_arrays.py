@@ -1,37 +1,196 @@
-"""Arrays and records by their names: npz, npy, MATLAB and JSON."""
+"""Arrays and records by their names: npz, npy, MATLAB, JSON, parquet and LeRobot."""
 
 import json
+import re
 import struct
 import zipfile
 import zlib
+from collections import Counter
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa.recording import _table
 from sklearn_vbjfa.recording._table import (
-    CUT,
-    LARGEST,
-    Format,
     NotATable,
     Source,
     Table,
+    check_names,
     check_size,
-    flattened,
-    nameless,
+    listed,
+    missing,
     no_rows,
+    pandas_of,
     parsing,
     quoted,
-    table_of_arrays,
-    table_of_records,
-    without_common_part,
 )
+from sklearn_vbjfa.recording.formats._cells import CUT
+
+# Nested structures are followed to this depth.
+_DEEPEST = 8
+# Names of arrays that have a value for every row.
+_CHANNEL = re.compile(r"t|segment|(q|tau|v|a)([_.\[(]?\d+[\])]?)?", re.IGNORECASE)
+
+
+# -- arrays and records as tables ------------------------------------------------------
+
+
+def _flattened(values, keep=lambda value: True, depth=0):
+    """Return the content of nested structures, names with points."""
+    found = {}
+    for name, value in values.items():
+        inside = None
+        if isinstance(value, dict):
+            inside = {f"{name}.{key}": one for key, one in value.items()}
+        elif _is_list_of(dict, value):
+            # Messages have a list of structures, one for each motor.
+            inside = {f"{name}[{k}]": one for k, one in enumerate(value)}
+        if inside is not None and depth < _DEEPEST:
+            found |= _flattened(inside, keep, depth + 1)
+        elif keep(value):
+            found[name] = value
+    return found
+
+
+def _is_list_of(kind, value):
+    is_list = isinstance(value, list) and len(value) > 0
+    return is_list and all(isinstance(x, kind) for x in value)
+
+
+def _without_common_part(found):
+    """Remove the name of the only structure from the names inside it."""
+    if len({name.rpartition(".")[0] for name in found}) == 1:
+        return {name.rpartition(".")[2]: x for name, x in found.items()}
+    return found
+
+
+def _table_of_records(path: Source, records) -> Table:
+    """Make columns of rows, each a dict, maybe nested; what a row lacks is nan."""
+    records = [_flattened(record) for record in records]
+    names = dict.fromkeys(name for record in records for name in record)
+    columns = {name: [record.get(name) for record in records] for name in names}
+    return _table_of_arrays(path, _without_common_part(columns))
+
+
+def _table_of_arrays(path: Source, arrays) -> Table:
+    """Make columns of arrays or lists; a matrix such as q becomes q1, q2, ..."""
+    arrays = {name: _array(path, name, x) for name, x in arrays.items()}
+    # Messages have empty lists for what is not measured.
+    arrays = _upright({name: x for name, x in arrays.items() if x.size})
+    arrays, notes = _with_names_beside(path, arrays)
+    n_rows = _number_of_rows(path, arrays)
+    rows = {
+        name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) == n_rows
+    }
+    scalars = {name: x for name, x in arrays.items() if name not in rows}
+    for name, x in scalars.items():
+        if x.ndim in (1, 2) and _CHANNEL.fullmatch(name):
+            raise ValueError(
+                f"{path}: array {name!r} has {len(x)} rows, others have {n_rows}; all "
+                "channels need one row per sample."
+            )
+    (name, only), *others = rows.items()
+    if not (others or only.ndim == 1 or only.shape[1] == 1 or _CHANNEL.fullmatch(name)):
+        return _nameless(path, only, scalars=scalars)
+    columns = []
+    for name, x in rows.items():
+        matrix = x.reshape(n_rows, -1).T
+        names = [f"{name}{k + 1}" for k in range(len(matrix))]
+        columns += zip(names if len(matrix) > 1 else [name], matrix)
+    check_names(path, [name for name, _ in columns], "on its own and in a matrix has")
+    left = [name for name, x in scalars.items() if x.ndim and len(x) > n_rows // 2]
+    if left:
+        notes += (f"array(s) {listed(left)} have not {n_rows} rows: left out.",)
+    return _table_of(path, dict(columns), scalars=scalars, notes=notes)
+
+
+def _table_of(path, columns, **known):
+    frame = pandas_of(path).DataFrame(columns)
+    frame.index += 1
+    return Table(path=path.shown, frame=frame, **known)
+
+
+def _nameless(path, matrix, **known):
+    """Make columns of a matrix (n_rows, n) without names, called by their places."""
+    frame = pandas_of(path).DataFrame(matrix)
+    frame.columns, frame.index = [str(k + 1) for k in frame], frame.index + 1
+    return Table(path=path.shown, frame=frame, nameless=True, **known)
+
+
+def _upright(arrays):
+    """Turn matrices that have one column per sample."""
+    # Texts are names of columns, and as many as these.
+    numbers = [x for x in arrays.values() if x.ndim and x.dtype.kind not in "US"]
+    lengths = [max(x.shape) for x in numbers if x.size > 1]
+    n_rows = max(set(lengths), key=lengths.count, default=0)
+    return {
+        name: x.T if x.ndim == 2 and x.shape[1] == n_rows != x.shape[0] else x
+        for name, x in arrays.items()
+    }
+
+
+def _number_of_rows(path, arrays):
+    """Return the length of the channels: of q, of channels, of matrices, of most."""
+    sized = {name: x for name, x in arrays.items() if x.ndim in (1, 2) and len(x) > 1}
+    for chosen in (
+        [x for name, x in sized.items() if name.lower() == "q"],
+        [x for name, x in sized.items() if _CHANNEL.fullmatch(name)],
+        [x for x in sized.values() if x.ndim == 2],
+        [x for x in sized.values() if len(sized) > 1],
+    ):
+        if chosen:
+            return Counter(map(len, chosen)).most_common(1)[0][0]
+    raise NotATable(
+        f"{path}: holds {listed(arrays) or 'nothing'}; expected arrays q and tau of "
+        "shape (n_samples, n_joints), or columns q1, ..., tau1, ...",
+    )
+
+
+def _with_names_beside(path, arrays):
+    """Make columns of the only matrix if a list has their names; notes."""
+    # As data frames are split, and as loggers write a matrix and its names.
+    matrices = [name for name, x in arrays.items() if x.ndim == 2 and len(x) > 1]
+    if len(matrices) != 1 or _CHANNEL.fullmatch(matrices[0]):
+        return arrays, ()
+    (name,) = matrices
+    for key, x in arrays.items():
+        if x.dtype.kind not in "US" or x.shape != arrays[name].shape[1:]:
+            continue
+        # Bytes are text too; MATLAB fills names up with blanks.
+        texts = np.char.decode(x, "utf-8", "replace") if x.dtype.kind == "S" else x
+        names = [str(text).strip() for text in texts]
+        rest = {k: one for k, one in arrays.items() if k not in (key, name)}
+        check_names(path, [*names, *rest], f"the names in {key!r} have")
+        note = f"the columns of {name!r} are called by the names in {key!r}."
+        return {**rest, **dict(zip(names, arrays[name].T))}, (note,)
+    return arrays, ()
+
+
+def _array(path, name, values):
+    """Make an array of a list; nothing is nan, and a column of text stays text."""
+    if isinstance(values, np.ndarray):
+        return values.astype(values.dtype.newbyteorder("="), copy=False)
+    first = values
+    while isinstance(first, list) and first:
+        # Messages name all joints in each.
+        first = next((x for x in first if x is not None), None)
+    try:
+        return np.array(values, dtype=str if isinstance(first, str) else float)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ValueError(
+            f"{path}: {quoted(name)} holds {quoted(first)} and others that are not "
+            "numbers, or lists of other lengths; write one number, or equally long "
+            "lists of them, for each sample."
+        ) from error
+
 
 # -- NumPy -----------------------------------------------------------------------------
 
 
-def read_npz(path: Source, wanted) -> Table:
+def read_npz(path: Source) -> Table:
     """Read arrays; a matrix such as q becomes the columns q1, q2, ..."""
-    with parsing(path, "npz file", "save it again with numpy.savez"):
+    with parsing(path, "npz file", "save it again with numpy.savez."):
         with zipfile.ZipFile(path.file) as archive:
             check_size(path, sum(member.file_size for member in archive.infolist()))
         with np.load(path.file, allow_pickle=False) as archive:
@@ -39,32 +198,21 @@ def read_npz(path: Source, wanted) -> Table:
         # A zip archive of other files, such as a spreadsheet, yields bytes.
         if not all(isinstance(array, np.ndarray) for array in arrays.values()):
             raise ValueError("it holds other files than arrays")
-    return table_of_arrays(path, arrays)
+    return _table_of_arrays(path, arrays)
 
 
-def read_npy(path: Source, wanted) -> Table:
+def read_npy(path: Source) -> Table:
     """Read one array: a matrix, or named fields."""
-    with parsing(path, "npy file", "save it again with numpy.save"):
+    with parsing(path, "npy file", "save it again with numpy.save."):
         array = np.lib.format.open_memmap(path.file, mode="r")
     if array.ndim == 2 and array.dtype.kind in "biuf":
-        return nameless(path, np.array(array))
+        return _nameless(path, np.array(array))
     if array.dtype.names is None:
         raise ValueError(
             f"{path}: holds an array of shape {array.shape} without names; expected "
-            "one with named fields, or numpy.savez(FILE, t=t, q=q, tau=tau) with q and "
-            "tau (n_samples, n_joints)."
+            "one with named fields, or numpy.savez(FILE, t=t, q=q, tau=tau)."
         )
-    return table_of_arrays(path, {x: np.array(array[x]) for x in array.dtype.names})
-
-
-# Zip archives without an ending are distinguished from spreadsheets when opened.
-NPZ = Format(name="npz", endings=(".npz",), read=read_npz)
-NPY = Format(
-    name="npy with named fields",
-    endings=(".npy",),
-    read=read_npy,
-    begins=((b"\x93NUMPY", ".npy"),),
-)
+    return _table_of_arrays(path, {x: np.array(array[x]) for x in array.dtype.names})
 
 
 # -- MATLAB ----------------------------------------------------------------------------
@@ -74,9 +222,10 @@ _PACKED, _CHUNK = 15, 1 << 20
 _SAVE = "save(FILE, 't', 'q', 'tau', '-v7')"
 
 
-def read_mat(path: Source, wanted) -> Table:
+def read_mat(path: Source) -> Table:
     """Read the variables of a MATLAB file."""
     from scipy.io import loadmat
+    from scipy.io.matlab import MatlabFunction, MatlabOpaque
 
     with path.file.open("rb") as file:
         begin = file.read(128)
@@ -86,14 +235,15 @@ def read_mat(path: Source, wanted) -> Table:
             f"7.2; in MATLAB: {_SAVE}."
         )
     what = "MATLAB file of version 5 to 7.2"
-    with parsing(path, what, f"write it again with {_SAVE}"):
+    with parsing(path, what, f"write it again with {_SAVE}."):
         # Numbers may be stored as bytes, and become eight of them.
         check_size(path, 8 * _unpacked_size(path.file))
         found = loadmat(path.file, simplify_cells=True)
-    # Objects of MATLAB's own classes (tables, time series) have no name here.
-    objects = [x for x in found.values() if _is_object(x)]
+    # Tables, time series and functions have no name here, or no numbers.
+    kinds = (MatlabOpaque, MatlabFunction)
+    objects = sum(isinstance(x, kinds) for x in found.values())
     found = {name: x for name, x in found.items() if str(name or "__")[:2] != "__"}
-    arrays = without_common_part(flattened(found, _is_usable))
+    arrays = _without_common_part(_flattened(found, _is_usable))
     if objects and not arrays:
         raise ValueError(
             f"{path}: holds objects of MATLAB, such as a table or time series, and no "
@@ -105,25 +255,18 @@ def read_mat(path: Source, wanted) -> Table:
         name: np.asarray(x, dtype=str if _is_texts(x) else None)
         for name, x in arrays.items()
     }
-    table = table_of_arrays(path, arrays)
-    note = f"{len(objects)} object(s) of MATLAB's own classes are left out."
+    table = _table_of_arrays(path, arrays)
+    note = f"{objects} object(s) of MATLAB's own classes are left out."
     return replace(table, notes=(*table.notes, note)) if objects else table
 
 
 def _is_usable(value):
-    usable = np.asarray(value).dtype.kind in "biufU" or _is_texts(value)
-    return usable and not _is_object(value)
+    return np.asarray(value).dtype.kind in "biufU" or _is_texts(value)
 
 
 def _is_texts(value):
-    own = isinstance(value, np.ndarray) and value.dtype == object
-    return own and value.size > 0 and all(isinstance(x, str) for x in value.flat)
-
-
-def _is_object(value):
-    from scipy.io.matlab import MatlabFunction, MatlabOpaque
-
-    return isinstance(value, (MatlabOpaque, MatlabFunction))
+    is_cell = isinstance(value, np.ndarray) and value.dtype == object
+    return is_cell and _is_list_of(str, value.ravel().tolist())
 
 
 def _unpacked_size(path):
@@ -139,18 +282,10 @@ def _unpacked_size(path):
             unpacker = zlib.decompressobj()
             while count > 0 and (chunk := file.read(min(count, _CHUNK))):
                 count -= len(chunk)
-                while chunk and size <= LARGEST:
+                while chunk and size <= _table.LARGEST:
                     size += len(unpacker.decompress(chunk, _CHUNK))
                     chunk = unpacker.unconsumed_tail
     return size
-
-
-MATLAB = Format(
-    name="MATLAB (to version 7.2)",
-    endings=(".mat",),
-    read=read_mat,
-    begins=((b"MATLAB 5.0", ".mat"),),
-)
 
 
 # -- JSON ------------------------------------------------------------------------------
@@ -159,27 +294,27 @@ MATLAB = Format(
 _SPREAD = 4
 
 
-def read_json(path: Source, wanted) -> Table:
+def read_json(path: Source) -> Table:
     """Read a list of records or rows, one a line or not, or arrays by their names."""
     check_size(path, _SPREAD * path.file.stat().st_size, what="as objects")
-    with parsing(path, "JSON file", "write it again"):
+    with parsing(path, "JSON file", "write it again."):
         found, notes = _parsed(path.file.read_text(encoding="utf-8-sig"))
     if found is None:
         raise no_rows(path)
     if isinstance(found, dict):
-        table, note = _of_object(path, found)
-        return replace(table, notes=(*table.notes, *notes, *note))
+        table, more = _table_of_object(path, found)
+        return replace(table, notes=(*table.notes, *notes, *more))
     rows = found if isinstance(found, list) and found else [found]
-    if all(map(_is_row, rows)):
-        return nameless(path, _matrix(path, rows), notes=notes)
-    for k, record in enumerate(rows):
-        if not isinstance(record, dict) or not record:
-            raise NotATable(
-                f"{path}: holds {quoted(record)} as record {k + 1}; expected objects "
-                'such as {"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of '
-                "numbers, or arrays by their names."
-            )
-    return replace(table_of_records(path, rows), notes=notes)
+    if _is_list_of(list, rows):
+        return replace(_nameless(path, _array(path, "the list", rows)), notes=notes)
+    if not _is_list_of(dict, rows):
+        odd = next(x for x in rows if not isinstance(x, dict))
+        raise NotATable(
+            f"{path}: holds {quoted(odd)}; expected objects such as "
+            '{"t": 0.0, "q": [0.1, 0.2], "tau": [1.5, 0.4]}, rows of numbers, or '
+            "arrays by their names."
+        )
+    return replace(_table_of_records(path, rows), notes=notes)
 
 
 def _parsed(text):
@@ -203,25 +338,20 @@ def _parsed(text):
     return found, ()
 
 
-def _of_object(path, found):
+def _table_of_object(path, found):
     """Return the table of an object and notes: records in it, trials, or arrays."""
-    lists = [x for x, one in found.items() if _is_list_of_records(one)]
+    lists = [x for x, one in found.items() if _is_list_of(dict, one)]
     # The records are those of the only list, unless they have arrays, as joints do.
     if len(lists) == 1 and _longest(found[lists[0]][0]) <= len(found[lists[0]]):
-        (name,) = lists
-        note = f"the records are those of {name!r}."
-        return table_of_records(path, found[name]), (note,)
+        note = f"the records are those of {lists[0]!r}."
+        return _table_of_records(path, found[lists[0]]), (note,)
     for name in lists:
         lengths = {_longest(one) for one in found[name]}
         if len(lengths) > 1 and _longest(found) < max(lengths):
             arrays = _one_after_another(path, name, found[name])
             note = f"the {len(found[name])} entries of {name!r} are one recording each."
-            return table_of_arrays(path, arrays), (note,)
-    return table_of_arrays(path, without_common_part(flattened(found))), ()
-
-
-def _is_list_of_records(one):
-    return isinstance(one, list) and one and all(isinstance(x, dict) for x in one)
+            return _table_of_arrays(path, arrays), (note,)
+    return _table_of_arrays(path, _without_common_part(_flattened(found))), ()
 
 
 def _longest(record):
@@ -242,27 +372,87 @@ def _one_after_another(path, name, records):
     return {**found, "segment": segment}
 
 
-def _is_row(one):
-    return isinstance(one, list) and all(isinstance(x, (int, float)) for x in one)
+# -- parquet and feather, LeRobot data sets --------------------------------------------
+
+PARQUET = (".parquet", ".pq", ".feather", ".arrow")
+_INFO = Path("meta") / "info.json"
 
 
-def _matrix(path, rows):
-    """Return rows of numbers as a matrix; refuse rows that differ in length."""
-    lengths = [len(row) for row in rows]
-    usual = max(set(lengths), key=lengths.count)
-    odd = [k for k, n in enumerate(lengths) if n != usual or not n]
-    if odd:
+def read_parquet(path: Source) -> Table:
+    """Read a parquet or feather file; lists become columns with numbers."""
+    return _table_of(path, _columns(path, _lerobot_info(path.file)))
+
+
+def read_lerobot(folder: Path) -> Table:
+    """Read all episodes of a LeRobot data set."""
+    files = sorted((folder / "data").rglob("*.parquet"))
+    if not files:
         raise ValueError(
-            f"{path}: record {odd[0] + 1} has {lengths[odd[0]]} numbers, others have "
-            f"{usual}; all need as many."
+            f"{folder}: is a LeRobot data set without parquet files in its folder data;"
+            " expected data/chunk-000/*.parquet (is it downloaded completely?)."
         )
-    return np.array(rows, dtype=float)
+    size = sum(file.stat().st_size for file in files)
+    check_size(folder, size, f"give one of them, such as {files[0]}", "of files")
+    info = _lerobot_info(files[0])
+    parts = [_columns(Source(x, x), info) for x in files]
+    shared = [x for x in parts[0] if all(x in part for part in parts)]
+    columns = {x: np.concatenate([part[x] for part in parts]) for x in shared}
+    return _table_of(Source(folder, folder), columns)
 
 
-JSON = Format(
-    name="JSON",
-    endings=(".json", ".jsonl", ".ndjson"),
-    shown=(".json", ".jsonl"),
-    read=read_json,
-    begins=tuple((begin, ".json") for begin in (b"{", b"[{", b"[\n", b"[\r", b"[ ")),
-)
+def _columns(path, info):
+    """Return the columns of a file as arrays, lists of numbers as columns each."""
+    try:
+        import pyarrow
+        from pyarrow import ipc, parquet
+    except ImportError as error:
+        raise missing(path, "pyarrow", "parquet files need", "parquet") from error
+    with parsing(path, "parquet file of plain columns", "write it again."):
+        if path.file.suffix.lower() in PARQUET[:2]:
+            with parquet.ParquetFile(path.file) as file:
+                groups = map(file.metadata.row_group, range(file.num_row_groups))
+                check_size(path, sum(group.total_byte_size for group in groups))
+                read = file.read()
+        else:
+            with ipc.open_file(path.file) as file:
+                batches = []
+                for k in range(file.num_record_batches):
+                    batches.append(file.get_batch(k))
+                    check_size(path, sum(one.nbytes for one in batches))
+                read = pyarrow.Table.from_batches(batches, file.schema)
+        arrays = [column.to_numpy() for column in read.columns]
+    check_names(path, read.column_names or [""], "has")
+    found = {}
+    for name, values in zip(read.column_names, arrays):
+        lists = values.dtype.kind == "O" and values.size and values[0] is not None
+        if lists and {np.shape(x) for x in values} == {(np.size(values[0]),)}:
+            matrix = np.stack(list(values))
+            motors = _motors(info, name)
+            if len(motors) != matrix.shape[1]:
+                motors = range(matrix.shape[1])
+            found |= {f"{name}.{motor}": x for motor, x in zip(motors, matrix.T)}
+        else:
+            found[name] = values
+    return found
+
+
+def _lerobot_info(file):
+    """Return what meta/info.json above a parquet file says, a dict."""
+    for path in (folder / _INFO for folder in list(file.resolve().parents)[:4]):
+        if path.is_file():
+            with parsing(path, "JSON file", "download the data set again."):
+                info = json.loads(path.read_text(encoding="utf-8"))
+            return info if isinstance(info, dict) else {}
+    return {}
+
+
+def _motors(info, name):
+    """Return the names of the motors in a column of lists, [] if unknown."""
+    names = info
+    for key in ("features", name, "names"):
+        names = names.get(key) if isinstance(names, dict) else None
+    if isinstance(names, dict):
+        names = next(iter(names.values()), None)
+    if not isinstance(names, list):
+        return []
+    return [str(motor).removesuffix(".pos") for motor in names]

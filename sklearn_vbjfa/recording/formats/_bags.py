@@ -1,58 +1,44 @@
 """Joint states out of bags of ROS 1 and ROS 2, and MCAP files, by rosbags."""
 
 import difflib
-import functools
 import re
 import shlex
-from pathlib import Path
 
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
     LARGEST,
-    Format,
     Loss,
     RecordingRefused,
-    Source,
     Table,
     listed,
+    missing,
     pandas_of,
     parsing,
 )
 
+# What repairs a bag that was cut, by its ending.
+BAGS = {
+    ".bag": "rosbag reindex {}",
+    ".db3": "sqlite3 {} .recover | sqlite3 whole.db3",
+    ".mcap": "mcap recover {} -o whole.mcap",
+}
 _TYPE = "sensor_msgs/msg/JointState"
 # Of controllers of ROS: commanded and measured positions in one message.
 _CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
 # Topics of joint states that are commands, by words in their names.
 _COMMAND = re.compile("command|desired|target|goal|reference|cmd", re.IGNORECASE)
-# What repairs a bag that was cut, and what unpacks one, by its ending.
-_REPAIR = {
-    ".bag": "rosbag reindex {}",
-    ".db3": "sqlite3 {} .recover | sqlite3 whole.db3",
-    ".mcap": "mcap recover {} -o whole.mcap",
-}
-_UNPACK = {".bag": "rosbag decompress {}", ".mcap": "mcap decompress {} -o plain.mcap"}
 
 
-def read_bag(path: Source, wanted) -> Table:
-    """Read the joint states of a bag's file."""
-    # Of packed messages the folder has the compression.
-    folder = path.shown.parent
-    file = folder if _packs_messages(folder) else path.file
-    return _read([file], path.shown, wanted)
-
-
-def read_bag_folder(path: Path, wanted, unpacked) -> Table | None:
-    """Read the joint states of a bag split over several files; None without any."""
-    if _packs_messages(path):
-        return _read([path], path, wanted)
-    for ending in BAG.endings:
-        files = sorted(path.glob(f"*{ending}"))
-        for packed in sorted(path.glob(f"*{ending}.zst*")):
-            files.append(unpacked(Source(packed, path), packed.suffix).file)
+def bag_files(folder):
+    """Return the files of a bag in a folder, the folder itself if it is needed."""
+    if _packs_messages(folder):
+        return [folder]
+    for ending in BAGS:
+        files = [*folder.glob(f"*{ending}"), *folder.glob(f"*{ending}.zst*")]
         if files:
-            return _read(files, path, wanted)
-    return None
+            return sorted(files)
+    return []
 
 
 def _packs_messages(folder):
@@ -64,43 +50,39 @@ def _packs_messages(folder):
     return bool(re.search(r"compression_mode:\s*[\"']?message\b", text, re.IGNORECASE))
 
 
-def _read(files, shown, wanted):
-    joints = wanted.joints()
+def read_bag(files, shown, wanted) -> Table:
+    """Read positions and efforts, or commanded positions, of the joints in a bag."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
-        raise BAG.missing(shown) from error
+        raise missing(shown, "rosbags", "bags need", "bags") from error
+    # A temporary copy is not repaired.
+    first = files[0] if files[0].is_relative_to(shown) else shown
+    repair = BAGS.get(files[0].suffix.lower(), "ros2 bag reindex {}")
+    remedy = "it may be cut in the middle, what is left may be saved: "
+    remedy += repair.format(shlex.quote(str(first)))
+    # Of packed messages the folder has the compression.
+    files = [shown.parent] if _packs_messages(shown.parent) else files
     store = get_typestore(Stores.ROS2_HUMBLE)
-    remedy = functools.partial(_remedy, files[0], shown)
     with (
         parsing(shown, "bag", remedy),
         AnyReader(files, default_typestore=store) as bag,
     ):
-        read = _commanded if wanted.commanded else _joint_states
-        return read(bag, shown, wanted.topic, joints)
-
-
-def _remedy(file, shown, reason):
-    """Say what may repair a bag; not a temporary copy of it."""
-    at = shlex.quote(str(file if file.is_relative_to(shown) else shown))
-    ending = file.suffix.lower()
-    if re.search("compress|zstd|lz4|bz2", reason, re.IGNORECASE):
-        unpack = _UNPACK.get(ending, "ros2 bag convert -i {} -o plain.yaml").format(at)
-        return f"unpack it by the tool that has packed it: {unpack}"
-    repair = _REPAIR.get(ending, "ros2 bag reindex {}").format(at)
-    return f"it may be cut in the middle, what is left may be saved: {repair}"
+        choose, take = (_states, _joint_states)
+        if wanted.commanded:
+            choose, take = (_commands, _commanded)
+        connections = choose(bag, shown, wanted)
+        frame, clock = _messages(bag, shown, connections, wanted.commanded)
+        topics = listed(sorted({x.topic for x in connections}))
+        return take(shown, topics, frame, clock, wanted.joints())
 
 
 # -- messages as rows ------------------------------------------------------------------
 
 
-def _messages(bag, shown, connections, parts):
-    """Return what messages say: a row each, columns (channel, joint), with its times.
-
-    parts : function of a connection and a message that returns its joints and arrays by
-    channel, none for a message without use. The index has the numbers of the messages.
-    """
+def _messages(bag, shown, connections, commanded):
+    """Return what messages say, a row each, columns (channel, joint), and times."""
     pandas = pandas_of(shown)
     unknown = {x.msgtype for x in connections} - set(bag.typestore.fielddefs)
     if unknown:
@@ -116,28 +98,44 @@ def _messages(bag, shown, connections, parts):
             "into shorter ones."
         )
     kinds: dict = {}
-    number = 0
-    for number, (connection, received, raw) in enumerate(
-        bag.messages(connections=connections), start=1
-    ):
+    messages = bag.messages(connections=connections)
+    for number, (connection, received, raw) in enumerate(messages, start=1):
         message = bag.deserialize(raw, connection.msgtype)
-        joints, channels = parts(connection, message)
-        if channels:
-            kind = kinds.setdefault((connection.topic, joints, tuple(channels)), [])
-            stamp = message.header.stamp
-            times = number, stamp.sec * 10**9 + stamp.nanosec, received
-            kind.append((times, np.concatenate(list(channels.values()))))
+        joints, channels = _channels(message, connection.topic, commanded)
+        stamp = message.header.stamp
+        times = number, stamp.sec * 10**9 + stamp.nanosec, received
+        kind = kinds.setdefault((connection.topic, joints, tuple(channels)), [])
+        kind.append((times, np.concatenate([[], *channels.values()])))
     frames, clocks = [], []
     for (topic, joints, channels), rows in kinds.items():
-        columns = pandas.MultiIndex.from_product([channels, joints])
+        columns = pandas.MultiIndex.from_product([channels or ["none"], joints])
         times, values = zip(*rows)
         clock = pandas.DataFrame(times, columns=["number", "stamp", "received"])
         clocks.append(clock.assign(topic=topic).set_index("number"))
-        frames.append(pandas.DataFrame(values, clocks[-1].index, columns))
-    if not frames:
-        return pandas.DataFrame(), pandas.DataFrame(), number
-    clock, frame = (pandas.concat(x).sort_index() for x in (clocks, frames))
-    return frame, clock, number
+        if channels:
+            frames.append(pandas.DataFrame(values, clocks[-1].index, columns))
+    clock = pandas.concat(clocks).sort_index()
+    frame = pandas.concat(frames) if frames else pandas.DataFrame()
+    return frame.reindex(clock.index), clock
+
+
+def _channels(message, topic, commanded):
+    """Return the joints of a message, and its channels that have a value for each."""
+    after = "_desired" if commanded and _COMMAND.search(topic) else ""
+    if hasattr(message, "joint_names"):
+        # ROS 2 has other names for them since 2023.
+        aim = getattr(message, "reference", None) or message.desired
+        read = getattr(message, "feedback", None) or message.actual
+        names = tuple(message.joint_names)
+        channels = {"q_desired": aim.positions, "v_desired": aim.velocities}
+        channels |= {"q": read.positions, "v": read.velocities}
+    else:
+        # Without names the numbers of the joints must do.
+        count = len(message.position)
+        names = tuple(message.name) or tuple(str(k + 1) for k in range(count))
+        channels = {f"q{after}": message.position, f"v{after}": message.velocity}
+        channels |= {} if commanded else {"tau": message.effort}
+    return names, {k: x for k, x in channels.items() if len(x) == len(names) > 0}
 
 
 def _table(shown, frame, clock, joints, channels, notes):
@@ -155,10 +153,10 @@ def _table(shown, frame, clock, joints, channels, notes):
     columns = {"t": (times - times.iloc[0]) / 1e9}
     numbered = all(name.isdecimal() for name in joints)
     for channel in channels:
-        own = frame[channel] if channel in frame else frame[[]]
-        if set(joints) <= set(own) and own[joints].notna().any().all():
+        known = frame[channel] if channel in frame else frame[[]]
+        if set(joints) <= set(known) and known[joints].notna().any().all():
             mark = "" if numbered else "_"
-            columns |= {f"{channel}{mark}{name}": own[name] for name in joints}
+            columns |= {f"{channel}{mark}{name}": known[name] for name in joints}
     return Table(
         path=shown,
         frame=pandas_of(shown).DataFrame(columns),
@@ -168,94 +166,58 @@ def _table(shown, frame, clock, joints, channels, notes):
     )
 
 
-# -- joint states ----------------------------------------------------------------------
-
-
-def _state(connection, message):
-    """Return the joints of a message and their channels, none without efforts."""
-    position, n = message.position, len(message.position)
-    # Without names the numbers of the joints must do.
-    names = tuple(message.name) or tuple(str(k + 1) for k in range(n))
-    # Drivers send nan for what they do not know, or not yet.
-    usable = n and len(names) == len(message.effort) == n
-    if not usable or not np.isfinite(position + message.effort).any():
-        return names, {}
-    channels = {"q": position, "tau": message.effort}
-    if len(message.velocity) == n:
-        channels["v"] = message.velocity
-    return names, channels
-
-
-def _joint_states(bag, shown, topic, wanted):
+def _joint_states(shown, topic, frame, clock, wanted):
     """Make a table of the joints that give most samples."""
-    connections = _connections(bag, shown, topic, wanted)
-    topic = connections[0].topic
-    frame, clock, total = _messages(bag, shown, connections, _state)
-    known = np.isfinite(frame["q"]) & np.isfinite(frame["tau"]) if len(frame) else frame
-    known = known.loc[:, known.any()]
+    known = frame[[]]
+    if {"q", "tau"} <= set(frame.columns.get_level_values(0)):
+        known = np.isfinite(frame["q"]) & np.isfinite(frame["tau"])
+        known = known.loc[:, known.any()]
     if known.empty:
         raise RecordingRefused(
-            f"{shown}: none of the {total} messages of {topic} has positions and "
+            f"{shown}: none of the {len(clock)} messages of {topic} has positions and "
             "efforts of its joints; record a topic whose effort is filled in."
         )
     if known.columns.isin(wanted).any():
         known = known.loc[:, known.columns.isin(wanted)]
     # Joints that come together, the set of them that gives most samples.
     sets = {tuple(known.columns[row]): None for row in np.unique(known, axis=0)}
-    joints = max(sets, key=lambda own: len(own) * known[[*own]].all(axis=1).sum())
-    joints = [x for x in frame["q"] if x in joints]
+    best = max(sets, key=lambda x: len(x) * known[[*x]].all(axis=1).sum())
+    joints = [x for x in frame["q"] if x in best]
     rows = known[joints].all(axis=1)
     notes = [
         f"read from {topic}: position [rad or m] as q and effort [N m or N] as tau of "
-        f"{', '.join(joints)}.",
-        *_left_out(frame["q"], topic, joints, wanted),
+        f"{', '.join(joints)}."
     ]
-    if total > rows.sum():
-        # Messages of other joints are no loss.
-        named = frame["q"][joints].notna().any(axis=1)
-        kind = Loss if named.sum() > rows.sum() else str
-        notes.append(
-            kind(
-                f"{total - rows.sum()} of {total} messages of {topic} lack some of the "
-                "joints taken, or numbers of theirs, and are left out."
-            )
+    others = sorted(set(frame["q"]) - set(joints))
+    if others:
+        travel = np.nan_to_num((frame["q"].max() - frame["q"].min())[others].max())
+        note = (
+            f"joint(s) {listed(others)} of {topic} left out: the robot has none of "
+            "that name, or they come in other messages, or without numbers, and move "
+            f"there by up to {travel:.3g} rad or m."
         )
+        notes.append(Loss(note) if {*others} & {*wanted} else note)
+    if not rows.all():
+        # Messages of other joints are no loss.
+        lost = frame["q"][joints].notna().any(axis=1).sum() > rows.sum()
+        note = (
+            f"{(~rows).sum()} of {rows.size} messages of {topic} lack some of the "
+            "joints taken, or numbers of theirs, and are left out."
+        )
+        notes.append(Loss(note) if lost else note)
     frame, channels = frame[rows], ["q", "tau"]
     if "v" in frame and set(joints) <= set(frame["v"]):
         channels += ["v"] * bool(np.isfinite(frame["v"][joints]).all(axis=None))
     return _table(shown, frame, clock[rows], joints, channels, notes)
 
 
-def _left_out(positions, topic, joints, wanted):
-    """Note the joints that are not taken, those of the robot as a loss."""
-    others = sorted(set(positions) - set(joints))
-    of_robot = [x for x in others if x in wanted]
-    left = [x for x in others if x not in wanted]
-    apart = "they come in other messages, or without numbers"
-    if left:
-        why = "the robot has none of that name" if wanted else apart
-        yield f"joint(s) {listed(left)} of {topic} left out: {why}."
-    if of_robot:
-        moved = (positions[of_robot].max() - positions[of_robot].min()).max()
-        yield Loss(
-            f"joint(s) {listed(of_robot)} of {topic} left out: {apart}, and move there "
-            f"by up to {np.nan_to_num(moved):.3g} rad or m."
-        )
-
-
-# -- commanded positions ---------------------------------------------------------------
-
-
-def _commanded(bag, shown, topic, wanted):
+def _commanded(shown, topics, frame, clock, wanted):
     """Make a table of positions and of those that were commanded."""
-    connections = _controllers(bag, shown, topic)
-    frame, clock, _ = _messages(bag, shown, connections, _command)
     commanded, read = (
         set(frame[x].dropna(axis=1, how="all")) if x in frame else set()
         for x in ("q_desired", "q")
     )
     joints = sorted(commanded & read & set(wanted) or commanded & read)
-    topics = listed(sorted({x.topic for x in connections}))
     if not joints:
         raise RecordingRefused(
             f"{shown}: no joint of {topics} has both a position and a commanded one; "
@@ -269,114 +231,78 @@ def _commanded(bag, shown, topic, wanted):
     return _table(shown, frame, clock, joints, channels, notes)
 
 
-def _controllers(bag, shown, topic):
-    """Return connections of a controller, or of joint states and of their commands."""
-    asked = (topic, f"/{topic}")
-    known = [x for x in bag.connections if x.msgcount and x.msgtype == _CONTROLLER]
-    found = [x for x in known if topic is None or x.topic in asked]
-    topics = sorted({x.topic for x in found})
-    if len(topics) > 1:
-        raise _ambiguous(shown, topics, "controllers")
-    if found:
-        return found
-    states = [x for x in bag.connections if x.msgcount and x.msgtype == _TYPE]
-    commands = {x.topic for x in states if _COMMAND.search(x.topic)}
-    others = {x.topic for x in states} - commands
-    if topic is not None:
-        others &= {*asked}
-    if len(commands) == 1 and len(others) == 1:
-        return [x for x in states if x.topic in commands | others]
-    kind = _CONTROLLER.replace("/msg", "")
-    raise RecordingRefused(
-        f"{shown}: holds {len(others)} topic(s) of joint states and {len(commands)} of "
-        f"commanded ones; expected one of {kind}, or one of each, that of commands "
-        f"called so, {_contents(bag)}."
-    )
-
-
-def _command(connection, message):
-    """Return the joints of a message and its channels, commanded ones among them."""
-    if connection.msgtype == _CONTROLLER:
-        # ROS 2 has other names for them since 2023.
-        commanded = getattr(message, "reference", None) or message.desired
-        read = getattr(message, "feedback", None) or message.actual
-        names = tuple(message.joint_names)
-        channels = {"q_desired": commanded.positions, "v_desired": commanded.velocities}
-        channels |= {"q": read.positions, "v": read.velocities}
-    else:
-        after = "_desired" if _COMMAND.search(connection.topic) else ""
-        names = tuple(message.name)
-        channels = {f"q{after}": message.position, f"v{after}": message.velocity}
-    return names, {
-        key: x for key, x in channels.items() if names and len(x) == len(names)
-    }
-
-
 # -- which topic -----------------------------------------------------------------------
 
 
-def _connections(bag, shown, topic, wanted):
+def _states(bag, shown, wanted):
     """Return the connections of the topic that was asked for, or of the only one."""
     states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
     topics = sorted({x.topic for x in states})
-    if topic is not None:
-        chosen = [x for x in bag.connections if x.topic in (topic, f"/{topic}")]
-        if chosen and chosen[0].msgtype == _TYPE:
-            return chosen
-        what = f"has no topic {topic}"
+    if wanted.topic is not None:
+        chosen = [x for x in states if x.topic in (wanted.topic, f"/{wanted.topic}")]
         if chosen:
-            what = f"topic {topic} holds {chosen[0].msgtype}, expected {_TYPE}"
-        near = difflib.get_close_matches(topic, topics, 1)
+            return chosen
+        near = difflib.get_close_matches(wanted.topic, topics, 1)
         near = topics if len(topics) == 1 else near
         raise RecordingRefused(
-            f"{shown}: {what}; {_contents(bag)}.", {"topic": near[0]} if near else {}
+            f"{shown}: has no joint states ({_TYPE}) in {wanted.topic}, {_all(bag)}.",
+            {"topic": near[0]} if near else {},
         )
     if not topics:
         raise RecordingRefused(
             f"{shown}: holds no joint states: expected a topic of {_TYPE} with "
-            f"positions and efforts, {_contents(bag)}; record /joint_states."
+            f"positions and efforts, {_all(bag)}; record /joint_states."
         )
     if len(topics) > 1:
-        able = [x for x in topics if _has_joints(bag, states, x, wanted)]
+        able = [x for x in topics if _has_joints(bag, states, x, wanted.joints())]
         if len(able) != 1:
-            raise _ambiguous(shown, topics, "joint states", able)
+            raise _ambiguous(shown, topics, (able or topics)[0])
         topics = able
     return [x for x in states if x.topic == topics[0]]
 
 
-def _ambiguous(shown, topics, what, able=()):
+def _commands(bag, shown, wanted):
+    """Return connections of a controller, or of joint states and of their commands."""
+    named = (wanted.topic, f"/{wanted.topic}")
+    used = [x for x in bag.connections if x.msgcount]
+    found = [x for x in used if x.msgtype == _CONTROLLER]
+    found = [x for x in found if wanted.topic is None or x.topic in named]
+    topics = sorted({x.topic for x in found})
+    if len(topics) > 1:
+        raise _ambiguous(shown, topics, topics[0])
+    states = [x for x in used if x.msgtype == _TYPE]
+    commands = {x.topic for x in states if _COMMAND.search(x.topic)}
+    others = {x.topic for x in states} - commands
+    others = others if wanted.topic is None else others & {*named}
+    if not found and len(commands) == 1 and len(others) == 1:
+        found = [x for x in states if x.topic in commands | others]
+    if not found:
+        raise RecordingRefused(
+            f"{shown}: holds {len(others)} topic(s) of joint states and "
+            f"{len(commands)} of commanded ones; expected one of "
+            f"{_CONTROLLER.replace('/msg', '')}, or one of each, that of commands "
+            f"called so, {_all(bag)}."
+        )
+    return found
+
+
+def _ambiguous(shown, topics, offered):
     return RecordingRefused(
-        f"{shown}: holds {len(topics)} topics of {what}: {listed(topics)}; give "
+        f"{shown}: holds {len(topics)} topics of joint states: {listed(topics)}; give "
         "--topic with one of them (in Python: topic=...).",
-        {"topic": (able or topics)[0]},
+        {"topic": offered},
     )
 
 
-def _has_joints(bag, states, topic, wanted):
+def _has_joints(bag, states, topic, joints):
     """Whether the first message of a topic has efforts of joints of the robot."""
-    own = [x for x in states if x.topic == topic]
-    for connection, _, raw in bag.messages(connections=own):
-        message = bag.deserialize(raw, connection.msgtype)
-        known = not wanted or set(message.name) & set(wanted)
-        return bool(known) and len(message.effort) > 0
-    return False
+    chosen = [x for x in states if x.topic == topic]
+    connection, _, raw = next(bag.messages(connections=chosen))
+    message = bag.deserialize(raw, connection.msgtype)
+    known = not joints or set(message.name) & set(joints)
+    return bool(known) and len(message.effort) > 0
 
 
-def _contents(bag):
-    """List the topics of a bag."""
+def _all(bag):
     topics = sorted({f"{x.topic} ({x.msgtype})" for x in bag.connections})
     return f"it holds {listed(topics) or 'no topics'}"
-
-
-_BEGINS = (b"#ROSBAG V", b"SQLite format 3\0", b"\x89MCAP0\r\n")
-BAG = Format(
-    name="bag of ROS 1 or 2, MCAP",
-    endings=(".bag", ".db3", ".mcap"),
-    shown=(".bag", ".db3", ".mcap"),
-    read=read_bag,
-    begins=tuple(zip(_BEGINS, _REPAIR)),
-    read_folder=read_bag_folder,
-    marks=("metadata.yaml", "*.db3*", "*.mcap*", "*.bag*"),
-    has_topics=True,
-    needs=("rosbags", "bags", "bags"),
-)

@@ -11,11 +11,11 @@ from importlib.util import find_spec
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
-    Format,
     Source,
     Table,
     check_names,
     check_size,
+    missing,
     no_rows,
     pandas_of,
     parsing,
@@ -23,8 +23,12 @@ from sklearn_vbjfa.recording._table import (
 )
 from sklearn_vbjfa.recording._units import is_unit
 
+# Note of a file that ends within a line.
+CUT = "the last line is cut, as where a logger is stopped: it is left out."
 # Lines that an instrument may write before the names of its columns.
 LONGEST_PREAMBLE = 100
+# What loggers write where nothing was measured.
+NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
 # NumPy writes lists of its numbers as [np.float64(0.1), ...].
 _OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")
 _LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
@@ -32,8 +36,6 @@ _LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
 _NUMBER = re.compile(
     r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
 )
-# What loggers write where nothing was measured.
-NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
 
 
 def is_number(cell: str) -> bool:
@@ -45,6 +47,9 @@ def is_data(cells):
     """Whether most of the cells that are filled are numbers."""
     numbers = [is_number(x.replace(",", ".", 1)) for x in cells if x]
     return 2 * sum(numbers) > len(cells)
+
+
+# -- names -----------------------------------------------------------------------------
 
 
 def names_and_start(lines):
@@ -108,19 +113,22 @@ def check_header(path, names, line):
     check_names(path, names, f"line {line} names")
 
 
+# -- columns ---------------------------------------------------------------------------
+
+
 def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **known):
     """Return a table of columns whose cells are numbers, dates, text or lists."""
     # comma: whether numbers may have decimal commas.
-    frame, notes = _without_headers(path, frame, notes)
+    frame, notes = _without_headers(frame, notes)
     table = Table(path=path.shown, frame=frame, place=place)
     if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
         return replace(table, notes=notes, **known)
     columns = {}
     for name in frame:
         values = _column(table, name, comma)
-        own = _spread(table, name, values) or {name: values}
-        check_names(path, [*columns, *own], "as an entry of a list has")
-        columns |= own
+        spread = _spread(table, name, values) or {name: values}
+        check_names(path, [*columns, *spread], "as an entry of a list has")
+        columns |= spread
     if "" in columns:
         index = columns.pop("")
         counts = index.dtype.kind in "if" and (np.diff(index) == 1).all()
@@ -132,7 +140,7 @@ def table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **kno
     return replace(table, frame=frame, notes=notes, **known)
 
 
-def _without_headers(path, frame, notes):
+def _without_headers(frame, notes):
     """Begin another recording where the names stand between rows."""
     if any(kind.kind in "iuf" for kind in frame.dtypes):
         return frame, notes
@@ -151,18 +159,18 @@ def _column(table, name, comma):
     values = table.frame[name]
     if values.dtype.kind in "iuf":
         return values.to_numpy(dtype=float)
-    pandas = pandas_of(table.path)
     text = values.astype(str).str.strip("\"' ")
     blank = (values.isna() | text.str.lower().isin(NOTHING)).to_numpy()
     if blank.all():
         return np.full(len(values), np.nan)
     first = int(np.argmin(blank))
     if isinstance(values.iloc[first], datetime.date):
-        return pandas.to_datetime(values, errors="coerce").to_numpy("datetime64[ns]")
+        dates = pandas_of(table.path).to_datetime(values, errors="coerce")
+        return dates.to_numpy("datetime64[ns]")
     numbers = text
     if comma:
-        commas = ~text.str.contains(".", regex=False)
-        numbers = text.where(~commas, text.str.replace(",", ".", n=1, regex=False))
+        points = text.str.contains(".", regex=False)
+        numbers = text.where(points, text.str.replace(",", ".", n=1, regex=False))
     if not is_number(numbers.iloc[first]):
         return text.mask(blank, "").to_numpy(dtype=object)
     wrong = np.flatnonzero(~numbers.str.fullmatch(_NUMBER).to_numpy(bool) & ~blank)
@@ -180,13 +188,9 @@ def _column(table, name, comma):
 
 def _spread(table, name, values):
     """Return a column for each entry of cells that are lists of numbers, else {}."""
-    if values.dtype.kind != "O":
+    if values.dtype.kind != "O" or not all(map(is_number, _entries(values[0]))):
         return {}
-    first = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", values[0]))
-    if not first or not all(map(is_number, _entries(first))):
-        return {}
-    matches = [_LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell)) for cell in values]
-    cells = [_entries(match) if match else [] for match in matches]
+    cells = [_entries(cell) for cell in values]
     if len({len(x) for x in cells}) > 1 or not all(
         is_number(x) for row in cells for x in row
     ):
@@ -198,34 +202,43 @@ def _spread(table, name, values):
     return {f"{name}_{k}": x for k, x in enumerate(matrix.T)}
 
 
-def _entries(match):
-    return re.split(r"[\s,;]+", match[1].strip())
+def _entries(cell):
+    """Return the texts in a list; of what is none, one that is no number."""
+    match = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell))
+    return re.split(r"[\s,;]+", match[1].strip()) if match else ["none"]
 
 
 # -- spreadsheets ----------------------------------------------------------------------
 
 
-def read_sheet(path: Source, wanted) -> Table:
+def read_sheet(path: Source) -> Table:
     """Read the first sheet with a table of numbers, below the names of its columns."""
     pandas = pandas_of(path)
     if find_spec("python_calamine") is None:
-        raise SHEET.missing(path)
+        raise missing(path, "python-calamine", "spreadsheets need", "excel")
     check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
-    options = {"header": None, "keep_default_na": False, "na_values": []}
     with (
-        parsing(path, "spreadsheet", "save it as CSV"),
+        parsing(path, "spreadsheet", "save it as CSV."),
         pandas.ExcelFile(path.file, engine="calamine") as book,
     ):
         sheets = {
-            name: pandas.read_excel(book, name, dtype=object, **options)
+            name: pandas.read_excel(
+                book,
+                name,
+                dtype=object,
+                header=None,
+                keep_default_na=False,
+                na_values=[],
+            )
             for name in book.sheet_names
         }
+    count = len(sheets)
     sheets = {name: frame for name, frame in sheets.items() if len(frame)}
     filled = [name for name, frame in sheets.items() if any(map(is_data, _rows(frame)))]
     name = (filled or list(sheets) or [""])[0]
-    if not name:
+    frame = sheets.get(name)
+    if frame is None:
         raise no_rows(path)
-    frame = sheets[name]
     frame.index += 1
     frame = frame[(frame != "").any(axis=1)]
     if len(frame) < 2:
@@ -244,8 +257,7 @@ def read_sheet(path: Source, wanted) -> Table:
         path,
         frame,
         place="line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}"),
-        notes=(f"sheet {name!r} of {len(book.sheet_names)} was read.",)
-        * (len(book.sheet_names) > 1),
+        notes=(f"sheet {name!r} of {count} was read.",) * (count > 1),
         units=dict(units),
         nameless=at is None,
     )
@@ -264,12 +276,3 @@ def _unpacked_size(path):
     ):
         size = max(size, sum(x.file_size for x in archive.infolist()))
     return size
-
-
-SHEET = Format(
-    name="Excel",
-    endings=(".xlsx", ".xlsm", ".xlsb", ".xls", ".ods"),
-    read=read_sheet,
-    begins=((b"\xd0\xcf\x11\xe0", ".xls"),),
-    needs=("python-calamine", "spreadsheets", "excel"),
-)

@@ -2,7 +2,6 @@
 
 import codecs
 import csv
-import functools
 import io
 import re
 from dataclasses import dataclass
@@ -10,8 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.recording._table import (
-    CUT,
-    Format,
     NotATable,
     Source,
     Table,
@@ -20,6 +17,7 @@ from sklearn_vbjfa.recording._table import (
     parsing,
 )
 from sklearn_vbjfa.recording.formats._cells import (
+    CUT,
     LONGEST_PREAMBLE,
     NOTHING,
     check_header,
@@ -34,40 +32,30 @@ from sklearn_vbjfa.recording.formats._cells import (
 _LONGEST_LINE, _BLOCK = 1 << 25, 1 << 24
 # Of fewer rows the last is not said to be cut; rows that show the usual decimals.
 _FEWEST, _TAIL = 10, 500
-# A cell of a spreadsheet, not the beginning of a comment.
-_SHEET_ERROR = re.compile(rb"#(N/A|DIV/0!|VALUE!|REF!|NAME\?|NUM!|NULL!)")
 _NO_BRACKETS = bytes.maketrans(b"()[]", b"    ")
-_SEPARATORS = (";", "\t", ",", "|")
 _ANY = re.compile(r"[;,|\s]+")
 # This line is the separator for Excel.
 _EXCEL_SEPARATOR = re.compile(r'"?sep=.?"?', re.IGNORECASE)
 # A row of numbers some of which stand in brackets, as YARP prints its ports.
 _BRACKETED = re.compile(r"[-+\d.eE\s,;]*[(\[][-+\d.eE\s,;()\[\]]*")
-# Nothing is guessed from how frequent letters are: a mark at the beginning settles the
-# encoding; text without one is UTF-8 if all of it is, else it may be a CSV file that
-# Excel saved in Western Europe, code page 1252. The longer mark counts.
-_BYTE_ORDER_MARKS = (
-    (codecs.BOM_UTF8, "utf-8-sig"),
-    (codecs.BOM_UTF32_LE, "utf-32"),
-    (codecs.BOM_UTF32_BE, "utf-32"),
-    (codecs.BOM_UTF16_LE, "utf-16"),
-    (codecs.BOM_UTF16_BE, "utf-16"),
-)
+# A mark at the beginning settles the encoding. Text without one is UTF-8, or a CSV file
+# that Excel saved in Western Europe, code page 1252.
+_MARKS = {codecs.BOM_UTF16_LE: "utf-16", codecs.BOM_UTF16_BE: "utf-16"}
 # The bytes of that code page that are no control characters.
 _WINDOWS = bytes({*b"\t\n\r\f", *range(32, 256)} - {*b"\x7f\x81\x8d\x8f\x90\x9d"})
 
 
-def read_text(path: Source, wanted) -> Table:
+def read_text(path: Source) -> Table:
     """Read text with a header line; blank lines and comments (#) are skipped."""
-    text = _text_in_utf8(path)
-    lines = text.lines(2 * LONGEST_PREAMBLE)
+    text = _text_of(path)
+    lines = text.first_lines()
     content = [line for line in map(_content, lines) if line]
     if not content:
         raise no_rows(path)
     try:
         if _BRACKETED.fullmatch(content[0]):
-            text = text.without_brackets()
-            lines = text.lines(2 * LONGEST_PREAMBLE)
+            text = _Text(path, text.read().translate(_NO_BRACKETS), text.notes)
+            lines = text.first_lines()
         return _read(text, lines)
     except csv.Error as error:
         raise ValueError(
@@ -89,12 +77,11 @@ def _content(line):
 def _read(text, lines):
     path, pandas = text.path, pandas_of(text.path)
     names, start, separator, units, notes = _head(path, lines)
-    _without_comments(path, [line.encode() for line in lines[:start]])
     columns = names or _places(lines[start], separator)
-    numbers, cut = _check_rows(text, start, columns, separator)
+    numbers, is_cut = _rows(text, start, columns, separator)
     if not numbers.size:
         raise ValueError(f"{path}: only a header and no rows of data.")
-    with parsing(path, "table of numbers", "save it as CSV in UTF-8"):
+    with parsing(path, "table of numbers", "save it as CSV in UTF-8."):
         with text.open() as file:
             frame = pandas.read_csv(
                 file,
@@ -120,7 +107,7 @@ def _read(text, lines):
         path,
         frame,
         comma=separator != ",",
-        notes=(*notes, *[CUT] * cut, *text.notes),
+        notes=(*notes, *[CUT] * is_cut, *text.notes),
         units=dict(units),
         nameless=not names,
     )
@@ -136,8 +123,7 @@ def _head(path, lines):
     echo = _echo_names(line)
     if echo:
         return echo, first, ",", (), []
-    rows = (_cells(x, _separator_of(x)) for _, x in content)
-    at, names, start, units = names_and_start(rows)
+    at, names, start, units = names_and_start(_cells(x) for _, x in content)
     # Of a file with a header alone the data begin after it.
     start = content[start][0] if start < len(content) else len(lines)
     if at is not None:
@@ -147,21 +133,10 @@ def _head(path, lines):
         header = max((k for k in range(first) if lines[k].strip()), default=None)
         found = "" if header is None else lines[header].strip().lstrip("#")
         found = found.split("#")[0].strip()
-        names = without_blank_ends(_cells(found, _separator_of(found)))
-        width = len(_places(line, _separator_of(line)))
-        if len(names) != width or any(map(is_number, names)):
-            return [], start, _separator_of(line), (), []
-    if found == "header:":
-        raise ValueError(
-            f"{path}: holds messages as topic echo shows them; write them one a line, "
-            "ros2 topic echo --csv TOPIC > FILE.csv (rostopic echo -p), or record a bag"
-        )
-    marks = [mark for mark in (":", "/") if mark in found]
-    if len(names) == 1 and marks:
-        raise ValueError(
-            f"{path}: line {header + 1} is one cell, with {marks[0]!r} in it; separate "
-            "the columns by comma, semicolon, tab or blanks."
-        )
+        names = without_blank_ends(_cells(found))
+        separator = _separator_of(line)
+        if len(names) != len(_places(line, separator)) or any(map(is_number, names)):
+            return [], start, separator, (), []
     check_header(path, names, header + 1)
     notes = [f"the names of the columns are in line {header + 1}."] if at else []
     return list(names), start, _separator_of(found), units, notes
@@ -169,8 +144,8 @@ def _head(path, lines):
 
 def _places(line, separator):
     """Return names for the columns of a table that has none, by a row."""
-    cells = without_blank_ends(_cells(line, separator))
-    return [str(k + 1) for k in range(len(cells))]
+    count = len(without_blank_ends(_cells(line, separator)))
+    return [str(k + 1) for k in range(count)]
 
 
 def _echo_names(line):
@@ -182,13 +157,28 @@ def _echo_names(line):
     n, rest = divmod(len(cells) - 3, 4)
     if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
         return []
-    joints, numbers = cells[3 : 3 + n], cells[3 + n :]
-    if any(map(is_number, joints)) or not all(map(is_number, numbers)):
+    if any(map(is_number, cells[3 : 3 + n])) or not all(map(is_number, cells[3 + n :])):
         return []
     names = ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
     for what in ("name", "position", "velocity", "effort"):
         names += [f"{what}_{k}" for k in range(n)]
     return names
+
+
+def _separator_of(line):
+    """Return the separator that a line has; None is white space."""
+    return next((mark for mark in (";", "\t", ",", "|") if mark in line), None)
+
+
+def _cells(line, *separator):
+    """Return the cells of a line without a comment; in quotes a separator is none."""
+    (separator,) = separator or [_separator_of(line)]
+    line = line.split("#")[0].strip(" \r\n")
+    if separator is None:
+        cells = line.split()
+    else:
+        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
+    return [cell.strip("\"' ") for cell in cells]
 
 
 # -- encoding --------------------------------------------------------------------------
@@ -208,149 +198,96 @@ class _Text:
             return self.path.file.open("rb")
         return io.BytesIO(self.content)
 
-    def lines(self, count):
-        """Return the first lines, without their ends."""
+    def read(self):
+        """Return all of it."""
+        with self.open() as file:
+            return file.read()
+
+    def first_lines(self):
+        """Return the lines that may come before the data, without their ends."""
         with io.TextIOWrapper(self.open(), encoding="utf-8-sig") as file:
-            read = functools.partial(file.readline, _LONGEST_LINE)
-            found = [line for line, _ in zip(iter(read, ""), range(count))]
-        self._check_length(found)
-        return [line.rstrip("\n") for line in found]
-
-    def without_brackets(self):
-        """Return the text with blanks in place of brackets."""
-        with self.open() as file:
-            content = file.read().translate(_NO_BRACKETS)
-        return _Text(self.path, content, self.notes)
-
-    def blocks(self):
-        """Yield lists of lines, as bytes; the last line is empty if it has an end."""
-        with self.open() as file:
-            left = b""
-            while block := file.read(_BLOCK):
-                left += block
-                cut = max(left.rfind(b"\n"), left.rfind(b"\r", 0, -1)) + 1
-                if cut:
-                    yield _lines(left[:cut])[:-1]
-                    left = left[cut:]
-                self._check_length([left])
-            yield _lines(left)
-
-    def _check_length(self, lines):
-        if max(map(len, lines), default=0) >= _LONGEST_LINE:
-            raise ValueError(
-                f"{self.path}: has a line of more than {_LONGEST_LINE} characters; "
-                "expected one row per sample."
-            )
+            lines = zip(range(2 * LONGEST_PREAMBLE), file)
+            return [line.rstrip("\n") for _, line in lines]
 
 
-def _lines(block):
-    if b"\r" in block:
-        block = block.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
-    return block.split(b"\n")
-
-
-def _text_in_utf8(path):
+def _text_of(path):
     """Return the text of a file; refuse what is not text in any known encoding."""
     with path.file.open("rb") as file:
-        begin = file.read(4)
+        begin = file.read(2)
         file.seek(0)
-        marked = [name for mark, name in _BYTE_ORDER_MARKS if begin.startswith(mark)]
-        encoding = marked[0] if marked else "utf-8"
-        decoder, binary = codecs.getincrementaldecoder(encoding)(), False
+        encoding = _MARKS.get(begin, "utf-8")
+        decoder = codecs.getincrementaldecoder(encoding)()
+        binary, carriage, length = False, False, 0
         try:
             while block := file.read(_BLOCK):
                 binary |= "\0" in decoder.decode(block)
+                ended = b"\n" in block or b"\r" in block
+                carriage |= b"\r" in block and b"\n" not in block
+                length = 0 if ended else length + len(block)
+                if length >= _LONGEST_LINE:
+                    raise ValueError(
+                        f"{path}: has a line of more than {_LONGEST_LINE} characters; "
+                        "expected one row per sample."
+                    )
             decoder.decode(b"", final=True)
-        except UnicodeDecodeError:
-            return _in_another_encoding(path, encoding, bool(marked))
+        except UnicodeDecodeError as error:
+            odd = path.file.read_bytes().translate(None, _WINDOWS)
+            if odd or encoding != "utf-8":
+                raise ValueError(
+                    f"{path}: is not {encoding.upper()} ({error.reason}); save it as "
+                    "CSV in UTF-8."
+                ) from error
+            note = "is not UTF-8, read as Windows text (cp1252), as Excel saves CSV."
+            return _converted(path, "cp1252", note)
     if binary:
         raise ValueError(f"{path}: is binary, not text; save it as CSV in UTF-8.")
-    if encoding.startswith("utf-8"):
+    if encoding == "utf-8" and not carriage:
         return _Text(path)
-    return _Text(path, path.file.read_bytes().decode(encoding).encode())
+    return _converted(path, encoding)
 
 
-def _in_another_encoding(path, encoding, marked):
-    """Return text in the code page of Windows; refuse what is none."""
-    content, name = path.file.read_bytes(), encoding.removesuffix("-sig")
-    try:
-        # A file with some characters in UTF-8 is damaged, not in another encoding: by
-        # chance two letters of the code page make no such character.
-        odd = content.translate(None, _WINDOWS)
-        if marked or odd or not content.decode("utf-8", "ignore").isascii():
-            content.decode(name)
-    except UnicodeDecodeError as error:
-        raise ValueError(
-            f"{path}: is not {name.upper()} ({error.reason} at byte {error.start}); "
-            "save it as CSV in UTF-8."
-        ) from error
-    note = "is not UTF-8, read as Windows text (cp1252), as Excel saves CSV."
-    return _Text(path, content.decode("cp1252").encode(), (note,))
+def _converted(path, encoding, *notes):
+    """Return text in UTF-8, with the ends of lines of Unix."""
+    content = path.file.read_bytes().decode(encoding).encode()
+    content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    return _Text(path, content, notes)
 
 
 # -- cells of each row -----------------------------------------------------------------
 
 
-def _separator_of(line):
-    """Return the separator that a line has; None is white space."""
-    return next((mark for mark in _SEPARATORS if mark in line), None)
-
-
-def _cells(line, separator):
-    """Return the cells of a line without a comment; in quotes a separator is none."""
-    line = line.split("#")[0].strip(" \r\n")
-    if separator is None:
-        cells = line.split()
-    else:
-        cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
-    return [cell.strip("\"' ") for cell in cells]
-
-
-def _check_rows(text, start, names, separator):
-    """Return the numbers of the lines with rows, without a last one that was cut."""
-    # Refuses a row that has not as many cells as there are names; start: first line.
-    width, number, rows, last, ended = len(names), 0, [], [], True
-    mark = b"" if separator is None else separator.encode()
-    for lines in text.blocks():
-        first = max(start, number)
-        number += len(lines)
-        lines = lines[max(start - number + len(lines), 0) :]
-        if not lines:
-            continue
-        ended = not lines[-1]
-        lines = _without_comments(text.path, lines, first)
-        counts = [line.count(mark) + 1 if mark else len(line.split()) for line in lines]
-        odd = np.array(counts) != width
-        odd |= width == 1 or any(b'"' in line for line in lines)
-        data = np.ones(len(lines), dtype=bool)
-        for k in np.flatnonzero(odd):
-            data[k] = bool(lines[k].strip())
-            wrong = _wrong(lines[k].decode(), names, separator) if data[k] else ""
-            # The last line may be one that was cut.
-            may_be_cut = k == len(lines) - 1 and k + sum(map(len, rows)) >= _FEWEST
-            if wrong and not may_be_cut:
-                raise ValueError(f"{text.path}: line {first + k + 1} {wrong}.")
-        data = np.flatnonzero(data)
-        rows.append(data + first + 1)
-        last = [*last, *(lines[k].decode() for k in data[-_TAIL:])][-_TAIL:]
-    numbers = np.concatenate([np.zeros(0, dtype=int), *rows])
-    if not ended and numbers.size >= _FEWEST and _is_cut(last, width, separator):
-        return numbers[:-1], True
-    return numbers, False
-
-
-def _without_comments(path, lines, first=0):
-    """Return lines without comments; refuse errors of spreadsheets."""
-    if not any(b"#" in line for line in lines):
-        return lines
-    for k, line in enumerate(lines):
-        error = _SHEET_ERROR.search(line)
-        if error:
-            raise ValueError(
-                f"{path}: {error[0].decode()!r} in line {first + k + 1} is not a "
-                "number; correct or remove that line."
-            )
-    return [line.partition(b"#")[0] for line in lines]
+def _rows(text, start, names, separator):
+    """Return the numbers of the lines with rows, and whether a cut one was left out."""
+    # Refuses a row that has not as many cells as there are names.
+    width, number, numbers, last = len(names), 0, [], []
+    mark = None if separator is None else separator.encode()
+    with text.open() as file:
+        while lines := file.readlines(_BLOCK):
+            skipped = max(start - number, 0)
+            number += len(lines)
+            lines = lines[skipped:]
+            first, ended = number - len(lines) + 1, bool(lines) and lines[-1][-1:]
+            if any(b"#" in line for line in lines):
+                lines = [line.partition(b"#")[0] for line in lines]
+            data = np.array([not x.isspace() and bool(x) for x in lines], dtype=bool)
+            cells = [x.count(mark) + 1 if mark else len(x.split()) for x in lines]
+            odd = np.array(cells) != width
+            odd |= width == 1 or any(b'"' in line for line in lines)
+            for k in np.flatnonzero(odd & data):
+                wrong = _wrong(lines[k].decode(), names, separator)
+                # The last line may be one that was cut.
+                whole = k + 1 < len(lines) or ended == b"\n"
+                if wrong and (whole or sum(map(len, numbers)) + k < _FEWEST):
+                    raise ValueError(f"{text.path}: line {first + k} {wrong}.")
+            rows = np.flatnonzero(data)
+            numbers.append(rows + first)
+            last = [*last, *(lines[k].decode() for k in rows[-_TAIL:])][-_TAIL:]
+    found = np.concatenate([np.zeros(0, dtype=int), *numbers])
+    # Whole files may lack the end of the last line, too.
+    may_be_cut = found.size >= _FEWEST and ended != b"\n" and found[-1] == number
+    if may_be_cut and _is_cut(last, width, separator):
+        return found[:-1], True
+    return found, False
 
 
 def _wrong(line, names, separator):
@@ -363,17 +300,13 @@ def _wrong(line, names, separator):
     if len(cells) == len(names):
         return ""
     remedy = "correct or remove that line"
-    if len(cells) == 1 and _separator_of(line) != separator:
-        remedy = "separate the columns as the header does"
-    elif separator == "," and len(cells) > len(names):
+    if separator == "," and len(cells) > len(names):
         remedy = "numbers with decimal commas need ; as separator"
     return f"has {len(cells)} cells, the header names {len(names)} columns; {remedy}"
 
 
 def _is_cut(lines, width, separator):
-    """Whether the last of some lines, which has no end, is not whole."""
-    # Whole files may lack the end of the last line, too: of a whole cell the decimals
-    # are as many as in one of the others.
+    """Whether the last of some lines is not whole: cells or decimals are missing."""
     last, usual = (_cells(line, separator) for line in (lines[-1], lines[-2]))
     whole = len(last) >= width and bool(last[-1]) >= bool(usual[-1])
     if usual[-1].startswith(("[", "(")):
@@ -383,13 +316,5 @@ def _is_cut(lines, width, separator):
 
 
 def _decimals(line, separator):
-    """Count the decimals of the last cell of a line."""
     cell = line.rstrip().rpartition(separator or " ")[2]
     return len(cell.rpartition("." if separator == "," or "." in cell else ",")[2])
-
-
-TEXT = Format(
-    name="CSV (also .gz, .bz2, .xz)",
-    endings=(".csv", ".tsv", ".txt", ".dat"),
-    read=read_text,
-)

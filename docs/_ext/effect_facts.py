@@ -104,7 +104,7 @@ def step_sentence(use):
     reasons = step_reasons(use)
     refused = {reason for _, reason in reasons if reason}
     if not refused:
-        stateful = isinstance(use.effect, Stateful) and use.effect.memory == "past"
+        stateful = isinstance(use.effect, Stateful)
         memory = ", with memory" if stateful else ""
         return f"yes{memory}"
     (why,) = refused

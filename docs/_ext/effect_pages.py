@@ -207,8 +207,7 @@ class Facts(_OfEffect):
         use, kind = self.use, type(self.use.effect)
         urdf, mjcf = destinations(use)
         lines = [
-            f":identifiable with: {kind.visible}",
-            f":distinguished from its rivals by: {kind.record}",
+            f":what to record: {kind.record}",
             f":in a control loop (``step``): {step_sentence(use)}",
             f":in URDF: {file_sentence(urdf)}",
             f":in MJCF: {file_sentence(mjcf)}",
@@ -240,7 +239,7 @@ class Index(_OfEffect):
                     [
                         f":doc:`effects/{effect.name}`",
                         "",
-                        f"``{effect.name}``; identifiable with: {effect.visible}",
+                        f"``{effect.name}``; record: {effect.record}",
                     ]
                 )
                 cards += card

@@ -15,10 +15,10 @@ def list_effects(arguments, folder):
     from sklearn_vbjfa.effects import resolve
 
     rows = [
-        [one.name, type(one).__doc__.splitlines()[0].rstrip("."), one.visible]
+        [one.name, type(one).__doc__.splitlines()[0].rstrip("."), one.record]
         for one in resolve("all")
     ]
-    heads = ["name", "effect", "shows if the recording has"]
+    heads = ["name", "effect", "what to record"]
     return Done(text=tabulate(rows, headers=heads, maxcolwidths=[None, 46, 34]))
 
 

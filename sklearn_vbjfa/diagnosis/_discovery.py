@@ -26,7 +26,7 @@ from sklearn_vbjfa.diagnosis.search._branches import (
 from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
-from sklearn_vbjfa.effects import JointEffect, TorqueGain, declarable, resolve
+from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
 from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
@@ -591,7 +591,7 @@ def _asked_again(identifier):
 
 def _is_plain(effect):
     """Whether an effect of one joint is a friction term without shape parameters."""
-    plain = isinstance(effect, JointEffect) and effect.name in declarable()
+    plain = effect.name in declarable()
     return plain and not any(effect.shape().values())
 
 

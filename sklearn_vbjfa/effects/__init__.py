@@ -9,7 +9,6 @@ from sklearn_vbjfa.effects._base import (
     TORQUE,
     Effect,
     InFiles,
-    JointEffect,
     OfTime,
     Shaped,
     Stateful,
@@ -55,10 +54,8 @@ from sklearn_vbjfa.effects._library import (
     check_declared,
     closure,
     declarable,
-    declared_alike,
+    declared,
     declared_columns,
-    declared_nonnegative,
-    declared_unit,
     resolve,
 )
 from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip, play, stops
@@ -100,7 +97,6 @@ __all__ = [
     "InModel",
     "Jerk",
     "JointAxis",
-    "JointEffect",
     "JointZero",
     "LoadFriction",
     "MaxwellSlip",

@@ -9,23 +9,18 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_array
 
-from sklearn_vbjfa.effects._motion import (
-    AllJoints,
-    Arrays,
-    Motion,
-    every_joint,
-    rows_of,
-)
+from sklearn_vbjfa.effects._motion import Arrays, Motion, rows_of
 
 # Units for a revolute and for a prismatic joint.
 TORQUE, STIFFNESS = ("N m", "N"), ("N m/rad", "N/m")
 POSITION, SPEED, TIME = ("rad", "m"), ("rad/s", "m/s"), ("s", "s")
 VISCOSITY, INERTIA = ("N m s/rad", "N s/m"), ("kg m^2", "kg")
+ANGLE, RATIO = ("rad", "rad"), ("", "")
 
 
 # A subclass with one of these has another torque than its base: what its base says of
 # that torque elsewhere does not hold for it.
-_TORQUE = frozenset({"law", "column", "columns"})
+_TORQUE = frozenset({"law", "columns"})
 _OF_TORQUE = frozenset({"law", "terms", "simulated", "not_simulated", "files", "alike"})
 _OWN = "an effect of the user's own"
 
@@ -64,12 +59,9 @@ class Effect(TransformerMixin, BaseEstimator):
 
     Attributes
     ----------
-    name : str
-        Name, the same for all joints.
-    label : str
-        Name in reports; by default `name`.
-    formula : str
-        Added torque in LaTeX, for documentation and reports.
+    name, label, formula : str
+        Name, the same for all joints; name in reports, by default `name`; added torque
+        in LaTeX.
     coefficients : tuple of str
         Symbols of the linear coefficients, one for each column.
     units : tuple of (str, str)
@@ -90,10 +82,9 @@ class Effect(TransformerMixin, BaseEstimator):
     growth : {"straight", "curved", "bounded"}
         Growth of the columns: linear, nonlinear (half the margin), or bounded
         (extrapolated).
-    visible : str
-        What a recording must contain for the effect to be identifiable.
     record : str
-        What to record to distinguish it from its rivals.
+        What a recording must contain for the effect to be identifiable, and to be
+        distinguished from its rivals.
     seen_over : {"", "position", "speed", "acceleration", "load", "time", "signal"}
         Horizontal axis of its picture; empty for its torque.
     with_motion : bool
@@ -133,7 +124,6 @@ class Effect(TransformerMixin, BaseEstimator):
     array([[8.]])
     """
 
-    # What every effect says.
     name = ""
     coefficients: tuple[str, ...] = ()
     units: tuple[tuple[str, str], ...] = ()
@@ -142,8 +132,7 @@ class Effect(TransformerMixin, BaseEstimator):
     formula = ""
     named_units: tuple = ()
     negative: tuple = ()
-    visible = "the joint moves"
-    record = ""
+    record = "motion of the joint"
     seen_over = ""
     with_motion = False
     # In a search.
@@ -287,8 +276,7 @@ class Effect(TransformerMixin, BaseEstimator):
     def parameter_units(self, prismatic=False):
         """Units of `parameters` and of the shape parameters, symbol -> unit."""
         named = self.named_units or zip(self.coefficients, self.units)
-        kind = int(bool(prismatic))
-        return {name: units[kind] for name, units in named}
+        return {name: units[int(bool(prismatic))] for name, units in named}
 
     def prefix(self, joint_name):
         """Return what the names of its parameters begin with."""
@@ -307,10 +295,6 @@ class Effect(TransformerMixin, BaseEstimator):
         ``joint_label`` turns a joint, counted from zero, into its label.
         """
         return cls.label or cls.name.replace("_", " ")
-
-    def told_beside(self, other):
-        """Return its name in a list of rivals."""
-        return self.name
 
     # -- derived ------------------------------------------------------------------
 
@@ -331,6 +315,14 @@ class Effect(TransformerMixin, BaseEstimator):
         if isinstance(self.joint, bool) or not isinstance(self.joint, Integral):
             raise ValueError(
                 f"joint must be an integer, counted from zero; got {self.joint!r}."
+            )
+
+    def _check_choice(self, name, known):
+        """Raise ValueError for a parameter that is not one of those known."""
+        if getattr(self, name) not in known:
+            raise ValueError(
+                f"{name} of {self.name} must be one of {list(known)}; got "
+                f"{getattr(self, name)!r}."
             )
 
     def key(self):
@@ -496,28 +488,9 @@ class Shaped(Effect):
 class Stateful(Effect):
     """An effect whose columns depend on other rows than their own.
 
-    Attributes
-    ----------
-    memory : {"past", "future"}
-        Whether they depend on earlier rows alone, as a hysteresis or a lag does, or on
-        later ones too, as a derivative by central differences does. Control loops leave
-        out "future".
+    Torques state by state include it if it has a `law`, which may keep what it needs of
+    earlier states; a new function remembers nothing.
     """
-
-    memory = "past"
-
-    def one_by_one(self):
-        """Return a function that computes the columns row by row.
-
-        Needed by torques state by state, unless `law` defines the effect.
-
-        Returns
-        -------
-        callable or None
-            Motion of one row -> columns of that row, (1, k) or (1, nv, k); called with
-            the rows of a recording in the order of time. A new function each time.
-        """
-        return None
 
 
 class OfTime(Effect):
@@ -536,56 +509,6 @@ class OfTime(Effect):
     def later(self, coef, t):
         """Return the coefficients at a time [s], symbol -> value; empty if constant."""
         return {}
-
-
-class JointEffect(Effect):
-    """An effect of one column, made from its joint's velocity and acceleration alone.
-
-    Such a column is cheap to make for all joints at once, so that a robot may declare
-    it by name: ``RobotIdentifier(friction=["coulomb"])``.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import JointEffect
-    >>> class Cubic(JointEffect):
-    ...     '''Drag of the third degree, tau = F3 v^3.'''
-    ...     name = "cubic"
-    ...     coefficients = ("F3",)
-    ...     units = (("N m s^3/rad^3", "N s^3/m^3"),)
-    ...     def column(self, v, a, rest=None):
-    ...         return v**3
-    >>> Cubic(joint=1).fit_transform(np.array([[0, 0, 0, 2.0, 0, 0]]))
-    array([[8.]])
-    """
-
-    def column(self, v, a, rest=None):
-        """Compute the column of each joint; by default that of the `law`.
-
-        Parameters
-        ----------
-        v, a : ndarray of shape (n, nv)
-            Velocities and accelerations.
-        rest : Rest or None
-            What to take for the sign of the velocity of a joint that may be standing.
-
-        Returns
-        -------
-        ndarray of shape (n, nv)
-            One column for each joint.
-        """
-        law = self.law(AllJoints(rest))
-        if law is None:
-            raise NotImplementedError(
-                f"{type(self).__name__} must define column(v, a)."
-            )
-        (found,) = law(every_joint(v, a))
-        return np.array(np.broadcast_to(found, np.shape(v)))
-
-    def columns(self, motion):
-        own = [self.joint]
-        rest = None if motion.rest is None else motion.rest.pick(*own)
-        return self.column(motion.v[:, own], motion.a[:, own], rest)
 
 
 def _parts(groups, n):

@@ -1,7 +1,5 @@
 """Effects of the channels: positions and torques that passed different filters."""
 
-import math
-from collections import deque
 from numbers import Real
 
 import numpy as np
@@ -43,24 +41,6 @@ def low_pass(x, dt, time_constant):
     return scipy.signal.lfilter(
         [1 - mean, mean - left], [1, -left], x, zi=mean * x[:1]
     )[0]
-
-
-def _low_pass_by_rows(time_constant):
-    """Return a function (x, dt) -> `low_pass` of the values x until now."""
-    before = y = None
-
-    def filtered(x, dt):
-        nonlocal before, y
-        if y is None:
-            y = x
-        else:
-            left = math.exp(-dt / time_constant)
-            mean = time_constant / dt * (1 - left)
-            y = left * y + (1 - mean) * x + (mean - left) * before
-        before = x
-        return y
-
-    return filtered
 
 
 def smooth(x, dt, time_constant):
@@ -136,7 +116,6 @@ class Delay(Shaped, Stateful, OfChannel):
     named_units = shape_units = (("delay", TIME),)
     needs = ("load", "time")
     continuous = ("delay",)
-    visible = "fast changes of the torque"
     record = "fast changes of the torque"
     files = InFiles.nowhere(
         "the torque channel is late; it is not a property of the robot"
@@ -145,10 +124,6 @@ class Delay(Shaped, Stateful, OfChannel):
     def __init__(self, joint=0, delay=0.001):
         super().__init__(joint)
         self.delay = delay
-
-    @property
-    def memory(self):
-        return "past" if self.delay > 0 else "future"
 
     def check(self):
         super().check()
@@ -186,27 +161,6 @@ class Delay(Shaped, Stateful, OfChannel):
             lagged = np.interp(t - self.delay, t, torque[part])
             out[part] = (lagged - torque[part]) / self.delay
         return out[:, None]
-
-    def law(self, maths):
-        j, delay = self.joint, self.delay
-        times, torques = deque(), deque()
-
-        def lag(state):
-            t, torque = state.t, state.torque[j]
-            times.append(t)
-            torques.append(torque)
-            asked = t - delay
-            while len(times) > 2 and times[1] <= asked:
-                times.popleft()
-                torques.popleft()
-            if len(times) < 2 or asked <= times[0]:
-                lagged = torques[0]
-            else:
-                slope = (torques[1] - torques[0]) / (times[1] - times[0])
-                lagged = torques[0] + slope * (asked - times[0])
-            return ((lagged - torque) / delay,)
-
-        return lag
 
     def taken_back(self, coef, torque, t):
         return np.interp(t + coef[0], t, torque)
@@ -282,7 +236,6 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
     continuous = ("time_constant",)
     positive = ("time_constant",)
     nonnegative = ("time_constant_estimate",)
-    visible = "changes of the torque as fast as the filter"
     record = "fast changes of the torque, both channels unfiltered"
     files = InFiles.nowhere("a channel's filter; it is not a property of the robot")
 
@@ -312,18 +265,10 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         half = 1.0 / (2.0 * np.pi) if self.kind == "lag" else _HALF_POWER
         return half / self.time_constant
 
-    @property
-    def memory(self):
-        return "past" if self.kind == "lag" else "future"
-
     def check(self):
         super().check()
-        for name, known in (("kind", _FILTERS), ("of", ("torque", "position"))):
-            if getattr(self, name) not in known:
-                raise ValueError(
-                    f"{name} of {self.name} must be one of {list(known)}; got "
-                    f"{getattr(self, name)!r}."
-                )
+        self._check_choice("kind", _FILTERS)
+        self._check_choice("of", ("torque", "position"))
 
     def plausible(self, coef):
         found = self.parameters(coef)["time_constant"]
@@ -348,20 +293,6 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
                 change = _FILTERS[self.kind](change, dt, T) - 2 * change
             out[part] = change / T
         return out[:, None]
-
-    def law(self, maths):
-        j, constant = self.joint, self.time_constant
-        first, second = _low_pass_by_rows(constant), _low_pass_by_rows(constant)
-        backwards = self.of == "position"
-
-        def change(state):
-            torque, dt = state.torque[j], state.dt
-            changed = first(torque, dt) - torque
-            if backwards:
-                changed = second(changed, dt) - 2 * changed
-            return (changed / constant,)
-
-        return change
 
     def shapes(self, motion):
         """Time constants around what the low-pass lets through."""
@@ -424,8 +355,6 @@ class Jerk(Stateful):
     coefficients = ("J",)
     units = (("N m s^3/rad", "N s^3/m"),)
     needs = ("time",)
-    memory = "future"
-    visible = "fast changes of the acceleration"
     record = "fast changes of the acceleration"
     not_simulated = "it represents a lag of a channel or flexibility"
     files = InFiles.nowhere(

@@ -10,8 +10,8 @@ from sklearn_vbjfa.effects._base import (
     STIFFNESS,
     TORQUE,
     VISCOSITY,
+    Effect,
     InFiles,
-    JointEffect,
     Shaped,
     Stateful,
 )
@@ -25,7 +25,7 @@ _SLOW = 1e-3
 _DEFLECTION = 1e-4
 
 
-class RotorInertia(JointEffect):
+class RotorInertia(Effect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
     Notes
@@ -46,7 +46,6 @@ class RotorInertia(JointEffect):
     nonnegative = ("Ir",)
     units = (INERTIA,)
     seen_over = "acceleration"
-    visible = "acceleration in poses with different link inertia"
     record = "fast acceleration in several poses"
     files = InFiles(parameter="rotor_inertia", urdf="", mjcf="")
     terms = (("armature", "Ir"),)
@@ -128,8 +127,7 @@ class Coupling(_ToAnother):
     coefficients = ("Fvm", "Fcm", "Iam")
     units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
-    visible = "the other joint reverses while this one moves"
-    record = "each joint moving alone"
+    record = "each joint moving alone, with reversals"
     files = InFiles(
         urdf="URDF has no friction or inertia between joints",
         mjcf="",
@@ -215,7 +213,6 @@ class CouplingSpring(_ToAnother):
     negative = (("k", "pushes away from q0"),)
     contains = ("spring", "offset")
     seen_over = "position"
-    visible = "both joints move through a wide range, not together"
     record = "each joint moving alone through a wide range"
     files = InFiles.nowhere("a spring between two joints")
     terms = (
@@ -261,9 +258,7 @@ class Elastic(Stateful):
     units = (("rad/(N m)", "m/N"),)
     named_units = (("k", STIFFNESS),)
     needs = ("load", "time")
-    memory = "future"
-    visible = "motion near a tenth of the elastic mode's frequency and above"
-    record = "fast motion near the elastic mode"
+    record = "fast motion, from a tenth of the elastic frequency"
     not_simulated = (
         "a first-order correction of the torque, which has no forward dynamics"
     )

@@ -1,12 +1,12 @@
 """Friction as a function of velocity and load."""
 
 from sklearn_vbjfa.effects._base import (
+    RATIO,
     SPEED,
     TORQUE,
     VISCOSITY,
     Effect,
     InFiles,
-    JointEffect,
     Shaped,
 )
 
@@ -14,7 +14,7 @@ from sklearn_vbjfa.effects._base import (
 _STRIBECK = (0.02, 0.04, 0.07, 0.12, 0.2, 0.35, 0.6)
 
 
-class Viscous(JointEffect):
+class Viscous(Effect):
     """Viscous friction, tau = Fv v.
 
     Part of the model of [1]_, the eleventh parameter of each joint there.
@@ -35,7 +35,6 @@ class Viscous(JointEffect):
     units = (VISCOSITY,)
     depends = ("speed",)
     seen_over = "speed"
-    visible = "motion at several speeds"
     record = "motion at several speeds"
     files = InFiles(parameter="viscous", urdf="", mjcf="")
     terms = (("viscous", "Fv"),)
@@ -45,7 +44,7 @@ class Viscous(JointEffect):
         return lambda state: (state.v[j],)
 
 
-class Coulomb(JointEffect):
+class Coulomb(Effect):
     """Coulomb friction, tau = Fc sign(v) [1]_.
 
     The limit of `MaxwellSlip` for small displacements.
@@ -66,7 +65,6 @@ class Coulomb(JointEffect):
     units = (TORQUE,)
     depends = ("direction",)
     seen_over = "speed"
-    visible = "the joint reverses"
     record = "many reversals"
     files = InFiles(parameter="coulomb", urdf="", mjcf="")
     terms = (("dry", "Fc"),)
@@ -105,7 +103,6 @@ class AsymmetricFriction(Effect):
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
     seen_over = "speed"
-    visible = "both directions of motion, at several speeds"
     record = "both directions at several speeds"
     # Half the difference of dry friction is a constant, at rest as well.
     terms = (("constant", "dFc"), ("absolute", "dFv"))
@@ -159,8 +156,7 @@ class Stribeck(Shaped):
     positive = ("vs",)
     depends = ("direction",)
     seen_over = "speed"
-    visible = "slow motion without standing still, and fast motion"
-    record = "slow and fast motion"
+    record = "slow motion without standing still, and fast motion"
     files = InFiles.nowhere("friction that falls with speed")
     terms = (("stribeck", "Fs", "vs", "k"),)
 
@@ -213,7 +209,6 @@ class ViscousQuadratic(Effect):
     depends = ("speed",)
     growth = "curved"
     seen_over = "speed"
-    visible = "slow and fast motion"
     record = "slow and fast motion"
     files = InFiles(
         urdf="friction with the square of speed",
@@ -247,13 +242,12 @@ class LoadFriction(Effect):
     formula = r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
     coefficients = ("mu",)
     nonnegative = ("mu",)
-    units = (("", ""),)
+    units = (RATIO,)
     contains = ("coulomb", "viscous")
     needs = ("load",)
     depends = ("load", "direction")
     seen_over = "load"
     with_motion = True
-    visible = "reversals under different loads"
     record = "reversals at two loads"
     files = InFiles.nowhere("friction in proportion to the load")
     terms = (("load_dry", "mu"),)
@@ -263,7 +257,7 @@ class LoadFriction(Effect):
         return lambda state: (abs(state.load[j]) * sign(state.v[j], state.a[j]),)
 
 
-class GearLoss(Effect):
+class GearLoss(LoadFriction):
     """Friction over the load that differs with the direction of power.
 
     tau = mud abs(tau_load) sign(v) while the drive moves the load, and mub
@@ -286,18 +280,12 @@ class GearLoss(Effect):
         r" \quad\text{driving}, \quad"
         r" \mu_b\,|\tau_\mathrm{load}|\,\mathrm{sign}(v) \quad\text{back-driven}"
     )
-    coefficients = ("mud", "mub")
-    nonnegative = ("mud", "mub")
-    units = (("", ""), ("", ""))
+    coefficients = nonnegative = ("mud", "mub")
+    units = (RATIO, RATIO)
     contains = ("load_friction", "coulomb", "viscous")
-    needs = ("load",)
-    depends = ("load", "direction")
-    seen_over = "load"
-    with_motion = True
     not_simulated = "its direction of power depends on the accelerations"
-    visible = "the load is lifted and lowered"
     record = "reversals at two loads, of either sign"
-    files = InFiles.nowhere("friction in proportion to the load")
+    files = LoadFriction.files
 
     def law(self, maths):
         j, sign = self.joint, maths.sign(self.joint)

@@ -216,7 +216,6 @@ class BaseTilt(InModel):
     nominal = (0.0, 0.0)
     whole_robot = True
     scope = "robot"
-    visible = "joints that hold weight in several poses, the first joint among them"
     record = "the base measured with a level, or moves of the first joint"
 
     def __init__(self, joint=0, roll=0.0, pitch=0.0):
@@ -304,7 +303,6 @@ class JointZero(InModel):
     whole_robot = True
     precedence = 1
     seen_over = "position"
-    visible = "weight or inertia moved on either side of the joint"
     record = "the joint at a mechanical reference, or moves of its neighbours"
 
     def __init__(self, joint=0, zero=0.0):
@@ -371,7 +369,6 @@ class JointAxis(InModel):
     nominal = (0.0, 0.0)
     whole_robot = True
     precedence = 2
-    visible = "weight or inertia carried around the axis, and moves of joints before it"
     record = "moves of the joints before it, in several poses of the joint"
 
     def __init__(self, joint=0, about_x=0.0, about_y=0.0):
@@ -438,7 +435,6 @@ class TorqueGain(InModel):
     model_parameters = ("gain",)
     nominal = (1.0,)
     seen_over = "load"
-    visible = "torque of bodies that other joints move as well"
     record = "a known mass picked up, or moves of the joints before and behind"
 
     def __init__(self, joint=0, gain=1.0, limit=2.5):
@@ -546,7 +542,6 @@ class CommandDelay(_OfTheClock):
         "(delay=)."
     )
     lacking = "needs the commands of a drive, drive=PDDrive(...)"
-    visible = "commands that change"
     record = "faster commands, and some that the robot does not follow closely"
 
     def __init__(self, joint=0, delay=0.0):
@@ -585,7 +580,6 @@ class TorqueLag(_OfTheClock):
     coefficients = model_parameters = ("lag",)
     at_bounds = "Torques and positions may be of two recordings: compare their files."
     lacking = "needs recorded torques"
-    visible = "torques that change"
     record = "faster motion"
 
     def __init__(self, joint=0, lag=0.0):

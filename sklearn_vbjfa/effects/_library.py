@@ -3,7 +3,7 @@
 import numpy as np
 from sklearn.base import clone
 
-from sklearn_vbjfa.effects._base import Effect, JointEffect
+from sklearn_vbjfa.effects._base import Effect
 from sklearn_vbjfa.effects._channels import Delay, Jerk, TorqueFilter
 from sklearn_vbjfa.effects._drive import Coupling, CouplingSpring, Elastic, RotorInertia
 from sklearn_vbjfa.effects._friction import (
@@ -17,6 +17,7 @@ from sklearn_vbjfa.effects._friction import (
 )
 from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip
+from sklearn_vbjfa.effects._motion import Motion
 from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
@@ -116,16 +117,18 @@ def _one(effect):
 
 
 # -- effects that a robot declares by name: one column on every joint -----------------
-#
-# They are the effects of the library that are a `JointEffect`, so that name, column,
-# unit and sign of a declared coefficient are those of what a search would find.
 
-_DECLARED = {e.name: e for e in resolve("all") if isinstance(e, JointEffect)}
+_DECLARED = {e.name: e for e in resolve([Viscous, Coulomb, Offset, RotorInertia])}
 
 
 def declarable():
     """Names of the effects that can be declared, tuple of str."""
     return tuple(_DECLARED)
+
+
+def declared(name):
+    """Return the effect that is declared by a name."""
+    return _DECLARED[name]
 
 
 def check_declared(friction):
@@ -143,22 +146,10 @@ def check_declared(friction):
 
 def declared_columns(names, v, a, rest=None):
     """Columns of all joints, (n, nv, len(names)); signs are means with a `Rest`."""
-    if not names:
-        return np.zeros((*np.shape(v), 0))
-    return np.stack([_DECLARED[name].column(v, a, rest) for name in names], axis=-1)
-
-
-def declared_unit(name, prismatic):
-    """Return the unit of the coefficient on a revolute or prismatic joint."""
-    (units,) = _DECLARED[name].units
-    return units[int(bool(prismatic))]
-
-
-def declared_alike(name):
-    """Whether a mirrored joint has the same coefficient."""
-    return _DECLARED[name].alike
-
-
-def declared_nonnegative(name):
-    """Whether physics asks for a coefficient that is not negative."""
-    return bool(_DECLARED[name].nonnegative)
+    out = np.zeros((*np.shape(v), len(names)))
+    motion = Motion(q=v, v=v, a=a, rest=rest)
+    for k, name in enumerate(names):
+        for joint in range(out.shape[1]):
+            effect = type(_DECLARED[name])(joint)
+            out[:, [joint], k] = effect.columns(motion)
+    return out

@@ -172,8 +172,7 @@ class MaxwellSlip(Shaped, Stateful):
     positive = ("vs",)
     bank = True
     replaces = "coulomb"
-    visible = "many reversals, some of them short"
-    record = "reversals after short and after long ways"
+    record = "many reversals, after short and after long ways"
     files = InFiles(
         parameter="coulomb",
         urdf="friction in URDF turns round at once: stiffness before sliding, and "
@@ -249,11 +248,7 @@ class MaxwellSlip(Shaped, Stateful):
     def check(self):
         """Raise ValueError for displacements that are not positive, too."""
         super().check()
-        if self.element not in ("stop", "bristle"):
-            raise ValueError(
-                f'element of {self.name} must be "stop" or "bristle"; got '
-                f"{self.element!r}."
-            )
+        self._check_choice("element", ("stop", "bristle"))
         for name in ("displacements", "loaded", "falling"):
             for value in getattr(self, name):
                 if not (isinstance(value, Real) and 0 < value < np.inf):
@@ -400,11 +395,6 @@ class MaxwellSlip(Shaped, Stateful):
         curve = 1.0 - np.exp(-moved) if self._creeps else np.minimum(moved, 1.0)
         return curve @ np.concatenate([plain, falling])
 
-    def unresolved(self, resolution):
-        """Displacements below the resolution [rad or m] of an encoder, a tuple."""
-        own = sorted({*self.displacements, *self.loaded, *self.falling})
-        return tuple(d for d in own if d < resolution)
-
     def parameters(self, coef):
         """Total friction Fc, displacement `half` at half of it, and sums mu and Fs.
 
@@ -473,8 +463,7 @@ class Backlash(Shaped, Stateful):
     positive = ("width",)
     depends = ("position",)
     seen_over = "position"
-    visible = "many reversals, at several positions"
-    record = "reversals at several positions"
+    record = "many reversals, at several positions"
     files = InFiles.nowhere("play with a memory of where the joint came from")
     terms = (("backlash", "k", "width"), ("constant", "c"))
 

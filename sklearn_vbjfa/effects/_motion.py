@@ -192,14 +192,6 @@ class Arrays:
         return lambda v, a: mean_sign(v[:, None], a[:, None], rest)[:, 0]
 
 
-class AllJoints(Arrays):
-    """The same of signals (n, nv) of all joints at once."""
-
-    def sign(self, *joints):
-        """Return (v, a) -> mean signs of the speeds of all joints."""
-        return lambda v, a: mean_sign(v, a, self.rest)
-
-
 class Floats:
     """The same of the numbers of one state, whose velocities have no noise."""
 
@@ -239,7 +231,6 @@ class State:
     # [s]; known_t is not earlier than the fit
     t: float | None = None
     known_t: float | None = None
-    dt: float | None = None  # time since the state before [s]; None for the first
     # torques of the rigid bodies and of the whole model for effects of the load
     load: list | None = None
     torque: list | None = None
@@ -259,21 +250,6 @@ def rows_of(motion):
         torque=None if torque is None else torque.T,
         signals=motion.signals,
     )
-
-
-class _Each:
-    """Signals (n, nv) of all joints, whichever is asked for."""
-
-    def __init__(self, values):
-        self._values = values
-
-    def __getitem__(self, joint):
-        return self._values
-
-
-def every_joint(v, a):
-    """Return velocities and accelerations (n, nv) as a `State` of every joint."""
-    return State(v=_Each(v), a=_Each(a))
 
 
 # -- ranges of a fit -------------------------------------------------------------------

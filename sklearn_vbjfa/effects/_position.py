@@ -9,7 +9,6 @@ from sklearn_vbjfa.effects._base import (
     TORQUE,
     Effect,
     InFiles,
-    JointEffect,
     Shaped,
 )
 
@@ -23,7 +22,7 @@ _ANGLES = tuple(range(0, 360, 15))
 _CYCLES = 0.3
 
 
-class Offset(JointEffect):
+class Offset(Effect):
     """Constant torque, tau = c: a sensor's zero, a drive's bias.
 
     References
@@ -38,7 +37,6 @@ class Offset(JointEffect):
     coefficients = ("c",)
     units = (TORQUE,)
     seen_over = "position"
-    visible = "any motion, unless gravity is constant on the joint as well"
     record = "motion with and against gravity"
     files = InFiles(parameter="offset", urdf="", mjcf="")
     terms = (("constant", "c"),)
@@ -79,7 +77,6 @@ class Spring(Effect):
     contains = ("offset",)
     depends = ("position",)
     seen_over = "position"
-    visible = "a wide range of positions"
     record = "a wide range of positions"
     terms = (("spring", "k"), ("constant", "c"))
     files = InFiles(urdf="URDF has no spring", mjcf="", places=terms)
@@ -152,8 +149,7 @@ class Counterbalance(Shaped):
     depends = ("position",)
     growth = "bounded"
     seen_over = "position"
-    visible = "a range of positions of some 60 degrees"
-    record = "a wide range of positions"
+    record = "a range of positions of 60 degrees or more"
     files = InFiles.nowhere("a torque that is not linear in the position")
 
     def __init__(self, joint=0, form="harmonics", ratio=0.5, angle=0.0):
@@ -188,10 +184,7 @@ class Counterbalance(Shaped):
 
     def check(self):
         super().check()
-        if self.form not in _FORMS:
-            raise ValueError(
-                f"form of {self.name} must be one of {list(_FORMS)}; got {self.form!r}."
-            )
+        self._check_choice("form", _FORMS)
         if not 0 < self.ratio < 1:
             raise ValueError(
                 f"ratio of {self.name} must lie between 0 and 1; got {self.ratio!r}."
@@ -274,8 +267,7 @@ class Ripple(Shaped):
     depends = ("position",)
     growth = "bounded"
     seen_over = "position"
-    visible = "motion across several periods, slow enough for the low-pass"
-    record = "slow motion over the whole range"
+    record = "slow motion across several periods"
     terms = (("ripple", "c", "s", "period"),)
     files = InFiles.nowhere("a torque that is not linear in the position")
 

@@ -54,10 +54,7 @@ class UnnamedTorque(Stateful):
     def check(self):
         """Raise ValueError for an unknown quantity, too."""
         super().check()
-        if self.of not in self.kinds:
-            raise ValueError(
-                f"of {self.name} must be one of {list(self.kinds)}; got {self.of!r}."
-            )
+        self._check_choice("of", self.kinds)
 
     @property
     def needs(self):

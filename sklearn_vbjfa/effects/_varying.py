@@ -99,7 +99,6 @@ class Drift(_Varied, OfTime):
     positive = ("time_constant",)
     afterwards = "fades on"
     seen_over = "time"
-    visible = "the same motion early and late"
     record = "the same motion cold and warm"
     files = InFiles.nowhere("decays with time; the file has the value when warm")
 
@@ -197,8 +196,7 @@ class Signal(_Varied):
     needs = ("signals",)
     split_by = ("signal", "of")
     seen_over = "signal"
-    visible = "the same motion at several values of the signal, which rises and falls"
-    record = "the same motion at several values of the signal, in mixed order"
+    record = "the same motion at several values of the signal, rising and falling"
     files = InFiles.nowhere(
         "varies with a recorded signal; the file has what holds at its reference"
     )
@@ -233,11 +231,6 @@ class Signal(_Varied):
         if of not in _VARIED:
             return f"variation with {signal}"
         return f"{_VARIED[of][0]} that varies with {signal}"
-
-    def told_beside(self, other):
-        told = f"{self.name}: {self.signal}"
-        alike = isinstance(other, Signal) and other.of == self.of
-        return told if alike else f"{told}, {self.of}"
 
     def key(self):
         # With another reference it is the same but for the plainer effect.
@@ -335,7 +328,6 @@ class Payload(Shaped, OfTime):
     jumping = ("instant",)
     afterwards = "stays"
     seen_over = "time"
-    visible = "motion against gravity before and after the change"
     record = "motion against gravity with and without payload"
     files = InFiles.nowhere("a change at an instant; the file has the robot before it")
     whole_robot = True

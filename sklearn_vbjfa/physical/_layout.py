@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from sklearn_vbjfa.effects import declarable, declared_nonnegative
+from sklearn_vbjfa.effects import declarable, declared
 from sklearn_vbjfa.physical._pseudo_inertia import INERTIAL_NAMES, N_INERTIAL
 
 # The paper's layout, and this package's default friction: ten inertial parameters and
@@ -108,7 +108,7 @@ def _named_bodies(names):
 def _is_nonnegative(name):
     """Whether a column such as "joint_1:viscous" is of friction that resists motion."""
     effect = name.rpartition(":")[2]
-    return effect in declarable() and declared_nonnegative(effect)
+    return effect in declarable() and bool(declared(effect).nonnegative)
 
 
 def _guess_width(n_features):

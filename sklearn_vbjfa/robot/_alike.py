@@ -12,7 +12,7 @@ from scipy.special import logsumexp
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.effects import declared_alike
+from sklearn_vbjfa.effects import declared
 from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
@@ -246,7 +246,7 @@ def shared_values(groups, robot):
     for j in range(features.n_joints_):
         for k, name in enumerate(features.friction_):
             place = j * per_joint + 10 + k
-            if declared_alike(name) and place not in held:
+            if declared(name).alike and place not in held:
                 joints.setdefault((name,), {})[j] = place
     for effect, at in effect_places(robot.effects_, features.n_parameters_):
         for place, name in zip(at, effect.coefficients):

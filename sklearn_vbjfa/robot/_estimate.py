@@ -7,7 +7,7 @@ from scipy.optimize import nnls
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
-from sklearn_vbjfa.effects import declared_nonnegative
+from sklearn_vbjfa.effects import declared
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import (
     Options,
@@ -468,7 +468,7 @@ def fit_projector(projector, model, theta, metric, friction, followers=None):
         j * per_joint + 10 + k
         for j in range(model.nv)
         for k, name in enumerate(friction)
-        if declared_nonnegative(name)
+        if declared(name).nonnegative
     ]
     fitted = PhysicalProjector() if default else clone(projector)
     given = fitted.options or Options()

@@ -9,7 +9,7 @@ import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
-from sklearn_vbjfa.effects import check_declared, declared_columns, declared_unit
+from sklearn_vbjfa.effects import check_declared, declared, declared_columns
 from sklearn_vbjfa.model import (
     CorrectedModel,
     TorqueDerivatives,
@@ -137,7 +137,8 @@ class RigidBodyFeatures(TransformerMixin, BaseEstimator):
             columns = INERTIAL_NAMES + self.friction_
             names += [f"{name}:{column}" for column in columns]
             units += ["kg"] + 3 * ["kg m"] + 6 * ["kg m^2"]
-            units += [declared_unit(column, prismatic) for column in self.friction_]
+            own = [declared(column).units[0] for column in self.friction_]
+            units += [both[int(prismatic)] for both in own]
         self.parameter_names_ = tuple(names)
         self.parameter_units_ = tuple(units)
         self._set_regressor()

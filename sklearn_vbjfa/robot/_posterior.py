@@ -10,7 +10,7 @@ from sklearn.utils import check_random_state
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
-from sklearn_vbjfa.effects import OfTime, declared_nonnegative
+from sklearn_vbjfa.effects import OfTime, declared
 from sklearn_vbjfa.physical import Options, PhysicalProjector
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
@@ -406,7 +406,7 @@ def _nonnegative(robot):
     out = np.zeros(robot.theta_.size, dtype=bool)
     width = features.n_parameters_ // features.n_joints_
     for k, name in enumerate(features.friction_):
-        out[10 + k : features.n_parameters_ : width] = declared_nonnegative(name)
+        out[10 + k : features.n_parameters_ : width] = bool(declared(name).nonnegative)
     for effect, at in effect_places(robot.effects_, features.n_parameters_):
         out[at] = [name in effect.nonnegative for name in effect.coefficients]
     return out

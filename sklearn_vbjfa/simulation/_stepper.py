@@ -104,10 +104,10 @@ def why_left_out(effect):
     """Say why an effect cannot be computed state by state; empty if it can."""
     if not isinstance(effect, Stateful):
         return ""
-    if effect.memory == "future":
-        return "it depends on the motion after the state"
-    if effect.law(Floats(None)) is None and effect.one_by_one() is None:
-        return "it depends on the motion before the state, and has no one_by_one"
+    if isinstance(effect, OfChannel):
+        return "it is a property of the torque channel"
+    if effect.law(Floats(None)) is None:
+        return "it depends on other states, and has no law"
     return ""
 
 
@@ -267,18 +267,8 @@ class Stepper:
                 f"t must go on from state to state; got {t}{before}. Call reset() for "
                 "another motion."
             )
-        self._row.dt = self._passed(t)
         self._last = self._row.t = t
         self._row.known_t = t if since is None else max(t, since)
-
-    def _passed(self, t):
-        """Time since the state before [s]; the sample period but for rounding of t."""
-        dt, last = self._model.dt, self._last
-        if last is None:
-            return None
-        if dt is not None and abs(t - last - dt) <= 2 * math.ulp(t):
-            return dt
-        return t - last
 
     def _read(self, signals):
         signals = {} if signals is None else signals
@@ -450,9 +440,7 @@ class _ByMotion:
     """An effect that is not of the library, by motions of one row."""
 
     def __init__(self, model, effect, load):
-        stateful = isinstance(effect, Stateful)
-        self._columns = effect.one_by_one() if stateful else effect.columns
-        self._model, self._effect = model, effect
+        self._columns, self._model, self._effect = effect.columns, model, effect
         self._prismatic = is_prismatic(model.model)
         self._tree = TreeRegressor(model.model)
         self._matrix = self._tree.one_by_one()

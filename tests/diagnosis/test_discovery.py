@@ -513,7 +513,7 @@ def test_what_a_recording_does_not_excite_is_told_apart():
     loop = recording.discover(recording.torque(), ["counterbalance", "offset"])
     hidden = {(h.name, h.joint): h for h in loop.hidden_}
     assert hidden["counterbalance", 1].reason == "excitation"
-    assert hidden["counterbalance", 1].remedy == effects.Counterbalance.visible
+    assert hidden["counterbalance", 1].remedy == effects.Counterbalance.record
     assert hidden["counterbalance", 1].joint_name == "joint_2"
 
 

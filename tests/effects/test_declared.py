@@ -5,7 +5,7 @@ import pytest
 from numpy.testing import assert_array_equal
 
 from sklearn_vbjfa import effects
-from sklearn_vbjfa.effects import JointEffect, Motion, Rest
+from sklearn_vbjfa.effects import Motion, Rest
 from tests.effects._arms import motion
 
 T, X = motion(2, duration=6.0, seed=3)
@@ -16,8 +16,7 @@ REST = Rest(speed=np.array([0.3, 0.1]), time=np.full(2, 0.1), noise=np.full(2, 0
 def test_four_effects_can_be_declared():
     names = ("viscous", "coulomb", "offset", "rotor_inertia")
     assert effects.declarable() == names
-    for effect in effects.resolve():
-        assert isinstance(effect, JointEffect) == (effect.name in names)
+    assert [effects.declared(name).name for name in names] == list(names)
 
 
 @pytest.mark.parametrize("rest", [None, REST])
@@ -30,15 +29,6 @@ def test_columns_are_those_of_the_effects(joint, rest):
     for k, effect in enumerate(effects.resolve(names)):
         own = effect.set_params(joint=joint).columns(signals)
         assert_array_equal(columns[:, [joint], k], own)
-
-
-def test_units_and_signs_are_those_of_the_effects():
-    for effect in effects.resolve(effects.declarable()):
-        ((revolute, prismatic),) = effect.units
-        assert effects.declared_unit(effect.name, False) == revolute
-        assert effects.declared_unit(effect.name, True) == prismatic
-        assert effects.declared_nonnegative(effect.name) == bool(effect.nonnegative)
-    assert not effects.declared_nonnegative("offset")
 
 
 @pytest.mark.parametrize(

@@ -114,7 +114,7 @@ def test_numbers_of_coefficients_units_and_columns_agree(name):
     ]
     assert set(continuous(effect)) <= set(effect.get_params())
     assert set(effect.needs) <= {"time", "load", "signals"}
-    assert effect.visible
+    assert effect.record
 
 
 def slides(name):
@@ -343,7 +343,6 @@ def test_a_virgin_curve_is_the_torque_of_a_motion_from_rest():
     found = effect.parameters(coef)
     assert found["Fc"] == 3.0
     assert_allclose(np.interp(found["half"], x, curve), 1.5)
-    assert effect.unresolved(0.02) == (0.01,)
 
 
 def test_elements_that_are_left_keep_their_columns():

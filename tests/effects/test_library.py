@@ -11,7 +11,6 @@ def plain_label(joint):
 def test_every_effect_says_what_reports_and_guide_need():
     for effect in effects.resolve():
         assert effect.label
-        assert effect.record
         assert effect.formula
         assert effect.describe({}, plain_label) == effect.label
         # What a sign means is said of parameters that the effect has.

@@ -124,7 +124,7 @@ def test_states_one_by_one_have_the_torques_of_all(read, new_motion):
     X = new_motion.states[:300]
     (left,) = read.left_out_
     assert (left.name, left.joint) == ("jerk", 0)
-    assert "after" in left.reason
+    assert "other states" in left.reason
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         expected = read.predict(X)

@@ -15,6 +15,7 @@ from sklearn_vbjfa.simulation import (  # noqa: E402
     ForwardDynamics,
     Recorded,
     Stepper,
+    why_left_out,
 )
 from tests._quick import one_in  # noqa: E402
 from tests.model._mujoco import drive_torques  # noqa: E402
@@ -28,10 +29,6 @@ from tests.simulation._random_robots import (  # noqa: E402
 
 LIBRARY = effects.available()
 NV = 3
-
-
-def looks_ahead(effect):
-    return isinstance(effect, effects.Stateful) and effect.memory == "future"
 
 
 def two_rows(rng, way):
@@ -69,7 +66,7 @@ def test_columns_are_steps_and_dynamics(name, seed, way):
     known = signals if bare is predictor else {}
     expected = bare.torques(bare.prepare(X, t=t, signals=known))[1]
     np.testing.assert_allclose(tau, expected, rtol=0, atol=1e-9 * np.abs(tau).max())
-    if not looks_ahead(effect):
+    if not why_left_out(effect):
         expected = predictor.torques(predictor.prepare(X, t=t, signals=signals))
         stepper = Stepper(predictor.torque_model())
         for k, x in enumerate(X):
@@ -102,7 +99,7 @@ def test_torques_after_saving(name, simulated, tmp_path):
         t = simulated.dt * np.arange(60)
         expected = robot.predict(X, t=t, signals=own)
         np.testing.assert_array_equal(loaded.predict(X, t=t, signals=own), expected)
-    if looks_ahead(effect):
+    if why_left_out(effect):
         assert [one.name for one in loaded.left_out_] == [name]
         return
     for k, x in enumerate(X):

@@ -9,7 +9,7 @@ from sklearn.base import clone
 
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, fit_memory
-from sklearn_vbjfa.effects import closure
+from sklearn_vbjfa.effects import Shaped, closure
 from sklearn_vbjfa.inspection import one_speed
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.robot._equations import make_motion
@@ -231,7 +231,7 @@ def _hidden(found, names):
             elif _in_span(one, *probe):
                 told.append((one, "span", ""))
             else:
-                told.append((one, "excitation", one.visible))
+                told.append((one, "excitation", one.record))
     for one, other in inseparable(found, in_model):
         told.append((one, "together", named_beside(other, one, names)))
     return [
@@ -352,9 +352,12 @@ def _in_span(effect, Phi, motion):
 
 def named_beside(effect, chosen, names):
     """Name an effect beside another, with its joint where that is a different one."""
+    name, apart = effect.name, effect.split_by if isinstance(effect, Shaped) else ()
+    if apart:
+        name += ": " + ", ".join(str(getattr(effect, key)) for key in apart)
     if effect.joint == chosen.joint or effect.scope == "robot":
-        return effect.told_beside(chosen)
-    return f"{effect.told_beside(chosen)} on {names[effect.joint]}"
+        return name
+    return f"{name} on {names[effect.joint]}"
 
 
 # -- what joints do in no recording ----------------------------------------------------

@@ -132,8 +132,7 @@ def _of_joints(outcome, key, draw, what):
 
 def about_effect(effect):
     """Return what an effect is, an `About`: formula, docstring, source, page."""
-    needs = (("To see it", effect.visible), ("To tell it from others", effect.record))
-    shown_by = " ".join(f"{goal}: {what}." for goal, what in needs if what)
+    shown_by = f"To identify it, record {effect.record}."
     told = [*explanation(type(effect)), shown_by, source_of(type(effect))]
     return About(
         formula=added_torque(effect.formula) if effect.formula else "",

@@ -21,6 +21,10 @@ _COLUMNS: tuple[str, ...] = (
 _COLUMNS += ("description", "description_std", "learned", "scatter")
 
 
+# Effects that a line names.
+_NAMED = 3
+
+
 def write_robot(robot, folder):
     """Write the robot; return a line for each file with the effects that it lacks."""
     from sklearn_vbjfa.diagnosis.explain._identified import parameter_values
@@ -42,13 +46,12 @@ def _left_out(files):
     for name, left in files.items():
         if not left:
             continue
-        largest = max(left, key=lambda one: np.nan_to_num(one.size, nan=-1.0))
-        size = "" if np.isnan(largest.size) else f" ({largest.size:.2g} {largest.unit})"
-        count = "an effect" if len(left) == 1 else f"{len(left)} effects, the largest"
+        named = [f"{one.name} on {one.joint_name}" for one in left[:_NAMED]]
+        more = len(left) - len(named)
+        named += [f"{more} more"] if more else []
         lines.append(
-            f"{name} has no place for {count}: {largest.name} on "
-            f"{largest.joint_name}{size}; its first lines list them, and "
-            "identified.json has all."
+            f"{name} has no place for {', '.join(named)}; its first lines list why, "
+            "and identified.json has all."
         )
     return lines
 

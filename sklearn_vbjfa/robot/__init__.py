@@ -59,7 +59,6 @@ _MODULES = {
     "_simulator_ranges": ("ParameterRange", "Ranges"),
     "_spreads": (
         "BodyMass",
-        "ColumnMeanSquares",
         "SignalRanges",
         "body_masses",
         "note_of_masses",

@@ -7,10 +7,9 @@ import numpy as np
 from sklearn_vbjfa.effects import CommandDelay
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
-from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
 from sklearn_vbjfa.robot._features import follower_parameters, following_joints
-from sklearn_vbjfa.robot._refitted import TERMS, Refitted, has_no_place
+from sklearn_vbjfa.robot._refitted import TERMS, without_place
 from sklearn_vbjfa.simulation import with_bodies
 
 
@@ -21,32 +20,32 @@ class LeftOut:
     name: str  # of the effect, or of the declared friction
     joint: int  # from zero
     joint_name: str
-    # RMS of its low-pass filtered torque over the fitted recording while the joint
-    # moved; the largest one of an effect on all joints; nan if unknown
-    size: float
-    unit: str  # "N m" or "N"
     reason: str  # why it has no place, or what of it is missing
 
     def __str__(self):
         """One line."""
-        size = f"{self.size:.3g} {self.unit}" if self.size == self.size else "unknown"
-        return f"{self.name} on {self.joint_name} ({size}): {self.reason}"
+        return f"{self.name} on {self.joint_name}: {self.reason}"
 
 
 def plain_totals(robot):
     """Return what the joints of a file have of `TERMS`, (nv, 3)."""
-    account = _Account(robot, None)
+    account = _Account(robot)
     return np.column_stack([account.passive(name) for name in TERMS])
 
 
-def to_mjcf(
-    path, robot, min_eigenvalues, powers=None, notes=(), servo=None, again=None
-):
+def friction_of_file(robot, added):
+    """Return the declared friction that a file has instead, (nv,) by name."""
+    account = _Account(robot, added)
+    joints = {name: account.passive(name) for name in TERMS}
+    return joints | {"offset": account.total("offset")}
+
+
+def to_mjcf(path, robot, min_eigenvalues, notes=(), servo=None, added=None):
     """Write a `TorqueModel` as MJCF; return what it does not have, `LeftOut` each."""
-    # powers: without these all sizes are nan; notes: what else a reader of the file has
-    # to know; servo: of motors that follow positions; again: `Refitted`.
+    # notes: what else a reader of the file has to know; servo: of motors that follow
+    # positions; added: see `refitted`.
     check_possible(robot.model, min_eigenvalues, "an MJCF file")
-    account = _Account(robot, powers, again)
+    account = _Account(robot, added)
     dynamics = _mjcf_dynamics(account, servo)
     level = CorrectedModel(robot.model)
     for j in np.flatnonzero(dynamics.ref):
@@ -74,12 +73,10 @@ def servo_of(drive, names, delay):
     return Servo(kp=kp, kd=kd, most=drive.most(names), delay=max(delay, 0.0))
 
 
-def to_urdf(
-    path, source, robot, min_eigenvalues, powers=None, notes=(), turned_joints=None
-):
+def to_urdf(path, source, robot, min_eigenvalues, notes=(), turned_joints=None):
     """Write a `TorqueModel` into a copy of its URDF; see `to_mjcf`."""
     # source: path or text of the description; turned_joints: see `write_urdf`.
-    account = _Account(robot, powers)
+    account = _Account(robot)
     joints = np.column_stack([account.passive("viscous"), account.passive("coulomb")])
     _left_of_urdf(account)
     check_possible(robot.model, min_eigenvalues, "a URDF")
@@ -99,11 +96,7 @@ def to_urdf(
 def _note(lines, left):
     if left:
         listed = "".join(f"\n- {one}" for one in left)
-        lines = [
-            *lines,
-            "This file does not have (root mean square of the torque over the fitted "
-            f"recording):{listed}",
-        ]
+        lines = [*lines, f"This file does not have:{listed}"]
     return "\n".join(lines)
 
 
@@ -164,77 +157,30 @@ def _notes_of_servo(robot, dynamics, servo):
 class _Account:
     """Parts of a `TorqueModel` that are written, and parts that are left out."""
 
-    def __init__(self, robot, powers, again=None):
+    def __init__(self, robot, added=None):
+        # added (nv, 3): to `TERMS`, see `refitted`.
         self.robot, self.left = robot, []
-        self._again = Refitted.nothing(robot.n_joints) if again is None else again
-        self._powers = powers
-        self._units = ["N" if slides else "N m" for slides in is_prismatic(robot.model)]
+        self._added = np.zeros((robot.n_joints, 3)) if added is None else added
 
     @property
     def uses(self):
         return list(zip(self.robot.effects, self.robot.coefficients))
 
-    def leave(self, name, joint, size, reason, unit=None):
-        self.left.append(
-            LeftOut(
-                name=name,
-                joint=int(joint),
-                joint_name=self.robot.joint_names[joint],
-                size=float(size),
-                unit=unit or self._units[joint],
-                reason=reason,
-            )
+    def leave(self, name, joint, reason):
+        names = self.robot.joint_names
+        one = LeftOut(
+            name=name, joint=int(joint), joint_name=names[joint], reason=reason
         )
+        self.left.append(one)
 
     def leave_effect(self, effect, coef, reason):
         """List what an effect with these coefficients would add, unless it is zero."""
-        coef = np.asarray(coef, dtype=float)
-        if not coef.any():
+        if not np.any(coef):
             return
-        sizes = self._sizes(effect, coef)
-        if effect.files.parameter:
-            sizes = self._beside_file(effect, coef)
-        share = self._again.share[effect.joint]
-        if has_no_place(effect) and share < 1:
-            sizes = share * sizes
+        fitted = self._added[effect.joint].any()
+        if fitted and without_place(effect, np.asarray(coef)).any():
             reason = f"{reason} (friction and armature of the file are fitted to it)"
-        if not (effect.whole_robot or effect.in_model):
-            self.leave(effect.name, effect.joint, sizes[effect.joint], reason)
-            return
-        if np.isnan(sizes).all():
-            self.leave(effect.name, effect.joint, np.nan, reason)
-            return
-        most = int(np.nanargmax(sizes))
-        if most != effect.joint:
-            reason = f"{reason} (size on {self.robot.joint_names[most]})"
-        self.leave(effect.name, effect.joint, sizes[most], reason, self._units[most])
-
-    def _beside_file(self, effect, coef):
-        """Root mean square (nv,) of what the file's dry friction lacks of an effect."""
-        # (F - |x|)^2 <= F^2 - x^2 for a torque x of up to F that opposes the motion.
-        held = effect.in_file(coef)
-        rounded = held.sum() ** 2 - self._sizes(effect, held) ** 2
-        rest = self._sizes(effect, coef - held)
-        return np.hypot(np.sqrt(np.maximum(rounded, 0.0)), rest)
-
-    def _sizes(self, effect, coef):
-        """Root mean square of an effect's torque on every joint, (nv,)."""
-        if self._powers is None:
-            return np.full(self.robot.n_joints, np.nan)
-        at = next(k for k, one in enumerate(self.robot.effects) if one is effect)
-        squares = np.einsum("i,jik,k->j", coef, self._powers.effects[at], coef)
-        return np.sqrt(np.maximum(squares, 0.0))
-
-    def _column_size(self, name, joint):
-        if self._powers is None:
-            return np.nan
-        if name in self.robot.friction_names:
-            at = self.robot.friction_names.index(name)
-            return np.sqrt(self._powers.friction[joint, at])
-        for effect, own in zip(self.robot.effects, self._powers.effects):
-            if effect.files.parameter == name and effect.joint == joint:
-                return np.sqrt(own[joint, 0, 0])
-        return np.nan
+        self.leave(effect.name, effect.joint, reason)
 
     def total(self, name):
         """Sum of a plain coefficient, declared and found, (nv,)."""
@@ -245,30 +191,26 @@ class _Account:
             if effect.files.parameter == name:
                 total[effect.joint] += effect.in_file(coef).sum()
         if name in TERMS:
-            total += self._again.added[:, TERMS.index(name)]
+            total += self._added[:, TERMS.index(name)]
         return total
 
     def passive(self, name):
         """Total of a plain coefficient where it is not negative; the rest is left."""
         total = self.total(name)
         for j in np.flatnonzero(total < 0):
-            self.leave(
-                name,
-                j,
-                abs(total[j]) * self._column_size(name, j),
-                f"its coefficient is negative ({total[j]:.4g}), which would drive",
-            )
+            why = f"its coefficient is negative ({total[j]:.4g}), which would drive"
+            self.leave(name, j, why)
         return np.maximum(total, 0.0)
 
     def leave_column(self, name, totals, reason):
         """List plain coefficients (nv,) that have no place."""
         for j in np.flatnonzero(totals):
-            self.leave(name, j, abs(totals[j]) * self._column_size(name, j), reason)
+            self.leave(name, j, reason)
 
 
 def as_pinocchio(robot):
     """Return the `pin.Model` of a `TorqueModel`, with friction and rotor inertia."""
-    account = _Account(robot, None)
+    account = _Account(robot)
     model = with_bodies(robot.model, robot.bodies, account.passive("rotor_inertia"))
     model.damping = account.passive("viscous")
     dry = account.passive("coulomb")

@@ -51,7 +51,6 @@ from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import (
-    ColumnMeanSquares,
     TorqueSpread,
     effect_ranges,
     known_parameters,
@@ -129,7 +128,6 @@ class RobotFit:
             noise_floor_=np.hypot(robot.torque_noise_, through),
             joint_weights=found.joint_weights,
             prediction_covariance=TorqueSpread.of_estimate(found),
-            powers=_powers(robot, found.moments),
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=shown,
         )
@@ -274,14 +272,6 @@ def _without(found, held):
     return replace(found, theta=theta, theta_unconstrained=unconstrained)
 
 
-def _powers(robot, moments):
-    """Sizes of the columns of friction and effects in the moments of equations."""
-    features = robot.features_
-    n_rigid, n_friction = features.n_parameters_, len(features.friction_)
-    effects, gains = robot.effects_, features.gains_
-    return ColumnMeanSquares.of_moments(moments, n_rigid, n_friction, effects, gains)
-
-
 # -- the course of a fit ---------------------------------------------------------------
 
 
@@ -386,13 +376,13 @@ def _first_gains(recipe, robot, source):
 
 def iterate_corrections(recipe, fit, source, relative):
     # relative: `RelativeGains` to begin with, or None.
-    fit, values, powers = _corrected(recipe, fit, source, relative)
+    fit, values = _corrected(recipe, fit, source, relative)
     if relative is not None:
         while (vague := relative.vague(values)).any():
             relative = relative.without(vague)
             own = _at(fit.robot, with_gains(fit.robot.effects_, relative.gains))
             fit = recipe.of_source(own, source)
-            fit, values, powers = _corrected(recipe, fit, source, relative)
+            fit, values = _corrected(recipe, fit, source, relative)
     values.tell_bounds(fit.robot.joint_names_)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
@@ -402,7 +392,6 @@ def iterate_corrections(recipe, fit, source, relative):
         common, covariance = _common_gain(recipe, fit, relative, values)
         if common.factor is not None:
             fit = _in_units(recipe, fit, source, common.factor)
-            powers = powers.in_units(common.factor)
     robot, found, own = fit.robot, fit.found, values.indices
     theta, unconstrained, std, shown = (
         one.copy()
@@ -427,8 +416,7 @@ def iterate_corrections(recipe, fit, source, relative):
     shown[own] = np.isfinite(std[own])
     known = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
     known["covariance"] = covariance_of_all
-    powers = robot.powers.with_tangents(powers, robot.effects_)
-    changes = {"identifiable_": shown, "gains_": gains, "powers": powers}
+    changes = {"identifiable_": shown, "gains_": gains}
     fit = fit.telling(replace(found, **known), **changes)
     tangents = found.of_moments(values.moments)
     return replace(fit, made=source.segments(fit.robot), tangents=tangents)
@@ -439,7 +427,7 @@ def _of_bodies(robot):
 
 
 def _corrected(recipe, fit, source, relative):
-    """Correct a robot step by step; the last fit, its `ModelValues` and powers."""
+    """Correct a robot step by step; the last fit and its `ModelValues`."""
     # The equations with the derivatives by the values are, without these, those of the
     # next fit: its load is that of the fit before.
     robot = fit.robot
@@ -455,7 +443,7 @@ def _corrected(recipe, fit, source, relative):
             fit = recipe.of_moments(robot, plain, made=source.segments(robot))
         else:
             fit = recipe.of_source(robot, source)
-        powers, zeros = _powers(robot, moments), _unneeded_entries(robot, moments)
+        zeros = _unneeded_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
             zeros[:, gain_places(robot.effects_, n_rigid)[relative.held]] = True
@@ -474,7 +462,7 @@ def _corrected(recipe, fit, source, relative):
     else:
         tell_unsettled(values)
     robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
-    return replace(fit, robot=robot), values, powers
+    return replace(fit, robot=robot), values
 
 
 def _common_gain(recipe, fit, relative, values):
@@ -515,9 +503,9 @@ def refine_fit(recipe, fit, source, window):
         theta_unconstrained=refined.unconstrained,
         std=refined.std,
     )
-    ranges, powers = robot.effect_ranges_, robot.powers
+    ranges = robot.effect_ranges_
     fit = RobotFit.of(robot, found, robot.identifiable_, fit.made)
-    robot = replace(fit.robot, effect_ranges_=ranges, powers=powers)
+    robot = replace(fit.robot, effect_ranges_=ranges)
     return replace(fit, robot=robot, criteria=refined.criteria)
 
 

@@ -45,7 +45,6 @@ _SHAPES = {
     "nv": "noise_floor_ torque_noise_ output_noise_ joint_weights plan.standstill "
     "plan.fastest_period plan.corners gains_.gain gains_.std gains_.reference "
     "prediction_covariance.through prediction_covariance.rest",
-    "nv m": "powers.friction",
     "p p": "prediction_covariance.covariance",
     "k": "recording_variance.places recording_variance.size",
     "scales k": "recording_variance.weights",
@@ -207,9 +206,6 @@ def _check_shapes(robot):
     for key in ("theta_", "theta_unconstrained_"):
         if not np.isfinite(getattr(robot, key)).all():
             raise _wrong(key, "must hold finite numbers")
-    for k, width in enumerate(widths if robot.powers is not None else ()):
-        squares = robot.powers.effects[k]
-        _check_shape(f"powers.effects[{k}]", squares, (nv, width, width))
     for key, n in (("recording_variance.places", sizes["p"]), ("gains_.reference", nv)):
         value = _at(robot, key)
         if value is not None and not np.isin(value, np.arange(n)).all():

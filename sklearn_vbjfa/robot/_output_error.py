@@ -28,7 +28,12 @@ from sklearn_vbjfa.robot._estimate import project
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.robot._states import SAMPLES_FOR_NOISE
 from sklearn_vbjfa.robot._windows import tell_once
-from sklearn_vbjfa.simulation import SimulationError, simulate, with_bodies
+from sklearn_vbjfa.simulation import (
+    SimulationError,
+    simulate,
+    with_bodies,
+    without_limits,
+)
 
 # A window is so many times as long as the slowest joint takes to forget a velocity.
 _FORGETS = 5.0
@@ -249,11 +254,8 @@ def run_windows(predictor, windows, starts):
     """Simulate windows from starts (W, 2 nv); states (W, L, 3 nv)."""
     # The robot has no joint limits here: it was where the recording says.
     robot = predictor.torque_model()
-    model = robot.model.copy()
-    nv = model.nv
-    model.lowerPositionLimit = np.full(nv, -np.inf)
-    model.upperPositionLimit = np.full(nv, np.inf)
-    robot = replace(robot, model=model)
+    robot = replace(robot, model=without_limits(robot.model))
+    nv = robot.n_joints
     recording, L = windows.recording, windows.measured.shape[1]
     clock = recording.clock(stamped=predictor.plan.timed)
     out = np.empty((windows.count, L, 3 * nv))

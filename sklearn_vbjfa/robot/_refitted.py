@@ -1,61 +1,35 @@
 """Friction and rotor inertia fitted again to torques that a file has no place for."""
 
 import warnings
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 from scipy.optimize import lsq_linear
 
 from sklearn_vbjfa.effects import OfChannel, OfTime
 from sklearn_vbjfa.model import DoubtWarning
+from sklearn_vbjfa.simulation import SimulationError, simulate, without_limits
 
 # What joints of MJCF have, by the names of declared friction.
 TERMS = ("coulomb", "viscous", "rotor_inertia")
 # Rows of the motion, the frequencies of its sines over the first one, and the share of
 # a joint's top speed below which its friction may have any value.
 _ROWS, _FREQUENCIES, _REST = 6000, (0.35, 0.7, 1.0, 1.6), 0.02
-# Share of a joint's torque without which a file moves in another way.
-_MISSING = 0.02
+# Windows in which the file is simulated, their length [s], and the least rows of one.
+_WINDOWS, _SECONDS, _LEAST = 6, 1.0, 20
+# Change of the simulated positions, as a share of their spread, that is too large.
+_CHANGED = 0.02
 # A torque below this share of the joint's whole torque is rounding.
 _ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Refitted:
-    """What is added to the joints of a file, and what the file still lacks."""
-
-    added: np.ndarray  # (nv, 3): to `TERMS`
-    # (nv,): root mean square of what is left over that of what had no place, and over
-    # that of the whole torque
-    share: np.ndarray
-    missing: np.ndarray
-
-    @classmethod
-    def nothing(cls, nv):
-        return cls(added=np.zeros((nv, 3)), share=np.ones(nv), missing=np.zeros(nv))
-
-    def warn(self, names):
-        """Warn of joints whose motion a file changes."""
-        lines = [
-            f"{100 * share:.2g} % of the torque of {name}"
-            for name, share in zip(names, self.missing)
-            if share > _MISSING
-        ]
-        if lines:
-            warnings.warn(
-                f"The MJCF file lacks {', '.join(lines)}, which MuJoCo has no friction "
-                "for: simulate the saved robot instead (identified.json).",
-                DoubtWarning,
-                stacklevel=3,
-            )
-
-
-def has_no_place(effect):
-    """Whether an effect is a law of a joint's motion that MJCF lacks in part."""
-    others = (OfChannel, OfTime)
-    if effect.in_model or effect.whole_robot or isinstance(effect, others):
-        return False
-    return bool(effect.files.mjcf) and "signals" not in effect.needs
+def without_place(effect, coef):
+    """Coefficients (k,) of a law of motion that MJCF lacks, zero elsewhere."""
+    others = effect.in_model or effect.whole_robot or "signals" in effect.needs
+    if others or isinstance(effect, (OfChannel, OfTime)) or not effect.files.mjcf:
+        return np.zeros(len(coef))
+    held = [name for _, *names in effect.files.places for name in names]
+    return np.where(np.isin(effect.coefficients, held), 0.0, coef)
 
 
 def typical_motion(ranges, nv, dt):
@@ -81,37 +55,109 @@ def typical_motion(ranges, nv, dt):
 
 
 def refitted(robot, totals):
-    """Fit the joints of a file to what it lacks of an identified robot, `Refitted`."""
+    """Fit the joints of a file to what it lacks of an identified robot, (nv, 3)."""
     # totals (nv, 3): of `TERMS` in the file, which are to stay positive.
-    nv = len(totals)
-    left = [has_no_place(effect) for effect in robot.effects_]
-    nothing = Refitted.nothing(nv)
-    if not any(left) or robot.plan.dt is None or not robot.effect_ranges_:
-        return nothing
+    nv, added = len(totals), np.zeros(totals.shape)
+    pairs = list(zip(robot.effects_, robot.split(robot.theta_)))
+    left = [without_place(*pair) for pair in pairs]
+    if not _is_known(robot) or not any(coef.any() for coef in left):
+        return added
     states, moves = typical_motion(robot.effect_ranges_, nv, robot.plan.dt)
-    made = robot.columns_of(states)
     v, a = states[:, nv : 2 * nv], states[:, 2 * nv :]
     plain = {"coulomb": np.sign(v), "viscous": v, "rotor_inertia": a}
     lacking = np.zeros((_ROWS, nv))
-    coefficients = robot.split(robot.theta_)
-    for lacks, (effect, columns), coef in zip(left, made, coefficients):
-        if lacks:
+    for (effect, columns), coef in zip(robot.columns_of(states), left):
+        if coef.any():
             j, name = effect.joint, effect.files.parameter
             lacking[:, j] += columns @ coef
             if name in plain:
                 lacking[:, j] -= plain[name][:, j] * effect.in_file(coef).sum()
-    added, share, missing = nothing.added, nothing.share, nothing.missing
-    whole = robot.torques(robot.prepare(states).noiseless(robot.plan))
     for j in np.flatnonzero(moves & lacking.any(axis=0)):
         rows = np.abs(v[:, j]) > _REST * np.abs(v[:, j]).max()
         X = np.column_stack([plain[name][rows, j] for name in TERMS])
         size, y = np.sqrt((X**2).mean(axis=0)), lacking[rows, j]
-        lowest = -np.maximum(totals[j], 0.0) * size - _ROUNDING
-        found = lsq_linear(X / size, y, (lowest, np.inf)).x / size
-        found = np.maximum(found, -np.maximum(totals[j], 0.0))
-        sizes = [y, y - X @ found, whole[rows, j]]
-        before, after, torque = (np.sqrt((x**2).mean()) for x in sizes)
-        if after < before:
-            added[j], share[j] = found, after / before
-        missing[j] = min(before, after) / max(torque, before)
-    return Refitted(added=added, share=share, missing=missing)
+        most = np.maximum(totals[j], 0.0)
+        found = lsq_linear(X / size, y, (-most * size - _ROUNDING, np.inf)).x / size
+        found = np.maximum(found, -most)
+        if ((y - X @ found) ** 2).sum() < (y**2).sum():
+            added[j] = found
+    return added
+
+
+def _is_known(robot):
+    return robot.plan.dt is not None and len(robot.effect_ranges_) > 0
+
+
+def warn_of_motion(robot, joints):
+    """Warn of joints that move differently with what an MJCF file has of a robot."""
+    # joints: declared friction of the file, (nv,) by name.
+    model = robot.torque_model()
+    left = [without_place(*pair) for pair in zip(model.effects, model.coefficients)]
+    if not _is_known(robot) or not any(coef.any() for coef in left):
+        return
+    plain = [
+        not (isinstance(effect, (OfChannel, OfTime)) or "signals" in effect.needs)
+        for effect in model.effects
+    ]
+    model = replace(
+        model,
+        model=without_limits(model.model),
+        coefficients=tuple(x * used for x, used in zip(model.coefficients, plain)),
+    )
+    file = replace(
+        model,
+        friction_names=tuple(joints),
+        friction=np.column_stack(list(joints.values())),
+        coefficients=tuple(
+            (x - gone) * (effect.files.parameter not in joints)
+            for effect, x, gone in zip(model.effects, model.coefficients, left)
+        ),
+    )
+    shares = changed_motion(robot, model, file)
+    lines = [
+        f"{100 * share:.2g} % on {name}"
+        for name, share in zip(robot.joint_names_, shares)
+        if share > _CHANGED
+    ]
+    if lines:
+        warnings.warn(
+            "The MJCF file moves differently: positions simulated over a second change "
+            f"by {', '.join(lines)} (of their spread). MuJoCo lacks such friction: "
+            "simulate the saved robot (identified.json).",
+            DoubtWarning,
+            stacklevel=3,
+        )
+
+
+def changed_motion(robot, model, other):
+    """Root mean square change (nv,) of simulated positions, over their spread."""
+    # model, other: `TorqueModel`, both driven by the torques of the first in a typical
+    # motion; infinite where the other one diverges.
+    nv, dt = model.n_joints, robot.plan.dt
+    states, moves = typical_motion(robot.effect_ranges_, nv, dt)
+    length = min(max(round(_SECONDS / dt), _LEAST), _ROWS)
+    count = min(_WINDOWS, _ROWS // length)
+    starts = np.linspace(0, _ROWS - length, count).astype(int)
+    tau = robot.torques(robot.prepare(states).noiseless(robot.plan))
+    changes, spread = [], states[:, :nv].std(axis=0)
+    for rows in (slice(start, start + length) for start in starts):
+        q, v, _ = np.split(states[rows.start], 3)
+        own = _simulated(model, tau[rows], q, v)
+        if own is not None:
+            changed = _simulated(other, tau[rows], q, v)
+            changes.append(np.inf if changed is None else changed - own)
+    if not changes:
+        return np.zeros(nv)
+    squares = np.mean([np.mean(np.square(x), axis=0) for x in changes], axis=0)
+    return np.where(moves, np.sqrt(squares) / np.where(moves, spread, 1.0), 0.0)
+
+
+def _simulated(model, tau, q, v):
+    """Positions (n, nv) under torques, None where they cannot be followed."""
+    with warnings.catch_warnings():
+        # What a simulation leaves out is left out of both.
+        warnings.simplefilter("ignore")
+        try:
+            return simulate(model, tau, q, v)[:, : q.size]
+        except (SimulationError, ValueError):
+            return None

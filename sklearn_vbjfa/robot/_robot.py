@@ -45,6 +45,7 @@ from sklearn_vbjfa.robot._equations import (
 from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import (
     as_pinocchio,
+    friction_of_file,
     plain_totals,
     servo_of,
     to_mjcf,
@@ -65,10 +66,9 @@ from sklearn_vbjfa.robot._recording_checks import (
     check_weight,
     check_widths,
 )
-from sklearn_vbjfa.robot._refitted import refitted
+from sklearn_vbjfa.robot._refitted import refitted, warn_of_motion
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
-    ColumnMeanSquares,
     TorqueSpread,
     note_of_masses,
     outside_text,
@@ -230,8 +230,6 @@ class IdentifiedRobot:
     signal_ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     # [Hz], of a smoother for positions where the fit was given states
     state_cutoff: float | str | tuple[float | None, ...] | None = "auto"
-    # how large columns of friction and effects were in the fit
-    powers: ColumnMeanSquares | None = None
     # how far measured torques may be from predicted ones
     prediction_covariance: TorqueSpread | None = None
     # how far values are off from one recording to another, where there were several
@@ -897,8 +895,7 @@ class IdentifiedRobot:
         -------
         tuple of LeftOut
             Effects that the file cannot hold, and negative coefficients, each with
-            `name`, `joint`, `joint_name`, `size` (RMS of its torque over the fitted
-            recording [N m or N]; nan if unknown), `unit` and `reason`.
+            `name`, `joint`, `joint_name` and `reason`.
 
         Raises
         ------
@@ -919,7 +916,6 @@ class IdentifiedRobot:
             urdf_to_fill(self.text or self.source),
             robot.torque_model(),
             robot.min_eigenvalues_,
-            self.powers,
             notes,
             turned_joints(self),
         )
@@ -961,8 +957,9 @@ class IdentifiedRobot:
         Warns
         -----
         DoubtWarning
-            If friction that MuJoCo lacks is more than 2 % of a joint's torque, after
-            damping, frictionloss and armature were fitted again.
+            If friction that MuJoCo lacks changes the simulated positions of a joint
+            within a second by more than 2 % of their spread, after damping,
+            frictionloss and armature were fitted again.
 
         Notes
         -----
@@ -974,17 +971,12 @@ class IdentifiedRobot:
         """
         robot, which = self._sampled(sample, random_state)
         model = robot.torque_model()
-        again = refitted(robot, plain_totals(model))
+        added = refitted(robot, plain_totals(model))
+        notes = [which, note_of_units(self.gains_), note_of_masses(self)]
         left = to_mjcf(
-            path,
-            model,
-            robot.min_eigenvalues_,
-            self.powers,
-            [which, note_of_units(self.gains_), note_of_masses(self)],
-            robot._servo(drive),
-            again,
+            path, model, robot.min_eigenvalues_, notes, robot._servo(drive), added
         )
-        again.warn(self.joint_names_)
+        warn_of_motion(robot, friction_of_file(model, added))
         return left
 
     def columns_of(self, states):

@@ -142,9 +142,7 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     # MuJoCo has springs, offsets and the inertia of rotors, URDF has none of them.
     assert "only identified.json has every effect (page)" in told
     (left,) = report["provenance"]["warnings"]
-    assert re.match(
-        r"identified.urdf has no place for \d effects, the largest: spring on", left
-    )
+    assert re.match(r"identified.urdf has no place for .*spring on", left)
     assert "identified.xml" not in left
     assert "identified.urdf has no place for" in page
     root = ElementTree.parse(folder / "identified.xml").getroot()

@@ -13,7 +13,7 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import LoadFriction, Stribeck
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.robot import _robot
-from sklearn_vbjfa.robot._refitted import TERMS, Refitted, typical_motion
+from sklearn_vbjfa.robot._refitted import TERMS, changed_motion, typical_motion
 from tests.model._mujoco import drive_torques
 
 EFFECTS = (Stribeck(1, vs=0.4), LoadFriction(2))
@@ -41,7 +41,7 @@ def away(robot, path):
 
 def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
     pytest.importorskip("mujoco")
-    with pytest.warns(DoubtWarning, match=r"lacks .* % of the torque of joint_3"):
+    with pytest.warns(DoubtWarning, match=r"moves differently: .* % on joint_3"):
         left = robot.to_mjcf(tmp_path / "again.xml")
     assert {(one.name, one.joint) for one in left} == {
         ("stribeck", 1),
@@ -49,12 +49,38 @@ def test_the_file_is_nearer_to_the_robot(robot, tmp_path, monkeypatch):
     }
     assert all("fitted to it" in one.reason for one in left)
     again = away(robot, tmp_path / "again.xml")
-    monkeypatch.setattr(_robot, "refitted", lambda robot, totals: Refitted.nothing(6))
-    before = robot.to_mjcf(tmp_path / "before.xml")
+    monkeypatch.setattr(_robot, "refitted", lambda robot, totals: 0.0 * totals)
+    with pytest.warns(DoubtWarning):
+        robot.to_mjcf(tmp_path / "before.xml")
     plain = away(robot, tmp_path / "before.xml")
     assert (again[[1, 2]] < 0.7 * plain[[1, 2]]).all()
     np.testing.assert_allclose(again[[0, 3, 4, 5]], plain[[0, 3, 4, 5]], atol=1e-9)
-    assert all(one.size < other.size for one, other in zip(left, before))
+
+
+def test_a_small_torque_that_is_lacking_is_no_warning(robot, tmp_path):
+    theta = robot.theta_.copy()
+    theta[-len(EFFECTS) :] = 0.02, 0.0
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert len(replace(robot, theta_=theta).to_mjcf(tmp_path / "near.xml")) == 1
+
+
+@pytest.mark.filterwarnings("ignore:The simulated robot leaves")
+def test_changes_of_the_motion_are_those_of_the_simulation(robot):
+    """Against `simulate` of two identified robots, under the torques of the first."""
+    theta = robot.theta_.copy()
+    theta[-len(EFFECTS) :] = 0.0
+    plain = replace(robot, theta_=theta)
+    found = changed_motion(robot, robot.torque_model(), plain.torque_model())
+    states, _ = typical_motion(robot.effect_ranges_, 6, robot.dt)
+    tau, squares = robot.predict(states), []
+    for start in np.linspace(0, len(states) - 100, 6).astype(int):
+        start_of = np.split(states[start], 3)[:2]
+        rows = slice(start, start + 100)
+        both = [one.simulate(tau[rows], *start_of)[:, :6] for one in (robot, plain)]
+        squares.append(((both[1] - both[0]) ** 2).mean(axis=0))
+    expected = np.sqrt(np.mean(squares, axis=0)) / states[:, :6].std(axis=0)
+    np.testing.assert_allclose(found, expected, rtol=1e-9)
 
 
 def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
@@ -62,8 +88,8 @@ def test_a_robot_that_a_file_can_hold_is_written_as_it_is(robot, tmp_path):
     theta[-len(EFFECTS) :] = 0.0
     plain = replace(robot, theta_=theta)
     found = _robot.refitted(plain, _robot.plain_totals(plain.torque_model()))
-    assert found.added.shape == (6, len(TERMS))
-    assert not found.added.any()
+    assert found.shape == (6, len(TERMS))
+    assert not found.any()
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert plain.to_mjcf(tmp_path / "plain.xml") == ()

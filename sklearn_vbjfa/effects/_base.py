@@ -91,7 +91,7 @@ class Effect(TransformerMixin, BaseEstimator):
         Whether the picture has torques in the direction of motion, as for friction.
     terms : tuple of (str, str, ...)
         Terms of the compiled forward dynamics, with coefficients and shape parameters.
-        Without terms it is simulated by its columns, which is slower.
+        Without terms a simulation leaves it out.
     not_simulated : str
         Reason why a simulation leaves it out; empty if it does not.
     files : InFiles

@@ -607,14 +607,14 @@ class IdentifiedRobot:
             and where), the start lies outside the joint limits, or the robot has no
             positive inertia.
         SimulationError
-            A ValueError; if the motion diverges, or its energy exceeds what was put in
-            by more than 1 %, as with identified friction that drives a joint.
+            A ValueError; if the motion diverges.
 
         Warns
         -----
         UserWarning
-            If a joint leaves its limits, at which there are no stops; and of effects
-            that have no forward dynamics (`effects.Elastic`, `effects.Jerk`).
+            If a joint leaves its limits, at which there are no stops; if friction has
+            a negative coefficient; and of effects that have no forward dynamics
+            (`effects.Elastic`, `effects.Jerk`, custom effects without ``terms``).
 
         Notes
         -----

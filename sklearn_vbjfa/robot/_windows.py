@@ -487,7 +487,7 @@ class CommandFollower:
         begin = self._begins[self._begins <= rows.start][-1]
         known = (x[begin : rows.stop] for x in (self._command, *self._gains))
         law = law_of(*known, self._most, rows.start - begin, late)
-        states, _ = simulate_controlled(
+        return simulate_controlled(
             self._model,
             _seen_late(law, self._lags, self._dt, self._updates),
             start[:nv],
@@ -496,7 +496,6 @@ class CommandFollower:
             {name: x[rows] for name, x in self._signals.items()},
             self._updates,
         )
-        return states
 
 
 def follow(robot, drive, recording, window=None):

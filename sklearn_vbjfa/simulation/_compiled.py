@@ -263,12 +263,12 @@ def _hold(A, b, stuck):
 
 @compiled
 def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
-    """Accelerations at one state, see `ForwardDynamics.accelerate`; power [W]."""
+    """Write the accelerations at one state, see `ForwardDynamics.accelerate`."""
     # M, h, ML, hL: inertia matrix and nonlinear effects of the robot, and of what loads
     # joints; tau, q, v, mode, stuck (nv,): true torques, state, signs of dry friction,
     # joints that stick; table: `Table`; before (nv,): accelerations found before;
     # out (5, nv), written: accelerations, needed dry friction, its limit, derivatives
-    # by position and velocity. The power is that of torques that do not dissipate.
+    # by position and velocity.
     nv = q.size
     lines, inertia, coupling = table.lines, table.inertia, table.coupling
     sums = np.zeros((7, nv))
@@ -325,16 +325,12 @@ def accelerate(M, h, ML, hL, tau, q, v, mode, stuck, table, before, out):
         if stuck[i]:
             # What rounding leaves would be a motion.
             a[i] = 0.0
-    power = 0.0
     for i in range(nv):
-        needed, moved = rhs[i], tau[i] - placed[i]
+        needed = rhs[i]
         for j in range(nv):
             needed -= A[i, j] * a[j]
-            moved -= inertia[i, j] * a[j]
         out[0, i], out[1, i], out[2, i] = a[i], needed, limit[i]
         out[3, i], out[4, i] = by_position[i], by_velocity[i]
-        power += moved * v[i]
-    return power
 
 
 @compiled
@@ -342,7 +338,6 @@ def explicit_step(
     q,
     v,
     a,
-    power,
     tau,
     rate,
     h,
@@ -356,20 +351,19 @@ def explicit_step(
     loaded,
     table,
 ):
-    # q, v, a, power: at the beginning; tau, rate (nv,): torques there, and what they
+    # q, v, a: at the beginning; tau, rate (nv,): torques there, and what they
     # change by in a second; h: length of the step [s]; fast (nv,): fastest speeds, in
     # units of which `tolerance` is; loaded (nv, 10): bodies that load the joints; the
     # rest as `bodies_at` and `accelerate`.
-    # Returns q, v at the end, the work of torques that do not dissipate [J], power,
-    # error in units of what is allowed, what `accelerate` writes (5, nv), and M there.
+    # Returns q, v at the end, error in units of what is allowed, what
+    # `accelerate` writes (5, nv), and M there.
     nv = q.size
     M, ML, before = np.empty((nv, nv)), np.empty((nv, nv)), a
     effects, load = np.empty(nv), np.empty(nv)
     none = np.zeros(nv)
     found = np.empty((5, 5, nv))
-    speeds, powers = np.empty((5, nv)), np.empty(5)
-    speeds[0], powers[0] = v, power
-    found[0, 0] = a
+    speeds = np.empty((5, nv))
+    speeds[0], found[0, 0] = v, a
     new_q, new_v = q, v
     for k in range(1, 5):
         # Stages in the middle, in the middle, at the end; and the end itself.
@@ -386,7 +380,7 @@ def explicit_step(
         bodies_at(new_q, new_v, tree, bodies, armature, M, effects)
         if table.of_load:
             bodies_at(new_q, new_v, tree, loaded, none, ML, load)
-        powers[k] = accelerate(
+        accelerate(
             M,
             effects,
             ML,
@@ -401,6 +395,5 @@ def explicit_step(
             found[k],
         )
         before, speeds[k] = found[k, 0], new_v
-    work = (powers[0] + 2.0 * (powers[1] + powers[2]) + powers[3]) * h / 6.0
     error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
-    return new_q, new_v, work, powers[4], error, found[4].copy(), M
+    return new_q, new_v, error, found[4].copy(), M

@@ -85,16 +85,15 @@ class _End(NamedTuple):
 class Integrator:
     """A robot in motion: its state under true torques tau (nv,) at a time t [s]."""
 
-    # work: of all torques that do not dissipate, since the start [J]; held (nv,): in
-    # how many sample periods a joint stopped so often that it was held from there to
-    # the end; held_since: time of the first of these stops [s], nan without any.
+    # a (nv,): accelerations; held (nv,): in how many sample periods a joint stopped so
+    # often that it was held from there to the end; held_since: time of the first of
+    # these stops [s], nan without any.
 
     def __init__(self, dynamics, q, v, tau, t):
         self._dynamics = dynamics
         self._steps = dynamics.compiled
         nv = q.size
         self.q, self.v = q.copy(), v.copy()
-        self.work, self.steps = 0.0, 0
         self._mode = np.where(dynamics.terms.has_dry, np.sign(v), 0.0)
         self._stuck = np.zeros(nv, dtype=bool)
         # Joints whose turns are events.
@@ -110,17 +109,10 @@ class Integrator:
         dynamics.start(self.q)
         self.settle(tau)
 
-    @property
-    def a(self):
-        """Present accelerations, ndarray (nv,)."""
-        return self._slope[0]
-
     def _evaluate(self, q, v, tau, ahead=0.0):
-        """Accelerations and power at a state, some time ahead of the present one."""
-        own = self._dynamics
-        if own.changes:
-            own.set_time(self._time + ahead)
-        return own.accelerate(q, v, tau, self._mode, self._stuck), own.power
+        """Accelerations at a state, some time ahead of the present one."""
+        self._dynamics.set_time(self._time + ahead)
+        return self._dynamics.accelerate(q, v, tau, self._mode, self._stuck)
 
     def settle(self, tau):
         # Friction and accelerations of joints at rest solve a linear complementarity
@@ -135,24 +127,23 @@ class Integrator:
         self._mode[at_rest] = 0.0
         self._stuck[:] = at_rest
         free = at_rest & (self._stops <= MOST_STOPS)
-        slope = self._evaluate(self.q, self.v, tau)
+        a = self._evaluate(self.q, self.v, tau)
         for _ in range(_MOST_PIVOTS if free.any() else 0):
             found = own.found
             loose = self._stuck & (np.abs(found.needed) > (1 + _HOLDS) * found.limit)
-            wrong = free & (loose | (slope[0] * self._mode < 0))
+            wrong = free & (loose | (a * self._mode < 0))
             if not wrong.any():
                 break
             j = int(np.argmax(wrong))
             self._mode[j] = np.sign(found.needed[j]) if self._stuck[j] else 0.0
             self._stuck[j] = self._mode[j] == 0
-            slope = self._evaluate(self.q, self.v, tau)
-        self._arrive(slope)
+            a = self._evaluate(self.q, self.v, tau)
+        self._arrive(a)
 
-    def _arrive(self, slope):
-        own = self._dynamics
-        self._slope = slope
-        self._begin = _End(0.0, self.v, own.found)
-        self._way = self._steps.directions(self.v, slope[0])
+    def _arrive(self, a):
+        self.a = a
+        self._begin = _End(0.0, self.v, self._dynamics.found)
+        self._way = self._steps.directions(self.v, a)
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`."""
@@ -190,7 +181,7 @@ class Integrator:
         method = self._implicit if stiff else self._explicit
         before, after, known = self._begin, None, None
         for tries in range(1, _MOST_TRIES + 1):
-            q, v, work, slope, error = method(tau, rate, h)
+            q, v, a, error = method(tau, rate, h)
             grown = _RESERVE * max(error, 1e-12) ** (-1.0 / 3.0 if stiff else -0.25)
             if not error <= 1:
                 self._step = h * (max(grown, _SHRINK) if grown < 1 else _SHRINK)
@@ -218,19 +209,17 @@ class Integrator:
             # It was short for an event, or for the end of the sample period.
             next_step = max(next_step, self._step)
         self._step = next_step
-        return h, (q, v, work, slope, hit)
+        return h, (q, v, a, hit)
 
     def _accept(self, new, tau):
-        self.q, self.v, work, slope, hit = new
+        self.q, self.v, a, hit = new
         # Rounding of zero would be a velocity, and not at rest.
         self.v[self._stuck] = 0.0
-        self.work += work
-        self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)
         np.multiply(_TOLERANCE, self._fast, out=self._exact)
         self._dynamics.remember(self.q, self.v)
         if hit is None:
-            self._arrive(slope)
+            self._arrive(a)
             return
         turned = hit & ~self._stuck
         self.v[turned] = 0.0
@@ -245,29 +234,28 @@ class Integrator:
 
     def _explicit(self, tau, rate, h):
         own, evaluate = self._dynamics, self._evaluate
-        if not own.changes:
-            state = self.q, self.v, *self._slope, tau, rate, h
+        if not own.terms.is_timed:
+            state = self.q, self.v, self.a, tau, rate, h
             modes = self._mode, self._stuck
             return own.explicit_step(*state, *modes, self._fast, _TOLERANCE)
-        q, v, (a1, p1) = self.q, self.v, self._slope
+        q, v, a1 = self.q, self.v, self.a
         half, mid, end = 0.5 * h, tau + (0.5 * h) * rate, tau + h * rate
         v2 = v + half * a1
-        a2, p2 = evaluate(q + half * v, v2, mid, half)
+        a2 = evaluate(q + half * v, v2, mid, half)
         v3 = v + half * a2
-        a3, p3 = evaluate(q + half * v2, v3, mid, half)
+        a3 = evaluate(q + half * v2, v3, mid, half)
         v4 = v + h * a3
-        a4, p4 = evaluate(q + h * v3, v4, end, h)
+        a4 = evaluate(q + h * v3, v4, end, h)
         sixth = h / 6.0
         q = q + sixth * (v + 2.0 * (v2 + v3) + v4)
         v = v + sixth * (a1 + 2.0 * (a2 + a3) + a4)
-        work = sixth * (p1 + 2.0 * (p2 + p3) + p4)
-        slope = evaluate(q, v, end, h)
-        error = self._steps.step_error(h, a1, a4, slope[0], self._fast, _TOLERANCE)
-        return q, v, work, slope, float(error)
+        a = evaluate(q, v, end, h)
+        error = self._steps.step_error(h, a1, a4, a, self._fast, _TOLERANCE)
+        return q, v, a, float(error)
 
     def _implicit(self, tau, rate, h):
         own, stuck = self._dynamics, self._stuck
-        q, v, (a, p) = self.q, self.v, self._slope
+        q, v, a = self.q, self.v, self.a
         # The Jacobian matrix and the masses are those of the beginning.
         self._evaluate(q, v, tau)
         M = own.mass.copy()
@@ -276,12 +264,12 @@ class Integrator:
         W = M + np.diag(g * D + g * g * K)
         free = np.flatnonzero(~stuck)
         lu, pivots, _ = lapack.dgetrf(W[np.ix_(free, free)])
-        k, powers = np.zeros((_STAGES, 2, q.size)), np.zeros(_STAGES)
+        k = np.zeros((_STAGES, 2, q.size))
         for i, (to, mixed) in enumerate(zip(_TO, _MIXED)):
             if i:
                 y, z = (q, v) + h * np.tensordot(to[:i], k[:i], 1)
                 share = to.sum()
-                a, p = self._evaluate(y, z, tau + share * h * rate, share * h)
+                a = self._evaluate(y, z, tau + share * h * rate, share * h)
             else:
                 z = v
             sq, sv = h * np.tensordot(mixed[:i], k[:i], 1) if i else np.zeros((2, 1))
@@ -291,14 +279,11 @@ class Integrator:
             if free.size:
                 k[i, 1, free] = lapack.dgetrs(lu, pivots, rhs[free])[0]
             k[i, 0] = np.where(stuck, 0.0, fq + g * k[i, 1])
-            powers[i] = p
-        first = self._slope[0]
         q, v = (q, v) + h * np.tensordot(_WEIGHTS, k, 1)
         error_v = h * np.tensordot(_WEIGHTS - _LOWER, k[:, 1], 1)
-        slope = self._evaluate(q, v, tau + h * rate, h)
-        scale = _STIFF_TOLERANCE * np.maximum(self._fast, h * np.abs(first))
-        error = float((np.abs(error_v) / scale).max())
-        return q, v, h * float(_WEIGHTS @ powers), slope, error
+        a = self._evaluate(q, v, tau + h * rate, h)
+        scale = _STIFF_TOLERANCE * np.maximum(self._fast, h * np.abs(self.a))
+        return q, v, a, float((np.abs(error_v) / scale).max())
 
     def _past(self, v):
         """How far joints are past events, in units of what they may be (nv,)."""

@@ -8,17 +8,12 @@ from sklearn_vbjfa.model import DoubtWarning, is_prismatic
 from sklearn_vbjfa.simulation._dynamics import ForwardDynamics
 from sklearn_vbjfa.simulation._integrate import (
     MOST_STOPS,
-    SLOWEST,
     Diverged,
     Integrator,
 )
 
 # Time stamps may differ from whole periods by this share of one.
 _JITTER = 0.01
-# Energy may exceed what was put in by this share; looked at every so many rows.
-_EXCESS, _EVERY = 0.01, 8
-# Of this share of the potential energy nothing is known.
-_ROUNDING = 1e-9
 # A start may lie outside the limits by this share of the range: noise, or a zero.
 _MARGIN = 1e-3
 
@@ -26,8 +21,7 @@ _MARGIN = 1e-3
 class SimulationError(ValueError):
     """The motion of an identified robot cannot be followed to its end.
 
-    It diverges, or has more energy than was put in. The message says when, and which
-    joint is to be looked at.
+    It diverges. The message says when, and which joint is to be looked at.
 
     Attributes
     ----------
@@ -61,9 +55,6 @@ class Recorded:
             )
         return float(np.interp(t, self._t, self._signals[name]))
 
-    def at(self, t):
-        return {name: self(name, t) for name in self._signals}
-
 
 def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     """Simulate a robot that is driven by measured torques; states (n, 3 nv)."""
@@ -76,158 +67,98 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     signals = Recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
     _tell_left_out(robot, dynamics)
+    _tell_driving(robot, dynamics)
     _check_inertia(robot, dynamics, q0)
     torque = robot.true_torques(tau, t)
-    states = _run(robot, dynamics, torque, q0, v0, t)
+
+    def torques(row, q, v):
+        return torque[row], torque[min(row + 1, len(torque) - 1)]
+
+    states = _run(robot, dynamics, torques, q0, v0, t)
     _tell_limits(robot, states, t)
     return states
-
-
-def _run(robot, dynamics, tau, q0, v0, t):
-    """States (n, 3 nv) of a motion, row by row."""
-    n, nv = tau.shape
-    states = np.empty((n, 3 * nv))
-    energy = _Energy(robot, dynamics)
-    with np.errstate(all="ignore"):
-        dynamics.set_bodies(t[0])
-        instants = dynamics.instants
-        motion = Integrator(dynamics, q0, v0, tau[0], t[0])
-        for i in range(n):
-            if i:
-                _follow(robot, dynamics, motion, energy, i, t, tau, instants)
-            states[i, :nv], states[i, nv : 2 * nv] = motion.q, motion.v
-            states[i, 2 * nv :] = motion.a
-            if i % _EVERY == 0 or i + 1 == n:
-                energy.check(motion, t[i])
-    tell_held(robot, motion, stacklevel=5)
-    return states
-
-
-def _follow(robot, dynamics, motion, energy, i, t, tau, instants):
-    """Move on to row i from the one before, through the instants between them."""
-    since, start, period = t[i - 1], tau[i - 1], t[i] - t[i - 1]
-    between = [x for x in instants if since < x <= t[i]]
-    for until in sorted({*between, t[i]}) if between else (t[i],):
-        left = (t[i] - until) / period
-        end = tau[i] if left == 0 else tau[i] - left * (tau[i] - tau[i - 1])
-        try:
-            motion.advance(start, end, until - since)
-        except Diverged as found:
-            raise _diverged(robot, motion, since + found.time, i, found.joint) from None
-        if until in between:
-            before = energy.present(motion)
-            dynamics.set_bodies(until)
-            motion.settle(end)
-            energy.jump(before, motion)
-        since, start = until, end
-
-
-def _diverged(robot, motion, time, row, joint):
-    unit = "m/s" if is_prismatic(robot.model)[joint] else "rad/s"
-    return SimulationError(
-        f"The simulation diverges at t = {time:.6g} s (before row {row}): "
-        f"{robot.joint_names[joint]} has the velocity {motion.v[joint]:.3g} {unit}. "
-        "Torques or a start in another unit do that, friction with a negative "
-        "coefficient, or bodies that the recording does not determine: check the "
-        "units, look at the parameters of this joint, and identify with more motion.",
-        time,
-    )
-
-
-class _Energy:
-    """The balance of energy of a motion, looked at row by row."""
-
-    def __init__(self, robot, dynamics):
-        self._robot, self._dynamics = robot, dynamics
-        self._start, self._least = None, 0.0
-        self._largest, self._moved, self._work = 0.0, 0.0, 0.0
-
-    def present(self, motion):
-        kinetic = self._dynamics.kinetic_energy(motion.v)
-        self._largest = max(self._largest, kinetic)
-        energy = kinetic + self._dynamics.potential_energy(motion.q)
-        if self._start is None:
-            # What rounding and slow joints make of nothing is no energy.
-            slow = 0.5 * SLOWEST**2 * self._dynamics.mass.diagonal().max()
-            self._least = slow + _ROUNDING * abs(energy)
-        return energy
-
-    def jump(self, before, motion):
-        self._start += self.present(motion) - before
-
-    def check(self, motion, t):
-        energy = self.present(motion)
-        if self._start is None:
-            self._start = energy
-        self._moved += abs(motion.work - self._work)
-        self._work = motion.work
-        excess = energy - self._start - motion.work
-        size = self._largest + self._moved + self._least
-        if excess > _EXCESS * size:
-            raise SimulationError(
-                f"At t = {t:.6g} s the robot has {excess:.3g} J more than was put in, "
-                f"{100 * excess / size:.2g} % of all energy: {self._reason()}.",
-                t,
-            )
-
-    def _reason(self):
-        driving = self._dynamics.terms.drives()
-        names = [n for n, bad in zip(self._robot.joint_names, driving) if bad]
-        if names:
-            return (
-                f"friction of {', '.join(names)} has a negative coefficient, with "
-                "which it drives the joint; the recording does not determine it, or "
-                "it stands for something else"
-            )
-        return "the steps of the integration do not follow so fast a motion"
-
-
-# -- under a controller ----------------------------------------------------------------
 
 
 def simulate_controlled(robot, control, q0, v0, t, signals=None, updates=1):
     """Simulate a robot whose torques a controller sets and then holds."""
     # control: (row, q, v) -> torques (nv,) as the channels read them, row being 3.5
     # between rows 3 and 4; updates: how often in a sample period. Returns states (n, 3
-    # nv), torques (n, nv).
-    n, nv = t.size, robot.n_joints
+    # nv).
     dynamics = ForwardDynamics(robot, Recorded(signals or {}, t))
-    states, tau = np.empty((n, 3 * nv)), np.empty((n, nv))
-    drive = control(0.0, q0, v0)
+
+    def torques(row, q, v):
+        drive = control(row, q, v) / robot.gains
+        return drive, drive
+
+    return _run(robot, dynamics, torques, q0, v0, t, updates)
+
+
+def _run(robot, dynamics, torques, q0, v0, t, updates=None):
+    """States (n, 3 nv) of a motion, row by row."""
+    # torques: (row, q, v) -> those from a row on and at the end of what is done at a
+    # time: a sample period, over which they go straight, or one of the `updates` of a
+    # controller, over which they are held.
+    n, nv, count = t.size, q0.size, updates or 1
+    states = np.empty((n, 3 * nv))
     with np.errstate(all="ignore"):
         dynamics.set_bodies(t[0])
-        motion = Integrator(dynamics, q0, v0, drive / robot.gains, t[0])
+        motion = Integrator(dynamics, q0, v0, torques(0, q0, v0)[0], t[0])
         for i in range(n):
-            for part in range(updates):
-                own = control(i + part / updates, motion.q, motion.v)
-                drive = own / robot.gains
-                length = 0.0 if i + 1 == n else (t[i + 1] - t[i]) / updates
-                time = t[i] + part * length
-                dynamics.set_bodies(time)
-                motion.settle(drive)
+            last = i + 1 == n
+            for part in range(1 if last else count):
+                length = 0.0 if last else (t[i + 1] - t[i]) / count
+                row, since = i + part / count if updates else i, t[i] + part * length
+                ends = torques(row, motion.q, motion.v)
+                if updates:
+                    dynamics.set_bodies(since)
+                    motion.settle(ends[0])
                 if part == 0:
-                    tau[i] = own
                     states[i] = np.concatenate([motion.q, motion.v, motion.a])
-                if i + 1 == n:
-                    break
-                _advance_held(robot, motion, drive, length, time, i)
-    tell_held(robot, motion, stacklevel=3)
-    return states, tau
+                if not last:
+                    until = t[i + 1] if count == 1 else since + length
+                    _advance(robot, dynamics, motion, ends, since, until, i, updates)
+    tell_held(robot, motion, stacklevel=5)
+    return states
 
 
-def _advance_held(robot, motion, drive, length, time, row):
-    try:
-        motion.advance(drive, drive, length)
-    except Diverged as found:
-        time += found.time
-        raise SimulationError(
-            f"The controlled robot diverges at t = {time:.6g} s (row {row}), joint "
-            f"{robot.joint_names[found.joint]}: with these gains the loop is not "
-            "stable. Check their units and signs, that the reference is the commanded "
-            "position, and the period of the controller, which may be shorter than "
-            "that of the recording.",
-            time,
-        ) from None
+def _advance(robot, dynamics, motion, ends, since, until, row, updates):
+    """Move on between two times, through the instants between them."""
+    begin, end = ends
+    period, now, torque = until - since, since, begin
+    between = [x for x in dynamics.instants if since < x <= until]
+    for instant in sorted({*between, until}) if between else (until,):
+        left = (until - instant) / period
+        then = end if left == 0 else end - left * (end - begin)
+        try:
+            motion.advance(torque, then, instant - now)
+        except Diverged as found:
+            time, joint = now + found.time, found.joint
+            raise _diverged(robot, motion, time, row, joint, updates) from None
+        if instant in between:
+            dynamics.set_bodies(instant)
+            motion.settle(then)
+        now, torque = instant, then
+
+
+def _diverged(robot, motion, time, row, joint, updates):
+    unit = "m/s" if is_prismatic(robot.model)[joint] else "rad/s"
+    advice = (
+        "Torques or a start in another unit do that, friction with a negative "
+        "coefficient, or bodies that the recording does not determine: check the "
+        "units, look at the parameters of this joint, and identify with more motion."
+    )
+    if updates:
+        advice = (
+            "With these gains the loop is not stable. Check their units and signs, "
+            "that the reference is the commanded position, and the period of the "
+            "controller, which may be shorter than that of the recording."
+        )
+    return SimulationError(
+        f"The simulation diverges at t = {time:.6g} s (after row {row}): "
+        f"{robot.joint_names[joint]} has the velocity {motion.v[joint]:.3g} {unit}. "
+        f"{advice}",
+        time,
+    )
 
 
 # -- what is asked ---------------------------------------------------------------------
@@ -368,13 +299,26 @@ def _check_inertia(robot, dynamics, q0):
 
 
 def _tell_left_out(robot, dynamics):
-    names, others = robot.joint_names, dynamics.terms.others
+    names, nothing = robot.joint_names, "it has no terms of a simulation"
     left = [(e, e.not_simulated) for e in robot.effects if e.not_simulated]
-    left += [] if others is None else others.left_out
+    left += [(effect, nothing) for effect in dynamics.terms.left_out]
     if left:
         left = [f"{e.name} on {names[e.joint]} ({reason})" for e, reason in left]
         warnings.warn(
             f"The simulation leaves out {'; '.join(left)}.",
+            DoubtWarning,
+            stacklevel=4,
+        )
+
+
+def _tell_driving(robot, dynamics):
+    driving = dynamics.terms.drives()
+    names = [name for name, bad in zip(robot.joint_names, driving) if bad]
+    if names:
+        warnings.warn(
+            f"Friction of {', '.join(names)} has a negative coefficient, with which it "
+            "drives the joint: the recording does not determine it, or it stands for "
+            "something else.",
             DoubtWarning,
             stacklevel=4,
         )

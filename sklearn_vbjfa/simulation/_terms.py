@@ -4,7 +4,7 @@ A torque that the drive must produce in addition to the rigid bodies' is smooth 
 positions, velocities, time and memory), dry (a size times the sign of the joint's
 velocity, and anything between at rest), either of them over the load, or in proportion
 to accelerations. The library's effects are a table of numbers for one scalar function,
-`add_terms`, which Numba compiles; others are evaluated by their columns.
+`add_terms`, which Numba compiles; others are left out.
 """
 
 import math
@@ -12,8 +12,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sklearn_vbjfa.effects import HELD, Motion, OfChannel, own_motions
-from sklearn_vbjfa.model import is_prismatic
+from sklearn_vbjfa.effects import HELD, OfChannel
 
 # Kinds of terms in the table, by the names that effects enter them with.
 _NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
@@ -41,10 +40,6 @@ _LOW, _HIGH = _WIDTH, _WIDTH + 1
 _ENDLESS = (-math.inf, math.inf)
 # Times that it is found anew how friction follows the loads.
 MOST_SIGNS = 8
-# What other effects depend on is seen on so many rows, so far apart in time [s]. Their
-# torque jumps if that between these speeds on both sides of zero is at least this share
-# of that between -1 and 1.
-_ROWS, _PERIOD, _TURNS, _JUMP = 5, 0.01, 1e-12, 1e-3
 
 
 class Table(NamedTuple):
@@ -74,17 +69,16 @@ class TermTable:
     # viscous, constant, dry, load_dry, armature (nv,): what needs no table, load_dry
     # over the load; inertia, coupling (nv, nv): see `Table`; payloads: instants
     # [s], and what the last body's parameters (10,) change by; since: first time of the
-    # fit [s]; others: `OtherEffects`, or None.
+    # fit [s]; left_out: effects that have no terms.
 
-    def __init__(self, robot, known=None):
-        # known: values of recorded signals, one of each.
+    def __init__(self, robot):
         nv = robot.n_joints
         self._rest, self.since = robot.rest, robot.since
         self.viscous, self.constant, self.dry = np.zeros((3, nv))
         self.load_dry, self.armature = np.zeros((2, nv))
         self.inertia, self.coupling = np.zeros((2, nv, nv))
         self._load_ends, self._ends = {}, _ENDLESS
-        self._rows, self._levels, self.payloads, others = [], {}, [], []
+        self._rows, self._levels, self.payloads, self.left_out = [], {}, [], []
         declared = dict(zip(robot.friction_names, robot.friction.T))
         for name, add in (
             ("viscous", self.viscous),
@@ -104,9 +98,8 @@ class TermTable:
             effect.check()
             self._ends = _ends(held)
             if not effect.simulated(self, *map(float, coef)):
-                others.append((effect, np.asarray(coef), held))
+                self.left_out.append(effect)
         self.payloads.sort(key=lambda pair: pair[0])
-        self.others = OtherEffects(robot, others, known or {}) if others else None
         kinds, joints, numbers = zip(*self._rows) if self._rows else ((), (), ())
         self.kinds, self.joints = np.array(kinds, dtype=int), np.array(joints, int)
         self._numbers = np.array(numbers, dtype=float).reshape(-1, _WIDTH + 2)
@@ -328,75 +321,3 @@ def load_size(L, low, high):
     inside = held == L
     constant = np.where(inside, 0.0, np.abs(held))
     return constant, np.where(inside, np.sign(L), 0.0)
-
-
-class OtherEffects:
-    """Effects without terms, by their columns at a position, a velocity and a time."""
-
-    # One whose torque depends on several rows (a memory, a derivative), on
-    # accelerations or loads, or jumps where its joint turns, is left out; left_out says
-    # why. effects: with coefficients, and the `EffectRange` that they are held within
-    # or None; known: values of recorded signals.
-
-    def __init__(self, robot, effects, known):
-        self._nv, self._since = robot.n_joints, robot.since
-        self._prismatic = is_prismatic(robot.model)
-        self.left_out, kept = [], []
-        for effect, coef, held in effects:
-            reason = effect.applies(self._motion(*self._rows(), known))
-            if reason:
-                raise ValueError(
-                    f"effects holds {effect.name} on joint {effect.joint}: {reason}."
-                )
-            reason = self._reason(effect, known)
-            if reason:
-                self.left_out.append((effect, reason))
-            else:
-                kept.append((effect, coef, held))
-        self._effects = [(effect, coef) for effect, coef, _ in kept]
-        self._ranges = tuple(held for *_, held in kept)
-
-    def _rows(self):
-        """States (n, nv) and loads by chance, some time apart."""
-        q, v, a, load = np.random.default_rng(0).normal(size=(4, _ROWS, self._nv))
-        return q, v, a, _PERIOD * np.arange(_ROWS) + (self._since or 0.0), load
-
-    def _motion(self, q, v, a, t, load, known):
-        return Motion(
-            q=q,
-            v=v,
-            a=a,
-            t=t,
-            load=load,
-            torque=load,
-            prismatic=self._prismatic,
-            since=self._since,
-            signals={name: np.full(t.size, value) for name, value in known.items()},
-        )
-
-    def _reason(self, effect, known):
-        """Why an effect is left out, or an empty string."""
-        q, v, a, t, load = self._rows()
-        whole = effect.columns(self._motion(q, v, a, t, load, known))
-        single = [
-            effect.columns(self._motion(q[i], v[i], 2 * a[i], t[i], 2 * load[i], known))
-            for i in (slice(i, i + 1) for i in range(_ROWS))
-        ]
-        if not np.allclose(np.concatenate(single), whole, equal_nan=True):
-            return "its torque depends on more than position, velocity and time"
-        q, v = np.repeat(q[:1], 4, axis=0), np.repeat(v[:1], 4, axis=0)
-        v[:, effect.joint] = -1.0, -_TURNS, _TURNS, 1.0
-        motion = self._motion(q, v, a[:4], np.full(4, t[0]), load[:4], known)
-        values = effect.columns(motion)
-        far, near = (np.abs(values[k] - values[3 - k]).max() for k in (0, 1))
-        return "it jumps where the joint turns" if near > _JUMP * far else ""
-
-    def torque(self, q, v, t, known):
-        """Torque at a state, (nv,)."""
-        none, out = np.zeros((1, self._nv)), np.zeros(self._nv)
-        motion = self._motion(q[None], v[None], none, np.array([t]), none, known)
-        motions = own_motions(self._effects, self._ranges, motion)
-        for (effect, coef), own in zip(self._effects, motions):
-            which = slice(None) if effect.whole_robot else effect.joint
-            out[which] += effect.columns(own)[0] @ coef
-        return out

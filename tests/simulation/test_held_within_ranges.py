@@ -205,17 +205,14 @@ def test_states_one_by_one_have_the_torques_of_all(name, seed):
     assert_allclose(stepped(predictor, X), torques(predictor, X), atol=1e-11)
 
 
-@pytest.mark.parametrize("name", [*DEPENDENT, "cubic"])
+@pytest.mark.parametrize("name", DEPENDENT)
 def test_a_simulation_has_the_predicted_torques(name):
     rng = np.random.default_rng(3)
-    if name == "cubic":
-        predictor = with_effect(rng, Cubic(1), [3.0])
-    else:
-        predictor = random_predictor(rng, 3, [name])
-        # Positive, so that friction brakes.
-        at = predictor.features_.n_parameters_
-        predictor.theta_[at:] = 0.1 + abs(predictor.theta_[at:])
-        predictor = replace(predictor, load_parameters=predictor.load_parameters.copy())
+    predictor = random_predictor(rng, 3, [name])
+    # Positive, so that friction brakes.
+    at = predictor.features_.n_parameters_
+    predictor.theta_[at:] = 0.1 + abs(predictor.theta_[at:])
+    predictor = replace(predictor, load_parameters=predictor.load_parameters.copy())
     # What is simulated loads the joints as well.
     bodies = predictor.features_.n_parameters_
     predictor.load_parameters[:bodies] = predictor.theta_[:bodies]

@@ -96,12 +96,8 @@ class RecordingRegressorMixin(RegressorMixin):
             Measured torques [N m or N].
         sample_weight : array-like of shape (n_samples,), default=None
             Weights.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings, as for `predict`.
-        t : array-like of shape (n_samples,), default=None
-            Time [s], as for `predict`.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `predict`.
+        groups, t, signals : default=None
+            As for `predict`.
 
         Returns
         -------
@@ -120,21 +116,6 @@ class RecordingRegressorMixin(RegressorMixin):
         return r2_score(y, predicted, sample_weight=sample_weight)
 
 
-def _forwarded(name):
-
-    @wraps(getattr(IdentifiedRobot, name))
-    def forward(self, *args, **kwargs):
-        return getattr(self.robot_, name)(*args, **kwargs)
-
-    return forward
-
-
-def _of_robot(name):
-    return property(
-        lambda self: getattr(self.robot_, name), doc=f"`IdentifiedRobot.{name}`."
-    )
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FitOptions:
     """Settings of `RobotIdentifier` for experts.
@@ -142,9 +123,8 @@ class FitOptions:
     Parameters
     ----------
     state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off frequency [Hz] of `StateEstimator`. ``"auto"`` is 1.25 times that of
-        least acceleration error, because noise averages out and smoothing bias does
-        not.
+        Cut-off frequency [Hz] of `StateEstimator`; ``"auto"`` is 1.25 times that of
+        least acceleration error.
     standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
         Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
         ``"auto"`` is 2 % of the 99.5th percentile of its speed. None excludes nothing.
@@ -152,8 +132,7 @@ class FitOptions:
         Weights of the joints' equations, see `JointTorqueRegressor`.
     torque_noise : float or array-like of shape (nv,), default=None
         Standard deviation of the white noise of one torque sample [N m or N], for
-        ``noise_floor_``. None estimates it above the band of the low-pass filter. For
-        interpolated rows pass the `torque_noise` of the recording.
+        ``noise_floor_``. None estimates it above the band of the low-pass filter.
     known_masses : dict of str to float, default=None
         Known masses [kg] of bodies, or of a ``"payload"`` (effect `Payload`), which
         determine the common factor of unknown gains.
@@ -163,9 +142,8 @@ class FitOptions:
         fastest motion, and at most an eighth of the recordings.
     alike : "auto", None, str or sequence, default="auto"
         Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
-        friction, and coefficients of unsigned effects share a mean. Their scatter,
-        relative to the mean, has a half-Cauchy prior around 0.2. A sequence holds the
-        groups, each as names or as a pattern; a string holds all patterns,
+        friction, and coefficients of unsigned effects share a mean. A sequence holds
+        the groups, each as names or as a pattern; a string holds all patterns,
         ``"hip thigh calf"``. ``"auto"`` groups joints whose names differ in a leg, a
         side or a number only and whose described bodies are equal; it groups none with
         `gains` or a custom `regressor`. None groups none.
@@ -238,15 +216,15 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         `FitOptions.known_masses` determines it. A sequence names the reference joints,
         one for each group of joints that share bodies.
     criterion : {"torque", "simulation"}, default="torque"
-        ``"torque"`` minimises the torque error. ``"simulation"`` refines the result by
-        output error, until simulated positions are closest to the measured ones.
+        ``"torque"`` minimises the torque error. ``"simulation"`` refines bodies,
+        friction and coefficients by output error, until simulated positions are closest
+        to the measured ones.
     bodies : {"prior", "free", "fixed"}, default="prior"
-        Use of the described masses and inertias. ``"prior"``: bodies are near those of
-        the description unless the torques contradict it (affine-invariant distance
-        with a half-Cauchy scale around 0.2). ``"free"``: the torques decide, and the
-        description completes what they do not determine. ``"fixed"``: bodies are as
-        described. Bodies without mass or extension are free, and so are all bodies
-        with `gains` or a custom `regressor`.
+        ``"prior"``: bodies are near those of the description unless the torques
+        contradict it (affine-invariant distance with a half-Cauchy scale around 0.2).
+        ``"free"``: the torques decide, and the description completes what they do not
+        determine. ``"fixed"``: bodies are as described. Bodies without mass or
+        extension are free, and so are all with `gains` or a custom `regressor`.
     drive : PDDrive, CurrentDrive, VoltageDrive or None, default=None
         Control law of the motors for logs without torques; y then holds positions,
         currents or voltages (``docs/drives.rst``). The delay of commands is estimated.
@@ -257,8 +235,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     ----------
     robot_ : IdentifiedRobot
         The identified robot without data, as `load_identified` returns it. Its
-        attributes are also those of the fitted estimator: `theta_`, `theta_std_`,
-        `parameter_names_`, `identifiable_`, `gains_`, `noise_floor_`, ...
+        attributes and methods are also those of the fitted estimator: `theta_`,
+        `theta_std_`, `parameter_names_`, `identifiable_`, `gains_`, `noise_floor_`,
+        `simulate`, `sample`, `to_urdf`, `save`, ...
     theta_prior_std_ : ndarray of shape (p,)
         Standard deviations of the bodies' parameters by the description alone; nan
         without a prior.
@@ -294,22 +273,10 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     Joints that follow others in the description, q_f = m q + o, have no columns. Their
     bodies act on the joints that move them, tau = A' Phi(A q + b) pi; see `effects_`.
 
-    The regressor matrix is reduced to second moments piece by piece, unless `regressor`
-    needs the equations themselves. Beyond 50,000 rows, its rigid-body columns are
-    computed from at least five samples per filtered row.
-
-    `theta_std_` compares the observed scatter between forty blocks of time with that
-    expected for white residuals (a block sandwich estimate with Student's t). If a
-    motion repeats, the blocks are its phases, because unmodelled torques repeat with
-    it. The standard deviations are too small if residuals are correlated over a tenth
-    of the recordings or longer.
-
-    With ``criterion="simulation"`` bodies, friction and coefficients of effects are
-    refined by Gauss-Newton steps on the sensitivities of simulated positions, damped in
-    the metric of the torque fit, and projected onto the consistent parameters. The
-    initial states of the windows are estimated as well. `theta_std_` is then a sandwich
-    estimate with windows as blocks. Shape parameters and corrections of the model are
-    those of the torque fit.
+    `theta_std_` compares the observed scatter between forty blocks of time (phases, if
+    a motion repeats) with that expected for white residuals: a block sandwich estimate
+    with Student's t; windows are the blocks of ``criterion="simulation"``. It is too
+    small if residuals are correlated over a tenth of the recordings or longer.
 
     Examples
     --------
@@ -379,9 +346,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         ----------
         X : array-like of shape (n_samples, nv) or (n_samples, 3 * nv)
             Joint positions [rad or m], uniformly sampled; or states [q | v | a]. The
-            columns of a data frame may be in any order: they are matched by name,
-            ``q_<joint>``, ``<joint>`` or ``q1, q2, ...`` (``v``, ``a`` for states),
-            here and in `predict`.
+            columns of a data frame are matched by name: ``q_<joint>``, ``<joint>`` or
+            ``q1, q2, ...`` (``v``, ``a`` for states).
         y : array-like of shape (n_samples, nv)
             Joint torques [N m] or forces [N]; columns of a data frame are matched by
             name: ``tau_<joint>``, ``<joint>`` or ``tau1, tau2, ...``. With a `drive`
@@ -419,9 +385,8 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         Warns
         -----
         UserWarning
-            With ``criterion="simulation"``, if there are fewer than two windows per
-            determined direction of the parameters. With ``bodies="prior"`` or
-            ``"fixed"``, if the torques are too small for the described bodies.
+            If there are too few windows for ``criterion="simulation"``, or torques are
+            too small for the described bodies.
         """
         self._declare()
         recording = self._take(X, y, groups, sample_weight, t, signals)
@@ -441,11 +406,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         -------
         self : object
             Fitted estimator.
-
-        Warns
-        -----
-        UserWarning
-            As of `fit`.
         """
         self._declare()
         return self._fit_with_lag(self._checked(recording))._warn_if_small()
@@ -720,18 +680,14 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def theta_(self, theta):
         self._robot = replace(self.robot_, theta_=theta)
 
-    theta_unconstrained_ = _of_robot("theta_unconstrained_")
-    theta_std_ = _of_robot("theta_std_")
-    identifiable_ = _of_robot("identifiable_")
-    effect_ranges_ = _of_robot("effect_ranges_")
-    gains_ = _of_robot("gains_")
-    min_eigenvalues_ = _of_robot("min_eigenvalues_")
-    noise_floor_ = _of_robot("noise_floor_")
-    torque_noise_ = _of_robot("torque_noise_")
-    output_noise_ = _of_robot("output_noise_")
-    state_estimator_ = _of_robot("state_estimator_")
-    cutoff_ = _of_robot("cutoff_")
-    standstill_ = _of_robot("standstill_")
+    def __getattr__(self, name):
+        """Return an attribute or a method of `robot_`."""
+        if name.startswith("_") or not hasattr(IdentifiedRobot, name):
+            raise AttributeError(
+                f"{type(self).__name__!r} object has no attribute {name!r}"
+            )
+        check_is_fitted(self, "_robot")
+        return getattr(self._robot, name)
 
     @property
     def torque_lag_(self):
@@ -780,11 +736,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         drive = self._drive_of_files(drive)
         return self.robot_.to_mjcf(path, sample, random_state, drive=drive)
-
-    simulate = _forwarded("simulate")
-    sample = _forwarded("sample")
-    to_urdf = _forwarded("to_urdf")
-    save = _forwarded("save")
 
     def _drive_of_files(self, drive):
         """Return the `PDDrive` with gains that is written into files, or None."""

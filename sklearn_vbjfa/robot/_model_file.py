@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass, replace
 from pathlib import Path
@@ -37,10 +38,13 @@ _NOT_SAVED = frozenset({"features_", "source", "_stepper"})
 _OF_STATES = ("cutoff_", "noise_variance_", "bandwidth_")
 # What JSON has no number for.
 _SPELLED = {"nan": math.nan, "inf": math.inf, "-inf": -math.inf}
+# A list of numbers and words like "nan".
+_PLAIN_LIST = re.compile(r'\[\s+(?:[-+.\w]+|"-?\w+")(?:,\s+(?:[-+.\w]+|"-?\w+"))*\s+\]')
 _WORDS = {bool: "true or false", int: "a whole number", str: "a text"}
-# Shapes of arrays: numbers of joints, of friction terms, of parameters, ...
+# Shapes of values: numbers of joints, of parameters, of ranges of effects, ...
 _SHAPES = {
-    "p": "theta_ theta_unconstrained_ theta_std_ identifiable_",
+    "p": "theta_ theta_unconstrained_ theta_std_ identifiable_ known_",
+    "ranges": "effect_ranges_",
     "load": "load_parameters",
     "nv": "noise_floor_ torque_noise_ output_noise_ joint_weights plan.standstill "
     "plan.fastest_period plan.corners gains_.gain gains_.std gains_.reference "
@@ -49,8 +53,9 @@ _SHAPES = {
     "k": "recording_variance.places recording_variance.size",
     "scales k": "recording_variance.weights",
 }
-# Width of a line that a list or an object of plain values stays on.
-_WIDTH = 240
+# What a robot cannot do without, and what numbers of parameters and joints are.
+_NEEDED = "theta_", "theta_unconstrained_", "theta_std_", "identifiable_"
+_NUMBERS = {"recording_variance.places": "p", "gains_.reference": "nv"}
 
 
 class _Wrong(ValueError):
@@ -150,8 +155,7 @@ def _robot_of(content, name, classes):
             "must hold the names of the parameters of the joints, the friction and the "
             "effects in their order",
         )
-    _check_plan(robot.plan)
-    _check_shapes(robot)
+    _check_sizes(robot)
     return robot
 
 
@@ -169,34 +173,23 @@ def _check_joints(effects, nv):
                 )
 
 
-def _check_plan(plan):
+def _check_sizes(robot):
+    """Refuse values that do not suit the joints, the friction and the effects."""
+    plan, between = robot.plan, robot.recording_variance
     if plan.dt is not None and not 0 < plan.dt < math.inf:
         raise _wrong("plan.dt", "must be greater than zero")
-    try:
-        good = np.isfinite(plan.lowpass.taps).all()
-    except (ValueError, ZeroDivisionError):
-        good = False
-    if not good:
-        raise _wrong("plan.cutoff", "is of no use")
-
-
-def _check_shapes(robot):
-    """Refuse values that do not suit the joints, the friction and the effects."""
-    effects, between = robot.effects_, robot.recording_variance
-    widths = [len(effect.coefficients) for effect in effects]
-    plain = sum(w for effect, w in zip(effects, widths) if is_plain(effect))
+    with np.errstate(all="ignore"):
+        if not plan.cutoff > 0 or not np.isfinite(plan.lowpass.taps).all():
+            raise _wrong("plan.cutoff", "is of no use")
+    widths = {effect: len(effect.coefficients) for effect in robot.effects_}
     nv, m = len(robot.joint_names_), len(robot.features_.friction_)
-    sizes = {"nv": nv, "m": m, "p": len(robot.parameter_names_), "k": 0, "scales": 0}
-    sizes["load"] = robot.features_.n_parameters_ + plain
+    sizes = {"nv": nv, "p": len(robot.parameter_names_), "k": 0, "scales": 0}
+    sizes["ranges"] = nv * m + len(widths)
+    sizes["load"] = robot.features_.n_parameters_
+    sizes["load"] += sum(n for effect, n in widths.items() if is_plain(effect))
     if between is not None:
         sizes["k"], sizes["scales"] = between.places.size, between.scales.size
-    for key, n in (
-        ("known_", sizes["p"]),
-        ("effect_ranges_", nv * m + len(widths)),
-    ):
-        if len(getattr(robot, key)) != n:
-            raise _wrong(key, f"must hold {n} values, not {len(getattr(robot, key))}")
-    for key in _SHAPES["p"].split():
+    for key in _NEEDED:
         if getattr(robot, key) is None:
             raise _wrong(key, "must hold a number, not None")
     for dimensions, keys in _SHAPES.items():
@@ -206,10 +199,10 @@ def _check_shapes(robot):
     for key in ("theta_", "theta_unconstrained_"):
         if not np.isfinite(getattr(robot, key)).all():
             raise _wrong(key, "must hold finite numbers")
-    for key, n in (("recording_variance.places", sizes["p"]), ("gains_.reference", nv)):
+    for key, n in _NUMBERS.items():
         value = _at(robot, key)
-        if value is not None and not np.isin(value, np.arange(n)).all():
-            raise _wrong(key, f"must hold whole numbers from 0 to {n - 1}")
+        if value is not None and not np.isin(value, np.arange(sizes[n])).all():
+            raise _wrong(key, f"must hold whole numbers from 0 to {sizes[n] - 1}")
 
 
 def _at(value, keys):
@@ -220,8 +213,9 @@ def _at(value, keys):
 
 
 def _check_shape(key, value, shape):
-    if value is not None and value.shape != shape:
-        raise _wrong(key, f"must hold numbers of shape {shape}, not {value.shape}")
+    found = (len(value),) if isinstance(value, tuple) else np.shape(value)
+    if value is not None and found != shape:
+        raise _wrong(key, f"must hold values of shape {shape}, not {found}")
 
 
 # -- effects ---------------------------------------------------------------------------
@@ -444,23 +438,8 @@ def _numbers(value, at):
     return value if type(value) is int else number
 
 
-def readable(value, indent=0):
+def readable(value):
+    """Return JSON text with each list of plain values on a line."""
     # Floats are written so that the same ones are read.
-    if not isinstance(value, (dict, list)) or not value:
-        return json.dumps(value, ensure_ascii=False, allow_nan=False)
-    inner = value.values() if isinstance(value, dict) else value
-    if not any(isinstance(one, (dict, list)) for one in inner):
-        line = json.dumps(value, ensure_ascii=False, allow_nan=False)
-        if len(line) <= _WIDTH:
-            return line
-    pad = " " * (indent + 1)
-    if isinstance(value, dict):
-        lines = [
-            f"{json.dumps(key, ensure_ascii=False)}: {readable(one, indent + 1)}"
-            for key, one in value.items()
-        ]
-        ends = "{}"
-    else:
-        lines, ends = [readable(one, indent + 1) for one in value], "[]"
-    body = f",\n{pad}".join(lines)
-    return f"{ends[0]}\n{pad}{body}\n{' ' * indent}{ends[1]}"
+    text = json.dumps(value, ensure_ascii=False, allow_nan=False, indent=1)
+    return _PLAIN_LIST.sub(lambda found: " ".join(found[0].split()), text)

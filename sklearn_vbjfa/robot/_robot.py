@@ -218,13 +218,13 @@ class IdentifiedRobot:
     >>> own.reset()
     """
 
-    features_: RigidBodyFeatures  # the robot, corrected by its effects
+    features_: RigidBodyFeatures
     plan: Plan  # how the fit smoothed and filtered, with the values of the effects
-    theta_: np.ndarray | None = None  # (p,); None before a fit
+    theta_: np.ndarray | None = None  # None before a fit
     # parameters that the load of the effects is made with; see `make_motion`
     load_parameters: np.ndarray | None = None
-    # what each effect was fitted on: first friction by joint, then the effects, of
-    # which those that are not `bounded` are held within theirs. Empty, or for all
+    # first friction by joint, then the effects, of which those that are not `bounded`
+    # are held within theirs; empty, or for all
     effect_ranges_: tuple[EffectRange, ...] = ()
     # lowest and highest value of each recorded signal in the fit
     signal_ends: Mapping[str, tuple[float, float]] = field(default_factory=dict)
@@ -234,13 +234,10 @@ class IdentifiedRobot:
     prediction_covariance: TorqueSpread | None = None
     # how far values are off from one recording to another, where there were several
     recording_variance: BetweenRecordings | None = None
-    theta_std_: np.ndarray | None = None  # (p,)
-    theta_unconstrained_: np.ndarray | None = None  # (p,): before the projection
-    identifiable_: np.ndarray | None = None  # (p,): determined individually
-    # what the recording says of each; see `known_parameters`
+    theta_std_: np.ndarray | None = None
+    theta_unconstrained_: np.ndarray | None = None
+    identifiable_: np.ndarray | None = None
     known_: tuple[str, ...] = ()
-    # (nv,): torque residuals expected from noise alone, those of the torques' noise,
-    # and what a fit left beside noise of positions [N m or N]
     noise_floor_: np.ndarray | None = None
     torque_noise_: np.ndarray | None = None
     output_noise_: np.ndarray | None = None
@@ -386,8 +383,8 @@ class IdentifiedRobot:
             w = \frac{v_s}{1 + |a| T / v_s}.
 
         sigma is the standard deviation of the velocity, zero for states; v_s is
-        `standstill_` (s is erf(v / (sqrt(2) sigma)) without), and T the period of the
-        fastest motion. At a reversal the acceleration is large, and the sign is kept.
+        `standstill_`, and T the period of the fastest motion. At a reversal the
+        acceleration is large, and the sign is kept.
 
         Outside the margin of its range, the torque of an effect is held constant: its
         columns are computed at the nearest of `EffectRange.ends`. Rigid bodies,
@@ -403,9 +400,7 @@ class IdentifiedRobot:
             \mathrm{std}_j^2 = \phi_j^T C \phi_j + s_j^2.
 
         phi is the row of the regressor, C the covariance of the parameters before the
-        projection, and s the residual of the joint in the fit. On simulated arms 88 to
-        91 % of the torques are within 1.645 standard deviations, on other motions of
-        measured robots 80 to 97 % (41 % for joint 5 of a TX40). Corrections of the
+        projection, and s the residual of the joint in the fit. Corrections of the
         model, shape parameters, dry friction at rest, and noise above the low-pass are
         not included.
         """

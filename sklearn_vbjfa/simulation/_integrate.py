@@ -102,7 +102,7 @@ class Integrator:
         self._way = np.sign(v)
         self._fast = np.maximum(np.abs(v), SLOWEST)
         self._exact = _TOLERANCE * self._fast
-        self._step = np.inf
+        self._step, self.steps = np.inf, 0
         self._stops, self._stops_often = np.zeros(nv, dtype=int), False
         self.held, self.held_since = np.zeros(nv, dtype=int), np.nan
         self._time = t
@@ -215,6 +215,7 @@ class Integrator:
         self.q, self.v, a, hit = new
         # Rounding of zero would be a velocity, and not at rest.
         self.v[self._stuck] = 0.0
+        self.steps += 1
         np.maximum(self._fast, np.abs(self.v), out=self._fast)
         np.multiply(_TOLERANCE, self._fast, out=self._exact)
         self._dynamics.remember(self.q, self.v)

@@ -81,10 +81,9 @@ class Delay(Shaped, Stateful, OfChannel):
     """The torque signal lags behind the positions.
 
     The column is (tau(t - delay) - tau(t)) / delay, the model's torque shifted, so
-    that its coefficient is the delay [s] again: to first order -dtau/dt.
-
-    A smoothing of the torque looks like a delay of either signal: where the same delay
-    the other way round saves nearly as much, a search finds none.
+    that its coefficient is the delay [s] again: to first order -dtau/dt [1]_.
+    A smoothing of the torque looks like a delay of either signal: where the opposite
+    delay saves nearly as much, a search finds none.
 
     Parameters
     ----------
@@ -95,17 +94,7 @@ class Delay(Shaped, Stateful, OfChannel):
 
     References
     ----------
-    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
-       section 10.3 (delays).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import Delay
-    >>> t = np.arange(5.0)
-    >>> states = np.zeros((5, 3))
-    >>> Delay(delay=1.0).fit(states).transform(states, t=t, load=t[:, None]).ravel()
-    array([ 0., -1., -1., -1., -1.])
+    .. [1] Ljung (1999), section 10.3
     """
 
     name = "delay"
@@ -177,9 +166,10 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
     """The torque passed a filter that the positions did not pass, or the reverse.
 
     The column is (F tau - tau) / T for a filter F of the time constant T that acts on
-    the model's torque, so that its coefficient is T again. Where the positions passed
-    it, the measured torque is the inverse filter's,
-    to second order tau + (1 - F) tau + (1 - F)^2 tau.
+    the model's torque, so that its coefficient is T again [1]_. Where the positions
+    passed it, the measured torque is the inverse filter's, to second order tau +
+    (1 - F) tau + (1 - F)^2 tau. If T is short compared with the motion, the lag is a
+    `Delay` by T, and the torque of an `Elastic` joint or a `Jerk` can be the same.
 
     Parameters
     ----------
@@ -187,37 +177,16 @@ class TorqueFilter(Shaped, Stateful, OfChannel):
         Joint, from zero.
     kind : {"lag", "smooth"}, default="lag"
         A causal low-pass of the first order, T dy/dt = x - y, or an average with normal
-        weights that delays nothing, of standard deviation T.
+        weights of standard deviation T, which delays nothing and leaves half the power
+        at sqrt(log 2) / (2 pi T).
     of : {"torque", "position"}, default="torque"
         Which channel passed it.
     time_constant : float, default=0.01
         T [s].
 
-    Notes
-    -----
-    The normal weights leave half the power at the frequency sqrt(log 2) / (2 pi T),
-    the cut-off that a filter is usually called by; `parameters` gives it as "cutoff"
-    [Hz]. What an engineer's smoothing is made of, a moving average or a filter applied
-    forwards and backwards, differs from it little in the band that it lets through.
-
-    If T is short compared with the motion, the lag is a `Delay` by T, and the torque of
-    an `Elastic` joint or a `Jerk` can be the same.
-
     References
     ----------
-    .. [1] L. Ljung, "System Identification: Theory for the User", Prentice Hall, 1999,
-       section 14.4 (prefilters: input and output must pass the same one).
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import TorqueFilter
-    >>> t = 0.01 * np.arange(4)
-    >>> states = np.zeros((4, 3))
-    >>> step = np.array([[0.0], [1.0], [1.0], [1.0]])
-    >>> lag = TorqueFilter(time_constant=0.01).fit(states)
-    >>> (step + 0.01 * lag.transform(states, t=t, load=step)).ravel().round(3)
-    array([0.   , 0.368, 0.767, 0.914])
+    .. [1] Ljung (1999), section 14.4
     """
 
     name = "torque_filter"
@@ -329,24 +298,9 @@ class Jerk(Stateful):
     the reversal of the friction need not be, where it is the drive's own. A torque that
     lags makes it with J < 0, and so does a flexible drive with a damped spring [1]_.
 
-    Notes
-    -----
-    `Delay` and `TorqueFilter` shift or filter all of the model's torque; where it is
-    mostly inertia they are the same to first order.
-
     References
     ----------
-    .. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS",
-       Workshop on Nonlinear System Identification Benchmarks, 2019.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import Jerk
-    >>> t = 0.1 * np.arange(4)
-    >>> states = np.column_stack([0 * t, 0 * t, 3 * t])
-    >>> Jerk().fit(states).transform(states, t=t).ravel().round(9)
-    array([3., 3., 3., 3.])
+    .. [1] Janot, Gautier and Brunot (2019), data set and models of EMPS
     """
 
     name = "jerk"

@@ -28,14 +28,11 @@ _DEFLECTION = 1e-4
 class RotorInertia(Effect):
     """Inertia of the motor's rotor seen from the joint, tau = Ir a.
 
-    Notes
-    -----
     On the first joints of an arm it lies in the span of the links' inertias.
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 9.
+    .. [1] Khalil and Dombre (2004), chapter 9
     """
 
     name = "rotor_inertia"
@@ -109,16 +106,8 @@ class Coupling(_ToAnother):
 
     References
     ----------
-    .. [1] M. Gautier, A. Janot, P.-O. Vandanjon, "A new closed-loop output error
-       method for parameter identification of robot dynamics", IEEE Trans. Control
-       Systems Technology 21(2), 2013 (wrist of the Staubli TX40).
+    .. [1] Gautier, Janot and Vandanjon (2013), wrist of the Staubli TX40,
        :doi:`10.1109/TCST.2012.2185697`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Coupling
-    >>> Coupling(joint=0, other=1).fit_transform([[0.0, 0, 3.0, -2.0, 0.0, 5.0]])
-    array([[-2., -1.,  5.]])
     """
 
     name = "coupling"
@@ -192,16 +181,7 @@ class CouplingSpring(_ToAnother):
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 9.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import CouplingSpring
-    >>> CouplingSpring(0, 1).fit_transform([[0.2, 0.5, 3.0, -2.0, 0.0, 5.0]])
-    array([[0.2, 0.5, 1. ]])
-    >>> CouplingSpring(0, 1).parameters([4.0, -2.0, 0.4])
-    {'k': 4.0, 'ratio': 0.5, 'q0': -0.1}
+    .. [1] Khalil and Dombre (2004), chapter 9
     """
 
     name = "coupling_spring"
@@ -242,8 +222,7 @@ class Elastic(Stateful):
 
     References
     ----------
-    .. [1] M. W. Spong, "Modeling and control of elastic joint robots", J. Dyn. Sys.,
-       Meas., Control 109(4), 1987. :doi:`10.1115/1.3143860`
+    .. [1] Spong (1987), :doi:`10.1115/1.3143860`
     """
 
     name = "elastic"

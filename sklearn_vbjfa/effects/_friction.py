@@ -21,17 +21,14 @@ class Viscous(Effect):
 
     References
     ----------
-    .. [1] J.-A. Ting, A. D'Souza, S. Schaal, "Bayesian robot system identification
-       with input and output noise", Neural Networks 24(1), 2011.
-       :doi:`10.1016/j.neunet.2010.08.011`
+    .. [1] Ting, D'Souza and Schaal (2011), :doi:`10.1016/j.neunet.2010.08.011`
     """
 
     name = "viscous"
     alike = True
     label = "viscous friction"
     formula = r"F_v\,v"
-    coefficients = ("Fv",)
-    nonnegative = ("Fv",)
+    coefficients = nonnegative = ("Fv",)
     units = (VISCOSITY,)
     depends = ("speed",)
     seen_over = "speed"
@@ -51,17 +48,15 @@ class Coulomb(Effect):
 
     References
     ----------
-    .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
-       analysis tools and compensation methods for the control of machines with
-       friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
+    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), a survey of friction
+       models, :doi:`10.1016/0005-1098(94)90209-7`
     """
 
     name = "coulomb"
     alike = True
     label = "Coulomb friction"
     formula = r"F_c\,\mathrm{sign}(v)"
-    coefficients = ("Fc",)
-    nonnegative = ("Fc",)
+    coefficients = nonnegative = ("Fc",)
     units = (TORQUE,)
     depends = ("direction",)
     seen_over = "speed"
@@ -79,16 +74,12 @@ class AsymmetricFriction(Effect):
 
     tau = dFc abs(sign(v)) + dFv abs(v): half the difference between the Coulomb and
     viscous coefficients for v > 0 and for v < 0, in addition to the symmetric `Coulomb`
-    and `Viscous` halves. Without dFv it equals an `Offset`.
-
-    Notes
-    -----
-    Usual in screw drives and where gravity loads the gear flanks, see [1]_.
+    and `Viscous` halves. Without dFv it equals an `Offset`. Usual in screw drives and
+    where gravity loads the gear flanks [1]_.
 
     References
     ----------
-    .. [1] A. Janot, M. Gautier, M. Brunot, "Data set and reference models of EMPS",
-       Nonlinear System Identification Benchmarks, 2019.
+    .. [1] Janot, Gautier and Brunot (2019), data set and models of EMPS
     """
 
     name = "asymmetric_friction"
@@ -96,10 +87,7 @@ class AsymmetricFriction(Effect):
     formula = r"\Delta F_c\,|\mathrm{sign}(v)| + \Delta F_v\,|v|"
     coefficients = ("dFc", "dFv")
     units = (TORQUE, VISCOSITY)
-    negative = (
-        ("dFc", "more friction backward than forward"),
-        ("dFv", "more friction backward than forward"),
-    )
+    negative = tuple((x, "more friction backward than forward") for x in coefficients)
     contains = ("coulomb", "viscous")
     depends = ("speed", "direction")
     seen_over = "speed"
@@ -124,7 +112,7 @@ class AsymmetricFriction(Effect):
 class Stribeck(Shaped):
     """Stribeck friction, tau = Fs exp(-abs(v / vs)^k) sign(v).
 
-    What friction has at low speed above its Coulomb level, section 2 of [1]_.
+    What friction has at low speed above its Coulomb level [1]_.
 
     Parameters
     ----------
@@ -137,23 +125,20 @@ class Stribeck(Shaped):
 
     References
     ----------
-    .. [1] B. Armstrong-Helouvry, P. Dupont, C. Canudas de Wit, "A survey of models,
-       analysis tools and compensation methods for the control of machines with
-       friction", Automatica 30(7), 1994. :doi:`10.1016/0005-1098(94)90209-7`
+    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 2,
+       :doi:`10.1016/0005-1098(94)90209-7`
     """
 
     name = "stribeck"
     alike = True
     label = "Stribeck friction"
     formula = r"F_s\,e^{-|v/v_s|^k}\,\mathrm{sign}(v)"
-    coefficients = ("Fs",)
-    nonnegative = ("Fs",)
+    coefficients = nonnegative = ("Fs",)
     units = (TORQUE,)
     contains = ("coulomb", "viscous")
-    continuous = ("vs",)
-    shape_units = (("vs", SPEED), ("k", ("", "")))
+    continuous = positive = ("vs",)
+    shape_units = (("vs", SPEED), ("k", RATIO))
     averaged = ("k", (1, 2))
-    positive = ("vs",)
     depends = ("direction",)
     seen_over = "speed"
     record = "slow motion without standing still, and fast motion"
@@ -193,9 +178,7 @@ class ViscousQuadratic(Effect):
 
     References
     ----------
-    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
-       modeling and identification of load and temperature effects", J. Dyn. Sys.,
-       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
+    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
     """
 
     name = "viscous_quadratic"
@@ -226,22 +209,19 @@ class ViscousQuadratic(Effect):
 class LoadFriction(Effect):
     """Friction in proportion to the load, tau = mu abs(tau_load) sign(v).
 
-    Gears and bearings press harder under load; section 3 of [1]_. The load is the
-    torque of the rigid bodies of the model.
+    Gears and bearings press harder under load [1]_. The load is the torque of the
+    rigid bodies of the model.
 
     References
     ----------
-    .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a
-       dry friction model depending on load and velocity", IROS, 2010.
-       :doi:`10.1109/IROS.2010.5649189`
+    .. [1] Hamon, Gautier and Garrec (2010), section 3, :doi:`10.1109/IROS.2010.5649189`
     """
 
     name = "load_friction"
     alike = True
     label = "load-dependent friction"
     formula = r"\mu\,|\tau_\mathrm{load}|\,\mathrm{sign}(v)"
-    coefficients = ("mu",)
-    nonnegative = ("mu",)
+    coefficients = nonnegative = ("mu",)
     units = (RATIO,)
     contains = ("coulomb", "viscous")
     needs = ("load",)
@@ -267,9 +247,7 @@ class GearLoss(LoadFriction):
 
     References
     ----------
-    .. [1] P. Hamon, M. Gautier, P. Garrec, "Dynamic identification of robots with a
-       dry friction model depending on load and velocity", IROS, 2010.
-       :doi:`10.1109/IROS.2010.5649189`
+    .. [1] Hamon, Gautier and Garrec (2010), :doi:`10.1109/IROS.2010.5649189`
     """
 
     name = "gear_loss"

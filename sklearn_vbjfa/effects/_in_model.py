@@ -9,20 +9,17 @@ model is corrected and linearised again until the value stays.
 from numbers import Real
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 from sklearn.base import clone
 
 from sklearn_vbjfa._core._smoothing import interpolate
-from sklearn_vbjfa.effects._base import POSITION, Effect, InFiles
+from sklearn_vbjfa.effects._base import ANGLE, POSITION, TIME, Effect, InFiles
 from sklearn_vbjfa.effects._channels import model_torque
 
-# Farther out than this a tilt, a zero or an axis is no error of assembly but another
-# robot [rad]; of a prismatic joint, in m.
-_LEANS, _TURNS = np.deg2rad(15.0), np.deg2rad(10.0)
-# A longer delay of a command is no delay of a bus but another recording [s].
-_LATE = 0.1
-_NONE = ("1", "1")
 # Size of a column beside the largest of its effect below which it is rounding.
 _ROUNDING = 1e-9
+# Step of central differences of rotations.
+_STEP = 1e-5
 
 
 def cross_axes(direction):
@@ -39,27 +36,16 @@ def cross_axes(direction):
 
 
 def rotation(vector):
-    """Matrix (3, 3) of a turn by a rotation vector (3,) [rad] (Rodrigues)."""
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    # sin(a) / a and (1 - cos(a)) / a^2
-    first = np.sinc(angle / np.pi)
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    return np.eye(3) + first * cross + second * cross @ cross
+    """Matrix (3, 3) of a turn by a rotation vector (3,) [rad]."""
+    return Rotation.from_rotvec(vector).as_matrix()
 
 
 def turned_by(vector, change):
     """Turn d (3,), of rotation(w) [d], that a change of the rotation vector w makes."""
-    # rotation(w + h c) = rotation(w) rotation(h d) to first order in h, by the right
-    # Jacobian of the rotation vector.
-    angle = float(np.linalg.norm(vector))
-    x, y, z = vector
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    second = 0.5 * np.sinc(0.5 * angle / np.pi) ** 2
-    # (a - sin(a)) / a^3
-    third = (angle - np.sin(angle)) / angle**3 if angle > 1e-3 else 1.0 / 6.0
-    return change - second * cross @ change + third * cross @ (cross @ change)
+    # rotation(w + h c) = rotation(w) rotation(h d) to first order in h.
+    step = _STEP * np.asarray(change)
+    before, after = Rotation.from_rotvec([vector - step, vector + step])
+    return (before.inv() * after).as_rotvec() / (2 * _STEP)
 
 
 def without_rounding(columns):
@@ -84,6 +70,8 @@ class InModel(Effect):
         Names of the values.
     nominal : tuple of float
         Values that correct nothing.
+    limit : float
+        Values farther than this from the nominal ones are implausible.
     of_bodies : bool
         Whether it may replace bodies that are not as described, so that its values are
         fitted with free bodies.
@@ -103,6 +91,7 @@ class InModel(Effect):
     needs: tuple[str, ...] = ("load",)
     model_parameters: tuple[str, ...] = ()
     nominal: tuple[float, ...] = ()
+    limit = 0.0
     of_bodies = True
     precedence = 0
     subject: tuple = ()
@@ -135,7 +124,7 @@ class InModel(Effect):
 
     def bounds(self):
         """Return the smallest and largest values, two ndarrays (k,)."""
-        raise NotImplementedError(f"{type(self).__name__} must define bounds().")
+        return np.subtract(self.nominal, self.limit), np.add(self.nominal, self.limit)
 
     def key(self):
         return self._key_without(self.model_parameters)
@@ -182,16 +171,13 @@ class BaseTilt(InModel):
 
     Notes
     -----
-    The columns are d tau / d g times d g / d roll and d g / d pitch. The effect is
-    visible where joints hold weight in several poses, and hidden where a vertical first
+    Visible where joints hold weight in several poses, and hidden where a vertical first
     joint stands still. A `JointAxis` of a first joint, and the `JointZero` of a
     horizontal one, have equal columns. Values within 15 degrees count as plausible.
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Hermes Penton, 2002, chapter 11 (placement of the base as calibration
-       parameters).
+    .. [1] Khalil and Dombre (2004), chapter 11
     """
 
     name = "base_tilt"
@@ -210,10 +196,10 @@ class BaseTilt(InModel):
         r"\frac{\partial\tau}{\partial g}"
         r"\left(R_y(\mathrm{pitch})\,R_x(\mathrm{roll}) - 1\right) g_0"
     )
-    coefficients = ("roll", "pitch")
-    units = (("rad", "rad"), ("rad", "rad"))
-    model_parameters = ("roll", "pitch")
+    coefficients = model_parameters = ("roll", "pitch")
+    units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
+    limit = np.deg2rad(15.0)
     whole_robot = True
     scope = "robot"
     record = "the base measured with a level, or moves of the first joint"
@@ -230,9 +216,6 @@ class BaseTilt(InModel):
         if not reason and not np.any(motion.derivatives.nominal_gravity):
             return "the robot description has no gravity"
         return reason
-
-    def bounds(self):
-        return np.full(2, -_LEANS), np.full(2, _LEANS)
 
     def correct(self, robot):
         roll, pitch = self._turns(robot.nominal_gravity)
@@ -274,16 +257,14 @@ class JointZero(InModel):
 
     Notes
     -----
-    The column is -d tau / d q_j, on all joints at once [1]_. The zeros of the last
-    joint, of a first joint with a vertical axis, and of a prismatic joint along which
-    nothing else changes are hidden; of neighbours with parallel axes only the sum is
-    visible. Values within 15 degrees (0.26 m) count as plausible; the inspection of the
-    channels finds larger ones, in steps of 45 degrees.
+    The zeros of the last joint, of a first joint with a vertical axis, and of a
+    prismatic joint along which nothing else changes are hidden; of neighbours with
+    parallel axes only the sum is visible. Values within 15 degrees (0.26 m) count as
+    plausible; the inspection of the channels finds larger ones, in steps of 45 degrees.
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Hermes Penton, 2002, chapter 11 (joint offsets as calibration parameters).
+    .. [1] Khalil and Dombre (2004), chapter 11
     """
 
     name = "joint_zero"
@@ -296,10 +277,10 @@ class JointZero(InModel):
     subject = ("the zero of {}", "the zeros of {}")
     label = "shifted encoder zero"
     formula = r"-\frac{\partial\tau}{\partial q_j}\,\mathrm{zero}"
-    coefficients = ("zero",)
+    coefficients = model_parameters = ("zero",)
     units = (POSITION,)
-    model_parameters = ("zero",)
     nominal = (0.0,)
+    limit = np.deg2rad(15.0)  # [rad], or as many metres
     whole_robot = True
     precedence = 1
     seen_over = "position"
@@ -308,9 +289,6 @@ class JointZero(InModel):
     def __init__(self, joint=0, zero=0.0):
         super().__init__(joint)
         self.zero = zero
-
-    def bounds(self):
-        return np.array([-_LEANS]), np.array([_LEANS])
 
     def correct(self, robot):
         robot.move_zero(self.joint, self.zero)
@@ -338,17 +316,14 @@ class JointAxis(InModel):
 
     Notes
     -----
-    The columns are the derivatives of the torque by these two turns, on all joints at
-    once [1]_. The effect is visible where weight or inertia is carried around the axis
-    and the joints before it move. Of a first joint it is a `BaseTilt`; about the axis
-    of the joint before it, where that runs through this one, that joint's `JointZero`.
-    Values within 10 degrees count as plausible.
+    Visible where weight or inertia is carried around the axis and the joints before it
+    move. Of a first joint it is a `BaseTilt`; about the axis of the joint before it,
+    where that runs through this one, that joint's `JointZero`. Values within 10 degrees
+    count as plausible.
 
     References
     ----------
-    .. [1] S. Hayati, M. Mirmirani, "Improving the absolute positioning accuracy of
-       robot manipulators", Journal of Robotic Systems 2(4), 1985.
-       :doi:`10.1002/rob.4620020406`
+    .. [1] Hayati and Mirmirani (1985), :doi:`10.1002/rob.4620020406`
     """
 
     name = "joint_axis"
@@ -363,10 +338,10 @@ class JointAxis(InModel):
         r"\frac{\partial\tau}{\partial w_j}\left(\mathrm{about\_x}\,e_1"
         r" + \mathrm{about\_y}\,e_2\right)"
     )
-    coefficients = ("about_x", "about_y")
-    units = (("rad", "rad"), ("rad", "rad"))
-    model_parameters = ("about_x", "about_y")
+    coefficients = model_parameters = ("about_x", "about_y")
+    units = (ANGLE, ANGLE)
     nominal = (0.0, 0.0)
+    limit = np.deg2rad(10.0)
     whole_robot = True
     precedence = 2
     record = "moves of the joints before it, in several poses of the joint"
@@ -375,9 +350,6 @@ class JointAxis(InModel):
         super().__init__(joint)
         self.about_x = about_x
         self.about_y = about_y
-
-    def bounds(self):
-        return np.full(2, -_TURNS), np.full(2, _TURNS)
 
     def correct(self, robot):
         robot.turn(
@@ -412,16 +384,14 @@ class TorqueGain(InModel):
 
     Notes
     -----
-    The column is the torque of the model on the joint [1]_. The effect is visible where
-    other joints move the same bodies. A common gain of all channels, and that of a
-    joint that shares no body, are in the parameters. Measured torques stay outputs
-    with noise: a regression on them, with inverse gains as coefficients, is biased.
+    Visible where other joints move the same bodies [1]_. A common gain of all channels,
+    and that of a joint that shares no body, are in the parameters. Measured torques
+    stay outputs with noise: a regression on them, with inverse gains as coefficients,
+    is biased.
 
     References
     ----------
-    .. [1] M. Gautier, S. Briot, "Global identification of joint drive gains and dynamic
-       parameters of robots", J. Dyn. Sys., Meas., Control 136(5), 2014.
-       :doi:`10.1115/1.4027506`
+    .. [1] Gautier and Briot (2014), :doi:`10.1115/1.4027506`
     """
 
     name = "torque_gain"
@@ -430,9 +400,8 @@ class TorqueGain(InModel):
     subject = ("the gain of {}", "the gains of {}")
     label = "wrong gain of the torque channel"
     formula = r"(\mathrm{gain} - 1)\,\tau"
-    coefficients = ("gain",)
-    units = (_NONE,)
-    model_parameters = ("gain",)
+    coefficients = model_parameters = ("gain",)
+    units = (("1", "1"),)
     nominal = (1.0,)
     seen_over = "load"
     record = "a known mass picked up, or moves of the joints before and behind"
@@ -475,26 +444,20 @@ class TorqueGain(InModel):
 class _OfTheClock(InModel):
     """A delay of all channels [s]: it corrects times, and not the robot model."""
 
-    units = (("s", "s"),)
+    units = (TIME,)
     nominal = (0.0,)
+    limit = 0.1
     of_bodies = False
     needs = ()
     whole_robot = True
     scope = "robot"
-    lacking = ""  # why it cannot be looked for without torques by commands
-
-    def bounds(self):
-        return np.array([-_LATE]), np.array([_LATE])
+    lacking = ""  # why it cannot be looked for without the torques that are late
 
     def correct(self, robot):
         """Leave the robot model unchanged."""
 
     def applies(self, motion):
-        return (
-            Effect.applies(self, motion)
-            if motion.command is not None
-            else (self.lacking)
-        )
+        return self.lacking if motion.command is None else Effect.applies(self, motion)
 
     @staticmethod
     def _slope(motion, delay):
@@ -508,7 +471,8 @@ class CommandDelay(_OfTheClock):
 
     With c(t) what of the torque follows from commands alone, K q_d + D v_d + tau_ff of
     a `PDDrive`, the drive makes tau(t) + c(t - delay) - c(t) where tau(t) is its law at
-    no delay [1]_.
+    no delay [1]_. Where the robot follows closely, v_d is nearly v, and a delay nearly
+    viscous friction of K times the delay.
 
     Parameters
     ----------
@@ -517,16 +481,9 @@ class CommandDelay(_OfTheClock):
     delay : float, default=0.0
         Present value [s], within 0.1 s; negative if the logged positions are old.
 
-    Notes
-    -----
-    The column is the slope of c at t - delay. Where the robot follows closely, v_d is
-    nearly v, and a delay nearly viscous friction of K times the delay.
-
     References
     ----------
-    .. [1] F. Bjelonic et al., "Towards bridging the gap: systematic sim-to-real
-       transfer for diverse legged robots", 2025 (delay of the command among the
-       parameters of a drive).
+    .. [1] Bjelonic and others (2025), delay of the command of a drive
     """
 
     name = "command_delay"
@@ -559,9 +516,8 @@ class TorqueLag(_OfTheClock):
     r"""All torques are recorded later than the positions.
 
     A recorded torque :math:`\tau(t + \mathrm{lag})` belongs to the motion at t: two
-    clocks, or a delay of the torque channels. The column is minus the slope of the
-    recorded torque at t + lag. `RobotIdentifier.fit` declares the effect where
-    `inspect_recording` finds a lag.
+    clocks, or a delay of the torque channels. `RobotIdentifier.fit` declares the effect
+    where `inspect_recording` finds a lag.
 
     Parameters
     ----------

@@ -27,8 +27,7 @@ class Offset(Effect):
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 12.
+    .. [1] Khalil and Dombre (2004), chapter 12
     """
 
     name = "offset"
@@ -49,22 +48,11 @@ class Offset(Effect):
 class Spring(Effect):
     """Linear spring, tau = k (q - q0): balancing springs, hoses, cables, flexures.
 
-    Notes
-    -----
-    The torque that the drive must produce; the spring's own is -k (q - q0).
+    It is the torque that the drive must produce; the spring's is -k (q - q0).
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 9.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Spring
-    >>> Spring().fit_transform([[0.1, -2.0, 0.0]])
-    array([[0.1, 1. ]])
-    >>> Spring().parameters([2.0, -1.0])
-    {'k': 2.0, 'q0': 0.5}
+    .. [1] Khalil and Dombre (2004), chapter 9
     """
 
     name = "spring"
@@ -96,16 +84,12 @@ class Counterbalance(Shaped):
     A balancer pulls between a point of the link, at the distance r from the joint's
     axis, and a fixed point at the distance L. With x = q - angle, where the two points
     are nearest at x = 0, and ratio = r / L, its length is L l(x) and the drive must
-    produce [1]_
-
-    tau = (Fr / l + krL) sin x,  l = sqrt(1 + ratio^2 - 2 ratio cos x),
-
-    Fr for the part of the force that does not depend on the length, times r, and krL
-    for the stiffness, times r and L. A gas spring pushes (Fr < 0).
+    produce [1]_ tau = (Fr / l + krL) sin x, l = sqrt(1 + ratio^2 - 2 ratio cos x): Fr
+    for the part of the force that does not depend on the length, times r, and krL for
+    the stiffness, times r and L. A gas spring pushes (Fr < 0).
 
     Whatever else turns with the joint is a periodic function of the angle, of which two
-    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e. It fits more,
-    and says less about angles that were not visited.
+    harmonics are kept: tau = a cos q + b sin q + c cos 2q + d sin 2q + e.
 
     Parameters
     ----------
@@ -114,26 +98,13 @@ class Counterbalance(Shaped):
     form : {"harmonics", "linkage"}, default="harmonics"
         Two harmonics, or the geometry of a linkage.
     ratio : float, default=0.5
-        Shorter distance from the axis over the longer one, for a linkage. Which of the
-        two points is the nearer one does not show in the torque.
+        Shorter distance from the axis over the longer one, for a linkage.
     angle : float, default=0.0
         Position [rad] in which the two points are nearest, for a linkage.
 
     References
     ----------
-    .. [1] W. Khalil, E. Dombre, "Modeling, Identification and Control of Robots",
-       Butterworth-Heinemann, 2004, chapter 9 (harmonics); the linkage is the law of
-       cosines.
-
-    Examples
-    --------
-    >>> import numpy as np
-    >>> from sklearn_vbjfa.effects import Counterbalance
-    >>> Counterbalance().fit_transform([[0.0, -2.0, 0.0]])
-    array([[1., 0., 1., 0., 1.]])
-    >>> linkage = Counterbalance(form="linkage", ratio=0.75)
-    >>> linkage.fit_transform([[np.pi / 2, 0.0, 0.0]])
-    array([[0.8, 1. ]])
+    .. [1] Khalil and Dombre (2004), chapter 9 (harmonics); law of cosines (linkage)
     """
 
     name = "counterbalance"
@@ -244,14 +215,7 @@ class Ripple(Shaped):
 
     References
     ----------
-    .. [1] T. D. Tuttle, W. P. Seering, "A nonlinear model of a harmonic drive gear
-       transmission", IEEE Trans. Robotics and Automation 12(3), 1996.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Ripple
-    >>> Ripple(period=0.4).fit_transform([[0.2, -2.0, 0.0]]).round(9)
-    array([[-1.,  0.]])
+    .. [1] Tuttle and Seering (1996), a model of the harmonic drive
     """
 
     name = "ripple"

@@ -30,18 +30,15 @@ class _Varied(Shaped):
     def with_motion(self):
         return self.of != "offset"
 
+    def check(self):
+        super().check()
+        self._check_choice("of", _VARIED)
+
     def _factor(self, maths):
         """Return what it is multiplied with, a function of a `State`."""
         raise NotImplementedError
 
-    def _words_and_units(self):
-        """Words and units of what varies, refusing what cannot vary."""
-        if self.of not in _VARIED:
-            raise ValueError(f"of must be one of {list(_VARIED)}; got {self.of!r}.")
-        return _VARIED[self.of]
-
     def law(self, maths):
-        self._words_and_units()
         j, factor, sign = self.joint, self._factor(maths), maths.sign(self.joint)
         return {
             "coulomb": lambda state: (factor(state) * sign(state.v[j], state.a[j]),),
@@ -55,7 +52,8 @@ class Drift(_Varied, OfTime):
 
     tau = D exp(-t / T) times 1, sign(v) or v: the grease gets thinner, the strain
     gauge warmer [1]_. The value when warm is that of `Offset`, `Coulomb` and
-    `Viscous`.
+    `Viscous`. After the last time of the fit it goes on fading; before the first one
+    it is as it was then.
 
     Parameters
     ----------
@@ -66,23 +64,9 @@ class Drift(_Varied, OfTime):
     time_constant : float, default=100.0
         T [s] of the decay, which starts at t = 0.
 
-    Notes
-    -----
-    After the last time of the fit it goes on fading, towards the value when warm;
-    before the first one it is as it was then, and does not grow.
-
     References
     ----------
-    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
-       modeling and identification of load and temperature effects", J. Dyn. Sys.,
-       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Drift
-    >>> drift = Drift(of="offset", time_constant=1.0).fit([[0, 0, 0]])
-    >>> drift.transform([[0, 0, 0], [0, 0, 0]], t=[0.0, 1.0]).ravel().round(3)
-    array([1.   , 0.368])
+    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
     """
 
     name = "drift"
@@ -140,17 +124,18 @@ class Drift(_Varied, OfTime):
         ]
 
     def parameter_units(self, prismatic=False):
-        _, units = self._words_and_units()
-        return super().parameter_units(prismatic) | {"D": units[bool(prismatic)]}
+        own = {"D": _VARIED[self.of][1][bool(prismatic)]}
+        return super().parameter_units(prismatic) | own
 
 
 class Signal(_Varied):
     """Friction or offset that varies with a recorded signal.
 
-    tau = k (s - reference) times 1, sign(v) or v: s is a recorded
-    column, such as the temperature of a gear [1]_, the supply voltage, a load cell, or
-    the state of a tool. It is a first-order approximation; the value at the reference
-    is that of `Offset`, `Coulomb` and `Viscous`.
+    tau = k (s - reference) times 1, sign(v) or v: s is a recorded column, such as the
+    temperature of a gear [1]_, the supply voltage, a load cell, or the state of a tool.
+    The value at the reference is that of `Offset`, `Coulomb` and `Viscous`. It is
+    hidden where the signal only rises or falls, as a drift with time does, and where it
+    follows the state of the joint.
 
     Parameters
     ----------
@@ -162,27 +147,11 @@ class Signal(_Varied):
         What varies.
     reference : float, default=0.0
         Value of the signal, in its own unit, around which it varies. A search takes the
-        mean over the recording; it is not tuned.
-
-    Notes
-    -----
-    It shows where the signal takes several values in like motion. It is hidden where
-    the signal only rises or falls, as then a drift with time explains as much, and
-    where it follows the state of the joint.
+        mean over the recording.
 
     References
     ----------
-    .. [1] A. Carvalho Bittencourt, S. Gunnarsson, "Static friction in a robot joint:
-       modeling and identification of load and temperature effects", J. Dyn. Sys.,
-       Meas., Control 134(5), 2012. :doi:`10.1115/1.4006589`
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa.effects import Signal
-    >>> warm = Signal(signal="temperature", of="viscous", reference=30.0)
-    >>> X = [[0.0, 2.0, 0.0], [0.0, 2.0, 0.0]]
-    >>> warm.fit(X).transform(X, signals={"temperature": [30.0, 35.0]}).ravel()
-    array([ 0., 10.])
+    .. [1] Carvalho Bittencourt and Gunnarsson (2012), :doi:`10.1115/1.4006589`
     """
 
     name = "signal"
@@ -210,9 +179,8 @@ class Signal(_Varied):
     @property
     def units(self):
         """Units of k, for a revolute and for a prismatic joint."""
-        _, units = self._words_and_units()
         of = self.signal or "the signal"
-        return (tuple(f"{unit} per unit of {of}" for unit in units),)
+        return (tuple(f"{unit} per unit of {of}" for unit in _VARIED[self.of][1]),)
 
     @property
     def slow(self):
@@ -236,10 +204,6 @@ class Signal(_Varied):
         # With another reference it is the same but for the plainer effect.
         return (self.name, self.joint, (("of", self.of), ("signal", self.signal)))
 
-    def check(self):
-        super().check()
-        self._words_and_units()
-
     def applies(self, motion):
         if not self.signal:
             # A recording without signals is no reason to record some.
@@ -255,18 +219,6 @@ class Signal(_Varied):
         """Distance of the signal from its reference."""
         name, reference = self.signal, self.reference
         return lambda state: state.signals[name] - reference
-
-    # Its columns look for the signal first.
-    law = _Varied.law
-
-    def columns(self, motion):
-        self._words_and_units()
-        if self.signal not in motion.signals:
-            raise ValueError(
-                f"signal must name a recorded signal; got {self.signal!r}, expected "
-                f"one of {', '.join(motion.signals) or '(none is there)'}."
-            )
-        return super().columns(motion)
 
     def simulated(self, table, k):
         def level(t, signals):
@@ -298,20 +250,14 @@ class Payload(Shaped, OfTime):
     joint : int, default=0
         Last joint, from zero; all joints feel it.
     instant : float, default=0.0
-        Time of the change [s].
+        Time of the change [s]; it stays after the last time of the fit.
     centre : tuple of three floats, default=(0.0, 0.0, 0.0)
         Centre of mass [m] in the last body's frame around which the inertia is
         linearised.
 
-    Notes
-    -----
-    It is not there before the instant, and stays after the last time of the fit.
-
     References
     ----------
-    .. [1] W. Khalil, M. Gautier, P. Lemoine, "Identification of the payload inertial
-       parameters of industrial manipulators", ICRA, 2007.
-       :doi:`10.1109/ROBOT.2007.364241`
+    .. [1] Khalil, Gautier and Lemoine (2007), :doi:`10.1109/ROBOT.2007.364241`
     """
 
     name = "payload"

@@ -56,7 +56,7 @@ def test_all_signals_that_vary_are_tried_about_their_mean():
 
 
 def test_what_cannot_vary_is_refused():
-    with pytest.raises(ValueError, match="of must be one of"):
+    with pytest.raises(ValueError, match="of of signal must be one of"):
         effects.Signal(signal="temperature", of="inertia").fit(X)
 
 

@@ -12,6 +12,7 @@ from sklearn_vbjfa.diagnosis.explain import (
     FinalFit,
     Models,
     added_effects,
+    given_motion,
     judge,
     make_outcome,
     split_in_time,
@@ -364,14 +365,14 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
             # Copies of most rows are not needed any more.
             del part, seen
-            judgement = judge(models, found, split, near, whole, told)
+            judged = judge(models, found, split, near, whole, told)
         with stage("final model"):
             asked = whole, split.amount.moving, silent, known
             final = self._hand_over(found, unnamed, *asked)
         asked = self.get_params(deep=False)
         with stage("explaining"):
             return make_outcome(
-                found, models, final, judgement, channels, asked, whole, names
+                found, models, final, judged, channels, asked, whole, names
             )
 
     def _check_parameters(self):
@@ -577,6 +578,35 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         check_is_fitted(self)
         known = {"groups": groups, "t": t, "signals": signals}
         return self.identifier_.predict(X, **known, return_std=return_std)
+
+    def expected_error(self, X, groups=None, t=None, signals=None):
+        """Expect an error of the completed model for a motion.
+
+        It is what is left on held-out data, larger for speeds, accelerations and loads
+        beyond those of the fit, and what parameters (friction, gains, offsets, the
+        load) differ by between recordings. ``report_.outcome.next_recording`` has the
+        same for motion like the fitted, and where the differences are from.
+
+        Parameters
+        ----------
+        X, groups, t, signals : array-like
+            Positions or states of the motion, as for `predict`.
+
+        Returns
+        -------
+        error : ndarray of shape (nv,)
+            Median of the RMS error over `torque_spread_`; nan for a joint without an
+            error on held-out data.
+        interval : ndarray of shape (2, nv)
+            Ends between which it is in nine of ten recordings.
+        """
+        check_is_fitted(self)
+        robot, spread = self.identifier_, self.torque_spread_
+        predicted = robot.predict(X, groups, t, signals)
+        states = robot.robot_.states(positions_in_order(X, self.joint_names_), groups)
+        motion = given_motion(robot, np.asarray(states), predicted, spread)
+        found = self.report_.outcome.expectation.of(motion)
+        return found.error, found.interval
 
 
 def _asked_again(identifier):

@@ -84,7 +84,7 @@ def summary(results):
     """Rows by what was fitted."""
     rows = []
     for search in (False, True):
-        for kind in ("assumed", "mixed", "measured"):
+        for kind in ("assumed", "partly measured", "measured"):
             own = [r for r in results if r["source"] == kind and r["search"] == search]
             if not own:
                 continue

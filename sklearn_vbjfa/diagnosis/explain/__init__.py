@@ -14,7 +14,6 @@ _MODULES = {
     "_curves": (
         "FrictionCurves",
         "ResidualCurves",
-        "SpectrumCurves",
         "TimeLine",
         "TorqueCurves",
         "cloud_size",
@@ -46,10 +45,8 @@ _MODULES = {
         "EffectEstimate",
         "FinalFit",
         "NEXT_SECONDS",
-        "NextRecording",
         "added_effects",
         "error_intervals",
-        "next_recording",
     ),
     "_judgement": (
         "CommandsAlone",
@@ -59,6 +56,7 @@ _MODULES = {
         "concerned",
         "judge",
     ),
+    "_next": ("Expectation", "Motions", "NextRecording", "given_motion"),
     "_outcome": (
         "DiscoveredEffect",
         "Outcome",

@@ -22,8 +22,6 @@ _GAP = 2.5
 _DOTS = 400
 # Rows of an autocorrelation.
 _LAGS = 40
-# Rows of a spectrum, in periods of the end of the band: lines are 1/16 of it apart.
-_PERIODS = 16
 # Kinds of a signal that the state of a joint has.
 _OF_STATE = {"position": "q", "speed": "v", "acceleration": "a", "load": "load"}
 _UNITS = {
@@ -80,27 +78,11 @@ class TorqueCurves:
 class FrictionCurves:
     """Friction of a joint over its speed, measured and of both models."""
 
-    per = ""  # what the unit of the torque is divided by
-
     joint: int  # from zero
     # over speed, with what all else of the completed model leaves of the measured
     # torque as what is "without the effect": the effect is the friction of each model
     before: EffectCurves | None
     after: EffectCurves
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SpectrumCurves:
-    """Amplitude spectra of a joint's residual on the held-out part, of both models."""
-
-    per = "/√Hz"
-
-    joint: int  # from zero
-    cutoff: float  # end of the band of the fit [Hz]
-    hertz: np.ndarray  # (k,): frequencies [Hz]
-    # (k,): root of the power spectral density [N m/sqrt(Hz) or N/sqrt(Hz)]
-    before: np.ndarray
-    after: np.ndarray
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -253,7 +235,7 @@ def friction_curves(declared, final):
     own = [torque for effect, torque in torques if is_friction(effect)]
     most = min(_DOTS, cloud_size(after.weight.shape[1]))
     found = []
-    for j, columns in enumerate(_friction_columns(final.declared)):
+    for j, columns in enumerate(friction_columns(final.declared)):
         Phi = view.equations.Phi[:, j, columns]
         law = Phi @ theta[columns] + sum(torque[:, j] for torque in own)
         x = view.filtered(motion.v[:, [j]])[:, 0]
@@ -278,7 +260,7 @@ def friction_curves(declared, final):
     return tuple(found)
 
 
-def _friction_columns(identifier):
+def friction_columns(identifier):
     """Parameters of a fitted identifier that are friction, of each joint an array."""
     features = identifier.features_
     width = features.n_parameters_ // features.n_joints_
@@ -301,53 +283,6 @@ def is_friction(effect):
         or effect.seen_over == "speed"
         or "direction" in effect.depends
     )
-
-
-class Spectra:
-    """Spectra of residuals in a band that is wider than that of the fit."""
-
-    # part: the first of the residuals, in a band up to `wide` [Hz]; dt: sample period
-    # [s]; cutoff: where the band of the fit ends [Hz]. Above both only the filter is
-    # seen.
-
-    def __init__(self, part, dt, cutoff, wide):
-        steps, self._counted = np.diff(part.index), part.weight > 0
-        self._step = dt * float(np.median(steps))
-        apart = steps > _GAP * np.median(steps)
-        rows = np.arange(part.index.size)
-        stretches = np.split(rows, np.flatnonzero(apart) + 1)
-        most = _PERIODS / (cutoff * self._step)
-        size = int(min(max(map(len, stretches)), most))
-        hertz = np.fft.rfftfreq(max(size, 1), self._step)
-        self._shown = (hertz > 0) & (hertz <= wide)
-        self._hertz, self._cutoff = hertz[self._shown], float(cutoff)
-        self._window = np.hanning(size)
-        starts = [
-            own[0] + first
-            for own in stretches
-            for first in range(0, own.size - size + 1, max(size // 2, 1))
-        ]
-        self._rows = np.array(starts)[:, None] + np.arange(size)
-        joints = np.flatnonzero(self._counted.any(axis=0))
-        self._joints = joints.tolist() if size >= _FEWEST else []
-
-    def of(self, part):
-        """Return the root of the residual's power density of each joint, a list."""
-        residual, found = part.residual, []
-        for j in self._joints:
-            counts = self._counted[:, j][self._rows] * self._window
-            bins = np.fft.rfft(residual[self._rows, j] * counts)[:, self._shown]
-            power = (np.abs(bins) ** 2).sum(axis=0) / (counts**2).sum()
-            found.append(np.sqrt(2.0 * self._step * power))
-        return found
-
-    def curves(self, before, after):
-        """Return the `SpectrumCurves` of two models from what `of` says, a tuple."""
-        shared = {"cutoff": self._cutoff, "hertz": self._hertz}
-        return tuple(
-            SpectrumCurves(joint=j, before=one, after=other, **shared)
-            for j, one, other in zip(self._joints, before, after)
-        )
 
 
 def residual_curves(after, dt):
@@ -377,37 +312,34 @@ def residual_curves(after, dt):
     return tuple(found)
 
 
-def time_line(judgement, clock, begins):
-    """Torques over time of the models that were judged, `TimeLine`."""
-    parts = (judgement.searched, (judgement.before, judgement.after))
-    index = np.concatenate([pair[0].index for pair in parts])
+def time_line(searched, untouched, clock, begins):
+    """Torques over time of two models before and after, `TimeLine`."""
+    # searched, untouched: pairs of their residuals on the two parts of the recording
+    index = np.concatenate([searched[0].index, untouched[0].index])
     order = np.argsort(index, kind="stable")
-    index = index[order]
-    fresh = np.concatenate([np.full(p[0].index.size, k) for k, p in enumerate(parts)])
-    fresh = fresh[order].astype(bool)
-    seconds = (np.arange(index[-1] + 1) if clock is None else clock)[index].astype(
-        float
-    )
+    fresh = np.repeat([False, True], [x[0].index.size for x in (searched, untouched)])
+    index, fresh = index[order], fresh[order]
+    seconds = np.arange(index[-1] + 1) if clock is None else clock
+    seconds = seconds[index].astype(float)
 
     def series(which, name):
-        values = [getattr(pair[which], name) for pair in parts]
-        return np.concatenate(values)[order]
+        pair = searched[which], untouched[which]
+        return np.concatenate([getattr(part, name) for part in pair])[order]
 
-    measured = series(0, "torque")
-    before, after = series(0, "predicted"), series(1, "predicted")
-    counts = series(0, "weight") > 0
     step = float(np.median(np.diff(seconds))) if seconds.size > 1 else 1.0
     starts = np.searchsorted(index, np.asarray(begins)[1:])
     starts = starts[starts < index.size]
-    line = {
-        "borders": tuple(seconds[starts].tolist()),
-        "untouched": _stretches(seconds, fresh, step),
-        "in_seconds": clock is not None,
-    }
     # Nothing is known between recordings, and between search and held-out part.
     gaps = np.union1d(np.flatnonzero(np.diff(seconds) > _GAP * step) + 1, starts)
-    torques = over_time(seconds, gaps, measured, before, after, counts, step)
-    return TimeLine(torques=torques, **line)
+    before, after = series(0, "predicted"), series(1, "predicted")
+    counts = series(0, "weight") > 0
+    known = series(0, "torque"), before, after, counts
+    return TimeLine(
+        torques=over_time(seconds, gaps, *known, step),
+        borders=tuple(seconds[starts].tolist()),
+        untouched=_stretches(seconds, fresh, step),
+        in_seconds=clock is not None,
+    )
 
 
 def over_time(seconds, gaps, measured, before, after, counts, step):

@@ -14,12 +14,7 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
     Parts,
     contradictions,
 )
-from sklearn_vbjfa.diagnosis.explain._curves import (
-    effect_curves,
-    friction_curves,
-    residual_curves,
-    time_line,
-)
+from sklearn_vbjfa.diagnosis.explain._curves import effect_curves, friction_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import (
     hidden,
     memory_seconds,
@@ -32,15 +27,17 @@ from sklearn_vbjfa.diagnosis.explain._identified import (
     ParameterValue,
     RecordedMotion,
     parameter_values,
-    recorded_motion,
 )
 from sklearn_vbjfa.diagnosis.explain._intervals import (
     NEXT_SECONDS,
-    NextRecording,
-    next_recording,
     quantile,
 )
 from sklearn_vbjfa.diagnosis.explain._judgement import CommandsAlone, ConsistencyCost
+from sklearn_vbjfa.diagnosis.explain._next import (
+    Expectation,
+    NextRecording,
+    fitted_motion,
+)
 from sklearn_vbjfa.diagnosis.search._posterior import Evidence
 from sklearn_vbjfa.effects import (
     EffectRange,
@@ -51,7 +48,7 @@ from sklearn_vbjfa.effects import (
 )
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
-from sklearn_vbjfa.robot._gains import ChannelGains
+from sklearn_vbjfa.robot._gains import HALF_WIDTH, ChannelGains
 from sklearn_vbjfa.robot._spreads import body_masses
 
 # Why the values of an effect give it no name.
@@ -175,7 +172,8 @@ class Outcome:
     projection: ConsistencyCost | None = None
     recordings: tuple = ()  # what each recording is called
     motion_limits: tuple = ()  # what joints do in no recording
-    next_recording: NextRecording | None = None
+    next_recording: NextRecording | None = None  # of motion like the fitted
+    expectation: Expectation | None = None  # of other motion
     repeated: tuple = ()  # motion that was recorded more than once
     # recordings that are not of one robot
     contradictions: Contradictions = field(default_factory=Contradictions)
@@ -207,25 +205,34 @@ class Outcome:
     unnamed: tuple = ()
 
 
-def make_outcome(search, models, final, judgement, channels, asked, whole, recordings):
+def make_outcome(search, models, final, judged, channels, asked, whole, recordings):
     """Collect what `Report` shows."""
-    # `models` were fitted to the search part, `final` to all data; `asked` are the
-    # parameters of the loop, of which the report repeats some; `whole` is all data,
-    # `recordings` what each of it is called.
-    robot = models.declared
+    # `models` were fitted to the search part, `final` to all data; `judged` is what
+    # `judge` returns; `asked` are the parameters of the loop, of which the report
+    # repeats some; `whole` is all data, `recordings` what each of it is called.
+    fields, settings, curves = judged
+    robot, identifier = models.declared, final.identifier
     features, names = robot.features_, robot.joint_names_
-    prismatic = is_prismatic(features.model_)
-    spread, floor = judgement.spread, _noise_floor(final, models.judged)
-    before, plain, after = judgement.errors
-    decided = np.where(judgement.enough, after, np.nan)
+    prismatic, spread = is_prismatic(features.model_), fields["spread"]
+    floor, after = _noise_floor(final, models.judged), fields["error_after"]
     with np.errstate(divide="ignore", invalid="ignore"):
-        wide = judgement.wide / spread
         relative_floor = floor / spread
-    rest = unexplained(search.model, names, spread, floor, decided)
     parts = Parts.of(final)
-    left_out = np.empty((0, spread.size)) if parts is None else parts.left_out(spread)
+    expectation = Expectation(
+        after,
+        relative_floor,
+        _scatter(fields["intervals"]["after"]),
+        np.empty((0, spread.size)) if parts is None else parts.left_out(spread),
+        fitted_motion(final, spread),
+    )
     effects = tuple(_effects(search, final, names, prismatic, float(whole.t[-1])))
+    drawn = zip(effect_curves(final), effects)
+    curves |= {
+        "effects": tuple(own for own, effect in drawn if not effect.warning),
+        "friction": friction_curves(robot, final),
+    }
     return Outcome(
+        **fields,
         declared={
             "robot": features.model_.name,
             "joints": names,
@@ -237,7 +244,13 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
         },
         effects=tuple(effect for effect in effects if not effect.warning),
         possible=tuple(effect for effect in effects if effect.warning),
-        unexplained=rest,
+        unexplained=unexplained(
+            search.model,
+            names,
+            spread,
+            floor,
+            np.where(fields["enough"], after, np.nan),
+        ),
         hidden=hidden(search, names),
         channels=channels,
         joint_names=names,
@@ -248,47 +261,34 @@ def make_outcome(search, models, final, judgement, channels, asked, whole, recor
             for name in models.plain.features_.friction_
             if name not in features.friction_
         ),
-        error_before=before,
-        error_plain=plain,
-        error_after=after,
-        spread=spread,
-        wide_after=wide,
-        wide_cutoff=judgement.wide_cutoff,
-        seconds=judgement.seconds,
-        enough=judgement.enough,
-        intervals=judgement.intervals,
         floor=relative_floor,
         library={e.name: e for e in (*resolve(declarable()), *search.library)},
-        settings=_settings(search, judgement, asked),
-        projection=judgement.cost,
-        bodies=body_masses(final.identifier),
+        settings=settings | _settings(search, asked),
+        bodies=body_masses(identifier),
         recordings=recordings,
         motion_limits=motion_limits(final.view),
         repeated=final.view.repetition.motions(),
         contradictions=contradictions(
             parts, spread, float(asked["alpha"]), search.settings.rivals
         ),
-        next_recording=next_recording(left_out, after, relative_floor),
-        curves=_curves(models, final, judgement, effects, whole),
-        outside=judgement.outside,
-        gains=final.identifier.gains_,
-        corrections=corrections_of(final.identifier),
-        departures=final.identifier.mass_deviations_,
-        common_size=final.identifier.common_size_,
-        alike=final.identifier.alike_,
-        parameters=parameter_values(final.identifier),
-        recorded=recorded_motion(whole.n_samples, robot.dt, judgement.looked_at),
-        commands_alone=judgement.alone,
+        next_recording=expectation.of(),
+        expectation=expectation,
+        curves=curves,
+        gains=identifier.gains_,
+        corrections=corrections_of(identifier),
+        departures=identifier.mass_deviations_,
+        common_size=identifier.common_size_,
+        alike=identifier.alike_,
+        parameters=parameter_values(identifier),
         unnamed=tuple(e for e in final.effects if isinstance(e, UnnamedTorque)),
     )
 
 
 def _drive(drive, whole):
-    """Say what stands in place of measured torques, in an entry; none for these."""
+    """Name what stands in place of measured torques, in an entry; none for these."""
     if drive is None:
         return {}
-    told = {"kind": type(drive).__name__, **drive.facts(whole)}
-    return {"drive": told}
+    return {"drive": {"kind": type(drive).__name__, **drive.facts(whole)}}
 
 
 def _noise_floor(final, judged):
@@ -298,153 +298,19 @@ def _noise_floor(final, judged):
     return np.where(np.isfinite(own), own, judged.noise_floor_)
 
 
-def _effects(search, final, names, prismatic, seconds):
-    """Yield each `DiscoveredEffect`, with the values of the final fit."""
-    # The effects of the declared model come first.
-    count = len(final.effects)
-    ranges = final.identifier.effect_ranges_[-count:] if count else ()
-    for finding, effect, estimate, fitted in zip(
-        search.findings,
-        final.effects,
-        final.effect_estimates,
-        ranges,
-    ):
-        values, deviations = named_values(effect, estimate)
-        half = quantile(estimate.freedom)
-        units = effect.parameter_units(prismatic[effect.joint])
-        intervals = {
-            key: (
-                values[key] - half * deviations[key],
-                values[key] + half * deviations[key],
-            )
-            for key in deviations
-            # What no column determines, or no scatter tells of, has no interval.
-            if deviations[key] > 0
-        }
-        told = (named_beside(r, finding.effect, names) for r in finding.rivals)
-        known = search.settings.known
-        why = finding.warning or _unknown(
-            effect, estimate.coef, values, deviations, intervals, known
-        )
-        yield DiscoveredEffect(
-            name=effect.name,
-            joint=effect.joint,
-            joint_name=names[effect.joint],
-            scope=effect.scope,
-            parameters=values,
-            units={key: units.get(key, "") for key in values},
-            intervals=intervals,
-            evidence=finding.evidence,
-            rivals=tuple(dict.fromkeys(told)),
-            trials=tuple(
-                Trial(name=r.name, joint=r.joint, shape=r.shape())
-                for r in finding.rivals
-            ),
-            effect=effect,
-            ranges=fitted,
-            afterwards=_afterwards(effect, estimate, seconds),
-            warning=why,
-        )
+def _scatter(interval):
+    """Deviation of the logarithm of an error with a 90 % interval (2, nv)."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.log(interval[1] / interval[0]) / (2 * HALF_WIDTH)
 
 
-def _unknown(effect, coef, values, deviations, intervals, known):
-    """Say why the values of an effect give it no name; "" if they do."""
-    idle = dict.fromkeys(values, 0.0)
-    if effect.in_model:
-        idle |= dict(zip(effect.model_parameters, effect.nominal))
-        sure = [
-            abs(values[key] - idle[key]) > known * deviation
-            for key, deviation in deviations.items()
-            if deviation > 0
-        ]
-        return "" if any(sure) else _UNSURE
-    # A shape alone is no sign that the effect is there.
-    own = [key for key in intervals if key not in effect.shape()] or list(intervals)
-    if not any(coef):
-        return _UNKNOWN
-    away = (intervals[k][0] > idle[k] or intervals[k][1] < idle[k] for k in own)
-    return "" if not own or any(away) else _UNKNOWN
-
-
-def _afterwards(effect, estimate, seconds):
-    """Return the state of an effect of time after the recording, or None."""
-    if not isinstance(effect, OfTime):
-        return None
-    k = len(estimate.coef)
-    values = np.r_[estimate.coef, [getattr(effect, name) for name in estimate.shape]]
-
-    def left(given):
-        shape = dict(zip(estimate.shape, given[k:].tolist()))
-        return clone(effect).set_params(**shape).later(given[:k], seconds)
-
-    half, found = quantile(estimate.freedom), left(values)
-    scale = np.sqrt(np.maximum(np.diagonal(estimate.covariance), 0.0))
-    # Small beside what the value itself is, where the deviation is not.
-    steps = 1e-4 * np.minimum(scale, np.abs(values))
-    steps[~(steps > 0)] = 1e-9
-    sides = [
-        [left(values + way * step) for way in (0.5, -0.5)] for step in np.diag(steps)
-    ]
-    intervals = {}
-    for name, value in found.items():
-        slope = np.array([above[name] - below[name] for above, below in sides]) / steps
-        reach = half * _deviation(slope, estimate.covariance)
-        if not np.isnan(reach):
-            intervals[name] = (value - reach, value + reach)
-    return Afterwards(
-        seconds=seconds, how=effect.afterwards, left=found, intervals=intervals
-    )
-
-
-def named_values(effect, estimate):
-    """Parameters as an engineer calls them, and standard deviations (delta method)."""
-    coef, covariance = estimate.coef, estimate.covariance
-    k = len(coef)
-    values = effect.parameters(coef)
-    scale = np.sqrt(np.maximum(np.diagonal(covariance)[:k], 0.0))
-    slopes = {key: np.zeros(k) for key in values}
-    for i in range(k):
-        step = 1e-4 * scale[i] if scale[i] > 0 else 1e-9
-        moved = np.array(coef, dtype=float)
-        moved[i] += step
-        for key, value in effect.parameters(moved).items():
-            slopes[key][i] = (value - values[key]) / step
-    own = covariance[:k, :k]
-    deviations = {key: _deviation(slope, own) for key, slope in slopes.items()}
-    for i, name in enumerate(estimate.shape):
-        if name not in values:
-            values[name] = float(getattr(effect, name))
-            own = np.arange(len(covariance)) == k + i
-            deviations[name] = _deviation(own.astype(float), covariance)
-    # About the value, of all forms together.
-    for weight, other in estimate.forms:
-        for key, value in other.items():
-            away = np.sqrt(weight) * (value - values[key])
-            deviations[key] = float(np.hypot(deviations[key], away))
-    for name, value in effect.shape().items():
-        values.setdefault(name, value)
-    return values, deviations
-
-
-def _deviation(slope, covariance):
-    """Deviation of what has a slope by some values; nan if one of them is not known."""
-    seen = slope != 0
-    slope = slope[seen]
-    return float(np.sqrt(np.maximum(slope @ covariance[np.ix_(seen, seen)] @ slope, 0)))
-
-
-def _settings(search, judgement, asked):
-    """Thresholds, split, blocks, seed and versions, a dict."""
+def _settings(search, asked):
+    """Thresholds, blocks, seed and versions, a dict."""
     from sklearn_vbjfa import __version__
 
     view, seed = search.model.view, asked["random_state"]
-    seconds = memory_seconds(search.model)
     return {
         "test_size": float(asked["test_size"]),
-        "untouched_stretches": judgement.n_stretches,
-        "undecided_stretches": judgement.n_undecided,
-        "untouched_seconds": judgement.before.weight.shape[0] * float(view.step),
-        "guard_seconds": judgement.guard,
         "alpha": float(asked["alpha"]),
         "n_candidates": int(search.n_candidates),
         "search": dataclasses.asdict(search.settings),
@@ -453,8 +319,7 @@ def _settings(search, judgement, asked):
         "n_blocks": view.blocks.n_blocks,
         "block_seconds": float(view.blocks.length),
         "n_folds": view.blocks.n_folds,
-        "correlation_seconds": max(seconds, default=0.0),
-        "too_short": tuple(too_short(search.model, seconds)),
+        "too_short": tuple(too_short(search.model, memory_seconds(search.model))),
         "error_seconds": NEXT_SECONDS,
         "search_rows": view.n_rows,
         "random_state": seed if isinstance(seed, (int, type(None))) else "given",
@@ -469,18 +334,129 @@ def _settings(search, judgement, asked):
     }
 
 
-def _curves(models, final, judgement, effects, whole):
-    """Curves of the pictures, by what they show."""
-    return {
-        "index": judgement.before.index,
-        "effects": tuple(
-            own
-            for own, effect in zip(effect_curves(final), effects)
-            if not effect.warning
-        ),
-        "friction": friction_curves(models.declared, final),
-        "spectra": judgement.spectra,
-        "residuals": residual_curves(judgement.after, models.judged.dt),
-        "positions": judgement.positions,
-        "line": time_line(judgement, whole.t, [p.start for p in whole.segments]),
-    }
+# -- effects ---------------------------------------------------------------------------
+
+
+def _effects(search, final, names, prismatic, seconds):
+    """Yield each `DiscoveredEffect`, with the values of the final fit."""
+    # The effects of the declared model come first.
+    count = len(final.effects)
+    ranges = final.identifier.effect_ranges_[-count:] if count else ()
+    for finding, effect, estimate, fitted in zip(
+        search.findings, final.effects, final.effect_estimates, ranges
+    ):
+        values, deviations = named_values(effect, estimate)
+        half = quantile(estimate.freedom)
+        units = effect.parameter_units(prismatic[effect.joint])
+        # What no column determines, or no scatter tells of, has no interval.
+        intervals = {
+            key: (values[key] - half * std, values[key] + half * std)
+            for key, std in deviations.items()
+            if std > 0
+        }
+        rivals = (named_beside(r, finding.effect, names) for r in finding.rivals)
+        known = search.settings.known
+        yield DiscoveredEffect(
+            name=effect.name,
+            joint=effect.joint,
+            joint_name=names[effect.joint],
+            scope=effect.scope,
+            parameters=values,
+            units={key: units.get(key, "") for key in values},
+            intervals=intervals,
+            evidence=finding.evidence,
+            rivals=tuple(dict.fromkeys(rivals)),
+            trials=tuple(
+                Trial(name=r.name, joint=r.joint, shape=r.shape())
+                for r in finding.rivals
+            ),
+            effect=effect,
+            ranges=fitted,
+            afterwards=_afterwards(effect, estimate, seconds),
+            warning=finding.warning
+            or _unknown(effect, estimate.coef, values, deviations, intervals, known),
+        )
+
+
+def _unknown(effect, coef, values, deviations, intervals, known):
+    """Say why the values of an effect give it no name; "" if they do."""
+    if effect.in_model:
+        nominal = dict(zip(effect.model_parameters, effect.nominal))
+        sure = (
+            abs(values[key] - nominal.get(key, 0.0)) > known * std
+            for key, std in deviations.items()
+            if std > 0
+        )
+        return "" if any(sure) else _UNSURE
+    # A shape alone is no sign that the effect is there.
+    own = [key for key in intervals if key not in effect.shape()] or list(intervals)
+    if not any(coef):
+        return _UNKNOWN
+    away = (intervals[key][0] > 0.0 or intervals[key][1] < 0.0 for key in own)
+    return "" if not own or any(away) else _UNKNOWN
+
+
+def _afterwards(effect, estimate, seconds):
+    """Return the state of an effect of time after the recording, or None."""
+    if not isinstance(effect, OfTime):
+        return None
+    k = len(estimate.coef)
+
+    def left(x):
+        shape = dict(zip(estimate.shape, x[k:].tolist()))
+        return clone(effect).set_params(**shape).later(x[:k], seconds)
+
+    x = np.r_[estimate.coef, [getattr(effect, name) for name in estimate.shape]]
+    found, deviations = _propagated(left, x, estimate.covariance)
+    half = quantile(estimate.freedom)
+    reach = {name: half * std for name, std in deviations.items() if std == std}
+    return Afterwards(
+        seconds=seconds,
+        how=effect.afterwards,
+        left=found,
+        intervals={k: (found[k] - r, found[k] + r) for k, r in reach.items()},
+    )
+
+
+def named_values(effect, estimate):
+    """Parameters as an engineer calls them, and standard deviations (delta method)."""
+    covariance, k = estimate.covariance, len(estimate.coef)
+    known = np.array(estimate.coef, dtype=float), covariance[:k, :k]
+    values, deviations = _propagated(effect.parameters, *known)
+    for i, name in enumerate(estimate.shape, k):
+        if name not in values:
+            values[name] = float(getattr(effect, name))
+            own = np.arange(len(covariance)) == i
+            deviations[name] = _deviation(own.astype(float), covariance)
+    # About the value, of all forms together.
+    for weight, other in estimate.forms:
+        for key, value in other.items():
+            away = np.sqrt(weight) * (value - values[key])
+            deviations[key] = float(np.hypot(deviations[key], away))
+    for name, value in effect.shape().items():
+        values.setdefault(name, value)
+    return values, deviations
+
+
+def _propagated(function, x, covariance):
+    """Values of a function of x (k,), by name, and their standard deviations."""
+    scale = np.sqrt(np.maximum(np.diagonal(covariance), 0.0))
+    # Small compared with the value, where the deviation is not.
+    steps = 1e-4 * np.minimum(scale, np.abs(x))
+    steps[~(steps > 0)] = 1e-9
+    values = function(x)
+    sides = [
+        [function(x + way * step) for way in (0.5, -0.5)] for step in np.diag(steps)
+    ]
+    deviations = {}
+    for name in values:
+        rises = np.array([above[name] - below[name] for above, below in sides])
+        deviations[name] = _deviation(rises / steps, covariance)
+    return values, deviations
+
+
+def _deviation(slope, covariance):
+    """Deviation of what has a slope by some values; nan if one of them is not known."""
+    seen = slope != 0
+    slope = slope[seen]
+    return float(np.sqrt(np.maximum(slope @ covariance[np.ix_(seen, seen)] @ slope, 0)))

@@ -14,7 +14,6 @@ from sklearn_vbjfa.diagnosis.report._pictures import (
     effect_figure,
     friction_figure,
     residual_figure,
-    spectrum_figure,
     torque_figure,
 )
 from sklearn_vbjfa.effects import available
@@ -95,12 +94,14 @@ def positions(outcome):
 
 def friction(outcome):
     """Draw the friction of each joint over speed."""
-    return _of_joints(outcome, "friction", friction_figure, "friction")
-
-
-def spectra(outcome):
-    """Draw the spectrum of what both models leave."""
-    return _of_joints(outcome, "spectra", spectrum_figure, "residual")
+    return [
+        friction_figure(
+            one,
+            title=words.joint_label(outcome.joint_names, one.joint),
+            y_label=f"friction [{outcome.torque_units[one.joint]}]",
+        )
+        for one in outcome.curves.get("friction", ())
+    ]
 
 
 def residuals(outcome):
@@ -112,18 +113,6 @@ def residuals(outcome):
             unit=outcome.torque_units[one.joint],
         )
         for one in outcome.curves.get("residuals", ())
-    ]
-
-
-def _of_joints(outcome, key, draw, what):
-    """Draw curves of each joint."""
-    return [
-        draw(
-            one,
-            title=words.joint_label(outcome.joint_names, one.joint),
-            y_label=f"{what} [{outcome.torque_units[one.joint]}{one.per}]",
-        )
-        for one in outcome.curves.get(key, ())
     ]
 
 

@@ -1,6 +1,6 @@
 """Pictures of a page as paths: charts with axes."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,8 +17,6 @@ _FEW = 120
 # Values farther than a share of their range beyond these quantiles are cut off, or a
 # spike would flatten the rest.
 _MOST, _REACH = (0.01, 0.99), 0.5
-# Powers of ten that a spectrum shows.
-_DECADES = 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -256,32 +254,6 @@ def residual_figure(curves, *, title, unit):
     )
     keys += (("floor", "white noise, 90 %"),)
     return Figure(title=title, charts=tuple(charts), keys=keys)
-
-
-def spectrum_figure(curves, *, title, y_label):
-    """Draw the spectrum of both residuals, in decades, with the band of the fit."""
-    logs = [np.log10(own) for own in (curves.before, curves.after)]
-    shown = np.concatenate([own[np.isfinite(own)] for own in logs])
-    top = np.max(shown, initial=-300.0)
-    low = max(np.min(shown, initial=top), top - _DECADES)
-    frame = _Frame(x=(0.0, float(curves.hertz[-1])), y=(low - 0.1, top + 0.1))
-    kinds, x_label = ("line-before", "line-after"), "frequency [Hz]"
-    shapes = [Shape(kind="held-out", path=_spans(frame, [(0.0, curves.cutoff)]))]
-    shapes += [
-        Shape(kind=kind, path=_line(frame, curves.hertz, own))
-        for kind, own in zip(kinds, logs)
-    ]
-    chart = _chart(frame, "", x_label, y_label, shapes)
-    powers = [
-        (100 * (frame.y[1] - k) / (frame.y[1] - frame.y[0]), words.number(10.0**k))
-        for k in range(int(np.ceil(frame.y[0])), int(np.floor(frame.y[1])) + 1)
-    ]
-    names = ("declared model", "completed model")
-    return Figure(
-        title=title,
-        charts=(replace(chart, y_ticks=tuple(powers)),),
-        keys=(*zip(kinds, names), ("held-out", "band of the fit")),
-    )
 
 
 def _chart(frame, title, x_label, y_label, shapes):

@@ -25,7 +25,7 @@ _OF_JOINTS = {
     "enough": "enough",
 }
 # Fields that `to_dict` leaves out: pictures, and classes for the words.
-_NOT_DATA = ("curves", "library", "intervals", *_OF_JOINTS.values())
+_NOT_DATA = ("curves", "expectation", "library", "intervals", *_OF_JOINTS.values())
 # Channels with these faults are left out of what was asked for.
 _LEFT_OUT = ("coarse_torque", "still_joint")
 

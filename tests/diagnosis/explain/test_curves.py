@@ -102,9 +102,8 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
         torque = np.column_stack([rows, -rows]).astype(float)
         return part(rows, torque, torque + 1.0, torque + 2.0)
 
-    judgement = SimpleNamespace(searched=given(searched))
-    judgement.before, judgement.after = given(untouched)
-    line = time_line(judgement, clock, [0, 60])
+    parts = given(searched), given(untouched)
+    line = time_line(*parts, clock, [0, 60])
     assert line.in_seconds
     assert line.borders == (10.0,)
     np.testing.assert_allclose(line.untouched, [(2.0, 4.0), (14.0, 16.0)])
@@ -121,7 +120,7 @@ def test_the_time_line_has_borders_gaps_and_the_held_out_part():
     # Where the joint stands still errors do not count, nor where nothing is known.
     np.testing.assert_array_equal(one.counts[known], one.measured[known] % 7 > 0)
     assert not one.counts[~known].any()
-    assert not time_line(judgement, None, [0, 60]).in_seconds
+    assert not time_line(*parts, None, [0, 60]).in_seconds
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,6 @@ from sklearn_vbjfa.diagnosis.explain import (
     Provenance,
     RecordedMotion,
     ResidualCurves,
-    SpectrumCurves,
     TimeLine,
     TorqueCurves,
     cloud_size,
@@ -84,13 +83,6 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         )
         for j in range(nv)
     )
-    hertz = np.linspace(0.5, 40.0, 80)
-    spectra = tuple(
-        SpectrumCurves(
-            joint=j, cutoff=10.0, hertz=hertz, before=1.0 / hertz, after=0.1 / hertz
-        )
-        for j in range(nv)
-    )
     residuals = tuple(
         ResidualCurves(
             joint=j,
@@ -106,7 +98,7 @@ def made(nv=3, names=None, n_effects=2, rows=3000, **changes):
         torques=torques, borders=(12.0,), untouched=((3.0, 5.0),), in_seconds=True
     )
     drawn = {"effects": tuple(curves), "line": line}
-    drawn |= {"friction": friction, "spectra": spectra, "residuals": residuals}
+    drawn |= {"friction": friction, "residuals": residuals}
     values = {
         "effects": tuple(
             replace(e, effect=Ripple(joint=e.joint)) for e in outcome.effects

@@ -165,7 +165,7 @@ def test_one_bad_joint_does_not_flatten_the_bars():
 
 def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatch):
     shown = figures(html)
-    assert len(shown) == 3 + 3 * 4
+    assert len(shown) == 3 + 3 * 3
     kinds = ("cloud", "spread", "mean-before", "mean-after", "law")
     for effect, figure in zip(outcome.effects, shown):
         called = words.effect_at(outcome, effect.name, effect.joint, effect.parameters)
@@ -188,17 +188,10 @@ def test_every_effect_and_every_torque_has_its_picture(outcome, html, monkeypatc
         # Nothing is drawn where the joint stands still: before 1 s of 20 s.
         path = re.search('class="line-before" d="M([0-9.]+) ', residual)[1]
         assert float(path) == pytest.approx(WIDTH / 20, abs=1)
-    # A spectrum is in decades; the band ends at 10 of 40 Hz.
-    spectrum = shown[-4]
-    axis = re.search('class="y-axis">(.*?)</div>', spectrum, re.DOTALL)[1]
-    found = [float(text) for text in re.findall(r">([^<>]+)</span>", axis)]
-    assert found == [0.01, 0.1, 1.0]
-    path = re.search('class="held-out" d="M0.0 0H([0-9.]+)', spectrum)[1]
-    assert float(path) == pytest.approx(WIDTH / 4)
     # They are drawn without the library, and without matplotlib.
     monkeypatch.setitem(__import__("sys").modules, "matplotlib", None)
     still = re.sub("<script.*?</script>", "", Report(outcome).to_html(), flags=re.S)
-    assert still.count("<svg") == 3 * 2 + 3 * 6
+    assert still.count("<svg") == 3 * 2 + 3 * 5
 
 
 def test_curves_stay_inside_their_frames(html):

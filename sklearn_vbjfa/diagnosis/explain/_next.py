@@ -1,0 +1,219 @@
+"""The error on the next recording: what is left here, and what differs between them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import stats
+from scipy.special import logsumexp, softmax
+
+from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_friction
+
+# Share by which parameters differ between recordings of one robot: median over robots,
+# and the deviation of its logarithm. Friction follows the temperature; offsets are in
+# shares of the deviation of the torque.
+_KINDS = {
+    "friction": (0.08, 0.8),
+    "gain": (0.01, 1.0),
+    "offset": (0.015, 1.0),
+    "load": (0.01, 1.0),
+}
+# Kinds that differ on all joints at once: temperature, and what the robot carries.
+_SHARED = (True, False, False, True)
+# What a model lacks is larger where it was not fitted: logarithm of the factor for a
+# single recording, to be divided by how many were fitted, and how much it differs
+# between motions. Of both, means and deviations over robots.
+_AGAIN, _DIFFER = (np.log(1.3), 0.2), (0.35, 0.5)
+# From so many recordings on the differences are called measured.
+_MEASURED = 3
+_ENDS = (0.5, 0.05, 0.95)
+# Draws of what is not known, and points over what parameters of a recording may be.
+_DRAWS, _POINTS = 4000, 9
+# Rows of which the size of torques is taken.
+_ROWS = 4000
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class NextRecording:
+    """Error of the completed model on a recording that was not fitted."""
+
+    # (nv,): median, over the spread of the torque; nan for a joint that was not judged
+    error: np.ndarray
+    interval: np.ndarray  # (2, nv): its ends in nine of ten recordings
+    # (2,): the same of the mean of the joints
+    mean: float
+    mean_interval: np.ndarray
+    recordings: int  # recordings that were left out in turns; zero with a single one
+    # where the differences between recordings are from: "assumed" from other robots,
+    # "partly measured" or "measured" in these
+    source: str
+
+
+class Expectation:
+    """What is expected of another recording, by its motion.
+
+    The squared error is what is left here (noise, and what the model lacks) plus what
+    parameters differ by, times the torques that they act on. How much they differ has
+    a prior by kind; recordings that were left out in turns weigh its draws.
+    """
+
+    # left, floor (nv,): error on held-out data and that of the noise alone, over the
+    # spread; scatter (nv,): deviation of the logarithm of the first; left_out (r, nv):
+    # errors on each recording of a model fitted to the others, nan where there is none;
+    # motion: `Motions` of the fit
+
+    def __init__(self, left, floor, scatter, left_out, motion):
+        self._left, self._motion = left, motion
+        noise = np.minimum(np.nan_to_num(floor), left)
+        self._noise, self._lacks = noise**2, left**2 - noise**2
+        self._scatter = np.nan_to_num(scatter)
+        self.recordings = len(left_out)
+        self._given = left_out
+        self._weights = softmax(self._evidence(left_out))
+
+    def _evidence(self, left_out):
+        """Logarithm of the likelihood of left-out errors, (n_draws,)."""
+        used = np.isfinite(self._left) & (self._left > 0)
+        differ, again, motions = _robots()
+        total = np.zeros(_DRAWS)
+        count = len(left_out) - 1
+        if count < 1 or not used.any():
+            return total
+        sizes = self._motion.sizes[:, used] ** 2
+        parts = (differ**2)[:, :, None] * sizes
+        between = parts.sum(axis=1)
+        # As many kinds as matter: a mean of squares of normal values.
+        freedom = between**2 / np.maximum((parts**2).sum(axis=1), 1e-300)
+        levels = (np.arange(_POINTS) + 0.5) / _POINTS
+        luck = stats.chi2.ppf(levels, freedom[..., None]) / freedom[..., None]
+        lacks = self._lacks[used] * np.exp(2 * again / count)
+        alone = self._noise[used] + lacks
+        squares = alone[..., None] + (1 + 1 / count) * between[..., None] * luck
+        width = np.hypot(self._scatter[used], motions * lacks / alone)[..., None]
+        for errors in left_out[:, used]:
+            known = errors > 0
+            away = np.log(np.where(known, errors, 1.0))[:, None] - 0.5 * np.log(squares)
+            density = -0.5 * (away / width) ** 2 - np.log(width)
+            own = np.where(known, logsumexp(density, axis=-1), 0.0)
+            # Joints of one recording move alike.
+            total += own.sum(axis=1) / np.sqrt(used.sum())
+        return total
+
+    def of(self, motion=None):
+        """Return the `NextRecording` for a motion, by default one like the fitted."""
+        motion = motion or self._motion
+        count = max(self.recordings, 1)
+        lacks = self._lacks * self._motion.distance(motion)
+        differ, again, motions = _robots()
+        rng, nv = np.random.default_rng(1), lacks.size
+        values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
+        values[:, _SHARED] = values[:, _SHARED, :1]
+        change, luck = rng.standard_normal((2, _DRAWS, nv))
+        alone = self._noise + lacks * np.exp(2 * (again / count + motions * change))
+        squares = alone * np.exp(2 * self._scatter * luck)
+        shifts = differ[:, :, None] * motion.sizes * values
+        errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
+        judged = np.isfinite(self._left)
+        of_joints = np.full((len(_ENDS), judged.size), np.nan)
+        of_mean = np.full(len(_ENDS), np.nan)
+        if judged.any():
+            of_joints[:, judged] = self._quantiles(errors[:, judged])
+            of_mean = self._quantiles(errors[:, judged].mean(axis=1)[:, None])[:, 0]
+        sources = "assumed", "assumed", "partly measured"
+        return NextRecording(
+            error=of_joints[0],
+            interval=of_joints[1:],
+            mean=float(of_mean[0]),
+            mean_interval=of_mean[1:],
+            recordings=self.recordings,
+            source="measured"
+            if self.recordings >= _MEASURED
+            else sources[self.recordings],
+        )
+
+    def _quantiles(self, draws):
+        """Quantiles of weighted draws (n, k), (3, k)."""
+        order = np.argsort(draws, axis=0)
+        done = np.cumsum(self._weights[order], axis=0)
+        rows = [(done < level).sum(axis=0) for level in _ENDS]
+        ranked = np.take_along_axis(draws, order, axis=0)
+        return np.take_along_axis(ranked, np.minimum(rows, len(draws) - 1), axis=0)
+
+
+def _robots():
+    """Draw how recordings of robots differ: by kind, again and between motions."""
+    rng = np.random.default_rng(0)
+    medians, widths = np.array([*_KINDS.values()]).T
+    differ = medians * np.exp(widths * rng.standard_normal((_DRAWS, medians.size)))
+    again, motions = rng.standard_normal((2, _DRAWS, 1))
+    again = _AGAIN[0] + _AGAIN[1] * again
+    return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)
+
+
+class Motions:
+    """Sizes of torques of a motion, and the speeds, accelerations and loads in it."""
+
+    # v, a, load, friction (n, nv); weight (n, nv): zero where a joint rests; spread
+    # (nv,): of the torque of the fit
+
+    def __init__(self, v, a, load, friction, weight, spread):
+        total = np.maximum(weight.sum(axis=0), 1e-300)
+
+        def size(values):
+            return np.sqrt((weight * values**2).sum(axis=0) / total) / spread
+
+        ones = np.ones(weight.shape)
+        parts = friction, friction + load, spread * ones, load
+        with np.errstate(divide="ignore", invalid="ignore"):
+            self.sizes = np.nan_to_num([size(values) for values in parts])
+        rows = np.stack([ones, v, v * np.abs(v), a, load], axis=-1)
+        self._moments = np.einsum("nj,njk,njl->jkl", weight / total, rows, rows)
+
+    def distance(self, other):
+        """Leverage of the rows of another motion over that of these, at least 1."""
+        found = [
+            np.trace(np.linalg.pinv(own, rcond=1e-9, hermitian=True) @ rows)
+            / np.linalg.matrix_rank(own, tol=1e-9 * np.trace(own), hermitian=True)
+            if np.trace(own) > 0
+            else 1.0
+            for own, rows in zip(self._moments, other._moments)
+        ]
+        return np.maximum(found, 1.0)
+
+
+def fitted_motion(final, spread):
+    """Return the `Motions` that a final fit was made from."""
+    view, identifier = final.view, final.identifier
+    nv, theta = view.nv, identifier.robot_.linear_part(identifier.theta_)
+    rows = np.linspace(0, view.index.size - 1, min(view.index.size, _ROWS)).astype(int)
+    Phi = view.equations.Phi[rows]
+    columns = friction_columns(final.declared)
+    friction = np.stack([Phi[:, j, own] @ theta[own] for j, own in enumerate(columns)])
+    load = Phi @ theta[: Phi.shape[2]] - friction.T
+    friction = friction.T + sum(
+        torque[rows]
+        for effect, torque in zip(final.effects, final.effect_torques())
+        if is_friction(effect)
+    )
+    v, a = np.split(view.states[view.index[rows]], [nv, 2 * nv], axis=1)[1:]
+    weight = view.equations.weight[rows]
+    return Motions(v, a, load, friction, weight, spread)
+
+
+def given_motion(identifier, states, predicted, spread):
+    """Return the `Motions` of states (n, 3 nv) with predicted torques (n, nv)."""
+    rows = np.linspace(0, len(states) - 1, min(len(states), _ROWS)).astype(int)
+    states, predicted = states[rows], predicted[rows]
+    features, nv = identifier.features_, identifier.features_.n_joints_
+    theta = identifier.theta_[: features.n_parameters_]
+    Phi = features.matrices(states)
+    total, friction = Phi @ theta, np.zeros((len(rows), nv))
+    acts = {e.joint for e in identifier.effects_ if is_friction(e)}
+    for j, own in enumerate(friction_columns(identifier)):
+        own = own[own < features.n_parameters_]
+        friction[:, j] = Phi[:, j, own] @ theta[own]
+    load = total - friction
+    for j in acts:
+        friction[:, j] = predicted[:, j] - load[:, j]
+    _, v, a = np.split(states, [nv, 2 * nv], axis=1)
+    moving = np.abs(v) > np.maximum(identifier.standstill_, 0.0)
+    return Motions(v, a, load, friction, moving.astype(float), spread)

@@ -179,8 +179,7 @@ def _identified(arguments, path, found, folder):
 
     for name in {"urdf", "base_orientation"} & set(arguments.typed):
         raise ValueError(f"{spelled(name)} is that of {path}; leave it out.")
-    with _input.parser_messages([]):
-        robot = load_identified(path)
+    robot = load_identified(path)
     names, model = robot.joint_names_, robot.features_.nominal_
     joints = arguments.joints
     if joints and set(joints) != set(names):

@@ -3,15 +3,31 @@
 import contextlib
 import itertools
 import math
-import os
-import sys
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused, number
+from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
+from sklearn_vbjfa.model import (
+    load_model,
+    load_reduced,
+    movable_joints,
+    write_reduced,
+)
+from sklearn_vbjfa.model._loading import load_folded
+from sklearn_vbjfa.physical import ProjectionError
+from sklearn_vbjfa.recording import (
+    OfferedSignals,
+    RecordingRefused,
+    common_folder,
+    expanded,
+    tables_in,
+)
+from sklearn_vbjfa.robot import FitOptions
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")
@@ -19,6 +35,9 @@ _FORMULA = ("=", "+", "-", "@", "\t", "\r")
 _MIN_SAMPLES = 64
 # Warnings about channels that are left out of what was asked for.
 _LEFT_OUT = ("coarse_torque", "still_joint")
+
+
+# -- recordings ------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,8 +54,6 @@ class LoadedRecording:
 
     def findings(self):
         """Return the faults of the channels; unknown factors are none."""
-        from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
-
         one = self.recording
         found = inspect_channels(
             str(self.urdf), one.q, one.tau, one.dt, one.groups, drive=self.drive
@@ -49,28 +66,24 @@ class LoadedRecording:
 
     def signals(self, names):
         """Return the signals with some names; None offers all there are."""
-        from sklearn_vbjfa.recording._columns import OfferedSignals
-
         offered = OfferedSignals.of_file(self.recording)
         if names in (None, ("none",)):
             return None if names else offered
-        unknown = [name for name in names if name not in offered.names]
-        if unknown:
-            raise ValueError(
-                f"{self.source}: --signals does not know {unknown[0]!r}; other columns "
-                "than time, positions, velocities, accelerations and torques: "
-                f"{', '.join(offered.names) or 'none'}."
-            )
+        for name in names:
+            if name not in offered.names:
+                raise ValueError(
+                    f"{self.source}: --signals does not know {name!r}; other columns "
+                    "than time, positions, velocities, accelerations and torques: "
+                    f"{', '.join(offered.names) or 'none'}."
+                )
         with blaming(self.source):
             n = self.recording.n_samples
             return {name: offered.column(name, n) for name in names}
 
     def other_joints(self):
         """Return lines on joints that are held, and on those that follow others."""
-        from sklearn_vbjfa.model import _loading
-
         lines = [f"held at zero: {', '.join(self.held)}"] if self.held else []
-        follow = [body.name for body in _loading.load_folded(self.urdf).followers]
+        follow = [body.name for body in load_folded(self.urdf).followers]
         if follow:
             lines.append(f"follow other joints, without columns: {', '.join(follow)}")
         return lines
@@ -82,12 +95,15 @@ def load(arguments, folder, *, assumed=None):
     urdf, held = robot(arguments, expanded(arguments.urdf), arguments.joints, folder)
     gains = arguments.gain or (assumed if arguments.drive is None else None)
     recording = read(arguments, urdf, arguments.joints, gains)
-    urdf, more = _with_fixed(urdf, recording.joint_names, folder)
+    if set(recording.joint_names) != set(movable_joints(urdf)):
+        # Joints without columns.
+        urdf, more = _reduced(urdf, recording.joint_names, folder)
+        held = (*held, *more)
     return LoadedRecording(
         recording=recording,
         urdf=urdf,
         source=named(arguments),
-        held=(*held, *more),
+        held=held,
         gains=arguments.gain,
         drive=arguments.drive,
         bodies=getattr(arguments, "bodies", "prior"),
@@ -96,15 +112,13 @@ def load(arguments, folder, *, assumed=None):
 
 def settings(arguments):
     """Return settings of `RobotIdentifier`."""
-    from sklearn_vbjfa.robot import FitOptions
-
-    if arguments.known_mass and arguments.gain != "unknown":
+    given = arguments.known_mass or ()
+    if given and arguments.gain != "unknown":
         raise ValueError(
             "--known-mass fixes the common factor of channels with unknown gains: "
             "give --gain unknown as well."
         )
-    masses = dict(arguments.known_mass or ())
-    if len(masses) < len(arguments.known_mass or ()):
+    if len(dict(given)) < len(given):
         raise ValueError("--known-mass names a link twice; name it once.")
     shared = arguments.shared_drives
     alike = None if shared == "none" else shared
@@ -115,18 +129,8 @@ def settings(arguments):
         "drive": arguments.drive,
         # The recording is read with factors that are known.
         "gains": "unknown" if arguments.gain == "unknown" else None,
-        "options": FitOptions(alike=alike, known_masses=masses or None),
+        "options": FitOptions(alike=alike, known_masses=dict(given) or None),
     }
-
-
-# -- recordings ------------------------------------------------------------------------
-
-
-def expanded(text):
-    """Return a path in which ~ is the home folder, as shells have it."""
-    from sklearn_vbjfa.recording import expanded
-
-    return expanded(text)
 
 
 def paths(arguments):
@@ -136,15 +140,12 @@ def paths(arguments):
 
 def named(arguments):
     """Return a name of what is read, for messages: the file, or the first of them."""
-    files = paths(arguments)
-    more = len(files) - 1
-    return f"{files[0]}{f' and {more} more' if more else ''}"
+    first, *others = paths(arguments)
+    return f"{first} and {len(others)} more" if others else str(first)
 
 
 def is_several(arguments):
     """Whether a recording is in several files."""
-    from sklearn_vbjfa.recording import tables_in
-
     files = paths(arguments)
     return len(files) > 1 or len(tables_in(files[0])) > 1
 
@@ -158,8 +159,6 @@ def motor_units(recording):
 def blaming(source, gains=None):
     """Name what was read in a refusal: the options are valid, so it is at fault."""
     # gains: factors that its torques have already, which signs are multiplied with.
-    from sklearn_vbjfa.physical import ProjectionError
-
     try:
         yield
     except (ValueError, ProjectionError) as error:
@@ -173,12 +172,9 @@ def blaming(source, gains=None):
 def read(arguments, urdf, joints, gains, *, identified=True):
     """Read a recording that is long enough."""
     # identified: whether gains that are unknown can be identified.
-    from sklearn_vbjfa.datasets import read_recording
-    from sklearn_vbjfa.recording import RecordingRefused
-
     files, source = paths(arguments), named(arguments)
     try:
-        recording = read_recording(
+        recording = datasets.read_recording(
             files[0] if len(files) == 1 else files,
             dt=arguments.dt,
             urdf=str(urdf),
@@ -237,68 +233,30 @@ def channel_doubts(findings):
 
 def robot(arguments, urdf, joints, folder):
     """Check a description; return one in which other joints are fixed, and these."""
-    from sklearn_vbjfa.model import load_model, load_reduced, movable_joints
-
     if not urdf.is_file():
         raise FileNotFoundError(f"{urdf}: no such robot description; give --urdf FILE.")
-    said, base = [], arguments.base_orientation
+    base = arguments.base_orientation
     try:
-        with parser_messages(said):
-            if joints:
-                load_reduced(urdf, joints, base)
-            else:
-                load_model(urdf, base)
+        if joints:
+            load_reduced(urdf, joints, base)
+        else:
+            load_model(urdf, base)
     except ValueError as error:
         where = "" if repr(str(urdf)) in str(error) else f"{urdf}: "
-        reason = f" ({said[0]})" if said else ""
-        raise ValueError(f"{where}{error}{reason}") from error
-    # The parser continues without an inertia that it cannot read.
-    lost = [line for line in said if "nerti" in line]
-    if lost:
-        raise ValueError(f"{urdf}: {'; '.join(lost)}; correct the description.")
+        raise ValueError(f"{where}{error}") from error
     if not joints and base is None:
         return urdf, ()
     return _reduced(urdf, joints or movable_joints(urdf), folder, base)
 
 
-def _with_fixed(urdf, moving, folder):
-    """Fix the joints without columns; return the description and these joints."""
-    from sklearn_vbjfa.model import movable_joints
-
-    if set(moving) == set(movable_joints(urdf)):
-        return urdf, ()
-    return _reduced(urdf, moving, folder)
-
-
 def _reduced(urdf, moving, folder, base=None):
     """Write a description in which some joints move; return it and the others."""
-    from sklearn_vbjfa.model import write_reduced
-
     # With a part of its name for each time.
     reduced = folder / (f"held-{urdf.name}" if urdf.parent == folder else urdf.name)
     held = write_reduced(urdf, reduced, moving, base)
     # Files written from this copy get the permissions of the original.
     reduced.chmod(urdf.stat().st_mode & 0o666)
     return reduced, tuple(held)
-
-
-@contextlib.contextmanager
-def parser_messages(said):
-    """Collect what the URDF parser, which is compiled code, writes to stderr."""
-    sys.stderr.flush()
-    with tempfile.TemporaryFile() as file:
-        stderr = os.dup(2)
-        os.dup2(file.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(stderr, 2)
-            os.close(stderr)
-            file.seek(0)
-            text = file.read().decode("utf-8", "replace")
-            lines = [" ".join(line.split()) for line in text.splitlines()]
-            errors = [x[len("Error: ") :] for x in lines if x.startswith("Error: ")]
-            said += dict.fromkeys(errors)
 
 
 # -- output ----------------------------------------------------------------------------
@@ -319,8 +277,8 @@ def output_folder(arguments, what):
     # what: end of its name if none is given.
     out = expanded(arguments.out) if arguments.out else _default_folder(arguments, what)
     check_folder(out)
-    held = [] if not out.is_dir() else sorted(x.name for x in out.iterdir())
     # Hidden files are those of folders and editors.
+    held = sorted(x.name for x in out.iterdir()) if out.is_dir() else []
     held = [name for name in held if not name.startswith(".")]
     if not held or arguments.force:
         return out
@@ -335,8 +293,6 @@ def output_folder(arguments, what):
 
 def _default_folder(arguments, what):
     """Return a folder named after the recording, or after the folder of several."""
-    from sklearn_vbjfa.recording import common_folder
-
     files = paths(arguments)
     folder = common_folder(files) if len(files) > 1 else ""
     if folder:

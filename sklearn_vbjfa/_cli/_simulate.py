@@ -112,8 +112,7 @@ def _saved(arguments, folder):
     """Take a saved robot and the whole recording."""
     from sklearn_vbjfa import load_identified
 
-    with _input.parser_messages([]):
-        robot = load_identified(_input.expanded(arguments.model))
+    robot = load_identified(_input.expanded(arguments.model))
     joints = arguments.joints
     names, source = robot.joint_names_, _input.named(arguments)
     if joints and set(joints) != set(names):

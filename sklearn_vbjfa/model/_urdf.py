@@ -5,9 +5,11 @@ which readers ignore, or against the rules, which they refuse without a reason.
 A description is checked before a parser sees it, since these do not limit the depth.
 """
 
+import contextlib
 import os
 import re
 import shlex
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 from xml.parsers import expat
@@ -222,18 +224,48 @@ def _build(root, called):
         limit.set("lower", "-1e12")
         limit.set("upper", "1e12")
     text = ElementTree.tostring(root, encoding="unicode")
+    build, said = import_pinocchio().buildModelFromXML, []
     try:
-        model = import_pinocchio().buildModelFromXML(text)
+        with _parser_messages(said):
+            model = build(text)
     except (ValueError, RuntimeError) as error:
+        reason = f" ({said[0]})" if said else ""
         raise ValueError(
-            f"Pinocchio cannot build a robot from {called}: {error}"
+            f"Pinocchio cannot build a robot from {called}: {error}{reason}"
         ) from error
+    # The parser continues without an inertia that it cannot read.
+    lost = [line for line in said if "nerti" in line]
+    if lost:
+        raise ValueError(f"{called}: {'; '.join(lost)}; correct the description.")
     # Pinocchio sorts the branches by name.
     names = [joint.get("name") for joint in _joints(root)]
     carriers = carriers_of(model)
     return in_order(
         model, _parents_first(filter(carriers.__contains__, names), carriers)
     )
+
+
+@contextlib.contextmanager
+def _parser_messages(said):
+    """Collect what the URDF parser, which is compiled code, writes to stderr."""
+    try:
+        stderr = os.dup(2)
+    except OSError:
+        # A program without a terminal.
+        yield
+        return
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(stderr, 2)
+            os.close(stderr)
+            file.seek(0)
+            text = file.read().decode("utf-8", "replace")
+            lines = [" ".join(line.split()) for line in text.splitlines()]
+            errors = [x[len("Error: ") :] for x in lines if x.startswith("Error: ")]
+            said += dict.fromkeys(errors)
 
 
 def _parents_first(names, carriers):

@@ -122,8 +122,8 @@ def test_files_are_written(urdf, recording, tmp_path, monkeypatch, capsys):
     assert inside <= set(re.findall(r'id="([^"]+)"', page))
     assert {link for link in links if link[0] != "#"} == set(FILES) - {"report.html"}
     # a spring is seen over the position, and each joint has its torque over time, its
-    # friction and the spectrum of its residual
-    assert page.count('<figure class="wide"') == 1 + 4 * 2
+    # friction and its residual
+    assert page.count('<figure class="wide"') == 1 + 3 * 2
     assert re.search(r'class="x-name">position of [^<]*shoulder[^<]* \[rad\]<', page)
     assert report["provenance"]["file"] == str(source)
     assert report["recorded"]["rate"] == pytest.approx(200.0)

@@ -3,20 +3,16 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import stats
-from scipy.special import logsumexp, softmax
+from scipy import special
 
 from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_friction
 
-# Share by which parameters differ between recordings of one robot: median over robots,
-# and the deviation of its logarithm. Friction follows the temperature; offsets are in
-# shares of the deviation of the torque.
-_KINDS = {
-    "friction": (0.08, 0.8),
-    "gain": (0.01, 1.0),
-    "offset": (0.015, 1.0),
-    "load": (0.01, 1.0),
-}
+# Share by which parameters differ between recordings of one robot, median over robots.
+# Friction follows the temperature; offsets are shares of the deviation of the torque.
+_KINDS = {"friction": 0.03, "gain": 0.004, "offset": 0.006, "load": 0.004}
+# Deviation of its logarithm, and how much of that variance kinds have in common: robots
+# whose one parameter stays the same are left alone in other ways as well.
+_WIDTH, _COMMON = 2.2, 0.7
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
 # What a model lacks is larger where it was not fitted: logarithm of the factor for a
@@ -68,7 +64,7 @@ class Expectation:
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
         self._given = left_out
-        self._weights = softmax(self._evidence(left_out))
+        self._weights = special.softmax(self._evidence(left_out))
 
     def _evidence(self, left_out):
         """Logarithm of the likelihood of left-out errors, (n_draws,)."""
@@ -83,8 +79,10 @@ class Expectation:
         between = parts.sum(axis=1)
         # As many kinds as matter: a mean of squares of normal values.
         freedom = between**2 / np.maximum((parts**2).sum(axis=1), 1e-300)
-        levels = (np.arange(_POINTS) + 0.5) / _POINTS
-        luck = stats.chi2.ppf(levels, freedom[..., None]) / freedom[..., None]
+        # Wilson and Hilferty's quantiles.
+        luck = special.ndtri((np.arange(_POINTS) + 0.5) / _POINTS)
+        step = 2.0 / (9.0 * freedom[..., None])
+        luck = np.maximum(1.0 - step + luck * np.sqrt(step), 0.0) ** 3
         lacks = self._lacks[used] * np.exp(2 * again / count)
         alone = self._noise[used] + lacks
         squares = alone[..., None] + (1 + 1 / count) * between[..., None] * luck
@@ -93,10 +91,11 @@ class Expectation:
             known = errors > 0
             away = np.log(np.where(known, errors, 1.0))[:, None] - 0.5 * np.log(squares)
             density = -0.5 * (away / width) ** 2 - np.log(width)
-            own = np.where(known, logsumexp(density, axis=-1), 0.0)
+            own = np.where(known, special.logsumexp(density, axis=-1), 0.0)
             # Joints of one recording move alike.
             total += own.sum(axis=1) / np.sqrt(used.sum())
-        return total
+        # Of r recordings r - 1 differences are independent.
+        return total * count / (count + 1)
 
     def of(self, motion=None):
         """Return the `NextRecording` for a motion, by default one like the fitted."""
@@ -142,8 +141,11 @@ class Expectation:
 def _robots():
     """Draw how recordings of robots differ: by kind, again and between motions."""
     rng = np.random.default_rng(0)
-    medians, widths = np.array([*_KINDS.values()]).T
-    differ = medians * np.exp(widths * rng.standard_normal((_DRAWS, medians.size)))
+    medians = np.array([*_KINDS.values()])
+    common, own = np.sqrt([_COMMON, 1.0 - _COMMON])
+    drawn = common * rng.standard_normal((_DRAWS, 1))
+    drawn = drawn + own * rng.standard_normal((_DRAWS, medians.size))
+    differ = medians * np.exp(_WIDTH * drawn)
     again, motions = rng.standard_normal((2, _DRAWS, 1))
     again = _AGAIN[0] + _AGAIN[1] * again
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)

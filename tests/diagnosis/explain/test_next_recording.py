@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis.explain import Expectation, Motions
-from sklearn_vbjfa.diagnosis.explain._next import _KINDS
+from sklearn_vbjfa.diagnosis.explain._next import _KINDS, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
@@ -39,11 +39,11 @@ def test_where_it_is_from(r, source):
 @pytest.mark.parametrize("r", [0, 2, 4])
 def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
     sizes, inside = motion().sizes[:, 0], []
-    medians, widths = np.array([*_KINDS.values()]).T
+    medians = np.array([*_KINDS.values()])
     count = max(r, 1)
     for seed in range(150):
         rng = np.random.default_rng(seed)
-        differ = medians * np.exp(widths * rng.standard_normal(4))
+        differ = medians * np.exp(_WIDTH * rng.standard_normal(4))
         # A model that lacks nothing: its error on held-out data is noise.
         shifts = (rng.standard_normal((r + 1, 4)) * differ * sizes) ** 2
         share = np.r_[np.full(r, 1 + 1 / max(r - 1, 1)), 1 + 1 / count]

@@ -7,21 +7,24 @@ from os import fspath
 import numpy as np
 
 from sklearn_vbjfa.recording._columns import as_numbers
-from sklearn_vbjfa.recording._layout import ESTIMATES, channel_unit, name_and_unit
-from sklearn_vbjfa.recording._names import (
+from sklearn_vbjfa.recording._layout import (
+    ESTIMATES,
     ReadOptions,
-    channels_of,
-    is_current,
+    channel_unit,
+    in_order,
+    is_exact,
+    known_channels,
     laid_out,
     refuse_two,
-    unit_is_wrong,
-    unit_of_steps,
-    usual_step,
 )
-from sklearn_vbjfa.recording._presets import currents_as_efforts
+from sklearn_vbjfa.recording._missing import is_current, refusal
 from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
-from sklearn_vbjfa.recording._sampling import SAME_DT, check_given, in_order, on_grid
-from sklearn_vbjfa.recording._several import ReadFile
+from sklearn_vbjfa.recording._sampling import (
+    SAME_DT,
+    check_given,
+    on_grid,
+    sorted_by_time,
+)
 from sklearn_vbjfa.recording._table import (
     RecordingRefused,
     Table,
@@ -33,9 +36,11 @@ from sklearn_vbjfa.recording._units import (
     KINDS,
     MEASURED,
     TIME_UNITS,
-    TURNS,
+    is_of_a_robot,
     split_unit,
     unit_of,
+    unit_of_steps,
+    usual_step,
 )
 
 # No robot has positions [rad or m], speeds or torques [N m or N] beyond this.
@@ -52,9 +57,9 @@ def is_recording(table: Table, options: ReadOptions):
     """Whether a table has all channels, or would have with other options."""
     try:
         robot = options.robot(table)
-        layout = laid_out(table, options, robot)
         # Without time it is one, too, and refused for that.
-        channels_of(table, layout, replace(options, dt=1.0), robot, [])
+        options = replace(options, dt=1.0)
+        _roles(table, laid_out(table, options, robot), options, robot, [])
     except RecordingRefused as error:
         return bool(error.options)
     except ValueError:
@@ -62,30 +67,37 @@ def is_recording(table: Table, options: ReadOptions):
     return True
 
 
-def recording_of(table: Table, options: ReadOptions) -> ReadFile:
+def _roles(table, layout, options, robot, notes):
+    """Return the columns of each kind in the order of the joints, and these."""
+    _, missing = known_channels(layout, options, robot)
+    if missing:
+        raise refusal(table, layout, options, robot, missing)
+    return in_order(table, layout, options, robot, notes)
+
+
+def recording_of(table: Table, options: ReadOptions):
     """Return the recording in a table, complete, and what a user should know of it."""
     notes = list(table.notes)
     robot = options.robot(table)
     options = replace(options, dt=_given_period(table, options.dt))
     layout = laid_out(table, options, robot)
     table, rows = _without_odd_rows(table, layout, options, notes)
-    found, robot = channels_of(table, layout, options, robot, notes)
+    found, robot = _roles(table, layout, options, robot, notes)
     names = _check_joints(table, found, robot)
-    channels, units = _in_units(table, layout, found, options, notes)
+    channels, units = _in_units(table, found, options, notes)
     slides = _check_units(table, found, units, names, robot)
-    own_units = ["N" if slide else "N m" for slide in slides]
-    recorded = [x or y for x, y in zip(units.get("tau", own_units), own_units)]
-    torque_units = recorded
+    of_joints = ["N" if slide else "N m" for slide in slides]
+    torque_units = [x or y for x, y in zip(units.get("tau", of_joints), of_joints)]
     if isinstance(options.gains, tuple):
-        torque_units = own_units
+        torque_units = of_joints
         channels["tau"] = channels["tau"] * _factors(table, options.gains, names)
     # Of a drive the torques are made when all files are read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
     if robot.in_model:
         # The order of the model, whatever that of the file.
         order = sorted(range(len(names)), key=lambda j: robot.in_model.index(names[j]))
-        names, slides, torque_units, recorded = (
-            [x[j] for j in order] for x in (names, slides, torque_units, recorded)
+        names, slides, torque_units = (
+            [x[j] for j in order] for x in (names, slides, torque_units)
         )
         channels = {kind: values[:, order] for kind, values in channels.items()}
     t, time = _time(table, layout, options)
@@ -95,17 +107,22 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
     taken |= {segment, *(() if time is None else time.columns), *layout.no_signals}
     taken |= {x for role in layout.times if layout.what for x in role.columns}
     signals, left_out = _signals(table, taken, notes)
-    said = _what_was_taken(table, layout, options, found, time, torque_units)
-    notes = [*said, *notes, *_unit_notes(table, layout, options, names, torque_units)]
-    stamped = t is not None
-    if not stamped and rows is not None:
+    said = _what_was_taken(table, layout, options, found, time)
+    notes = [*said, *notes]
+    motor = [unit for unit in torque_units if unit not in ("N m", "N")]
+    if motor and options.gains is None and options.drive is None:
+        notes.append(
+            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
+            "or identify them (gains='unknown'; command line: --gain unknown)."
+        )
+    if t is None and rows is not None:
         # Without stamps the places of the rows that are left are their times.
         t = options.dt * rows
     # What was read is held no longer than needed.
     table = replace(table, frame=table.frame.iloc[:, :0])
     channels |= signals
     if t is not None and labels is None:
-        t, channels, table = in_order(table, t, channels, notes)
+        t, channels, table = sorted_by_time(table, t, channels, notes)
     fields = on_grid(table, t, labels, options.dt, channels, notes)
     recording = Recording(
         name=_stem(table.path),
@@ -117,13 +134,7 @@ def recording_of(table: Table, options: ReadOptions) -> ReadFile:
         left_out=left_out,
         **fields,
     )
-    return ReadFile(
-        path=table.path,
-        recording=recording,
-        notes=tuple(notes),
-        stamped=stamped,
-        torque_units=tuple(recorded),
-    )
+    return recording, notes
 
 
 def _stem(path):
@@ -143,13 +154,9 @@ def _without_odd_rows(table, layout, options, notes):
     """Leave out rows without numbers and of a second source; places of those left."""
     n, q, tau = table.n_rows, layout.roles("q"), layout.roles("tau")
     if options.drive is not None:
-        kinds = [kind for kind in options.recorded if kind != "tau"]
-        commands = [role for kind in kinds for role in layout.roles(kind)]
-        table, tau = _with_commands_held(table, commands, notes), []
-    begin = n - table.n_rows
-    values = _matrix(table, [*q, *tau])
-    if values is None:
-        return table, None
+        table, tau = _with_commands_held(table, layout, options, notes), []
+    others = [*layout.roles("v"), *layout.roles("a")]
+    values, more = _matrix(table, [*q, *tau]), _matrix(table, others)
     keep = ~np.isnan(values).all(axis=1)
     if not keep.any():
         return table, None
@@ -157,13 +164,11 @@ def _without_odd_rows(table, layout, options, notes):
         notes.append(
             f"{(~keep).sum()} row(s) without any position or torque are left out."
         )
-    used = [*q, *tau, *layout.roles("v"), *layout.roles("a")]
-    holes = _matrix(table, used)
-    holes = np.isnan(values if holes is None else holes)
+    holes = np.isnan(np.column_stack([values, more]))
     lacking = holes.any(axis=1) & keep
     if 0 < lacking.sum() <= _LACKING * keep.sum():
         row = int(np.argmax(lacking))
-        column = used[int(np.argmax(holes[row]))].column
+        column = [*q, *tau, *others][int(np.argmax(holes[row]))].column
         notes.append(
             f"{lacking.sum()} row(s) lack a number, the first in {table.where(row)}, "
             f"column {column!r}: left out."
@@ -181,21 +186,22 @@ def _without_odd_rows(table, layout, options, notes):
         return table, None
     rows = np.flatnonzero(keep)
     # Rows of other topics, and of a second source, are no samples that are missing.
-    lost = begin == 0 and not second.any() and rows.size >= (1 - _LACKING) * n
+    lost = table.n_rows == n and not second.any() and rows.size >= (1 - _LACKING) * n
     return table.take(rows), rows if lost else None
 
 
 def _matrix(table, roles):
-    """Return columns as a matrix of numbers, None if there are none."""
+    """Return columns as a matrix, without numbers (n_rows, 0)."""
     values = [table.values(role.column) for role in roles]
     if not values or any(x.dtype.kind not in "iuf" for x in values):
-        return None
+        return np.zeros((table.n_rows, 0))
     return np.column_stack(values).astype(float)
 
 
-def _with_commands_held(table, commands, notes):
+def _with_commands_held(table, layout, options, notes):
     """Hold commands that have separate rows until the next one comes."""
-    known = table.frame[[role.column for role in commands]]
+    kinds = [kind for kind in options.recorded if kind != "tau"]
+    known = table.frame[[x.column for kind in kinds for x in layout.roles(kind)]]
     known = known.select_dtypes("number").dropna(axis=1, how="all")
     known = known.loc[:, known.isna().any()]
     if known.empty:
@@ -227,20 +233,20 @@ def _second_source(q, tau, keep):
     return none
 
 
-# -- units -----------------------------------------------------------------------------
+# -- numbers and units -----------------------------------------------------------------
 
 
-def _in_units(table, layout, found, options, notes):
+def _in_units(table, found, options, notes):
     """Return channels in the package's units, and the bases of the units they had."""
     for kind, measured in MEASURED.items():
-        own, of = found.get(kind, []), found.get(measured, [])
-        if kind in options.recorded and len(own) == len(of):
+        roles, of = found.get(kind, []), found.get(measured, [])
+        if kind in options.recorded and len(roles) == len(of):
             # Commands without a unit have that of what they command.
             found[kind] = [
                 role if role.unit else replace(role, unit=other.unit)
-                for role, other in zip(own, of)
+                for role, other in zip(roles, of)
             ]
-    if "supply" in found and len(found["supply"]) == 1:
+    if len(found.get("supply", ())) == 1:
         # One for all joints.
         found["supply"] = found["supply"] * len(found["q"])
     channels, units = {}, {}
@@ -249,13 +255,6 @@ def _in_units(table, layout, found, options, notes):
             columns, units[kind] = zip(*(_values(table, kind, role) for role in roles))
             channels[kind] = np.column_stack(columns)
     if options.drive is not None:
-        most = float(np.abs(channels["q"]).max())
-        if layout.question and most > TURNS and not any(units["q"]):
-            raise RecordingRefused(
-                f"{table.path}: positions go up to {most:.4g}, which are not radians: "
-                f"{layout.question}",
-                {"columns": layout.answer},
-            )
         channels |= _constant_channels(table, options, channels, notes)
     return channels, units
 
@@ -298,37 +297,34 @@ def _numbers(table: Table, column: str):
     return values
 
 
-# Bits of integers whose sign was lost, and bits that are the sign.
-_REGISTERS, _SIGN_BITS = (8, 16, 32), (10, 11, 15)
-# Values of either sign fill no more than this share of a register.
-_FILLED = 0.45
+# Sizes of registers whose sign was lost, and bits that are the sign; values of either
+# sign fill no more than the share of their range.
+_REGISTERS, _SIGN_BITS, _FILLED = (8, 16, 32), (10, 11, 15), 0.45
 
 
 def _refuse_codes(table: Table, column, values):
     """Refuse integers whose sign was lost: two's complement, or a bit for the sign."""
     if not values.size or values.min() < 0 or (values != np.round(values)).any():
         return
-    codes = [(bits, 2.0 ** (bits - 1), True) for bits in _REGISTERS]
-    codes += [(bit, 2.0**bit, False) for bit in _SIGN_BITS]
-    for bits, half, is_register in codes:
+    codes = [(2.0 ** (bits - 1), True) for bits in _REGISTERS]
+    codes += [(2.0**bit, False) for bit in _SIGN_BITS]
+    for half, is_register in codes:
         high, low = values[values >= half], values[values < half]
         if not (high.size and low.size and high.max() < 2 * half):
             continue
         if is_register:
             # Values step from near zero to near the end of the register.
-            largest = max(low.max(), 2 * half - high.min())
+            largest = max(low.max(), 2 * half - high.min()) / 2
             is_code = (np.abs(np.diff(values)) > half).any()
-            what = f"integers of {bits} bits whose sign was lost"
-            remedy = f"Subtract {2 * half:.0f} from those above {half - 1:.0f}"
+            remedy = f"subtract {2 * half:.0f} from those above {half - 1:.0f}"
         else:
             largest, is_code = max(low.max(), high.max() - half), 0 < low.max()
-            what = f"bit {bits} is their sign"
-            remedy = f"Replace those from {half:.0f} on by {half:.0f} - x"
-        if is_code and largest < (2 if is_register else 1) * _FILLED * half:
+            remedy = f"replace those from {half:.0f} on by {half:.0f} - x"
+        if is_code and largest < _FILLED * half:
             raise ValueError(
                 f"{table.path}: the values of column {column!r} lie from 0 to "
                 f"{low.max():.0f} and from {high.min():.0f} to {high.max():.0f}: "
-                f"{what}. {remedy}."
+                f"integers whose sign was lost; {remedy}."
             )
 
 
@@ -366,17 +362,12 @@ def _check_joints(table: Table, found, robot):
     if not names:
         return tuple(f"joint_{k + 1}" for k in range(nv))
     if len(names) != nv:
-        remedy = "leave out surplus columns, or name as many joints in joint_names"
-        if nv < len(names):
-            remedy = (
-                "name those recorded, in the order of the columns, in joint_names "
-                f"(command line: --joints {','.join(names[: min(nv, 8)])}), the others "
-                "are then held at zero"
-            )
         fewer = nv < len(names) and not robot.chosen
         raise RecordingRefused(
             f"{table.path}: {nv} column(s) q for {len(names)} joint(s) "
-            f"({listed(names)}); {remedy}.",
+            f"({listed(names)}); leave out surplus columns, or name the joints "
+            "recorded, in the order of the columns, in joint_names (command line: "
+            "--joints): the others are held at zero.",
             {"joint_names": names[:nv]} if fewer else {},
         )
     return names
@@ -409,17 +400,16 @@ def _check_units(table: Table, found, units, names, robot):
 def _unwrap(channels, names, slides, labels, notes):
     """Continue angles that jump by a whole turn, and their commands, beyond it."""
     q, turn, found = channels["q"], 2 * np.pi, []
+    parts = contiguous_groups(labels, len(q))
     for j in np.flatnonzero(~np.array(slides)):
-        jumps, wraps = [], []
-        for rows in contiguous_groups(labels, len(q)):
-            step = np.abs(np.diff(q[rows, j]))
-            jumps.append((step > _JUMP * turn).sum())
-            wraps.append((np.abs(step - turn) < (1 - _WRAP) * turn).sum())
+        steps = [np.abs(np.diff(q[rows, j])) for rows in parts]
+        jumps = [(x > _JUMP * turn).sum() for x in steps]
+        wraps = [(np.abs(x - turn) < (1 - _WRAP) * turn).sum() for x in steps]
         if not sum(jumps) or jumps != wraps or np.ptp(q[:, j]) > 1.01 * turn:
             continue
         found.append(names[j])
         before = q[:, j].copy()
-        for rows in contiguous_groups(labels, len(q)):
+        for rows in parts:
             whole = np.unwrap(q[rows, j])
             q[rows, j] = whole - turn * np.round(whole.mean() / turn)
         if "q_desired" in channels:
@@ -436,12 +426,11 @@ def _factors(table: Table, gains, names):
     """Return the gains, one for each joint."""
     if len(gains) == len(names):
         return np.array(gains)
-    same = len(gains) == 1
     raise RecordingRefused(
         f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-        f"({listed(names)}); expected one for each, in this order"
-        f"{'' if same else ', or unknown, to have them identified'}.",
-        {"gains": gains * len(names) if same else "unknown"},
+        f"({listed(names)}); expected one for each, in this order, or unknown, to have "
+        "them identified.",
+        {"gains": gains * len(names) if len(gains) == 1 else "unknown"},
     )
 
 
@@ -473,61 +462,28 @@ def _signals(table: Table, taken, notes):
     return signals, left_out
 
 
-def _unit_notes(table, layout, options, names, torque_units):
-    """Yield what a user should know of the unit of the torques."""
-    if options.gains is not None or options.drive is not None:
-        return
-    is_effort = bool(table.joints) or layout.what.startswith("/joint_states")
-    maker = currents_as_efforts(names) if is_effort else ""
-    if maker:
-        yield (
-            f"efforts are taken as N m; many drivers of {maker} publish motor currents "
-            "[A] under this name: if this one did, give gains (command line: --gain "
-            "unknown, or the factors)."
-        )
-    motor = [unit for unit in torque_units if unit not in ("N m", "N")]
-    if motor:
-        yield (
-            f"the torques are recorded in {motor[0]}: give the gains, factors to N m, "
-            "or identify them (gains='unknown'; command line: --gain unknown)."
-        )
-
-
-def _what_was_taken(table, layout, options, found, time, torque_units):
+def _what_was_taken(table, layout, options, found, time):
     """Yield which columns were taken where their names do not tell it, in one line."""
-    taken = {kind: [x.column for x in roles] for kind, roles in found.items() if roles}
-    units = {kind: found[kind][0].unit for kind in taken}
-    if len(set(torque_units)) == 1 and "tau" in units:
-        units["tau"] = units["tau"] or torque_units[0]
-    if time is not None:
-        taken["t"] = ["+".join(time.columns)]
-        units["t"] = options.time_unit or time.unit or "s"
-    said = []
-    for kind in (x for x in ("q", *options.recorded, "v", "t") if x in taken):
-        first, last = taken[kind][0], taken[kind][-1]
-        is_estimate = kind == "tau" and first.lower().startswith(ESTIMATES)
-        name = first.lower().replace("τ", "tau")
-        plain = name.startswith(kind) and not is_estimate
-        if kind == "t":
-            plain = first in ("t", "T")
-        if kind != "v" if layout.what else not (plain or options.mapping):
-            ends = first if first == last else f"{first} ... {last}"
-            shown = split_unit(ends)[1] == units[kind] or not units[kind]
-            unit = "" if shown else f" [{units[kind]}]"
-            estimated = ", which the motors estimate" * is_estimate
-            said.append(f"{kind} = {ends}{unit}{estimated}")
+    said, converted = [], set()
+    for kind, roles in [*found.items(), ("t", [] if time is None else [time])]:
+        converted |= {
+            role.unit
+            for role in roles
+            if kind != "t" and role.unit and channel_unit(table, kind, role).factor != 1
+        }
+        names = ["+".join(role.columns) for role in roles]
+        estimated = any(x.lower().startswith(ESTIMATES) for x in names)
+        named = [x.lower().replace("τ", "tau").startswith(kind) for x in names]
+        if options.mapping or (all(named) and not estimated):
+            continue
+        ends = names[0] if len(names) == 1 else f"{names[0]} ... {names[-1]}"
+        is_said = not roles[0].unit or split_unit(names[0])[1]
+        unit = "" if is_said else f" [{roles[0].unit}]"
+        said.append(f"{kind} = {ends}{unit}{', a motor estimate' * estimated}")
     if layout.what:
         yield f"taken as {layout.what}: {', '.join(said)}."
-        return
-    converted = {
-        role.unit
-        for kind, roles in found.items()
-        for role in roles
-        if role.unit and channel_unit(table, kind, role).factor != 1
-    }
-    if converted:
-        said.append(f"converted from {', '.join(sorted(converted))}")
-    if said:
+    elif said or converted:
+        said += [f"converted from {', '.join(sorted(converted))}"] * bool(converted)
         yield f"{'; '.join(said)}."
 
 
@@ -537,12 +493,12 @@ def _what_was_taken(table, layout, options, found, time, torque_units):
 def _time(table: Table, layout, options):
     """Return stamps [s] or None, and the role of their column."""
     times = layout.times
-    own = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
-    if options.dt is not None and not (layout.certain or own):
+    exact = any(is_exact(table, x) for x in times)
+    if options.dt is not None and not (layout.certain or exact):
         # What else is called time may be anything; the period is given.
         return None, None
     if len(times) > 1 and not layout.what:
-        if own:
+        if exact:
             refuse_two(table, times[0].column, times[1].column)
         raise RecordingRefused(
             f"{table.path}: columns {listed([x.column for x in times])} could all be "
@@ -564,20 +520,17 @@ def _time(table: Table, layout, options):
             rest = _numbers(table, role.nanoseconds)
             t = seconds - seconds[0] + 1e-9 * (rest - rest[0])
         if np.ptp(t) > 0 or role is times[-1]:
-            _check_unit(table, role, seconds, usual_step(t), options.time_unit)
+            said = options.time_unit or role.unit or "s"
+            _check_time_unit(table, role, usual_step(seconds), usual_step(t), said)
             return t, role
     return None, None
 
 
-def _check_unit(table: Table, role, values, period, time_unit):
+def _check_time_unit(table: Table, role, step, period, said):
     """Refuse a unit of time in which the period [s] is none of a robot that moves."""
-    step = usual_step(values)
-    # What goes up by one counts rows.
-    if step in (0.0, 1.0) or not unit_is_wrong(period):
-        return
     unit = unit_of_steps(step)
-    said = time_unit or role.unit or "s"
-    if not unit or unit == said:
+    # What goes up by one counts rows.
+    if step in (0.0, 1.0) or is_of_a_robot(period) or unit in ("", said):
         return
     raise RecordingRefused(
         f"{table.path}: time steps by {period:.4g} s at the median, too "
@@ -591,34 +544,33 @@ def _check_unit(table: Table, role, values, period, time_unit):
 def _given_period(table: Table, dt):
     """Return the period given by the caller or the file; None for neither."""
     entry = table.scalars.get("dt")
-    if entry is None:
+    if entry is None or entry.size != 1 or entry.dtype.kind not in "iuf":
         return dt
-    own = entry.item() if entry.size == 1 and entry.dtype.kind in "iuf" else None
-    if own is None or not 0 < own < np.inf:
-        if dt is not None:
-            return dt
-        raise ValueError(
-            f"{table.path}: dt must be a positive number of seconds, got {entry}; "
-            "correct it in the file."
-        )
+    in_file = float(entry.item())
     try:
-        check_given(own, dt, "its dt is", SAME_DT)
+        if not 0 < in_file < np.inf:
+            raise ValueError(f"dt must be a positive number of seconds, got {in_file}.")
+        check_given(in_file, dt, "its dt is", SAME_DT)
     except ValueError as error:
         raise ValueError(f"{table.path}: {error}") from None
-    return float(own) if dt is None else dt
+    return in_file if dt is None else dt
 
 
 def _seconds_of_dates(table: Table, column: str):
-    """Return dates with times of day as seconds from the first, None for others."""
+    """Return dates, or times of day, as seconds from the first, None for others."""
     pandas = pandas_of(table.path)
     values = table.frame[column]
     if values.dtype.kind != "M":
         if values.dtype.kind in "biuf" or not isinstance(values.iloc[0], str):
             return None
         text = values.astype(str).str.replace(",", ".")
+        if text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
+            seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
+            days = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
+            return seconds + _DAY * days - seconds[0]
         dates = pandas.to_datetime(text, format="ISO8601", utc=True, errors="coerce")
         if pandas.isna(dates.iloc[0]):
-            return _seconds_of_day(pandas, text)
+            return None
         wrong = np.flatnonzero(dates.isna())
         if wrong.size:
             raise ValueError(
@@ -628,12 +580,3 @@ def _seconds_of_dates(table: Table, column: str):
             )
         values = dates
     return (values - values.iloc[0]).dt.total_seconds().to_numpy()
-
-
-def _seconds_of_day(pandas, text):
-    """Return times of day as seconds from the first, past midnight; None for others."""
-    if not text.str.fullmatch(r"\d{1,2}:\d\d:\d\d(\.\d*)?").all():
-        return None
-    seconds = pandas.to_timedelta(text).dt.total_seconds().to_numpy()
-    midnights = np.cumsum(np.diff(seconds, prepend=seconds[0]) < -_DAY / 2)
-    return seconds + _DAY * midnights - seconds[0]

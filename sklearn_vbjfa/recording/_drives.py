@@ -16,6 +16,8 @@ from sklearn_vbjfa.recording._recording import check_dt
 COMMANDS = ("q_desired", "v_desired", "tau_ff", "kp", "kd")
 # Channels of joints that are what motors were given.
 OF_MOTORS = ("current", "voltage", "supply")
+# What to give where currents have no signs, as `parse_drive` reads it.
+UNSIGNED = "current signed=no"
 # A joint that is at its limit of torque for a larger share of the rows shows nothing
 # of what it would do.
 _MOSTLY = 0.5

@@ -1,14 +1,17 @@
-"""Which columns of a file are which channels: by their names, a mapping or a preset."""
+"""Which columns of a file are which channels: by names, a mapping or a preset."""
 
+import functools
 import re
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from os import PathLike
 
 import numpy as np
 
+from sklearn_vbjfa.recording._drives import Drive
 from sklearn_vbjfa.recording._presets import PRESETS, KnownLog
-from sklearn_vbjfa.recording._table import RecordingRefused, Table, listed
+from sklearn_vbjfa.recording._table import Loss, RecordingRefused, Table, listed
 from sklearn_vbjfa.recording._units import (
     EXPECTED,
     KINDS,
@@ -44,11 +47,9 @@ _KEY = re.compile(
     rf"({'|'.join((*_COMMANDS, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
 )
 # Columns that can only be time, where none is called t.
-TIME_NAMES = (
-    ("t", "time", "timestamp", "time_stamp", "timestamps", "stamp", "__time", "ts")
-    + ("%time", "time_s", "seconds", "secs", "datetime", "elapsed")
-    + ("zeit", "zeitstempel")
-)
+_TIMES = {"t", "time", "timestamp", "time_stamp", "timestamps", "stamp", "__time", "ts"}
+_TIMES |= {"%time", "time_s", "seconds", "secs", "datetime", "elapsed", "zeit"}
+_TIMES |= {"zeitstempel"}
 # How the parts of a ROS stamp are called.
 _CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
 _EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
@@ -83,19 +84,152 @@ class Layout:
     what: str = ""  # the kind of log that was recognised
     # whether a mapping, a preset or the format says which columns are channels
     certain: bool = False
-    # what a user must know of positions that are not radians, and a mapping for it
-    question: str = ""
-    answer: str = ""
 
     def roles(self, kind):
         """Return all columns of a kind, list of `Role`."""
-        return [role for own in self.channels.get(kind, {}).values() for role in own]
+        return [
+            role for roles in self.channels.get(kind, {}).values() for role in roles
+        ]
 
     @property
-    def own_joints(self):
+    def joints(self):
         """Joints that the columns are called after, tuple of str."""
         found = self.channels.get("q", {}) if self.certain else ()
         return tuple(key for key in found if isinstance(key, str))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Robot:
+    """The joints that columns are looked for of."""
+
+    names: tuple[str, ...] = ()  # in the order of the columns
+    chosen: bool = False  # whether the user, or the file, names them
+    in_model: tuple[str, ...] = ()  # those of the description, in its order
+    slides: tuple[bool, ...] = ()  # which of these are prismatic
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadOptions:
+    """The checked arguments of `read_recording`."""
+
+    mapping: dict
+    preset: str | None
+    dt: float | None
+    urdf: str | PathLike | None
+    joint_names: tuple[str, ...] | None
+    topic: str | None
+    gains: tuple[float, ...] | str | None
+    time_unit: str | None
+    drive: Drive | None  # its channels stand in place of torques
+
+    @functools.cached_property
+    def _movable(self):
+        if self.urdf is None:
+            return ()
+        from sklearn_vbjfa.model import movable_joints
+
+        return movable_joints(self.urdf)
+
+    @functools.cached_property
+    def joints(self):
+        """Joints of the robot as far as they are known, tuple of str."""
+        return _distinct(self.joint_names) or self._movable
+
+    def robot(self, table):
+        """Return the robot of a file, which may name its joints."""
+        names = _distinct(self.joint_names)
+        if self.joint_names is None and "joint_names" in table.scalars:
+            known = np.atleast_1d(table.scalars["joint_names"])
+            names = _distinct([str(x) for x in known])
+        if self.urdf is None:
+            return Robot(names=names, chosen=bool(names))
+        from sklearn_vbjfa import model as models
+
+        robot = models.load_reduced if names else models.load_model
+        model = robot(self.urdf, *[names] * bool(names))
+        in_model = models.joint_names(model)
+        # Columns with numbers are in the order of the file, which may name what a joint
+        # carries before the joint.
+        in_file = tuple(name for name in self._movable if name in in_model)
+        return Robot(
+            names=names or in_file,
+            chosen=bool(names),
+            in_model=in_model,
+            slides=models.is_prismatic(model),
+        )
+
+    @property
+    def recorded(self):
+        """Channels of torques or of the drive, the one that must be there first."""
+        drive = self.drive
+        if drive is None:
+            return ("tau",)
+        return ("tau" if drive.spelled else drive.told, *drive.beside)
+
+    @property
+    def kinds(self):
+        """All kinds of channels, in order; the first two must be there."""
+        return "q", *self.recorded, "v", "a"
+
+
+def _distinct(joint_names):
+    """Return joint names as a tuple of str, empty for None."""
+    if isinstance(joint_names, str):
+        raise ValueError(
+            f"joint_names must be several names, one per column, got {joint_names!r}."
+        )
+    names = tuple(str(x) for x in joint_names or ())
+    if len(set(names)) < len(names):
+        raise ValueError(f"joint_names must differ from one another, got {names}.")
+    return names
+
+
+def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
+    """Assign columns to channels: by a mapping, by names, else by a preset."""
+    if options.preset is not None and options.mapping:
+        raise RecordingRefused(
+            "give columns or a preset, not both: a preset is a mapping.",
+            {"preset": None},
+        )
+    names = (*robot.names, *table.joints)
+    kinds = dict.fromkeys((*options.kinds, *KINDS))
+    plain = by_names(table, names, kinds, options.drive)
+    if options.mapping:
+        if options.drive is not None:
+            rest = list(_by_preset(table, options, robot, plain).values())
+            plain = rest[0] if len(rest) == 1 else plain
+        return _by_mapping(table, options.mapping, plain)
+    if table.nameless:
+        raise _without_names(table, robot.names)
+    if table.joints:
+        return replace(plain, certain=True)
+    by_name = any(kind in plain.channels for kind in options.kinds[:2])
+    if by_name and options.preset is None:
+        return plain
+    fitted = _by_preset(table, options, robot, plain)
+    if len(fitted) > 1:
+        raise RecordingRefused(
+            f"{table.path}: could be {' or '.join(x.what for x in fitted.values())}; "
+            f"give preset={' or '.join(map(repr, fitted))}.",
+            {"preset": next(iter(fitted))},
+        )
+    if not fitted and options.preset is not None:
+        expected = [f"{x.q} and {x.tau}" for x in PRESETS[options.preset]]
+        raise RecordingRefused(
+            f"{table.path}: does not fit the preset {options.preset!r}, which expects "
+            f"columns {' or '.join(expected)}; found {listed(table.names)}."
+        )
+    return next(iter(fitted.values()), plain)
+
+
+def _without_names(table, names):
+    n = len(names) or 6
+    ends = [f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n)]
+    return RecordingRefused(
+        f"{table.path}: has no names of columns; give the places of its "
+        f"{len(table.names)} columns (command line: --columns), such as "
+        f'columns="t=1,q={ends[0]},tau={ends[1]}".'
+    )
 
 
 def _add(channels, kind, key, role):
@@ -130,9 +264,9 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
             continue
         bare, unit = (_in_letters(x) for x in name_and_unit(table, name))
         stem, last = split_last_part(bare, "t")
-        if bare.lower() in TIME_NAMES:
+        if bare.lower() in _TIMES:
             times.append(Role(column=name, unit=unit))
-        elif last and not unit and stem.lower() in TIME_NAMES:
+        elif last and not unit and stem.lower() in _TIMES:
             times.append(Role(column=name, unit=last))
         elif bare.lower() == "segment":
             segments.append(name)
@@ -143,12 +277,17 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     estimates = channels.pop(_ESTIMATED, None)
     if estimates is not None:
         channels.setdefault("tau", estimates)
-    exact = [x for x in times if name_and_unit(table, x.column)[0].lower() == "t"]
+    exact = [x for x in times if is_exact(table, x)]
     if not times and len(clocks) == 1:
         times = clocks
     return Layout(
         channels=channels, times=tuple(exact or times), segments=tuple(segments)
     )
+
+
+def is_exact(table, role):
+    """Whether a column of time is called t."""
+    return name_and_unit(table, role.column)[0].lower() == "t"
 
 
 def _channel(name, bare, unit, begins, joints):
@@ -159,18 +298,18 @@ def _channel(name, bare, unit, begins, joints):
         measured = "tau" if kind == _ESTIMATED else kind
         stem, last = (bare, unit) if unit else split_last_part(bare, measured)
         # The whole name may end with a joint that is called like a unit.
-        for text, own in ((name, ""), (bare, unit), (stem, last)):
+        for text, in_text in ((name, ""), (bare, unit), (stem, last)):
             match = re.fullmatch(
                 rf"{begin}[_.\[(]?(.*?)[\])]?", text, re.IGNORECASE | re.DOTALL
             )
             key = match[1] if match else ""
             if key and key in joints:
-                return kind, key, unit if text == bare else own
+                return kind, key, unit if text == bare else in_text
             number = _NUMBER.fullmatch(key)
             if number:
-                return kind, int(number[1]), own or unit
-            if text.lower() == begin and (not own or unit_of(measured, own)):
-                return kind, 1, own or unit
+                return kind, int(number[1]), in_text or unit
+            if text.lower() == begin and (not in_text or unit_of(measured, in_text)):
+                return kind, 1, in_text or unit
     return "", "", ""
 
 
@@ -192,15 +331,12 @@ def _in_letters(name):
 
 def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
     """Return the unit of a channel, None if nothing tells; refuse one not known."""
-    if not role.unit:
-        return None
-    unit = unit_of(kind, role.unit)
-    if unit is None:
-        expected = EXPECTED[MEASURED.get(kind, kind)]
+    unit = unit_of(kind, role.unit) if role.unit else None
+    if role.unit and unit is None:
         raise ValueError(
             f"{table.path}: column {role.column!r} is in {role.unit!r}, which is not a "
-            f"known unit of {kind}; expected {expected}. Convert it, or correct the "
-            "name."
+            f"known unit of {kind}; expected {EXPECTED[MEASURED.get(kind, kind)]}. "
+            "Convert it, or correct the name."
         )
     return unit
 
@@ -210,22 +346,19 @@ def channel_unit(table: Table, kind: str, role: Role) -> Unit | None:
 
 def parse_mapping(text) -> dict[str, str]:
     """Return patterns by names of channels, out of "q=actual_q_{i},t=timestamp"."""
-    # A mapping or pairs in a text; refuses what is no channel or comes twice.
     if isinstance(text, Mapping):
         pairs = [(str(key), str(value)) for key, value in text.items()]
     else:
-        pairs = []
-        for part in str(text).split(","):
-            key, _, value = (x.strip() for x in part.partition("="))
-            pairs.append((key, value))
-            if not key or not value:
-                raise ValueError(
-                    f"columns has {part.strip()!r}; expected pairs CHANNEL=NAME with "
-                    'commas between them, such as "q=position_{i},tau=effort_{i},'
-                    't=time".'
-                )
+        parts = [part.partition("=") for part in str(text).split(",")]
+        pairs = [(key.strip(), value.strip()) for key, _, value in parts]
     found: dict[str, str] = {}
     for key, value in pairs:
+        if not key or not value:
+            raise ValueError(
+                f"columns has {key or value!r}; expected "
+                "pairs CHANNEL=NAME with commas between them, such as "
+                '"q=position_{i},tau=effort_{i},t=time".'
+            )
         if _KEY.fullmatch(key) is None:
             raise ValueError(
                 f"columns does not know the channel {key!r}; expected q, tau, v, a, t "
@@ -267,13 +400,13 @@ def matches(pattern: str, table: Table, kind="") -> list[Match]:
     expression, without = _expression(pattern), _expression(bare)
     found = []
     for name in table.names:
-        stripped, own = name_and_unit(table, name)
+        stripped, in_name = name_and_unit(table, name)
         match = expression.fullmatch(name) or without.fullmatch(stripped)
-        if match is None or (own and written and own != written):
+        if match is None or (in_name and written and in_name != written):
             continue
         groups = match.groupdict()
         key = groups.get("joint") or int(groups.get("i", 1))
-        found.append(Match(groups.get("any", ""), key, name, own or unit))
+        found.append(Match(groups.get("any", ""), key, name, in_name or unit))
     return found
 
 
@@ -288,6 +421,7 @@ def _in_places(places, unit, table):
     return [Match("", k, x, unit) for k, x in enumerate(columns, start=1)]
 
 
+@functools.cache
 def _expression(pattern):
     """Turn a pattern into a regular expression."""
     seen = set()
@@ -303,47 +437,45 @@ def _expression(pattern):
     return re.compile(_EVERY.sub(stand_in, re.escape(pattern)), re.ASCII)
 
 
-def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
+def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     """Lay out the columns by a mapping, and the other kinds as in another layout."""
     known = {key: _KEY.fullmatch(key) for key in mapping}
     kinds = {key: (x[1] if x and x[1] else key).lower() for key, x in known.items()}
     found = {x: matches(mapping[x], table, kinds[x]) for x in mapping}
-    missing = [mapping[key] for key, own in found.items() if not own]
+    missing = [mapping[key] for key, matched in found.items() if not matched]
     if missing:
         raise RecordingRefused(
             f"{table.path}: has no column {', '.join(missing)}, which columns asks "
             f"for; found {listed(table.names)}"
         )
-    claimed = _claimed(table, mapping, found)
+    owner = _owners(table, mapping, found)
     channels: dict[str, dict] = {}
-    for key, own in found.items():
-        channels.setdefault(kinds[key], {})
-        suffix = key[len(kinds[key]) :].strip("_.[]()")
-        for match in own:
-            if claimed[match.column] != key:
-                continue
+    for key, matched in found.items():
+        kind = kinds[key]
+        own = channels.setdefault(kind, {})
+        suffix = key[len(kind) :].strip("_.[]()")
+        for match in matched:
             name = int(suffix) if suffix.isdecimal() else suffix or match.key
-            role = Role(column=match.column, unit=match.unit)
-            before = channels[kinds[key]].get(name)
-            if before and kinds[key] not in ("t", "segment"):
+            if owner[match.column] != key:
+                continue
+            if name in own and kind not in ("t", "segment"):
                 raise RecordingRefused(
-                    f"{table.path}: columns {before[0].column!r} and {role.column!r} "
-                    f"both fit {key}={mapping[key]}; say which one"
+                    f"{table.path}: columns {own[name][0].column!r} and "
+                    f"{match.column!r} both fit {key}={mapping[key]}; say which one"
                 )
-            _add(channels, kinds[key], name, role)
+            _add(channels, kind, name, Role(column=match.column, unit=match.unit))
     given = Layout(channels=channels)
     times, segments = given.roles("t"), given.roles("segment")
     channels = {k: x for k, x in channels.items() if k not in ("t", "segment")}
     for kind in () if table.nameless else plain.channels:
         if kind not in channels and not any(
-            role.column in claimed for role in plain.roles(kind)
+            x.column in owner for x in plain.roles(kind)
         ):
             channels[kind] = plain.channels[kind]
-    unclaimed = tuple(x for x in plain.times if x.column not in claimed)
     return replace(
         plain,
         channels=channels,
-        times=tuple(times) or unclaimed,
+        times=tuple(times) or tuple(x for x in plain.times if x.column not in owner),
         segments=tuple(x.column for x in segments) or plain.segments,
         # What nobody has named is no signal.
         no_signals=frozenset(table.names if table.nameless else plain.no_signals),
@@ -351,98 +483,83 @@ def by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
     )
 
 
-def _claimed(table, mapping, found):
+def _owners(table, mapping, found):
     """Return the key of a mapping for each column that fits one."""
     # Of patterns that fit the same column, the one counts that spells out more of it.
     spelled = {key: len(_EVERY.sub("", re.escape(x))) for key, x in mapping.items()}
-    claimed: dict[str, str] = {}
-    for key, own in found.items():
-        for match in own:
-            other = claimed.setdefault(match.column, key)
+    owner: dict[str, str] = {}
+    for key, matched in found.items():
+        for match in matched:
+            other = owner.setdefault(match.column, key)
             if other != key and spelled[other] == spelled[key]:
                 raise RecordingRefused(
                     f"{table.path}: columns names {match.column!r} twice, for {other} "
                     f"and {key}; each column is one channel"
                 )
-            if spelled[key] > spelled[other]:
-                claimed[match.column] = key
-    return claimed
+            owner[match.column] = max(other, key, key=spelled.get)
+    return owner
 
 
 # -- by a preset -----------------------------------------------------------------------
 
 
-def by_preset(table: Table, name, plain, joints=(), kinds=("tau",), chosen=False):
-    """Return the layouts of known logs that the columns fit, one for each preset."""
-    # name: a preset or None for any; plain: the layout by names, for times; joints: of
-    # the robot, if known, and `chosen` if the user says that they are those of the
-    # columns, in order; kinds: of torques or of a drive, the one that must be there
-    # first.
+def _by_preset(table: Table, options, robot, plain):
+    """Return the layouts of known logs that the columns fit, by preset."""
     found = {}
     for preset, logs in PRESETS.items():
-        if name in (None, preset):
-            fitted = (_fitted(table, x, plain, joints, kinds, chosen) for x in logs)
+        if options.preset in (None, preset):
+            fitted = (_fitted(table, x, plain, robot, options.recorded) for x in logs)
             layout = next((x for x in fitted if x is not None), None)
             if layout is not None:
                 found[preset] = layout
     return found
 
 
-def _fitted(table, log: KnownLog, plain, joints, kinds, chosen):
+def _fitted(table, log: KnownLog, plain, robot, kinds):
     """Lay out columns as in a known log; None if they are not those."""
     patterns = {"q": log.q, "tau": log.tau, "v": log.v, **log.commands}
     used = [kind for kind in ("q", "v", *kinds) if patterns.get(kind)]
     found = {kind: matches(patterns[kind], table) for kind in used}
     if kinds[0] not in found:
         return None
-    if kinds[0] in log.commands:
-        found = _with_prefix_of_state(found, log)
+    states = {match.prefix for match in found["q"]}
+    for kind in log.commands.keys() & found.keys():
+        # Commands are messages of a different name.
+        if len(states) == 1 == len({match.prefix for match in found[kind]}):
+            found[kind] = [replace(x, prefix=min(states)) for x in found[kind]]
     if log.motors:
-        found = _moving(table, found, len(joints))
+        found = _moving(table, found, len(robot.names))
     pairs = {kind: {(x.prefix, x.key) for x in own} for kind, own in found.items()}
     shared = pairs["q"] & pairs[kinds[0]]
-    prefixes = {prefix for prefix, _ in shared}
-    if len(prefixes) != 1:
+    if len({prefix for prefix, _ in shared}) != 1:
         return None
-    (prefix,) = prefixes
-    if "{joint}" in log.q and joints and not any((prefix, x) in shared for x in joints):
+    keys, prefix = {key for _, key in shared}, min(shared)[0]
+    if "{joint}" in log.q and robot.names and not keys & set(robot.names):
         return None
     times = _times(table, log, prefix) or plain.times
     if not times and not log.commands:
         return None
     # Numbers count from 0 or 1; the file may have the names of the joints.
-    names = _names_in(table, log) or (() if chosen else _motors(log, joints))
+    motors = () if robot.chosen else _motors(log, robot.names)
+    names = _names_in(table, log) or motors
     first = int(not any(x.key == 0 for own in found.values() for x in own))
     names = dict(enumerate(names, start=first))
     channels: dict[str, dict] = {}
     for kind, own in found.items():
-        if kind not in ("q", kinds[0]) and not pairs[kind] >= shared:
-            continue
-        for match in own:
+        for match in own if kind in ("q", kinds[0]) or pairs[kind] >= shared else ():
             if match.prefix == prefix:
                 unit = match.unit or (log.motor_unit if kind == "tau" else "")
                 role = Role(column=match.column, unit=unit)
                 _add(channels, kind, names.get(match.key, match.key), role)
-    beside = re.compile("|".join(log.no_signals) or "$.")
+    others = re.compile("|".join(log.no_signals) or "$.")
     return Layout(
         channels=channels,
         times=tuple(times),
         segments=(log.segment,) if log.segment in table.frame else (),
-        no_signals=frozenset(filter(beside.fullmatch, table.names)),
+        no_signals=frozenset(filter(others.fullmatch, table.names)),
         what=log.what,
         certain=True,
-        question=log.question if kinds[0] in log.commands else "",
-        answer=f"q={log.q} [deg]",
     )
-
-
-def _with_prefix_of_state(found, log):
-    """Give commands, in messages of a different name, the prefix of the only state."""
-    states = {match.prefix for match in found["q"]}
-    for kind in log.commands.keys() & found.keys():
-        if len(states) == 1 == len({match.prefix for match in found[kind]}):
-            found[kind] = [replace(x, prefix=min(states)) for x in found[kind]]
-    return found
 
 
 def _moving(table, found, count):
@@ -466,11 +583,11 @@ def _times(table, log, prefix):
     """Return the columns of time that a known log has here."""
     found = []
     for name in log.times:
-        bare, own = split_unit(name)
+        bare, unit = split_unit(name)
         parts = [part.replace("*", prefix) for part in bare.split("+")]
         if all(part in table.frame for part in parts):
             rest = "".join(parts[1:])
-            found.append(Role(column=parts[0], unit=own or "s", nanoseconds=rest))
+            found.append(Role(column=parts[0], unit=unit or "s", nanoseconds=rest))
     return found
 
 
@@ -489,5 +606,81 @@ def _names_in(table, log):
             "each joint."
         )
     # A list in one cell is as Python writes it.
-    one = not columns[0][1]
-    return tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]) if one else first)
+    is_list = not columns[0][1]
+    return tuple(re.findall(r"[^\s\[\](),'\"]+", first[0]) if is_list else first)
+
+
+# -- in the order of the joints --------------------------------------------------------
+
+
+def known_channels(layout, options, robot):
+    """Return the channels of the robot's joints, and what is missing, with "t"."""
+    # Certain names of joints that the robot lacks are no channels of it.
+    names = robot.names or layout.joints
+    channels = {
+        kind: {
+            key: roles
+            for key, roles in layout.channels[kind].items()
+            if isinstance(key, int) or key in names
+        }
+        for kind in options.kinds
+        if kind in layout.channels
+    }
+    missing = [kind for kind in options.kinds[:2] if not channels.get(kind)]
+    return channels, missing + ["t"] * (not (options.dt or layout.times))
+
+
+def in_order(table: Table, layout, options, robot, notes):
+    """Return the roles of each kind in the order of the joints, and these."""
+    robot = replace(robot, names=robot.names or layout.joints)
+    channels, _ = known_channels(layout, options, robot)
+    having = {key for own in channels.values() for key in own}
+    for own in channels.values():
+        _refuse_both(table, own, robot.names)
+    if any(isinstance(key, str) for key in having):
+        others = [x for x in layout.joints if x not in robot.names]
+        if others:
+            notes.append(
+                f"joint(s) {listed(others)} are not joints of the robot and are left "
+                "out."
+            )
+        held = [x for x in robot.names if x not in having]
+        if held and not robot.chosen:
+            notes.append(Loss(f"no columns of joint(s) {listed(held)}: held at zero."))
+            names = tuple(x for x in robot.names if x in having)
+            robot = replace(robot, names=names)
+    found = {kind: [] for kind in options.kinds}
+    for kind, own in channels.items():
+        named = any(isinstance(key, str) for key in own)
+        first = 0 if 0 in own else 1
+        for key in robot.names if named else range(first, first + len(own)):
+            if key not in own:
+                others = listed([role.column for (role, *_) in own.values()])
+                raise ValueError(
+                    f"{table.path}: column '{kind}{'_' * named}{key}' is missing "
+                    f"beside {others}; every joint needs one, in order."
+                )
+            found[kind].append(own[key][0])
+    return found, robot
+
+
+def _refuse_both(table, channel, names):
+    """Refuse several columns for one joint, or numbers and names."""
+    for first, *others in channel.values():
+        for other in others:
+            refuse_two(table, first.column, other.column)
+    named = [key for key in channel if isinstance(key, str)]
+    numbers = [key for key in channel if isinstance(key, int)]
+    if named and numbers:
+        number = names.index(named[0]) + 1
+        other = channel.get(number, channel[numbers[0]])[0]
+        refuse_two(table, channel[named[0]][0].column, other.column)
+
+
+def refuse_two(table, one, other):
+    """Refuse two columns that could both be meant."""
+    if one != other:
+        raise ValueError(
+            f"{table.path}: columns {one!r} and {other!r} could both be meant; rename "
+            "or remove the one that is not."
+        )

@@ -29,8 +29,6 @@ class KnownLog:
     # parts of the names of joints, in the order in which motors are numbered
     motors: tuple[str, ...] = ()
     segment: str = ""  # column that tells recordings apart
-    # what to ask where positions without a unit are not radians
-    question: str = ""
     # regular expressions of columns that are no conditions of the robot: counters,
     # references, commands, frames, what follows from the rest
     no_signals: tuple[str, ...] = ()
@@ -54,26 +52,6 @@ _RTDE_OTHERS = (
     r"safety|script|elbow|payload|wrench|collision)_.*",
 )
 _LIBFRANKA = "logToCSV, src/log.cpp of github.com/frankaemika/libfranka"
-
-# Joints whose driver publishes motor currents [A] as efforts, unless both driver and
-# controller are recent (PolyScope 5.23): see use_currents_as_efforts in
-# ur_robot_driver/doc/migration/makoa.rst of
-# github.com/UniversalRobots/Universal_Robots_ROS2_Driver.
-CURRENTS_AS_EFFORTS = {
-    "Universal Robots": (
-        ("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint")
-        + ("wrist_1_joint", "wrist_2_joint", "wrist_3_joint")
-    ),
-}
-
-
-def currents_as_efforts(joints):
-    """Name the maker whose driver publishes currents of such joints, "" for none."""
-    for maker, names in CURRENTS_AS_EFFORTS.items():
-        if all(any(x.endswith(name) for x in joints) for name in names):
-            return maker
-    return ""
-
 
 # How Unitree numbers the motors of its quadrupeds: by legs, front and rear, right and
 # left.
@@ -202,9 +180,6 @@ PRESETS: dict[str, tuple[KnownLog, ...]] = {
             commands={"q_desired": f"action.{key}"},
             times=("timestamp",),
             segment="episode_index",
-            question="degrees if the robot was recorded with use_degrees=true ([deg]), "
-            "otherwise -100 to 100 of the range of each joint's calibration, which "
-            "have to be converted into radians",
             no_signals=(
                 r"(frame_|task_)?index",
                 r"next\..*",

@@ -2,9 +2,10 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from os import PathLike
 from pathlib import Path
+from statistics import median_low
 
 import numpy as np
 
@@ -13,20 +14,20 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import formats
 from sklearn_vbjfa.recording._conversion import is_recording, recording_of
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
-from sklearn_vbjfa.recording._layout import parse_mapping
-from sklearn_vbjfa.recording._names import ReadOptions
+from sklearn_vbjfa.recording._joined import joined
+from sklearn_vbjfa.recording._layout import ReadOptions, parse_mapping
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._recording import Recording, check_dt
-from sklearn_vbjfa.recording._several import (
-    common_folder,
-    concatenated,
-    joined,
-    listed_paths,
-    notes_of,
-)
+from sklearn_vbjfa.recording._sampling import distinct, on_one_grid
 from sklearn_vbjfa.recording._table import Loss, NotATable, RecordingRefused, listed
 from sklearn_vbjfa.recording._units import TIME_UNITS
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
+
+# Relative difference between the periods of two files that is refused: accelerations
+# go with its square.
+_DT_TOLERANCE = 0.01
+# Files that a note names; more are counted.
+_NAMED = 3
 
 
 def read_recording(
@@ -154,9 +155,20 @@ def read_recording(
         raise ValueError(
             f"time_unit must be one of {', '.join(TIME_UNITS)}; got {time_unit!r}."
         )
+    if preset is not None and preset not in PRESETS:
+        raise ValueError(
+            f"preset must be one of {', '.join(PRESETS)}; got {preset!r}. For other "
+            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
+        )
+    if drive is not None and gains is not None:
+        raise RecordingRefused(
+            "gains are factors of columns of torques, and a drive has its own: leave "
+            "gains out (command line: --gain), or the drive.",
+            {"gains": None},
+        )
     options = ReadOptions(
         mapping={} if columns is None else parse_mapping(columns),
-        preset=_checked_preset(preset),
+        preset=preset,
         dt=dt,
         urdf=urdf,
         joint_names=joint_names,
@@ -165,12 +177,6 @@ def read_recording(
         time_unit=time_unit,
         drive=parse_drive(drive) if isinstance(drive, str) else drive,
     )
-    if options.drive is not None and gains is not None:
-        raise RecordingRefused(
-            "gains are factors of columns of torques, and a drive has its own: leave "
-            "gains out (command line: --gain), or the drive.",
-            {"gains": None},
-        )
     is_one = isinstance(path, (str, PathLike))
     given = [path] if isinstance(path, (str, PathLike)) else [Path(x) for x in path]
     paths = list(dict.fromkeys(given))
@@ -182,14 +188,14 @@ def read_recording(
         files = [_joined([_table(one, options) for one in tables], options)]
     else:
         files = _read(paths, options, notes)
-    if len(files) == 1 and (join or is_one):
-        recording, more = files[0].recording, notes_of(files)
-        recording = replace(recording, name=name) if name else recording
-    else:
-        recording, more = concatenated(files, name)
+    notes += _named((str(file.path), file.notes) for file in files)
+    recording = files[0].recording
+    if len(files) > 1 or not (join or is_one):
+        recording = _concatenated(files, notes)
+    recording = replace(recording, name=name) if name else recording
     if options.drive is not None:
         recording = _driven(recording, options.drive, files)
-    for note in (*notes, *more):
+    for note in notes:
         category = DoubtWarning if isinstance(note, Loss) else UserWarning
         warnings.warn(note, category, stacklevel=2)
     return recording
@@ -199,6 +205,50 @@ if read_recording.__doc__:  # not if Python leaves docstrings out
     read_recording.__doc__ = read_recording.__doc__.replace(
         "TABLES", formats.TABLES
     ).replace("PACKAGES", formats.PACKAGES)
+
+
+def _checked_gains(gains):
+    """Return gains as a tuple of float, "unknown" or None."""
+    if gains is None or (isinstance(gains, str) and gains == "unknown"):
+        return gains
+    try:
+        found = tuple(float(x) for x in np.atleast_1d(gains))
+    except (TypeError, ValueError):
+        found = (0.0,)
+    if isinstance(gains, str) or not all(np.isfinite(x) and x != 0 for x in found):
+        raise ValueError(
+            f"gains must be a factor for each joint, finite and not 0, or 'unknown'; "
+            f"got {gains!r}."
+        )
+    return found
+
+
+def _driven(recording, drive, files):
+    """Return a recording with the torques that a drive makes of its channels."""
+    # The noise of a torque is that of the positions that it is made of.
+    if drive.gains is None:
+        units = ["N" if unit == "m" else "N m" for unit in recording.position_units]
+        recording = replace(recording, torque_units=tuple(units))
+    recording = replace(recording, torque_noise=None)
+    if drive.spelled:
+        channels = {**recording.signals, drive.told: recording.tau}
+        recording = replace(recording, signals=channels)
+    try:
+        return drive.driven(recording)
+    except ValueError as error:
+        raise ValueError(f"{_shortly([x.path for x in files])}: {error}") from error
+
+
+# -- files and folders -----------------------------------------------------------------
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _File:
+    """A file as it was read, and what a user should know of it."""
+
+    path: Path  # as messages name it
+    recording: Recording
+    notes: list
 
 
 def _read(paths, options, notes):
@@ -211,13 +261,18 @@ def _read(paths, options, notes):
                 files += _of_folder(expanded(path), inside, options, notes)
             else:
                 (path,) = inside or [path]
-                files.append(recording_of(_table(path, options), options))
+                files.append(_file(_table(path, options), options))
         except RecordingRefused as error:
             if not files:
                 raise
             # The files before it were read without the options that it offers.
             raise RecordingRefused(error.reason) from error
     return files
+
+
+def _file(table, options):
+    recording, notes = recording_of(table, options)
+    return _File(path=table.path, recording=recording, notes=notes)
 
 
 def _of_folder(folder, paths, options, notes):
@@ -237,7 +292,7 @@ def _of_folder(folder, paths, options, notes):
         parts.append(table)
         whole += is_recording(table, options)
         if whole > 1:
-            files += [recording_of(one, options) for one in parts]
+            files += [_file(one, options) for one in parts]
             parts = []
     if not (files or parts):
         raise reason
@@ -253,11 +308,11 @@ def _of_folder(folder, paths, options, notes):
 def _joined(tables, options):
     """Return the recording of tables side by side."""
     if len(tables) == 1:
-        return recording_of(tables[0], options)
+        return _file(tables[0], options)
     first, *others = [table.path for table in tables]
-    more = others[0].name if len(others) == 1 else f" {len(others)} more"
-    shown = f"{first.name}{'+' if len(others) == 1 else ' and'}{more}"
-    read = recording_of(joined(tables, options.joints, first.parent / shown), options)
+    more = f"+{others[0].name}" if len(others) == 1 else f" and {len(others)} more"
+    path = first.parent / f"{first.name}{more}"
+    read = _file(joined(tables, options.joints, path), options)
     name = common_folder([one.path for one in tables]) or read.recording.name
     return replace(read, recording=replace(read.recording, name=name))
 
@@ -289,44 +344,120 @@ def _version(path):
     return len(stats), size, max((one.st_mtime_ns for one in stats), default=0)
 
 
-def _checked_preset(name):
-    """Return the spelling of a preset, None for None; refuse unknown ones."""
-    found = None if name is None else str(name).lower()
-    if found is not None and found not in PRESETS:
-        raise ValueError(
-            f"preset must be one of {', '.join(PRESETS)}; got {name!r}. For other "
-            'names give columns, such as "q=position_{i},tau=effort_{i},t=time".'
+# -- several files of one robot --------------------------------------------------------
+
+
+def common_folder(paths):
+    """Return the name of the folder that holds all files, "" if there is none."""
+    folders = {expanded(path).parent.resolve() for path in paths}
+    return folders.pop().name if len(folders) == 1 else ""
+
+
+def _named(notes):
+    """Yield the notes of files, (name, notes) each, with names; equal ones once."""
+    names: dict[tuple, dict] = {}
+    for name, of_file in notes:
+        for note in of_file:
+            names.setdefault((type(note), str(note)), {})[name] = None
+    for (kind, note), of in names.items():
+        yield kind(f"{_shortly(of)}: {note}")
+
+
+def _shortly(paths):
+    """Name files; of many the first."""
+    shown = [str(path) for path in paths]
+    more = len(shown) - _NAMED
+    return ", ".join(shown[:_NAMED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _concatenated(files, notes):
+    """Return the recording of all files."""
+    _check_agreement(files)
+    left_out, missing = _signals_left_out(files)
+    if missing:
+        notes.append(
+            f"column(s) {listed(missing)} are not in all files and are left out."
         )
-    return found
-
-
-def _checked_gains(gains):
-    """Return gains as a tuple of float, "unknown" or None."""
-    if gains is None or (isinstance(gains, str) and gains == "unknown"):
-        return gains
-    try:
-        found = tuple(float(x) for x in np.atleast_1d(gains))
-    except (TypeError, ValueError):
-        found = (0.0,)
-    if isinstance(gains, str) or not all(np.isfinite(x) and x != 0 for x in found):
-        raise ValueError(
-            f"gains must be a factor for each joint, finite and not 0, or 'unknown'; "
-            f"got {gains!r}."
+    recordings = [
+        replace(
+            one, signals={k: x for k, x in one.signals.items() if k not in left_out}
         )
-    return found
+        for one in (file.recording for file in files)
+    ]
+    dt = median_low([x.dt for x in recordings])
+    fields, moved = on_one_grid(recordings, _group_names(files), dt)
+    if moved:
+        notes.append(
+            f"{_shortly(files[k].path for k in moved)}: interpolated to the sample "
+            f"period of the others, {dt:.6g} s."
+        )
+    return replace(
+        recordings[0],
+        name=common_folder([x.path for x in files]) or recordings[0].name,
+        left_out=left_out,
+        description=f"Read from {listed([x.path.name for x in files])}.",
+        **fields,
+    )
 
 
-def _driven(recording, drive, files):
-    """Return a recording with the torques that a drive makes of its channels."""
-    # The noise of a torque is that of the positions that it is made of.
-    if drive.gains is None:
-        own = ["N" if unit == "m" else "N m" for unit in recording.position_units]
-        recording = replace(recording, torque_units=tuple(own))
-    recording = replace(recording, torque_noise=None)
-    if drive.spelled:
-        channels = {**recording.signals, drive.told: recording.tau}
-        recording = replace(recording, signals=channels)
-    try:
-        return drive.driven(recording)
-    except ValueError as error:
-        raise ValueError(f"{listed_paths([x.path for x in files])}: {error}") from error
+def _check_agreement(files):
+    """Refuse files of other robots, that were not recorded alike, or are copies."""
+    dts = [file.recording.dt for file in files]
+    for k, file in enumerate(files):
+        for other in files[:k]:
+            for one, two in zip(_traits(other.recording), _traits(file.recording)):
+                if one != two:
+                    raise ValueError(
+                        f"{other.path} has {one} and {file.path} has {two}; expected "
+                        "files with the same joints and channels: correct one of "
+                        "them, or take them one by one."
+                    )
+            # Their evidence would count twice.
+            a, b = file.recording, other.recording
+            if np.array_equal(a.q, b.q) and np.array_equal(a.tau, b.tau):
+                raise ValueError(
+                    f"{file.path} is a copy of {other.path}; leave one of them out."
+                )
+    if max(dts) > (1 + _DT_TOLERANCE) * min(dts):
+        fast, slow = (files[dts.index(x)].path for x in (min(dts), max(dts)))
+        raise ValueError(
+            f"{fast} has a sample period of {min(dts):.6g} s and {slow} one of "
+            f"{max(dts):.6g} s; expected periods that differ by "
+            f"{100 * _DT_TOLERANCE:g} % at most: resample one of the files, or take "
+            "them one by one."
+        )
+
+
+def _traits(recording):
+    """Yield what must be the same in all files, in words."""
+    yield f"the joints {listed(recording.joint_names)}"
+    yield f"positions in {listed(recording.position_units)}"
+    yield f"torques in {listed(recording.torque_units)}"
+    yield "no velocities" if recording.v is None else "velocities"
+
+
+def _group_names(files):
+    """Call recordings after their files, and their own names where there are more."""
+    stems = [x.recording.name for x in files]
+    names = []
+    for file, stem in zip(files, stems):
+        label = stem if stems.count(stem) == 1 else str(file.path)
+        # What a file calls "recording" has no name.
+        inside = [x.removeprefix("recording") for x in file.recording.group_names]
+        for suffix in inside if len(inside) > 1 else [""]:
+            names.append(f"{label} {suffix.strip()}".strip())
+    return distinct(names)
+
+
+def _signals_left_out(files):
+    """Return what is wrong with signals, by name, and which are missing somewhere."""
+    left_out, missing = {}, []
+    for file in files:
+        for key, reason in file.recording.left_out.items():
+            left_out.setdefault(key, f"{reason} ({file.path})")
+    for key in dict.fromkeys(key for x in files for key in x.recording.signals):
+        without = [x.path for x in files if key not in x.recording.signals]
+        if without and key not in left_out:
+            missing.append(key)
+            left_out[key] = f"is missing in {_shortly(without)}"
+    return left_out, missing

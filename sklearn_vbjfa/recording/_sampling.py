@@ -576,7 +576,7 @@ def resample_uniform(t, channels, *, dt: float, drop_repeated=False):
 # -- a user's file ---------------------------------------------------------------------
 
 
-def in_order(table: Table, t, channels, notes):
+def sorted_by_time(table: Table, t, channels, notes):
     """Sort rows that are out of order in time, where that makes one smooth motion."""
     # Two recordings, one after the other, would be mixed: they stay as they are, to be
     # refused.

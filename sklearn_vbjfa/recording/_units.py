@@ -8,10 +8,11 @@ import numpy as np
 # Channels of joints, and which of them a command has the unit of.
 KINDS = ("q", "tau", "v", "a")
 MEASURED = {"q_desired": "q", "v_desired": "v", "tau_ff": "tau"}
-# Positions beyond two turns are no radians of a robot.
-TURNS = 4 * np.pi
 # What one may write for a time, where a unit is asked for, in seconds.
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+# A clock steps by this many seconds, and is this near to a straight line, as a share of
+# what it rises.
+_FASTEST, _SLOWEST, _STRAIGHT = 2e-5, 1.0, 0.02
 # Units of channels that are neither motion nor torque, for a row of units.
 _OTHERS = ("1", "-", "°C", "C", "K", "degC", "bar", "Pa", "kPa", "Hz", "kg", "W", "Ohm")
 _DEGREE, _TURN = np.pi / 180, 2 * np.pi
@@ -136,3 +137,38 @@ def split_last_part(name: str, kind: str) -> tuple[str, str]:
     if match is None or unit_of(kind, match[2]) is None:
         return name, ""
     return match[1], match[2]
+
+
+# -- units of time ---------------------------------------------------------------------
+
+
+def is_clock(values):
+    """Whether a column rises steadily, at steps that are those of a robot."""
+    if values.dtype.kind not in "iuf" or values.size < 3:
+        return False
+    values = values.astype(float)
+    step = np.diff(values)
+    rises = (step >= 0).all() and step.sum() > 0
+    if not rises or not unit_of_steps(usual_step(values)):
+        return False
+    line = np.linspace(values[0], values[-1], values.size)
+    return bool(np.abs(values - line).max() <= _STRAIGHT * (values[-1] - values[0]))
+
+
+def usual_step(t):
+    """Return the middle one of the steps by which a clock rises, 0 without any."""
+    # Of rows that are out of order as if they were sorted.
+    step = np.diff(np.sort(t))
+    step = step[step > 0]
+    return float(np.median(step)) if step.size else 0.0
+
+
+def unit_of_steps(step):
+    """Return the unit of time in which steps are those of a robot, "" for none."""
+    known = (unit for unit, size in TIME_UNITS.items() if is_of_a_robot(step * size))
+    return next(known, "")
+
+
+def is_of_a_robot(period):
+    """Whether a period [s] is one of a robot that moves."""
+    return _FASTEST < period < _SLOWEST

@@ -200,7 +200,7 @@ def test_a_saved_robot_of_commands_is_simulated(run, urdf):
 def test_a_simulation_without_gains_is_refused(run, drive):
     code, out, err = run("simulate", "--quiet", drive=drive)
     assert (code, out) == (2, "")
-    missing = {None: "no torques, but commands", "pd": "kp is missing: give kp="}
+    missing = {None: "give the drive, drive=", "pd": "kp is missing: give kp="}
     assert missing.get(drive, "kd is missing: give kd=") in err
 
 
@@ -258,8 +258,8 @@ def test_currents_are_a_drive(command, signed, run, told, currents):
 REFUSED = {
     "no drive": (
         {"drive": None},
-        "no torques, but commands: q_desired (q_desired_shoulder ... "
-        "q_desired_elbow); give the drive that follows them with kp and kd",
+        "no torques: expected columns tau1, tau2, ...; if the motors follow commands, "
+        "give the drive",
     ),
     "no gains": ({"drive": "pd"}, "kp is missing: give kp=, a number for each joint"),
     "one gain too many": (

@@ -135,7 +135,7 @@ def test_matrices_with_one_gain_for_each_joint(ending, tmp_path):
         np.savez(path, **arrays)
     else:
         path.write_text(json.dumps({name: x.tolist() for name, x in arrays.items()}))
-    with pytest.raises(RecordingRefused) as refused:
+    with pytest.raises(RecordingRefused, match="give the drive, drive=") as refused:
         read(path)
     assert refused.value.options == {"drive": "pd"}
     recording, _ = read(path, drive="pd")
@@ -297,7 +297,7 @@ def servos(tmp_path):
     pyarrow = pytest.importorskip("pyarrow")
     from pyarrow import parquet
 
-    def save(factor=1.0):
+    def save():
         folder = tmp_path / "set"
         file = folder / "data" / "chunk-000" / "file-000.parquet"
         file.parent.mkdir(parents=True)
@@ -310,7 +310,7 @@ def servos(tmp_path):
         (folder / "meta" / "info.json").write_text(json.dumps(info))
         t, q, aim = motion()
         half = N // 2
-        table = {"action": list(factor * aim), "observation.state": list(factor * q)}
+        table = {"action": list(aim), "observation.state": list(q)}
         table["timestamp"] = np.concatenate([t[:half], t[:half]])
         table |= {"frame_index": np.arange(N) % half, "index": np.arange(N)}
         table |= {"episode_index": np.arange(N) // half, "task_index": np.zeros(N)}
@@ -327,21 +327,6 @@ def test_a_lerobot_data_set_of_servos(servos):
     assert recording.group_names == ("0", "1")
     assert set(recording.signals) == {"q_desired"}
     assert "q_desired = action.shoulder_pan ... action.gripper" in said
-
-
-def test_positions_that_are_no_radians_ask_for_their_unit(servos):
-    folder = servos(100.0)
-    with pytest.raises(
-        RecordingRefused, match="recorded with use_degrees=true"
-    ) as info:
-        read(folder, drive=TEXT)
-    answer = "q=observation.state.{joint} [deg]"
-    assert info.value.options == {"columns": answer}
-    recording, _ = read(folder, drive=TEXT, columns=answer)
-    _, q, aim = motion()
-    assert_allclose(recording.q, np.deg2rad(100 * q), rtol=1e-5, atol=1e-6)
-    told = recording.signals["q_desired"]
-    assert_allclose(told, np.deg2rad(100 * aim), rtol=1e-5, atol=1e-6)
 
 
 # -- a drive as a text -----------------------------------------------------------------

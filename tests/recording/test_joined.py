@@ -116,7 +116,7 @@ def test_rows_that_one_file_lacks_are_taken_by_their_stamps(two, made):
 
 def test_clocks_without_a_common_time_are_refused(two, made):
     save(two / "efforts.csv", ["t", *named("tau")], made.t + 1e3, made.tau)
-    assert "with nothing in common; expected one clock" in str(refused(two, made))
+    assert "no time in common; expected one clock" in str(refused(two, made))
 
 
 def test_rows_without_stamps_need_the_same_number(five, made):

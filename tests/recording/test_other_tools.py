@@ -204,7 +204,7 @@ def test_an_estimate_of_the_torque_stands_for_it_alone(tmp_path):
     recording, said = read(write(tmp_path / "a.csv", own | estimates))
     same(recording)
     (note,) = said
-    assert "tau = tau_est1 ... tau_est2 [N m], which the motors estimate" in note
+    assert "tau = tau_est1 ... tau_est2, a motor estimate" in note
     # Beside torques it is a signal.
     wrong = {name: 2 * x for name, x in estimates.items()}
     measured = {f"tau{j}": columns[f"tau{j}"] for j in (1, 2)}

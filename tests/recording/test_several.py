@@ -9,7 +9,7 @@ import pytest
 
 from sklearn_vbjfa.datasets import read_recording
 from sklearn_vbjfa.model import DoubtWarning
-from tests.recording.test_reader import DT, N, table, write
+from tests.recording.test_reader import N, table, write
 
 
 @pytest.fixture
@@ -174,25 +174,13 @@ DIFFERENT = {
             for name, column in without(motion(0.2), "v1", "v2").items()
         },
         {},
-        "has positions in rad and {} has positions in rad, m",
+        "has positions in rad, rad and {} has positions in rad, m",
     ),
-    "currents with known gains": (
+    "currents": (
         motion(0.1),
         {f"{k} [A]" if "tau" in k else k: x for k, x in motion(0.2).items()},
-        {"gains": (8.0, 8.0)},
-        "has torques in N m and {} has torques in A",
-    ),
-    "accelerations": (
-        motion(0.1),
-        motion(0.2) | {"a1": np.ones(N), "a2": np.ones(N)},
-        {},
-        "has no accelerations and {} has accelerations",
-    ),
-    "time stamps": (
-        motion(0.1),
-        without(motion(0.2), "t"),
-        {"dt": DT},
-        "has time stamps and {} has no time stamps",
+        {"gains": "unknown"},
+        "has torques in N m, N m and {} has torques in A, A",
     ),
 }
 

@@ -1,0 +1,209 @@
+"""The refusal of a file that lacks channels: the nearest names, options that work."""
+
+import difflib
+import itertools
+import re
+from dataclasses import replace
+
+import numpy as np
+
+from sklearn_vbjfa.recording._drives import UNSIGNED, PDDrive
+from sklearn_vbjfa.recording._layout import (
+    in_order,
+    known_channels,
+    laid_out,
+    matches,
+    name_and_unit,
+)
+from sklearn_vbjfa.recording._table import RecordingRefused, listed
+from sklearn_vbjfa.recording._units import (
+    KINDS,
+    is_clock,
+    split_unit,
+    unit_of,
+    unit_of_steps,
+    usual_step,
+)
+
+# Words in names that are not recognised, for the offer of a refusal alone.
+_CURRENT = {"current", "curr", "cur", "amp", "ampere", "i"}
+_TORQUE = {"tau", "torque", "trq", "effort", "eff", "moment", "force"}
+COMMAND_WORDS = {"target", "cmd", "command", "desired", "des", "ref", "reference"}
+COMMAND_WORDS |= {"goal", "setpoint", "sp", "action"}
+_WORDS = {
+    "q": {"q", "pos", "position", "angle", "theta", "encoder"},
+    "tau": {*_TORQUE, "load", *_CURRENT},
+    "command": COMMAND_WORDS,
+    "other": {"velocity", "vel", "speed", "qd", "dq", "acceleration", "acc", "error"}
+    | {"temperature", "temp", "voltage", "external", "ext", "limit", "cartesian", "tcp"}
+    | {"enable", "mode", "window", "model", "friction", "fric", "gravity", "grav"}
+    | {"control", "con", "feedforward", "ff"},
+}
+_KIND_OF = {word: kind for kind, words in _WORDS.items() for word in words}
+# Words of a name that is preferred to others of its kind.
+_MEASURED = {"measured", "meas", "actual", "act"}
+# The least similarity of a word to one of these, and the shortest word that has any.
+_SIMILAR, _LONG = 0.85, 4
+_MOST_TRIED = 20
+_WHAT = {"q": "positions", "tau": "torques", "q_desired": "desired positions"}
+
+
+def refusal(table, layout, options, robot, missing):
+    """Return the refusal that lists everything that is missing."""
+    near = {kind: _nearest(table, kind, robot.names) for kind in missing}
+    kinds = [kind for kind in missing if kind != "t"]
+    parts = []
+    if kinds and layout.joints and layout.joints != robot.names:
+        parts.append(
+            f"its joints {listed(layout.joints)} are not those of the robot, "
+            f"{listed(robot.names)}"
+        )
+    nearest = {k: f" (nearest: {listed(x)})" if x else "" for k, x in near.items()}
+    for kind in kinds:
+        what = f"no {_WHAT.get(kind, kind)}: expected columns {kind}1, {kind}2, ..."
+        parts.append(what + nearest[kind])
+    if "t" in missing:
+        parts.append(
+            f"no column t and no dt{nearest['t']}; add time stamps [s] as column t, or "
+            "give the sample period dt in seconds (command line: --dt 0.002)"
+        )
+    offered = _offered(table, options, robot, near)
+    if kinds == ["tau"] and not near["tau"]:
+        parts.append(
+            "if the motors follow commands, give the drive, drive=... (command line: "
+            '--drive "pd kp=... kd=...")'
+        )
+        driven = laid_out(table, replace(options, drive=PDDrive()), robot)
+        known = {*driven.channels, *table.scalars}
+        offered = {"drive": "pd"} if known >= {"q_desired", "kp", "kd"} else offered
+    if kinds:
+        parts.append(f"found {listed(table.names)}")
+    if kinds and not offered:
+        parts.append(
+            "rename them in the header, or give "
+            f'columns="q=NAME{{i}},{options.kinds[1]}=NAME{{i}},t=NAME"'
+        )
+    return RecordingRefused(f"{table.path}: {'; '.join(parts)}.", offered)
+
+
+def _offered(table, options, robot, near):
+    """Return options that read the file, tried, by the nearest columns; or {}."""
+    # near: the nearest patterns by kind; of several nobody knows which is meant.
+    products = itertools.islice(itertools.product(*near.values()), _MOST_TRIED)
+    found = [options.mapping | dict(zip(near, patterns)) for patterns in products]
+    tried = (replace(options, mapping=mapping, preset=None) for mapping in found)
+    found = [x.mapping for x in tried if _works(table, x, robot)]
+    if len(found) != 1:
+        return {}
+    (mapping,), more = found, {}
+    if "t" in near and not split_unit(mapping["t"])[1]:
+        unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
+        more = {} if unit in ("", "s") else {"time_unit": unit}
+    if "tau" in near and options.gains is None:
+        columns = matches(mapping["tau"], table, "tau")
+        bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
+        if not bases and is_current(mapping["tau"]):
+            signed = any((table.values(x.column) < 0).any() for x in columns)
+            more |= {"gains": "unknown"} if signed else {"drive": UNSIGNED}
+        elif bases - {"N m", "N"}:
+            more |= {"gains": "unknown"}
+    return {"columns": ",".join(f"{key}={x}" for key, x in mapping.items()), **more}
+
+
+def _works(table, options, robot):
+    """Whether columns are found for all that is needed, with some options."""
+    if any("," in x or "=" in x for x in options.mapping.values()):
+        return False
+    try:
+        layout = laid_out(table, options, robot)
+        if known_channels(layout, options, robot)[1]:
+            return False
+        found, own = in_order(table, layout, options, robot, [])
+    except ValueError:
+        return False
+    counts = {len(found[kind]) for kind in options.kinds[:2]}
+    return len(counts) == 1 and counts <= {len(own.names) or max(counts)}
+
+
+# -- the nearest names -----------------------------------------------------------------
+
+
+def words(pattern):
+    """Return the words in a pattern, in small letters."""
+    text = re.sub(r"\{\w+\}", " ", split_unit(pattern)[0])
+    text = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text)
+    return [x.lower() for x in re.findall(r"[^\W\d_]+", text)]
+
+
+def is_current(name):
+    """Whether a column's name says that it is a motor's current, and no torque."""
+    found = {word.rstrip("s") for word in words(name)}
+    return bool(_CURRENT & found) and not _TORQUE & found
+
+
+def _nearest(table, kind, joints):
+    """Return the patterns of columns nearest to a kind."""
+    if kind == "t":
+        return _clocks(table)
+    wanted = {"q_desired": {"q", "command"}}.get(kind, {kind})
+    found: dict[tuple, list] = {}
+    for pattern, columns in _families(table, joints).items():
+        kinds = set()
+        for word in words(pattern):
+            near = [word] if word in _KIND_OF else []
+            if not near and len(word) >= _LONG:
+                near = difflib.get_close_matches(word, _KIND_OF, 1, _SIMILAR)
+            kinds |= {_KIND_OF[x] for x in near}
+        # A unit tells the kind of what has words of another language.
+        unit = name_and_unit(table, next(iter(columns.values())))[1]
+        if (kinds or {x for x in KINDS if unit and unit_of(x, unit)}) == wanted:
+            others = len(columns) != (len(joints) or len(columns))
+            rank = others, not _MEASURED & set(words(pattern))
+            found.setdefault(rank, []).append(pattern)
+    return found[min(found)] if found else []
+
+
+def _families(table, joints):
+    """Return columns of numbers by their names without a number or a joint."""
+    groups: dict[str, dict] = {}
+    for column in table.names:
+        if table.frame[column].dtype.kind not in "iuf":
+            continue
+        name = split_unit(column)[0]
+        joint = max((x for x in joints if x in name), key=len, default=None)
+        if joint is not None:
+            groups.setdefault(name.replace(joint, "{joint}", 1), {})[joint] = column
+        # Any of its numbers may be the joint's.
+        for match in re.finditer(r"\d{1,6}", name):
+            pattern = f"{name[: match.start()]}{{i}}{name[match.end() :]}"
+            groups.setdefault(pattern, {})[int(match[0])] = column
+        if len(joints) == 1:
+            # Of one joint nothing needs a number.
+            groups.setdefault(name, {})[joints[0]] = column
+    return {
+        pattern: found
+        for pattern, found in groups.items()
+        if "{i}" not in pattern or _counts(found, joints)
+    }
+
+
+def _counts(numbers, joints):
+    """Whether numbers count from 0 or 1 without a hole."""
+    alone = len(numbers) > 1 or len(joints) == 1
+    return alone and min(numbers) in (0, 1) and np.ptp([*numbers]) == len(numbers) - 1
+
+
+def _clocks(table):
+    """Return the column whose name has to do with time and that rises like a clock."""
+    # What goes up by one counts rows.
+    found = [
+        name
+        for name in table.names
+        for unit in [unit_of("t", split_unit(name)[1] or name)]
+        if ({"time", "stamp", "timestamp", "clock", "t"} & set(words(name)) or unit)
+        and is_clock(table.values(name))
+        and usual_step(table.values(name)) != 1
+    ]
+    first = next((table.values(x) for x in found), None)
+    same = all(np.allclose(table.values(x), first, rtol=0, atol=1e-6) for x in found)
+    return found[:1] if same else []

@@ -58,7 +58,6 @@ class Log:
     true_q: np.ndarray | None = None
     true_v: np.ndarray | None = None
     true_a: np.ndarray | None = None
-    applied: np.ndarray | None = None
 
     def wanted_at(self, times):
         """Command at times [s], (n, nv) or, for times (n, nv), one time a joint.
@@ -164,40 +163,7 @@ def read_noise(deviation, shape, rng):
     return e, signal.lfilter([1 - keep], [1.0, -keep], difference, axis=0)
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Undeclared:
-    """Friction that no description has, beside viscous and Coulomb friction."""
-
-    name: str
-    size: np.ndarray
-    speed: float = 0.1
-
-    def friction(self, load, v):
-        """Size of the friction, (nv,) or (n, nv), under a load and at a speed."""
-        if self.name == "load_friction":
-            return self.size * np.abs(load)
-        return self.size * np.exp(-np.abs(v) / self.speed)
-
-
-def load_of(model, data):
-    """Torque (nv,) of the bodies alone, without armatures."""
-    whole = np.empty(model.nv)
-    mujoco.mj_mulM(model, data, whole, data.qacc)
-    return whole - model.dof_armature * data.qacc + data.qfrc_bias
-
-
-def recorded(
-    described,
-    numbers,
-    gains,
-    motion,
-    duration,
-    *,
-    deviation,
-    in_loop,
-    rng,
-    undeclared=None,
-):
+def recorded(described, numbers, gains, motion, duration, *, deviation, in_loop, rng):
     """Simulate a robot that follows a motion, and log it."""
     model = mujoco.MjModel.from_xml_string(
         mjcf(described, numbers, step=TICK / SUBSTEPS)
@@ -215,14 +181,11 @@ def recorded(
     e, w = read_noise(deviation, wanted.shape, rng)
     seen_e, seen_w = (e, w) if in_loop else (0 * e, 0 * w)
     data.qpos[:] = wanted[0]
-    q, v, applied = (np.empty_like(wanted) for _ in range(3))
+    q, v = np.empty_like(wanted), np.empty_like(wanted)
     for k in range(n):
         q[k], v[k] = data.qpos, data.qvel
-        applied[k] = gains.torque(wanted[k], q[k] + seen_e[k], v[k] + seen_w[k])
-        data.ctrl[:] = applied[k] - numbers.offset
-        if undeclared is not None:
-            more = undeclared.friction(load_of(model, data), data.qvel)
-            model.dof_frictionloss[:] = numbers.coulomb + more
+        applied = gains.torque(wanted[k], q[k] + seen_e[k], v[k] + seen_w[k])
+        data.ctrl[:] = applied - numbers.offset
         mujoco.mj_step(model, data, SUBSTEPS)
     rows = np.arange(LOG, n - LOG, LOG)
     return Log(
@@ -232,7 +195,6 @@ def recorded(
         true_q=q[rows],
         true_v=v[rows],
         true_a=((v[rows + 1] - v[rows - 1]) / (2 * TICK)),
-        applied=applied[rows],
     )
 
 

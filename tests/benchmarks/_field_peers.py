@@ -434,9 +434,7 @@ def sysid_by_commands(described, gains, log):
         )
     terms = np.transpose(list(friction_of(found, values).values()))
     delay = values["delay"].value[0]
-    return Found(
-        numbers=numbers_of(described, terms, delay, vectors(described)), deviations={}
-    )
+    return Found(numbers=numbers_of(described, terms, delay, vectors(described)))
 
 
 def servo_by_commands(case, part):

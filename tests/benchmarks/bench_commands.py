@@ -18,34 +18,20 @@ Cells, by the seed: noise of .1, 1 and 3 mrad (seed modulo 3), which the drive s
 only the log (next), delays of 0 to 5, 5 to 10 and 10 to 15 ms (next): 18 seeds have
 every cell once.
 
-Ways: ``package`` (RobotIdentifier on the torque of the PD law without a delay),
-``package, drive`` (with ``drive=``), ``package, bodies as described`` (with the
-parameters that CMA-ES fits), least squares with four
-terms at no delay and with the delay on a grid, bodies free as well, instrumental
-variables with the motion simulated from the commands (``_commanded_rivals.py``), CMA-ES
-on simulated positions (bodies as described, as PACE has them; every eighth robot),
-least squares on the same positions (``output error``, as mujoco.sysid has it), and
-``oracle``: least squares with true states, true delay, true bodies and the hold of the
-drive, which says how well anybody could know the values. Its intervals take residuals
-for white in the band; those of ``oracle, blocks``, the same fit, are by the scatter of
-blocks of half a second, as the friction of the simulator is nothing white, and have one
-of the delay beside the four terms. ``oracle, described bodies`` is told all but the
-bodies, of which it knows from draws how far robots are from their description: nobody
-tells an armature from the inertia of a leg better than that. ``package, drive`` knows
-of the hold as well (`PDDrive.period`), the others do not: half a millisecond of the
-feedback is some 2 % of the armature and 4 % of the damping.
+Ways: ``package, drive`` (RobotIdentifier with ``drive=``, which includes the hold of
+the drive, `PDDrive.period`), least squares with four terms at no delay and with the
+delay on a grid, instrumental variables with the motion simulated from the commands
+(``_commanded_rivals.py``), and CMA-ES on simulated positions (bodies as described, as
+PACE has them; every eighth robot).
 
 - armature, damping, Coulomb: median of the error over the true value.
-- held: share of the intervals of 90 % that hold the true value.
-- width: of these intervals, as a share of that of each oracle, term by term (median);
-  a fair scale is an oracle whose own intervals hold what they say.
+- in interval: share of the true values in the 90 % intervals of the package.
 - torque: error in the other motion, along its true states, behind 15 Hz, over its
   spread.
 - positions: error of the simulation of the other motion from its commands alone [mrad];
   none where bodies are not physical.
 - seconds: of one processor, for one robot.
 
-A cell "proves nothing" where least squares without a delay is within 1 % of the truth.
 Seeds 0 to 19 are for work, from 5000 on to confirm, each once; those from another first
 seed on are another table.
 
@@ -53,8 +39,7 @@ seed on are another table.
 judged on runs 7 to 9, by torque and by positions in windows of 1 s that begin with a
 measured state; nothing there tells a right value from one that repeats. The torque of a
 way is as late as the way says, and a late one varies less: what is missed stands over
-the spread of that torque and over that of the torque at no delay. ``package, drive,
-together`` is one fit of runs 0 to 6, with the low-pass of this script (10 Hz).
+the spread of that torque and over that of the torque at no delay.
 """
 
 import functools
@@ -69,16 +54,13 @@ from _commanded_rivals import (
     DT,
     VALUES,
     Found,
-    described_bodies,
     evolution,
-    free_least_squares,
     instruments,
     late_torque,
     least_squares,
     lowpass,
     moving,
     numbers_of,
-    output_error,
     own_columns,
     states,
     vectors,
@@ -92,7 +74,7 @@ from _commanded_robots import (
     is_physical,
     recorded,
 )
-from _report import fixed, parser, publish, rst_table, rst_title, run_study
+from _report import fixed, parser, publish, rst_table, run_study
 from _undeclared_robots import inverse_dynamics
 from bench_bodies import changed
 
@@ -115,16 +97,6 @@ DRAWN = {
 AMPLITUDES = (0.2, 0.5)
 POPULATION, GENERATIONS = 16, 120
 CMA_EVERY = 8
-PACKAGE, DRIVE = "package", "package, drive"
-ORACLE, BLOCKS = "oracle", "oracle, blocks"
-DESCRIBED = "oracle, described bodies"
-ORACLES = ORACLE, BLOCKS, DESCRIBED
-DRAWS = 2000
-CMA, SIMULATED = "CMA-ES", "output error"
-FIXED = "package, bodies as described"
-Z90 = 1.645
-# One fit of several runs of the measured robot, behind a low-pass [Hz].
-TOGETHER, BAND = "package, drive, together", 10.0
 # Of the measured robot's runs.
 FITTED, JUDGED, SEARCHED = range(7), range(7, 10), (0, 3, 6)
 WINDOW = 1.0  # [s]
@@ -183,7 +155,7 @@ def cell_of(seed):
     return NOISES[seed % 3], PLACES[seed // 3 % 2], LATE[seed // 6 % 3]
 
 
-def draw(seed, described, gains, centre, duration=DURATION, undeclared=None):
+def draw(seed, described, gains, centre):
     """Draw a robot that is not as described and log two motions of it."""
     rng = np.random.default_rng([seed, 53])
     real, _ = changed(described, rng)
@@ -201,9 +173,8 @@ def draw(seed, described, gains, centre, duration=DURATION, undeclared=None):
         delay=float(rng.uniform(*late)),
     )
     settings = {"deviation": noise, "in_loop": place == "loop", "rng": rng}
-    settings["undeclared"] = undeclared
     logs = [
-        recorded(described, numbers, gains, made(rng, centre), duration, **settings)
+        recorded(described, numbers, gains, made(rng, centre), DURATION, **settings)
         for made in (chirps, sines)
     ]
     return {
@@ -226,37 +197,25 @@ def simulated(seed, data_home):
 # -- the ways --------------------------------------------------------------------------
 
 
-def recording_of(described, gains, *logs):
-    """Return logs as a recording: torque of the PD law without a delay, commands."""
-    nv, lengths = described.nv, [len(log.q) for log in logs]
-    q, v, wanted = (
-        np.concatenate([getattr(log, name) for log in logs])
-        for name in ("q", "v", "wanted")
-    )
-    return Recording(
+def package(described, gains, log):
+    """Fit the package, which sees the log."""
+    recording = Recording(
         name="commands",
-        q=q,
-        v=v,
-        tau=gains.torque(wanted, q, v),
-        t=np.concatenate([DT * np.arange(n) for n in lengths]),
+        q=log.q,
+        v=log.v,
+        tau=gains.torque(log.wanted, log.q, log.v),
+        t=DT * np.arange(len(log.q)),
         dt=DT,
-        groups=np.repeat(np.arange(len(logs)), lengths),
-        group_names=tuple(f"run_{k}" for k in range(len(logs))),
+        groups=np.zeros(len(log.q), dtype=int),
+        group_names=("run",),
         joint_names=tuple(described.names)[1:],
-        position_units=("rad",) * nv,
-        torque_units=("N m",) * nv,
-        signals={"q_desired": wanted},
+        position_units=("rad",) * described.nv,
+        torque_units=("N m",) * described.nv,
+        signals={"q_desired": log.wanted},
     )
-
-
-def package(described, gains, *logs, drive=False, **settings):
-    """Fit the package, which sees the log, or several of the same robot."""
-    if drive:
-        settings["drive"] = PDDrive(gains.kp, gains.kd, period=TICK)
-    robot = RobotIdentifier(described, dt=DT, **settings)
-    recording = recording_of(described, gains, *logs)
-    robot.fit_recording(settings["drive"].driven(recording) if drive else recording)
-    return found_by(robot, described)
+    drive = PDDrive(gains.kp, gains.kd, period=TICK)
+    robot = RobotIdentifier(described, dt=DT, drive=drive)
+    return found_by(robot.fit_recording(drive.driven(recording)), described)
 
 
 def found_by(robot, described):
@@ -267,62 +226,28 @@ def found_by(robot, described):
     columns = [[at[f"{joint}:{term}"] for term in terms] for joint in joints]
     first = [at[f"{joint}:m"] for joint in joints]
     theta = robot.theta_
-    delay = at.get("drive:delay")
+    delay = at["drive:delay"]
     numbers = numbers_of(
         described,
         theta[np.array(columns)],
-        0.0 if delay is None else theta[delay],
+        theta[delay],
         np.array([theta[k : k + 10] for k in first]),
     )
     ranges = list(robot.ranges(level=0.9))
     ends = np.array([(one.lower, one.upper) for one in ranges])
     intervals = dict(zip(VALUES, ends[np.array(columns)].transpose(1, 2, 0)))
-    if delay is not None:
-        intervals["delay"] = ends[delay]
-    return Found(numbers=numbers, deviations={}, intervals=intervals)
+    intervals["delay"] = ends[delay]
+    return Found(numbers=numbers, intervals=intervals)
 
 
-def oracle(case, *, by_blocks=False):
-    """Least squares of who knows the states, the delay and the bodies."""
-    log = case["fitted"]
-    return least_squares(
-        case["real"],
-        case["gains"],
-        log,
-        delays=[case["numbers"].delay],
-        held=0.5 * TICK,
-        motion=(log.true_q, log.true_v, log.true_a),
-        by_blocks=by_blocks,
-    )
-
-
-def oracle_of_bodies(case):
-    """Posterior of who knows the states, the delay, and what bodies may be."""
-    log, described = case["fitted"], case["described"]
-    rng = np.random.default_rng(0)
-    return described_bodies(
-        described,
-        case["gains"],
-        log,
-        case["numbers"].delay,
-        0.5 * TICK,
-        (log.true_q, log.true_v, log.true_a),
-        np.array([vectors(changed(described, rng)[0]) for _ in range(DRAWS)]),
-    )
-
-
+CMA = "CMA-ES"
 WAYS = {
-    PACKAGE: package,
-    DRIVE: functools.partial(package, drive=True),
+    "package, drive": package,
     "least squares, no delay": least_squares,
     "least squares, grid": functools.partial(least_squares, delays=DELAYS),
-    "least squares, bodies free": free_least_squares,
     "instrumental variables": instruments,
-    SIMULATED: output_error,
     CMA: functools.partial(evolution, population=POPULATION, generations=GENERATIONS),
 }
-# What CMA-ES fits: armature, damping, friction, a constant, and a delay.
-WAYS[FIXED] = functools.partial(package, drive=True, bodies="fixed")
 
 
 # -- the judgement ---------------------------------------------------------------------
@@ -359,15 +284,6 @@ def position_errors(numbers, described, gains, log):
     return np.sqrt(((found - log.true_q) ** 2).mean(axis=0))
 
 
-def intervals(found):
-    """Intervals of 90 % by name, of normal distributions where a method has no own."""
-    own = {
-        name: getattr(found.numbers, name) + Z90 * np.outer([-1, 1], deviation)
-        for name, deviation in found.deviations.items()
-    }
-    return {**own, **found.intervals}
-
-
 def judge(case, found):
     """Figures of what was found."""
     truth, numbers = case["numbers"], found.numbers
@@ -377,11 +293,11 @@ def judge(case, found):
         true = getattr(truth, name)
         out[name] = ((getattr(numbers, name) - true) / true).tolist()
     out["delay"] = 1e3 * (numbers.delay - truth.delay)
-    for name, (lower, upper) in intervals(found).items():
-        true = getattr(truth, name)
-        held = (lower <= true) & (true <= upper)
-        out[f"{name}_held"] = np.atleast_1d(held).tolist()
-        out[f"{name}_width"] = np.atleast_1d((upper - lower) / (2 * Z90)).tolist()
+    held = [
+        np.atleast_1d((lower <= getattr(truth, name)) & (getattr(truth, name) <= upper))
+        for name, (lower, upper) in found.intervals.items()
+    ]
+    out["held"] = np.concatenate(held).tolist() if held else []
     motion = log.true_q, log.true_v, log.true_a
     said, true = (torques(x, case["described"], motion) for x in (numbers, truth))
     error = torque_error(said, true, log.true_v)
@@ -397,13 +313,8 @@ def run(task):
     started = time.process_time()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        if task["way"] == DESCRIBED:
-            found = oracle_of_bodies(case)
-        elif task["way"] in ORACLES:
-            found = oracle(case, by_blocks=task["way"] == BLOCKS)
-        else:
-            way = WAYS[task["way"]]
-            found = way(case["described"], case["gains"], case["fitted"])
+        way = WAYS[task["way"]]
+        found = way(case["described"], case["gains"], case["fitted"])
     seconds = time.process_time() - started
     kept = {key: task[key] for key in KEYS}
     return {**kept, "seconds": seconds, **judge(case, found)}
@@ -413,142 +324,32 @@ def run(task):
 
 
 def _median(results, key):
-    values = [np.abs(r[key]) for r in results if key in r]
-    return (
-        float(np.median(np.concatenate(list(map(np.atleast_1d, values)))))
-        if values
-        else np.nan
-    )
-
-
-def _held(results, names):
-    held = [h for r in results for n in names for h in r.get(f"{n}_held", ())]
-    return 100 * float(np.mean(held)) if held else np.nan
-
-
-def _width(results, oracles, name):
-    """Median of the widths of a value's intervals over those of an oracle."""
-    key, ratios = f"{name}_width", []
-    for r in results:
-        theirs = oracles.get(r["seed"], {})
-        if key in r and key in theirs:
-            ratios += list(np.array(r[key]) / theirs[key])
-    return float(np.median(ratios)) if ratios else np.nan
-
-
-TERMS = (*VALUES, "delay")
-CALLED = ("armature", "damping", "Coulomb", "delay")
+    return float(np.median([np.abs(x) for r in results for x in np.atleast_1d(r[key])]))
 
 
 def overall(results):
     """Table of the ways on all robots."""
     rows = []
-    hidden = BLOCKS, DESCRIBED
-    for way in dict.fromkeys(r["way"] for r in results if r["way"] not in hidden):
+    for way in dict.fromkeys(r["way"] for r in results):
         own = [r for r in results if r["way"] == way]
         simulated = [r["positions"] for r in own if r["positions"] == r["positions"]]
+        held = [inside for r in own for inside in r["held"]]
         rows.append(
             [
                 way,
                 str(len(own)),
                 *fixed([100 * _median(own, name) for name in VALUES], 1),
-                *fixed([_median(own, "delay") if way != ORACLE else np.nan], 2),
-                *fixed([100 * np.median([r["torque"] for r in own])], 1),
+                *fixed([_median(own, "delay")], 2),
+                *fixed([100 * np.mean(held) if held else np.nan], 0),
+                *fixed([100 * _median(own, "torque")], 1),
                 *fixed([np.median(simulated) if simulated else np.nan], 1),
                 str(len(simulated)),
-                *fixed([np.median([r["seconds"] for r in own])], 1),
+                *fixed([_median(own, "seconds")], 1),
             ]
         )
-    headers = [
-        "way",
-        "robots",
-        *(f"{name} [%]" for name in CALLED[:-1]),
-        "delay [ms]",
-        "torque [%]",
-        "positions [mrad]",
-        "simulated",
-        "s",
-    ]
-    return rst_table(rows, headers)
-
-
-def of_intervals(results):
-    """Table of the intervals of 90 %: what they hold, and how wide they are."""
-    oracles = [{r["seed"]: r for r in results if r["way"] == way} for way in ORACLES]
-    rows = []
-    for way in dict.fromkeys(r["way"] for r in results):
-        own = [r for r in results if r["way"] == way]
-        held = [_held(own, [name]) for name in TERMS]
-        if way in ORACLES:
-            # It is told the delay.
-            held[-1] = np.nan
-        if not np.isfinite(held).any():
-            continue
-        plain, blocks, bodies = (
-            [_width(own, theirs, name) for name in TERMS] for theirs in oracles
-        )
-        rows.append(
-            [
-                way,
-                *fixed(held, 0),
-                *fixed(plain[:-1], 2),
-                *fixed(blocks, 2),
-                *fixed(bodies[:1], 2),
-            ]
-        )
-    headers = [
-        "way",
-        *(f"held, {name} [%]" for name in CALLED),
-        *(f"width / {ORACLE}'s, {name}" for name in CALLED[:-1]),
-        *(f"/ {BLOCKS}, {name}" for name in CALLED),
-        f"/ {DESCRIBED}, armature",
-    ]
-    return rst_table(rows, headers)
-
-
-PLAIN = "least squares, no delay"
-
-
-def by_cell(results, name):
-    """Table of one value's error by cell, a column for each way."""
-    ways = list(dict.fromkeys(r["way"] for r in results if r["way"] not in ORACLES))
-    rows = []
-    for late in LATE:
-        for place in PLACES:
-            for noise in NOISES:
-                own = [r for r in results if cell_of(r["seed"]) == (noise, place, late)]
-                errors = {
-                    way: _median([r for r in own if r["way"] == way], name)
-                    for way in ways
-                }
-                scale, digits = (1, 2) if name == "delay" else (100, 1)
-                plain = errors.get(PLAIN, np.nan)
-                rows.append(
-                    [
-                        f"{1e3 * noise:g}",
-                        place,
-                        f"{1e3 * late[0]:g} to {1e3 * late[1]:g}",
-                        *fixed([scale * errors[way] for way in ways], digits),
-                        "proves nothing" if name != "delay" and plain < 0.01 else "",
-                    ]
-                )
-    headers = ["noise [mrad]", "in", "delay [ms]", *ways, ""]
-    return rst_table(rows, headers, n_labels=3)
-
-
-def report(results, first, last):
-    """Text of the tables."""
-    parts = [f"Seeds {first} to {last}.", overall(results)]
-    parts += [rst_title("Intervals of 90 %", "~"), of_intervals(results)]
-    titles = {
-        "armature": "Armature, error [%]",
-        "damping": "Damping, error [%]",
-        "coulomb": "Coulomb friction, error [%]",
-        "delay": "Delay, error [ms]",
-    }
-    for name, title in titles.items():
-        parts += [rst_title(title, "~"), by_cell(results, name)]
-    return "\n\n".join(parts)
+    headers = ["way", "robots", "armature [%]", "damping [%]", "Coulomb [%]"]
+    headers += ["delay [ms]", "in interval [%]", "torque [%]", "positions [mrad]"]
+    return rst_table(rows, [*headers, "simulated", "s"])
 
 
 # -- the measured robot ----------------------------------------------------------------
@@ -565,16 +366,14 @@ def measured_logs(data_home):
     own = [joints[name] for name in recording.joint_names]
     words = ("armature", "damping", "frictionloss")
     terms = [[float(joint.get(word)) for word in words] + [0.0] for joint in own]
-    return logs, Found(
-        numbers=numbers_of(model, terms, 0.0, vectors(model)), deviations={}
-    )
+    return logs, Found(numbers=numbers_of(model, terms, 0.0, vectors(model)))
 
 
 def mean_of(found):
     """Mean of what was found in several runs."""
     names = [x.name for x in fields(Numbers)]
     means = {n: np.mean([getattr(f.numbers, n) for f in found], axis=0) for n in names}
-    return Found(numbers=Numbers(**means), deviations={})
+    return Found(numbers=Numbers(**means))
 
 
 def window_error(numbers, described, gains, logs):
@@ -629,24 +428,16 @@ def measured_row(label, singles, together, described, gains, judged, seconds):
     ]
 
 
-def _listed(runs):
-    return f"run{'s' * (len(runs) > 1)} {', '.join(map(str, runs))}"
-
-
-def measured(data_home, ways, cma_runs=SEARCHED):
+def measured(data_home, ways):
     """Table of the ways on the measured robot."""
     _, described, gains = go2(data_home)
     logs, own = measured_logs(data_home)
     judged = [logs[k] for k in JUDGED]
     rows = [measured_row("MJCF's values", [], own, described, gains, judged, np.nan)]
     for label in ways:
-        runs = {CMA: cma_runs, SIMULATED: SEARCHED}.get(label, range(len(logs)))
+        runs = SEARCHED if label == CMA else range(len(logs))
         started = time.process_time()
-        if label == TOGETHER:
-            runs, several = FITTED[:1], [logs[k] for k in FITTED]
-            singles = [package(described, gains, *several, drive=True, cutoff=BAND)]
-        else:
-            singles = [WAYS[label](described, gains, logs[k]) for k in runs]
+        singles = [WAYS[label](described, gains, logs[k]) for k in runs]
         seconds = (time.process_time() - started) / len(singles)
         together = mean_of([one for k, one in zip(runs, singles) if k in FITTED])
         rows.append(
@@ -665,17 +456,12 @@ def measured(data_home, ways, cma_runs=SEARCHED):
         f"windows of {WINDOW:g} s [mrad]",
         "s per fit",
     ]
-    still = [log.wanted - log.q for log in judged]
-    of_some = {SIMULATED: _listed(SEARCHED)}
-    budget = f"{POPULATION} x {GENERATIONS} simulations each"
-    of_some[CMA] = f"{_listed(cma_runs)}, {budget}"
-    said = "; ".join(f"{way}: {of_some[way]}" for way in ways if way in of_some)
+    still = np.concatenate([log.wanted - log.q for log in judged])
     note = (
-        "Each run is fitted alone, but for those fitted together; judged on runs 7 to "
-        "9 is the mean of the fits of "
-        f"runs 0 to 6{f' ({said})' if said else ''}. The torque is that of the PD law "
-        "as late as each way says. The commands themselves are "
-        f"{1e3 * np.sqrt(np.mean(np.concatenate(still) ** 2)):.0f} mrad from the "
+        "Each run is fitted alone; judged on runs 7 to 9 is the mean of the fits of "
+        f"runs 0 to 6 ({CMA}: runs 0, 3, 6, {POPULATION} x {GENERATIONS} simulations "
+        "each). The torque is that of the PD law as late as each way says. The "
+        f"commands themselves are {1e3 * np.sqrt(np.mean(still**2)):.0f} mrad from the "
         "positions."
     )
     return f"{note}\n\n{rst_table(rows, headers)}"
@@ -684,34 +470,23 @@ def measured(data_home, ways, cma_runs=SEARCHED):
 def main(argv=None):
     """Print the tables."""
     arguments = parser(__doc__, data=True, out=True, jobs=True, seeds=(0, 19))
-    known = [*WAYS, *ORACLES, TOGETHER]
-    arguments.add_argument("--ways", nargs="+", choices=known)
+    arguments.add_argument("--ways", nargs="+", choices=WAYS, default=list(WAYS))
     arguments.add_argument("--measured", action="store_true", help="the measured Go2")
-    arguments.add_argument(
-        "--cma-runs",
-        type=int,
-        nargs="+",
-        default=SEARCHED,
-        help="runs of the measured robot that CMA-ES fits, some minutes each",
-    )
     arguments = arguments.parse_args(argv)
-    first, last = arguments.seeds
+    (first, last), ways = arguments.seeds, arguments.ways
     if arguments.measured:
-        asked = arguments.ways or (*WAYS, TOGETHER)
-        chosen = [way for way in (*WAYS, TOGETHER) if way in asked]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            text = measured(arguments.data_home, chosen, arguments.cma_runs)
+            text = measured(arguments.data_home, ways)
         command = "commands.py --measured"
         publish("commands_measured", text, arguments, command=command)
         return
-    ways = arguments.ways or (*ORACLES, *WAYS)
     if arguments.quick:
-        last, ways = first, (*ORACLES, DRIVE, "least squares, grid")
+        last, ways = first, ("package, drive", "least squares, grid")
     tasks = [
         {"seed": seed, "way": way, "data_home": arguments.data_home}
         for seed in range(first, last + 1)
-        for way in (*ORACLES, *WAYS)
+        for way in WAYS
         if way in ways and (way != CMA or (seed - first) % CMA_EVERY == 0)
     ]
     ledger = run_study(
@@ -724,7 +499,7 @@ def main(argv=None):
     )
     publish(
         f"commands_confirmation_{first}" if first >= 5000 else "commands",
-        report(ledger.of(tasks), first, last),
+        f"Seeds {first} to {last}.\n\n{overall(ledger.of(tasks))}",
         arguments,
         command=f"commands.py --seeds {first} {last}",
         commits=ledger.commits(tasks),

@@ -6,9 +6,9 @@ For changes that must not change a number::
     python tests/benchmarks/compare_states.py freeze two.json
     python tests/benchmarks/compare_states.py compare one.json two.json
 
-The script of one state runs on another: only public names are used, and features that
-one of the states lacks are left out. Each part runs in a process on one thread.
-Measured sets are read from the folder that --data-home or SKLEARN_VBJFA_DATA names.
+The script of one state runs on another: only public names are used. Each part runs in a
+process on one thread. Measured sets are read from the folder that --data-home or
+SKLEARN_VBJFA_DATA names.
 
 Torques and arrays are compared relative to their norm, parameters in the norm of the
 second moments that they were fitted to, names, file names and exit codes exactly, and
@@ -26,7 +26,6 @@ if __name__ == "__main__":
 import argparse
 import csv
 import functools
-import inspect
 import json
 import math
 import resource
@@ -57,8 +56,6 @@ FITTED = ("theta_std_", "identifiable_", "min_eigenvalues_", "noise_floor_")
 FITTED += ("torque_noise_", "input_noise_torque_", "output_noise_", "cutoff_")
 FITTED += ("standstill_",)
 FOUND = ("error_before_", "error_plain_", "error_after_", "torque_spread_")
-# Names that changed, old -> new.
-RENAMED = {"perhaps": "possible", "projection_price": "consistency_cost"}
 LABELS = {"name", "joint", "effect", "parameter", "unit", "link"}
 
 # -- figures of estimators -------------------------------------------------------------
@@ -74,33 +71,24 @@ def timed(found, step, function, *given, **settings):
 
 def public_arrays(model):
     """Numeric public attributes of a fitted estimator by name."""
-    found = {}
-    for name, value in sorted(vars(model).items()):
-        if name.endswith("_") and not name.startswith("_") and value is not None:
-            try:
-                array = np.asarray(value)
-            except ValueError:
-                continue
-            if array.dtype.kind in "bif":
-                found[name] = array
-    return found
+    public = {k: v for k, v in vars(model).items() if k.endswith("_") and k[0] != "_"}
+    kinds = (bool, int, float, np.ndarray)
+    return {k: v for k, v in sorted(public.items()) if isinstance(v, kinds)}
 
 
 def fitted_robot(robot, q, groups=None):
     """Figures of a fitted identifier."""
-    found = {x: getattr(robot, x) for x in FITTED if hasattr(robot, x)}
+    found = {x: getattr(robot, x) for x in FITTED}
     found["theta|parameters"] = robot.theta_
-    found["theta|unconstrained"] = getattr(robot, "theta_unconstrained_", robot.theta_)
-    estimator = getattr(robot, "estimator_", None)
-    found["metric"] = getattr(estimator, "metric_", None)
+    found["theta|unconstrained"] = robot.theta_unconstrained_
+    found["metric"] = getattr(robot.estimator_, "metric_", None)
     found["torque"] = robot.predict(q, groups=groups)
     found["names"] = robot.parameter_names_
     found["units"] = robot.parameter_units_
     found["effects"] = [type(effect).__name__ for effect in robot.effects_]
     found["shapes"] = flat([effect.get_params() for effect in robot.effects_])
-    gains = getattr(robot, "gains_", None)
-    if gains is not None:
-        found |= {"gain": gains.gain, "gain, std": gains.std}
+    if robot.gains_ is not None:
+        found |= {"gain": robot.gains_.gain, "gain, std": robot.gains_.std}
     return found | exported(robot, q, groups)
 
 
@@ -164,22 +152,17 @@ def search_figures(identifier, q, tau, groups, **settings):
     found = {}
     timed(found, "fit", identifier.fit, q, tau, groups=groups)
     found |= fitted_robot(identifier, q, groups)
-    if "ceiling" in inspect.signature(EffectDiscovery).parameters:
-        settings["ceiling"] = False
     search = EffectDiscovery(identifier, random_state=0, **settings)
     timed(found, "search", search.fit, q, tau, groups=groups)
     for kind in ("effects", "possible"):
-        own = getattr(search, f"{kind}_", None)
-        own = search.perhaps_ if own is None else own
+        own = getattr(search, f"{kind}_")
         found[f"search, {kind}"] = [f"{e.name} {e.joint}" for e in own]
         found[f"search, {kind}, log odds"] = [e.log_odds for e in own]
         found[f"search, {kind}, values"] = flat([e.parameters for e in own])
     found |= {f"search, {key}": getattr(search, key) for key in FOUND}
     figures = fitted_robot(search.identifier_, q, groups)
     found |= {f"search, {key}": value for key, value in figures.items()}
-    if hasattr(search.report_, "to_dict"):
-        found["search, file|report"] = flat(search.report_.to_dict())
-    return found
+    return found | {"search, file|report": flat(search.report_.to_dict())}
 
 
 # -- parts -----------------------------------------------------------------------------
@@ -287,10 +270,7 @@ def identifiers(data_home):
         ),
     }
     found = {}
-    known = set(inspect.signature(RobotIdentifier).parameters)
     for name, (recording, settings) in cases.items():
-        if not known.issuperset(settings):
-            continue
         q, tau, groups = recording.q, recording.tau, recording.groups
         settings = {"friction": ("viscous", "coulomb"), **settings}
         robot = RobotIdentifier("arm.urdf", dt=0.01, **settings)
@@ -368,7 +348,7 @@ COMMANDS = (
     "close-loop arm.csv --urdf arm.urdf --effects spring,ripple,stribeck --out report "
     "--ranges ranges.json",
     "close-loop a.csv b.csv --urdf arm.urdf --effects none --out two",
-    "close-loop arm.csv --urdf arm.urdf --effects none --gain unknown "
+    "close-loop arm.csv --urdf arm.urdf --effects none --gain currents "
     "--known-mass lower=2 --out gains",
     "close-loop commands.csv --urdf arm.urdf --effects spring,stribeck --out driven "
     "--drive LAW",
@@ -437,28 +417,15 @@ def run(words):
     )
 
 
-def typed(command, options):
-    """Return the words of a command as this state spells them."""
-    words = [LAW if word == "LAW" else word for word in command.split()]
-    asked = options.get(command.partition(" ")[0], "")
-    if "--no-ceiling" in asked:
-        words.append("--no-ceiling")
-    if command.startswith("identify ") and "--no-search" in asked:
-        words.append("--no-search")
-    if "--gain" in words and "unknown" not in asked:
-        words[words.index("--gain") + 1] = "currents"
-    return words
-
-
 def command_line(data_home):
     """Exit codes of commands, names and numbers of their files."""
     write_tables()
     found, seen = {}, set(Path().rglob("*"))
-    options = {x: run([x, "--help"]).stdout for x in ("close-loop", "identify")}
     for command in COMMANDS:
         title = f"'{command}'"
+        words = [LAW if word == "LAW" else word for word in command.split()]
         before = resource.getrusage(resource.RUSAGE_CHILDREN)
-        found[f"{title}, exit code"] = run(typed(command, options)).returncode
+        found[f"{title}, exit code"] = run(words).returncode
         after = resource.getrusage(resource.RUSAGE_CHILDREN)
         seconds = [x.ru_utime + x.ru_stime for x in (before, after)]
         found[f"seconds|{title}"] = seconds[1] - seconds[0]
@@ -486,7 +453,7 @@ def numbers(path):
 def flat(value, key=""):
     """Numbers and labels of nested dicts and lists, by path."""
     if isinstance(value, dict):
-        parts = [(f"{key}/{RENAMED.get(k, k)}", x) for k, x in value.items()]
+        parts = [(f"{key}/{k}", x) for k, x in value.items()]
     elif isinstance(value, (list, tuple, np.ndarray)):
         parts = [(f"{key}/{k}", x) for k, x in enumerate(value)]
     else:

@@ -1,8 +1,4 @@
-"""What a loop says with a probability, and whether that share of it is right.
-
-A loop that decides everything has no `possible_`, and its effects no `probability`: the
-same study runs on a version from before there were any.
-"""
+"""What a loop says with a probability, and whether that share of it is right."""
 
 import itertools
 
@@ -15,37 +11,21 @@ PERHAPS = ("perhaps, right", "perhaps, wrong")
 STATED = (0.5, 0.6, 0.7, 0.8, 0.9, 0.95)
 
 
-def undecided(loop):
-    """Effects that a fitted `EffectDiscovery` gives as perhaps."""
-    return tuple(getattr(loop, "possible_", ()))
-
-
 def stated(effects, wrong):
-    """Effects as dicts: name, joint, probability (or None), and whether it is right.
-
-    Parameters
-    ----------
-    effects : sequence of DiscoveredEffect
-        Named, or perhaps.
-    wrong : collection of (str, int)
-        Names and joints of those that are not right.
-    """
-    entries = []
-    for e in effects:
-        probability = float(getattr(e, "probability", np.nan))
-        entries.append(
-            {
-                "name": e.name,
-                "joint": e.joint,
-                "probability": None if np.isnan(probability) else probability,
-                "right": (e.name, e.joint) not in wrong,
-            }
-        )
-    return entries
+    """Effects as dicts: name, joint, probability, and whether it is not in `wrong`."""
+    return [
+        {
+            "name": e.name,
+            "joint": e.joint,
+            "probability": float(e.probability),
+            "right": (e.name, e.joint) not in wrong,
+        }
+        for e in effects
+    ]
 
 
 def gathered(results, what):
-    """List what results have under "names" or "perhaps", old ones perhaps nothing."""
+    """List what results have under "names" or "perhaps"; those not judged nothing."""
     return [entry for result in results for entry in result.get(what, ())]
 
 
@@ -56,13 +36,7 @@ def counts(results):
 
 
 def calibration(results):
-    """Section of a report: stated probability beside the share that is right.
-
-    Parameters
-    ----------
-    results : list of dict
-        With "names" and "perhaps" as `stated` makes them.
-    """
+    """Section of a report: stated probability beside the share that is right."""
     named, perhaps = (gathered(results, what) for what in ("names", "perhaps"))
     edges = [0.0, *STATED, np.inf]
     cells = []
@@ -72,22 +46,16 @@ def calibration(results):
             label = f"below {high:g}"
         elif high == np.inf:
             label = f"{low:g} and above"
-        own = [e for e in perhaps if _stated(e) and low <= e["probability"] < high]
+        own = [e for e in perhaps if low <= e["probability"] < high]
         if own or (low, high) in itertools.pairwise(STATED):
             cells.append((f"perhaps, {label}", own))
-    unknown = [e for e in perhaps if not _stated(e)]
-    cells += [("perhaps, not stated", unknown)] if unknown else []
     cells += [("perhaps, all", perhaps), ("named", named)]
     rows = []
     for label, own in cells:
-        told = [e["probability"] for e in own if _stated(e)]
+        told = [e["probability"] for e in own]
         right = [e["right"] for e in own]
         mean, share = (f"{100 * np.mean(x):.0f}" if x else "–" for x in (told, right))
         rows.append([label, len(own), mean, share])
     heads = ["stated probability", "effects", "mean stated, %", "right, %"]
     title = rst_title("Whether what is left open is as often right as it says")
     return f"{title}\n\n{rst_table(rows, heads)}"
-
-
-def _stated(entry):
-    return entry["probability"] is not None

@@ -42,12 +42,12 @@ class FrozenSet:
         found = self.load(data_home=data_home)
         return found.select(*self.recordings) if self.recordings else found
 
-    def identifier(self, model, dt, friction=None):
+    def identifier(self, model, dt):
         """Set up the declared model, not fitted."""
         return RobotIdentifier(
             model,
             dt=dt,
-            friction=self.friction if friction is None else friction,
+            friction=self.friction,
             cutoff=self.cutoff,
             options=FitOptions(standstill=self.standstill),
         )

@@ -7,8 +7,8 @@ joint's spread; positions come from encoders of 17 to 20 bits, or have white noi
 
 Kinds: "tilt", "zero", "axis" and "gain" put one fault of `_undeclared_faults.py` in,
 "two" puts two of different kinds in, "friction" one of them and one friction that is
-not declared, "gains" scales five channels by 0.5 to 2, "signal" lets the friction of
-a joint fall by 40 % over a recorded temperature, "none" adds nothing.
+not declared, "signal" lets the friction of a joint fall by 40 % over a recorded
+temperature, "none" adds nothing.
 
 A fault counts where what it adds to the torques is at least `LEAST` times the noise on
 some joint, and where the part of it that bodies, friction and the other faults cannot
@@ -34,7 +34,7 @@ from _undeclared_robots import draw_motion, inverse_dynamics, true_robot
 from _undeclared_span import friction_shapes
 from _undeclared_told_apart import Teller
 
-KINDS = ("tilt", "zero", "axis", "gain", "two", "friction", "gains", "signal", "none")
+KINDS = ("tilt", "zero", "axis", "gain", "two", "friction", "signal", "none")
 FRICTION = ("viscous", "coulomb", "offset")
 # Not declared, and told from what is by its shape.
 FURTHER = ("load_friction", "stribeck", "asymmetric_friction", "viscous_quadratic")
@@ -50,8 +50,6 @@ ANGLE = np.deg2rad((1.5, 8.0))
 GAIN = (0.6, 1.6)
 # A gain closer to one than this share is no fault.
 SMALLEST_GAIN = 0.07
-GAINS = (0.5, 2.0)
-SCALED = 5
 FALL = 0.4
 SIZES = (3.0, 8.0)
 DRAWS = 15
@@ -76,7 +74,7 @@ class Entry:
         return self.outside >= VISIBLE
 
 
-@dataclass(frozen=True, kw_only=True, eq=False, repr=False)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class GeometryRecording:
     """A recording and what is wrong with its robot and channels."""
 
@@ -90,15 +88,10 @@ class GeometryRecording:
     signals: dict
     faults: tuple
     truth: tuple
-    reference: object
     states: np.ndarray
     tau_clean: np.ndarray
     further: np.ndarray
     torque_noise: np.ndarray
-
-    def __repr__(self):
-        names = ", ".join(f"{e.name} {e.joint}" for e in self.truth)
-        return f"GeometryRecording({self.arm}, n={len(self.q)}: {names or 'clean'})"
 
     @property
     def visible(self):
@@ -118,15 +111,7 @@ class GeometryRecording:
         )
 
     def put_right(self):
-        """Model, positions and torques with all that is wrong taken away, noise left.
-
-        Returns
-        -------
-        model : pinocchio.Model
-            Robot with the right geometry and the declared inertias.
-        q, tau : ndarray of shape (n, nv)
-            Recording as right encoders and channels would have it.
-        """
+        """Right model, positions and torques (n, nv): the noise is left."""
         nv = self.model.nv
         tau = self.tau / gains_of(self.faults, nv) - self.further
         return (
@@ -305,7 +290,7 @@ def simulate(kind, *, seed, arm_name=None, duration=None, rate=None):
     best = None
     for rng in np.random.default_rng(seed).spawn(ROBOTS):
         body = _robot(rng, arm_name, duration, rate)
-        for _ in range(DRAWS if kind not in ("none", "gains") else 1):
+        for _ in range(DRAWS if kind != "none" else 1):
             found = _record(kind, body, rng)
             if found is None:
                 continue
@@ -324,27 +309,14 @@ def _least(recording):
 
 def _record(kind, body, rng):
     """One draw of what is wrong; None if a fault is smaller than `LEAST`."""
-    nv = body.model.nv
-    reference = None
-    if kind == "gains":
-        order = rng.permutation(nv)
-        reference = int(order[0])
-        gains = np.ones(nv)
-        gains[order[1 : SCALED + 1]] = np.exp(rng.uniform(*np.log(GAINS), size=SCALED))
-        faults = [
-            Fault("torque_gain", j, (float(gains[j]),))
-            for j in range(nv)
-            if j != reference
-        ]
-    else:
-        faults = [draw_fault(k, body.nominal, rng) for k in _fault_kinds(kind, rng)]
+    faults = [draw_fault(k, body.nominal, rng) for k in _fault_kinds(kind, rng)]
     other = _further(kind, body, rng)
     further = np.zeros_like(body.q) if other is None else other[3]
     signals = {} if other is None else other[4]
     read, clean = _channels(body, faults, further)
     noise = NOISE * clean.std(axis=0)
     sizes = [_size(body, fault, faults, further, noise) for fault in faults]
-    if kind != "gains" and any(size < LEAST for size in sizes):
+    if any(size < LEAST for size in sizes):
         return None
     states = np.hstack([read, body.v, body.a])
     entries = []
@@ -356,13 +328,10 @@ def _record(kind, body, rng):
         FRICTION,
         [further] if other is not None else [],
     )
-    if kind != "gains":
-        for fault, size in zip(faults, sizes):
-            rest = [f for f in faults if f is not fault]
-            left = teller.explain([f.key for f in rest], start=rest).rms
-            entries.append(
-                Entry(fault.name, fault.joint, fault.parameters, size, left, {})
-            )
+    for fault, size in zip(faults, sizes):
+        rest = [f for f in faults if f is not fault]
+        left = teller.explain([f.key for f in rest], start=rest).rms
+        entries.append(Entry(fault.name, fault.joint, fault.parameters, size, left, {}))
     if other is not None:
         name, j, parameters, torque, _ = other
         bare = Teller(body.nominal, states, clean, noise, FRICTION)
@@ -385,7 +354,6 @@ def _record(kind, body, rng):
         signals=signals,
         faults=tuple(faults),
         truth=tuple(entries),
-        reference=reference,
         states=states,
         tau_clean=clean,
         further=further,
@@ -398,12 +366,6 @@ def _judged(recording):
     teller = recording.teller()
     faults = recording.faults
     known = teller.explain([f.key for f in faults], start=faults)
-    if recording.kind == "gains":
-        entries = [
-            Entry(f.name, f.joint, f.parameters, np.inf, np.inf, {}, tuple(std))
-            for f, std in zip(faults, known.std)
-        ]
-        return replace(recording, truth=tuple(entries))
     entries = list(recording.truth)
     for i, fault in enumerate(faults):
         rest = [f for f in faults if f is not fault]

@@ -12,21 +12,18 @@ from _undeclared_robots import (
     length_units,
 )
 from _undeclared_span import DeclaredSpan, friction_shapes
-from _undeclared_strangers import STRANGERS, has_partner
 
 MAX_RESCALE = 4.0
 # With exact sizes: least share of a torque outside the declared span with which it is
 # scaled until that part has the size asked for, and what counts as that size.
 MIN_SHARE = 0.05
 CLOSE = (0.8, 1.25)
-DELAYS = (0.002, 0.015)
-WIDE_DELAYS = (0.0005, 0.04)
+DELAYS = (0.0005, 0.04)
 # Time constants [s] of filters of a torque that leave half the power at 2 Hz or above.
 TIME_CONSTANTS = {"lag": (0.001, 0.08), "smooth": (0.001, 0.05)}
 NATURAL_FREQUENCIES = (8.0, 20.0)
 # Shaking over the acceleration of the motion: more would be the whole motion.
-STRONGEST = 2.0
-STRONGEST_EXACT = 6.0
+STRONGEST = 6.0
 
 
 class Entry(NamedTuple):
@@ -40,9 +37,7 @@ class Entry(NamedTuple):
     outside: float
     distinct: float
     visible: bool
-    in_library: bool
     contains: tuple
-    felt_by: tuple
 
 
 def relative_size(torque, noise):
@@ -127,7 +122,7 @@ def lay_out(setting, soft=None):
     return Scene(world, friction, noise, span, elastic)
 
 
-def soft_scene(setting, joint, asked, rng, exact=False):
+def soft_scene(setting, joint, asked, rng):
     """Make a joint elastic and shake it until the size is reached, within limits."""
     t = setting.t[pieces(setting.groups)[0]]
     q, _, a = setting.motions[0].at(t)
@@ -138,7 +133,7 @@ def soft_scene(setting, joint, asked, rng, exact=False):
     phases = rng.uniform(0, 2 * np.pi, size=2)
     acceleration = np.sqrt(np.mean(a[:, joint] ** 2))
     strength, used = 1.0, 1.0
-    for _ in range(4 if exact else 2):
+    for _ in range(4):
         used = strength
         amplitude = strength * acceleration / (2 * np.pi * shaking) ** 2
         motions = [
@@ -146,11 +141,8 @@ def soft_scene(setting, joint, asked, rng, exact=False):
             for motion in setting.motions
         ]
         scene = lay_out(replace(setting, motions=motions), soft=(joint, stiffness))
-        reached = relative_size(scene.elastic, scene.noise)
-        if exact:
-            reached *= scene.span.share(scene.elastic) / used
-        limits = (0.05, STRONGEST_EXACT) if exact else (0.3, STRONGEST)
-        strength = float(np.clip(asked / max(reached, 1e-12), *limits))
+        reached = _outside_size(scene.elastic, scene) / used
+        strength = float(np.clip(asked / max(reached, 1e-12), 0.05, STRONGEST))
     parameters = {
         "stiffness": stiffness,
         "frequency": float(natural),
@@ -199,8 +191,6 @@ def describe(
     """Measure an effect and make its entry."""
     size = relative_size(torque, scene.noise)
     outside = scene.span.share(torque) * size
-    rms = np.sqrt(np.mean(torque**2, axis=0))
-    felt_by = np.flatnonzero(rms > 0.3 * scene.noise)
     return Entry(
         name=name,
         joint=int(joint),
@@ -210,9 +200,7 @@ def describe(
         outside=outside,
         distinct=outside,
         visible=_enough(size, outside, asked, exact),
-        in_library=name not in STRANGERS,
         contains=contains,
-        felt_by=tuple(felt_by.tolist()),
     )
 
 
@@ -242,27 +230,20 @@ def _value_of_size(make, asked, scene, limits):
     return float(np.sqrt(low * high))
 
 
-def _delay(j, scene, present, asked, exact):
+def _delay(j, scene, present, asked):
     world, nv = scene.world, scene.noise.size
     whole = sum(present, world.declared_torque)[:, j]
 
     def shifted(delay):
         return _on_joint(_delayed(whole, world, delay) - whole, j, nv)
 
-    if exact:
-        delay = _value_of_size(shifted, asked, scene, WIDE_DELAYS)
-    else:
-        middle = float(np.mean(DELAYS))
-        trial = shifted(middle)
-        wanted = asked * _boost(scene.span.share(trial))
-        delay = wanted / relative_size(trial, scene.noise) * middle
-        delay = float(np.clip(delay, *DELAYS))
+    delay = _value_of_size(shifted, asked, scene, DELAYS)
     torque = shifted(delay)
     named = {"delay": delay}
-    return describe("delay", j, named, torque, scene, asked, exact=exact), torque
+    return describe("delay", j, named, torque, scene, asked, exact=True), torque
 
 
-def _torque_filter(j, scene, present, asked, exact, rng):
+def _torque_filter(j, scene, present, asked, rng):
     world, nv = scene.world, scene.noise.size
     whole = sum(present, world.declared_torque)[:, j]
     kind = str(rng.choice(["lag", "smooth"]))
@@ -274,12 +255,12 @@ def _torque_filter(j, scene, present, asked, exact, rng):
     time_constant = _value_of_size(changed, asked, scene, limits)
     torque = changed(time_constant)
     named = {"time_constant": time_constant, "kind": kind}
-    entry = describe("torque_filter", j, named, torque, scene, asked, exact=exact)
+    entry = describe("torque_filter", j, named, torque, scene, asked, exact=True)
     return entry, torque
 
 
 def _added(name, j, scene, asked, rng, exact):
-    make = ADDED.get(name) or CHANNELS.get(name) or STRANGERS[name]
+    make = ADDED.get(name) or CHANNELS[name]
     drawn = make(scene.world, j, rng)
     torque = _on_joint(drawn.torque, j, scene.noise.size)
     share = scene.span.share(torque)
@@ -297,12 +278,12 @@ def place(name, joints, scene, present, asked, rng, exact=False):
     """Put an effect on the first joint where it is visible, or where it is most so."""
     best = None
     for j in map(int, joints):
-        if not can_carry(name, scene.world, j) or not has_partner(name, scene.world):
+        if not can_carry(name, scene.world, j):
             continue
         if name == "delay":
-            found = _delay(j, scene, present, asked, exact)
+            found = _delay(j, scene, present, asked)
         elif name == "torque_filter":
-            found = _torque_filter(j, scene, present, asked, exact, rng)
+            found = _torque_filter(j, scene, present, asked, rng)
         else:
             found = _added(name, j, scene, asked, rng, exact)
         if found[0].visible:

@@ -1,7 +1,7 @@
 """False alarms and power of closing the loop where the residual is no white noise.
 
 Run ``python tests/benchmarks/bench_false_alarms.py [--joints 1 6] [--trials N]
-[--seed S] [--study null|power|both] [--results FILE ...] [--old FILE ...] [--write]``.
+[--seed S] [--out FILE ...] [--write]``.
 One joint (40 s at 50 Hz, viscous friction declared and there) or a serial arm of six
 (60 s at 100 Hz, all four plain terms declared and there, residuals of one kind on all
 joints, each joint its own), the declared model right, and a torque residual that is
@@ -15,12 +15,9 @@ recordings with an effect those in which it was found. Of all that was given as 
 with and without an effect, the share that is right stands beside the probability that
 was stated.
 
-``--results`` keeps the verdict on each recording, and goes on where it stopped. Several
-processes can share the seeds, each with a file of its own: ``--seed 2000 --trials 100
---results a.jsonl`` beside ``--seed 2100 --trials 100 --results b.jsonl``, and then
-``--trials 0 --results a.jsonl b.jsonl`` for the table of both. The study of another
-version (run with PYTHONPATH on its checkout) goes into the table beside this one with
-``--old``.
+``--out`` keeps the verdict on each recording, and goes on where it stopped. Several
+processes can share the seeds, each with a file of its own; ``--trials 0 --out a.jsonl
+b.jsonl`` then makes the table of both.
 
 Targets, fixed before the search by odds was built: any name in at most 2 % of the
 recordings pooled and 5 % of a cell, "perhaps" counted beside them and calibrated.
@@ -34,7 +31,7 @@ from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
-from _perhaps import calibration, stated, undecided
+from _perhaps import calibration, stated
 from _report import parser, publish, rst_table, run_study
 from _undeclared_effects import ADDED, World, can_carry
 from _undeclared_robots import (
@@ -365,11 +362,11 @@ def run(task):
     )
     # The effect itself, by name or as a rival of the one named.
     found, _, wrong = judge_names(truth, loop.effects_)
-    perhaps, _, wrong_perhaps = judge_names(truth, undecided(loop))
+    perhaps, _, wrong_perhaps = judge_names(truth, loop.possible_)
     return {
         **verdict,
         "names": stated(loop.effects_, wrong),
-        "perhaps": stated(undecided(loop), wrong_perhaps),
+        "perhaps": stated(loop.possible_, wrong_perhaps),
         "found": any(found),
         "found or perhaps": any(found) or any(perhaps),
         "seconds": time.process_time() - started,

@@ -24,9 +24,6 @@ What is judged:
   zeros and gains, and without the other effect's torque, fitted by the same loop to
   the same rows with nothing looked for. Beside it: joints within 10 % of it.
 - Wrong names: faults that are not there, and other effects that are not there.
-- ``gains``: five channels scaled by 0.5 to 2, the gains of all joints but one declared
-  to ``RobotIdentifier``: each within 3 %, or said to be invisible. A gain that the
-  noise leaves open by more than 1 % may be either.
 - ``signal``: friction that falls by 40 % over a recorded temperature, named with that
   signal.
 - ``none``: no fault may be named.
@@ -39,7 +36,6 @@ results; what the file holds is not run again, and the table is of all tasks ask
 that it holds.
 """
 
-import inspect
 import time
 import warnings
 from collections import Counter
@@ -51,39 +47,25 @@ from _undeclared_geometry import FRICTION, KINDS, simulate
 from _undeclared_told_apart import SEPARATE
 from bench_single_effects import lower_bound
 
-from sklearn_vbjfa import EffectDiscovery, RobotIdentifier, effects
+from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
 
 KEYS = ("kind", "seed")
+# Part of the seeds.
+NUMBERS = dict(zip(KINDS, (0, 1, 2, 3, 4, 5, 7, 8)))
 # Standard error over value above which a parameter is not judged.
 OPEN = 1.0 / 3.0
-GAIN_TOLERANCE = 0.03
-GAIN_OPEN = 0.01
 AT_FLOOR = 1.1
 
 
 def tasks_of(kinds, seed, n_cases):
-    """Tasks as dicts with `KEYS`, seeds outermost, so that a part of them is a sample.
-
-    Parameters
-    ----------
-    kinds : sequence of str
-        Of `KINDS`.
-    seed, n_cases : int
-        First seed, and cases of each kind.
-
-    Returns
-    -------
-    list of dict
-        Tasks.
-    """
+    """Tasks as dicts with `KEYS`, seeds outermost, so that a part is a sample."""
     seeds = range(seed, seed + n_cases)
     return [{"kind": kind, "seed": s} for s in seeds for kind in kinds]
 
 
-def draw(task, **settings):
-    """Draw the recording of a task; settings are those of `simulate`."""
-    number = KINDS.index(task["kind"])
-    return simulate(task["kind"], seed=(task["seed"], number), **settings)
+def draw(task):
+    """Draw the recording of a task."""
+    return simulate(task["kind"], seed=(task["seed"], NUMBERS[task["kind"]]))
 
 
 def is_fault(pair):
@@ -175,12 +157,6 @@ def judge_values(recording, found, standing):
     return rows
 
 
-def _taken_signals(method, signals):
-    """Further channels as an argument, for a method that takes them."""
-    takes = "signals" in inspect.signature(method).parameters
-    return {"signals": signals} if signals and takes else {}
-
-
 def floor_of(recording):
     """Error on the held-out part with all that is wrong put right, (nv,)."""
     model, q, tau = recording.put_right()
@@ -190,9 +166,9 @@ def floor_of(recording):
     return loop.error_before_
 
 
-def run(task, simulation=None, **settings):
-    """Close the loop on one case, or fit the gains."""
-    recording = draw(task, **(simulation or {}))
+def run(task):
+    """Close the loop on one case."""
+    recording = draw(task)
     result = {
         **task,
         "arm": recording.arm,
@@ -217,16 +193,15 @@ def run(task, simulation=None, **settings):
         return result
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
-        judged = _run_gains if task["kind"] == "gains" else _run_loop
-        return {**result, **judged(recording, settings)}
+        return {**result, **_run_loop(recording)}
 
 
-def _run_loop(recording, settings):
+def _run_loop(recording):
     identifier = RobotIdentifier(recording.model, dt=recording.dt, friction=FRICTION)
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
-    signals = _taken_signals(loop.fit, recording.signals)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.process_time()
-    loop.fit(recording.q, recording.tau, groups=recording.groups, **signals)
+    given = {"groups": recording.groups, "signals": recording.signals or None}
+    loop.fit(recording.q, recording.tau, **given)
     seconds = time.process_time() - started
     named, by_class, faults, others, standing = judge(recording, loop.effects_)
     return {
@@ -259,56 +234,6 @@ def _described(effect):
     }
 
 
-def _run_gains(recording, settings):
-    nv = recording.model.nv
-    if not hasattr(effects, "TorqueGain"):
-        gains = [{**_gain(entry), "value": None} for entry in recording.truth]
-        return {"gains": gains, "seconds": 0.0}
-    others = [j for j in range(nv) if j != recording.reference]
-    identifier = RobotIdentifier(
-        recording.model,
-        dt=recording.dt,
-        friction=FRICTION,
-        effects=[effects.TorqueGain(j) for j in others],
-    )
-    started = time.process_time()
-    identifier.fit(recording.q, recording.tau, groups=recording.groups)
-    seconds = time.process_time() - started
-    values = {e.joint: float(e.gain) for e in identifier.effects_}
-    hidden = hidden_gains(identifier, others)
-    gains = [
-        {**_gain(e), "value": values[e.joint], "hidden": e.joint in hidden}
-        for e in recording.truth
-    ]
-    for gain in gains:
-        within = abs(gain["value"] / gain["true"] - 1.0) <= GAIN_TOLERANCE
-        told = gain["std"] <= GAIN_OPEN * gain["true"]
-        gain["right"] = bool(within or (gain["hidden"] and not told))
-    return {"gains": gains, "seconds": seconds}
-
-
-def _gain(entry):
-    """Return the true gain of a channel and its error by the torque noise alone."""
-    return {
-        "joint": entry.joint,
-        "true": entry.parameters["gain"],
-        "std": entry.std[0],
-        "right": False,
-    }
-
-
-def hidden_gains(identifier, joints):
-    """Joints whose gain the identifier says it cannot see."""
-    names = list(identifier.parameter_names_)
-    hidden = set()
-    for j in joints:
-        start = f"{identifier.joint_names_[j]}:"
-        at = [i for i, x in enumerate(names) if x.startswith(start) and "gain" in x]
-        if at and not np.all(identifier.identifiable_[at]):
-            hidden.add(j)
-    return hidden
-
-
 def _words(pairs):
     return ", ".join(f"{name} {joint + 1}" for name, joint in pairs) or "nothing"
 
@@ -319,9 +244,6 @@ def line(result):
     start = f"{result['kind']} seed {result['seed']} ({result['arm']}): {truth}"
     if not result["visible"]:
         return f"{start}: not visible in any robot"
-    if "gains" in result:
-        right = sum(gain["right"] for gain in result["gains"])
-        return f"{start}: {right} of {len(result['gains'])} gains"
     found = _words((e["name"], e["joint"]) for e in result["found"])
     verdict = "named" if all(result["named"]) else "MISSED"
     wrong = result["wrong_faults"] + result["wrong_others"]
@@ -419,49 +341,19 @@ def _found_instead(results):
 
 def report(results):
     """Text with the tables of the results that there are."""
-    searched = [r for r in results if r["kind"] != "gains"]
-    kinds = [k for k in KINDS if any(r["kind"] == k for r in searched)]
-    by_kind = {k: [r for r in searched if r["kind"] == k] for k in kinds}
-    parts = []
-    if kinds:
-        names = [_names_row(kind, rows) for kind, rows in by_kind.items()]
-        figures = [_figures_row(kind, rows) for kind, rows in by_kind.items()]
-        instead = [[kind, _found_instead(rows)] for kind, rows in by_kind.items()]
-        parts += [
-            rst_title("Names", "~"),
-            rst_table(names, NAMES_HEADERS),
-            rst_title("Values and errors", "~"),
-            rst_table(figures, FIGURES_HEADERS),
-            rst_title("Found where a name is missed", "~"),
-            rst_table(instead, ["kind", "found, in cases"], n_labels=2),
-        ]
-    gains = [r for r in results if r["kind"] == "gains"]
-    if gains:
-        every = [gain for r in gains for gain in r["gains"]]
-        off = [
-            abs(gain["value"] / gain["true"] - 1.0)
-            for gain in every
-            if gain["value"] is not None and not gain.get("hidden")
-        ]
-        row = [
-            str(len(gains)),
-            *_share([gain["right"] for gain in every]),
-            str(sum(bool(gain.get("hidden")) for gain in every)),
-            f"{100 * np.median(off):.2f} %" if off else "–",
-            f"{100 * max(off):.2f} %" if off else "–",
-            f"{np.median([r['seconds'] for r in gains]):.1f}",
-        ]
-        headers = [
-            "robots",
-            "gains",
-            f"within {100 * GAIN_TOLERANCE:g} % or rightly called invisible",
-            "lower bound",
-            "called invisible",
-            "median error of the others",
-            "largest",
-            "median processor time [s]",
-        ]
-        parts += [rst_title("Gains of all channels", "~"), rst_table([row], headers)]
+    kinds = [k for k in KINDS if any(r["kind"] == k for r in results)]
+    by_kind = {k: [r for r in results if r["kind"] == k] for k in kinds}
+    names = [_names_row(kind, rows) for kind, rows in by_kind.items()]
+    figures = [_figures_row(kind, rows) for kind, rows in by_kind.items()]
+    instead = [[kind, _found_instead(rows)] for kind, rows in by_kind.items()]
+    parts = [
+        rst_title("Names", "~"),
+        rst_table(names, NAMES_HEADERS),
+        rst_title("Values and errors", "~"),
+        rst_table(figures, FIGURES_HEADERS),
+        rst_title("Found where a name is missed", "~"),
+        rst_table(instead, ["kind", "found, in cases"], n_labels=2),
+    ]
     return "\n\n".join(parts)
 
 

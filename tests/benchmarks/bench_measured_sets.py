@@ -32,7 +32,6 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from _perhaps import undecided
 from _protocols import protocols
 from _report import fixed, parser, publish, rst_table, run_study
 from _rivals import settings_of
@@ -148,7 +147,7 @@ def judge(q, tau, groups, identifier):
         "errors": {name: np.asarray(x).tolist() for name, x in errors.items()},
         "failures": failures,
         "effects": [[e.name, e.joint] for e in loop.effects_],
-        "perhaps": [[e.name, e.joint] for e in undecided(loop)],
+        "perhaps": [[e.name, e.joint] for e in loop.possible_],
         "cutoff": float(plain.cutoff_),
         "seconds": seconds,
     }

@@ -12,7 +12,6 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
-from _perhaps import undecided
 from _protocol_sets import PAIRED_SETS, STAGES, pairs
 from _report import fixed, parser, publish, rst_table, rst_title
 from sklearn.base import clone
@@ -104,11 +103,11 @@ def measure_scale(recording, identifier):
     return Scale(spread=spread, **ranges)
 
 
-def judge(recording, identifier, scale, label, fitted, judged, **settings):
+def judge(recording, identifier, scale, label, fitted, judged):
     """Close the loop on the fitted recordings and judge it on the others."""
     fit, unseen = recording.select(*fitted), recording.select(*judged)
     started = time.perf_counter()
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0)
     loop.fit(fit.q, fit.tau, groups=fit.groups)
     seconds = time.perf_counter() - started
     declared = clone(identifier).fit(fit.q, fit.tau, groups=fit.groups)
@@ -125,25 +124,23 @@ def judge(recording, identifier, scale, label, fitted, judged, **settings):
         width=_divide(intervals["after"][1], intervals["after"][0]),
         overlap=scale.overlap(fitted, judged),
         effects=tuple(f"{e.name} {e.joint + 1}" for e in loop.effects_),
-        perhaps=tuple(f"{e.name} {e.joint + 1}" for e in undecided(loop)),
+        perhaps=tuple(f"{e.name} {e.joint + 1}" for e in loop.possible_),
         seconds=seconds,
     )
 
 
-def run_set(name, data_home=None, chosen=None, recording=None, friction=None, **extra):
+def run_set(name, data_home=None, chosen=None):
     """Judge the pairs of one set."""
     frozen = PAIRED_SETS[name]
-    recording = recording or frozen.recording(data_home)
-    identifier = frozen.identifier(recording.robot_model(), recording.dt, friction)
+    recording = frozen.recording(data_home)
+    identifier = frozen.identifier(recording.robot_model(), recording.dt)
     scale = measure_scale(recording, identifier)
     verdicts, failed = [], []
     for label, fitted, judged in pairs(recording.group_names, frozen.leave_out):
         if chosen and label not in chosen:
             continue
         try:
-            verdicts.append(
-                judge(recording, identifier, scale, label, fitted, judged, **extra)
-            )
+            verdicts.append(judge(recording, identifier, scale, label, fitted, judged))
         except (ValueError, ProjectionError) as error:
             failed.append(f"{label}: {error}")
             continue
@@ -233,10 +230,9 @@ def summary(name, verdicts, spread):
     ]
 
 
-def section(name, recording, scale, verdicts, failed, friction=None):
+def section(name, recording, scale, verdicts, failed):
     """Paragraphs of one set."""
     frozen = PAIRED_SETS[name]
-    declared = "" if friction is None else f", here {', '.join(friction)}"
     units = recording.torque_units
     cells = [row for verdict in verdicts for row in rows_of(verdict, scale.spread)]
     out = [f"{v.judged} j{j + 1}" for v in verdicts for j in np.flatnonzero(~v.counted)]
@@ -244,7 +240,7 @@ def section(name, recording, scale, verdicts, failed, friction=None):
     return [
         rst_title(name, "~"),
         f"{recording}: {', '.join(recording.group_names)}. {frozen.describe()}"
-        f"{declared}. Spread of the torque while the joint moves, all recordings: "
+        f". Spread of the torque while the joint moves, all recordings: "
         f"{spread} (unit: {', '.join(dict.fromkeys(units))}, in the table N m).",
         rst_table(cells, HEADERS, n_labels=2),
         f"Not counted, range not fitted: {', '.join(out) or 'none'}.",

@@ -6,7 +6,6 @@ closed on the result. What it then names in addition to what it names on the rec
 as it is should be what was put in.
 """
 
-import inspect
 import sys
 import tempfile
 import time
@@ -204,13 +203,14 @@ def _uniform_time(recording):
     return recording.dt * (np.arange(recording.n_samples) - start)
 
 
-def close(case, identifier, **settings):
+def close(case, identifier):
     """Close the loop on a case."""
     robot = clone(identifier).set_params(model=case.model)
-    loop = EffectDiscovery(robot, random_state=0, **settings)
+    loop = EffectDiscovery(robot, random_state=0)
     started = time.perf_counter()
     try:
-        loop.fit(case.q, case.tau, groups=case.groups, **_taken(loop.fit, case.signals))
+        given = {"groups": case.groups, "signals": case.signals or None}
+        loop.fit(case.q, case.tau, **given)
     except (ValueError, ProjectionError) as error:
         return Answer(
             case=case, message=str(error), seconds=time.perf_counter() - started
@@ -224,12 +224,6 @@ def close(case, identifier, **settings):
         spread=loop.torque_spread_,
         seconds=seconds,
     )
-
-
-def _taken(method, signals):
-    """Further channels as an argument, for a method that takes them."""
-    takes = "signals" in inspect.signature(method).parameters
-    return {"signals": signals} if signals and takes else {}
 
 
 def verdict(answer, reference):
@@ -313,17 +307,17 @@ def _words(pairs):
     return ", ".join(f"{name} {joint + 1}" for name, joint in pairs) or "nothing"
 
 
-def run_set(name, data_home=None, kinds=None, recording=None, **settings):
+def run_set(name, data_home=None, kinds=None):
     """Answers of one robot, that of the recording as it is first; and the recording."""
     frozen = MANIPULATED_SETS[name]
-    recording = recording or frozen.recording(data_home)
+    recording = frozen.recording(data_home)
     identifier = frozen.identifier(recording.robot_model(), recording.dt)
     declared = frozen.identifier(recording.robot_model(), recording.dt)
     declared.fit(recording.q, recording.tau, groups=recording.groups)
     answers = []
     joint = FRICTION_JOINT.get(name, 1)
     for case in cases(recording, declared, joint, kinds):
-        answers.append(close(case, identifier, **settings))
+        answers.append(close(case, identifier))
         print(
             f"{name}: {' | '.join(row(answers[-1], answers[0]))}",
             file=sys.stderr,

@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from types import SimpleNamespace
 
 import numpy as np
-from _perhaps import stated, undecided
+from _perhaps import stated
 from _report import fixed, parser, publish, rst_table, run_study
 from _undeclared_effects import ADDED, World, can_carry
 from _undeclared_robots import (
@@ -193,7 +193,7 @@ def run(task):
         loop.fit(q, tau, groups=groups)
     real = [SimpleNamespace(name=n, joint=joint, contains=truth[1:]) for n in truth[:1]]
     found, _, wrong = judge_names(SimpleNamespace(truth=real), loop.effects_)
-    _, _, wrong_perhaps = judge_names(SimpleNamespace(truth=real), undecided(loop))
+    _, _, wrong_perhaps = judge_names(SimpleNamespace(truth=real), loop.possible_)
     return {
         "row": name,
         "seed": seed,
@@ -201,7 +201,7 @@ def run(task):
         "joint": joint,
         "found": bool(found) and all(found),
         "names": stated(loop.effects_, wrong),
-        "perhaps": stated(undecided(loop), wrong_perhaps),
+        "perhaps": stated(loop.possible_, wrong_perhaps),
         "repeats": bool(loop.report_.outcome.repeated),
         "seconds": time.process_time() - started,
     }

@@ -5,7 +5,7 @@ Run ``python tests/benchmarks/bench_single_effects.py --out FILE [--seeds FIRST 
 
 Data: ``_undeclared.py``, which shares no code with the library of effects: robots of
 two to seven joints, 30 to 60 s at 100 to 200 Hz in one or two recordings, white torque
-noise of 2 to 5 % of the spread, viscous or viscous and Coulomb friction declared. The
+noise of 2 to 5 % of the spread, viscous friction declared. The
 size of an effect is the root mean square of the part that the declared columns cannot
 absorb, weighted by the torque noise, over that noise. Where an effect cannot have the
 size asked for within what is physical (an elastic joint, a delay of 40 ms, a filter of
@@ -36,7 +36,7 @@ import warnings
 from collections import Counter
 
 import numpy as np
-from _perhaps import PERHAPS, calibration, counts, stated, undecided
+from _perhaps import PERHAPS, calibration, counts, stated
 from _report import parser, publish, rst_table, rst_title, run_study
 from _undeclared import CHANNELS, LIBRARY, PLAIN, draw_cases, simulate
 from scipy.stats import beta
@@ -65,26 +65,7 @@ def lower_bound(successes, n):
 
 
 def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
-    """Tasks as dicts with `KEYS`, seeds outermost, so that a part of them is a sample.
-
-    Parameters
-    ----------
-    studies, kinds : sequence of str
-        Of `STUDIES` and `KINDS`.
-    sizes : sequence of float
-        Sizes of the single effects.
-    seed : int
-        First seed.
-    n_seeds : int
-        Seeds of the single effects.
-    n_cases : int
-        Cases of each other study.
-
-    Returns
-    -------
-    list of dict
-        Tasks.
-    """
+    """Tasks as dicts with `KEYS`, seeds outermost, so that a part is a sample."""
     tasks = []
     if "single" in studies:
         tasks += [
@@ -95,15 +76,15 @@ def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
         ]
     drawn = [kind for kind in KINDS if kind in kinds]
     for study in (study for study in SEVERAL if study in studies):
-        cases = draw_cases(n_cases, SEVERAL[study], SEVERAL_SIZES, seed, kinds=drawn)
+        cases = draw_cases(n_cases, SEVERAL[study], SEVERAL_SIZES, seed, drawn)
         tasks += [
             {
                 "study": study,
-                "kinds": list(case.kinds),
-                "sizes": [round(size, 6) for size in case.size],
+                "kinds": chosen,
+                "sizes": [round(size, 6) for size in drawn_sizes],
                 "seed": seed + i,
             }
-            for i, case in enumerate(cases)
+            for i, (chosen, drawn_sizes) in enumerate(cases)
         ]
     if "none" in studies:
         tasks += [
@@ -113,14 +94,13 @@ def tasks_of(studies, kinds, sizes, seed, n_seeds, n_cases):
     return tasks
 
 
-def draw(task, **settings):
-    """Draw the recording of a task; settings are those of `simulate`."""
+def draw(task):
+    """Draw the recording of a task."""
     number = ALL.index(task["kinds"][0]) if task["kinds"] else len(ALL)
     return simulate(
         task["kinds"],
         size=task["sizes"],
         seed=(task["seed"], STUDIES.index(task["study"]), number),
-        **{"exact": True, **settings},
     )
 
 
@@ -140,9 +120,9 @@ def judge(recording, effects):
     return named, by_rival, sorted(found - set(truth) - contained - excused)
 
 
-def run(task, simulation=None, **settings):
+def run(task):
     """Close the loop on one case."""
-    recording = draw(task, **(simulation or {}))
+    recording = draw(task)
     result = {
         **task,
         "visible": recording.visible,
@@ -154,13 +134,13 @@ def run(task, simulation=None, **settings):
     identifier = RobotIdentifier(
         recording.model, dt=recording.dt, friction=recording.declared
     )
-    loop = EffectDiscovery(identifier, random_state=0, **settings)
+    loop = EffectDiscovery(identifier, random_state=0)
     started = time.perf_counter()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)
         loop.fit(recording.q, recording.tau, groups=recording.groups)
     named, by_rival, extra = judge(recording, loop.effects_)
-    perhaps, _, wrong = judge(recording, undecided(loop))
+    perhaps, _, wrong = judge(recording, loop.possible_)
     return {
         **result,
         "named": named,
@@ -168,7 +148,7 @@ def run(task, simulation=None, **settings):
         "extra": [list(pair) for pair in extra],
         "found": [[e.name, e.joint, list(e.rivals)] for e in loop.effects_],
         "names": stated(loop.effects_, extra),
-        "perhaps": stated(undecided(loop), wrong),
+        "perhaps": stated(loop.possible_, wrong),
         "named_or_perhaps": [a or b for a, b in zip(named, perhaps, strict=True)],
         "seconds": time.perf_counter() - started,
     }
@@ -211,7 +191,7 @@ def _sizes_table(results):
                 f"{100 * target:.0f} %",
                 f"{sum(rivals)}",
                 f"{sum(wrong)}",
-                f"{sum(r.get('named_or_perhaps', r['named'])[0] for r in counted)}",
+                f"{sum(r['named_or_perhaps'][0] for r in counted)}",
                 *counts(counted),
                 f"{len(own) - len(counted)}",
             ]

@@ -48,7 +48,7 @@ import warnings
 from itertools import combinations
 
 import numpy as np
-from _perhaps import PERHAPS, calibration, counts, gathered, stated, undecided
+from _perhaps import PERHAPS, calibration, counts, gathered, stated
 from _report import parser, publish, rst_table, run_study
 from _undeclared import PLAIN
 from _undeclared_whole import NV, whole_robot
@@ -122,7 +122,7 @@ def run(task, duration=30.0, **settings):
     seconds = time.perf_counter() - started
     moving, whole = prediction_errors(loop.identifier_, robot)
     missed, extra, right = judge_names(robot.truth, loop.effects_)
-    wrong = judge_names(robot.truth, undecided(loop))[1]
+    wrong = judge_names(robot.truth, loop.possible_)[1]
     seen = [e for e in robot.truth if e.visible and e.name not in PLAIN]
     return {
         **task,
@@ -138,7 +138,7 @@ def run(task, duration=30.0, **settings):
         "extra": [list(pair) for pair in extra],
         "right": right,
         "names": stated(loop.effects_, extra),
-        "perhaps": stated(undecided(loop), wrong),
+        "perhaps": stated(loop.possible_, wrong),
         "seconds": seconds,
     }
 

@@ -72,11 +72,7 @@ def design(arguments, folder):
         text="\n".join(
             _summary.summary(motion, Path(robot.file).name, measured, found)
         ),
-        doubts=[
-            *_summary.unchecked(motion),
-            *_summary.undecided(motion),
-            *_summary.unseen(motion, arguments.effects or ()),
-        ],
+        doubts=_summary.doubts(motion, arguments.effects or ()),
         folder=out.parent,
         files=(out.name,),
         write=write,

@@ -40,17 +40,20 @@ def correct(arguments, folder):
 
 def _data(found):
     """Return the report as data."""
-    rows = zip(
-        found.error_before, found.error_after, found.interval, found.next_interval[-1]
-    )
-    keys = ("described", "corrected", "interval", "interval_after_next")
-    rows = (np.where(np.isfinite(row), row, None).tolist() for row in rows)
-    named = zip(found.identifier.joint_names_, found.friction_known, found.gravity)
-    joints = [
-        {"joint": name, "friction_known": bool(known), "gravity": float(size)}
-        | dict(zip(keys, row))
-        for (name, known, size), row in zip(named, rows)
-    ]
+    columns = {
+        "joint": found.identifier.joint_names_,
+        "friction_known": found.friction_known,
+        "gravity": found.gravity,
+        "described": found.error_before,
+        "corrected": found.error_after,
+        "interval": found.interval,
+        "interval_after_next": found.next_interval,
+    }
+    # Numbers that are not known are null in JSON.
+    columns = {
+        k: [x if x == x else None for x in np.asarray(v).tolist()]
+        for k, v in columns.items()
+    }
     links = [
         {"links": one.bodies, "factors": one.factors, "stds": one.stds}
         for one in found.identifier.mass_deviations_
@@ -58,7 +61,7 @@ def _data(found):
     return {
         "purpose": "gravity",
         "samples": found.samples.n_samples,
-        "joints": joints,
+        "joints": [dict(zip(columns, row)) for row in zip(*columns.values())],
         "links": links,
         "payload": found.payload,
         "next_poses": found.next_poses.tolist(),
@@ -67,20 +70,19 @@ def _data(found):
 
 def _lines(data):
     """Return the lines of the report."""
-    lines = [
-        f"Gravity torque from {data['samples']} poses and stretches of slow motion.",
-        "Errors of the torque at held-out samples [N m or N], 90 % intervals of the "
-        "gravity torque:",
-        f"  {'joint':20} described  corrected  interval  friction",
-    ]
+    from tabulate import tabulate
+
+    rows = []
     for one in data["joints"]:
-        numbers = (one[key] for key in ("described", "corrected", "interval"))
-        cells = ["-" if x is None else f"{x:.3g}" for x in numbers]
         known = "known" if one["friction_known"] else "assumed (one direction)"
-        said = f"{cells[0]:>9}  {cells[1]:>9}  ±{cells[2]:>7}  {known}"
-        lines.append(
-            f"  {one['joint']:20} {said if one['gravity'] else 'no gravity torque'}"
-        )
+        row = [one["joint"], one["described"], one["corrected"], one["interval"], known]
+        rows.append(row if one["gravity"] else [one["joint"], "no gravity torque"])
+    heads = ["joint", "described", "corrected", "90 % interval, ±", "friction"]
+    lines = [
+        f"Gravity torque from {data['samples']} poses and stretches of slow motion: "
+        "errors at held-out samples [N m or N].",
+        *tabulate(rows, heads, tablefmt="plain", floatfmt=".3g").splitlines(),
+    ]
     for one in data["links"]:
         masses = " or ".join(
             f"{link} {factor:.2f} ± {std:.2f}"

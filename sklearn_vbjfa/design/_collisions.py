@@ -42,16 +42,6 @@ class Distances:
     exact: np.ndarray  # (n, n_pairs): false where pairs are far apart
 
 
-@dataclass(frozen=True)
-class Approach:
-    """Two links near each other in one row of a motion."""
-
-    row: int
-    first: str
-    second: str
-    distance: float  # signed [m]
-
-
 class Clearance:
     """Distances between the links of a robot that may meet."""
 
@@ -119,22 +109,17 @@ class Clearance:
         return Distances(distance, gradient, exact)
 
     def nearest(self, q):
-        """Return where two links are nearest, or deepest in each other, or None."""
-        best, where = np.inf, None
-        for row, x in enumerate(self._positions(q)):
+        """Smallest signed distance [m] at q (n, nv), and its links; inf for none."""
+        best, links = np.inf, ()
+        for x in self._positions(q):
             bounds = self._place(x)
             for k in np.argsort(bounds):
                 if bounds[k] >= best:
                     break
                 distance = self._measure(k).min_distance
                 if distance < best:
-                    best, where = float(distance), (row, *self.pairs[k])
-        return None if where is None else Approach(*where, best)
-
-    def smallest(self, q):
-        """Return the smallest signed distance [m] in a motion, inf if none can meet."""
-        nearest = self.nearest(q)
-        return np.inf if nearest is None else nearest.distance
+                    best, links = float(distance), self.pairs[k]
+        return best, links
 
     def _look_at(self, shapes):
         """Take pairs of numbers of shapes as those that are looked at."""

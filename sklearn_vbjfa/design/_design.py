@@ -434,11 +434,11 @@ def _check_held(problem, names, rng):
     best = strain[np.argmin(strain.max(axis=1))]
     j = int(np.argmax(best))
     if best[j] < _HELD:
-        one = problem.clearance.nearest(poses[:1])
+        distance, links = problem.clearance.nearest(poses[:1])
         raise ValueError(
             f"The limits leave no room: bodies meet in all of {POSES} random poses; "
-            f"{one.first} and {one.second} are {1e3 * one.distance:.0f} mm apart, "
-            f"where {1e3 * problem.room:.0f} mm are kept. Give others of position."
+            f"{' and '.join(links)} are {1e3 * distance:.0f} mm apart, where "
+            f"{1e3 * problem.room:.0f} mm are kept. Give other limits of position."
         )
     enough = rounded_up(np.maximum(limits.torque, best * limits.torque / _HELD))
     raise MotionRefused(
@@ -494,7 +494,7 @@ def _margins(problem, states, t):
     margins = dict(zip(("position", "velocity", "acceleration", "torque"), margins))
     within = all((value >= MARGIN - 1e-6).all() for value in margins.values())
     if problem.clearance is not None:
-        nearest = problem.clearance.smallest(states[:, : problem.model.nv])
+        nearest = problem.clearance.nearest(states[:, : problem.model.nv])[0]
         margins["clearance"] = nearest
         within &= nearest >= problem.room - 1e-6
     return margins, within

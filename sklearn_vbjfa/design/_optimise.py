@@ -244,7 +244,7 @@ class Problem:
             return False
         if not apart or self.clearance is None:
             return True
-        return self.clearance.smallest(states[:, : self.model.nv]) >= self.room
+        return self.clearance.nearest(states[:, : self.model.nv])[0] >= self.room
 
 
 class Lagrangian:

@@ -49,9 +49,9 @@ class GravityCorrection:
     gravity : ndarray of shape (nv,)
         Root mean square of the corrected gravity torque [N m or N]; zero for a
         vertical axis.
-    interval, next_interval : ndarray of shape (nv,), (5, nv)
+    interval, next_interval : ndarray of shape (nv,)
         Half width of the 90 % interval of the gravity torque [N m or N] over random
-        poses, now and after each of `next_poses`.
+        poses, now and after `next_poses`.
     next_poses : ndarray of shape (5, nv)
         Poses [rad or m] to record next.
     friction_known : ndarray of shape (nv,), bool
@@ -79,8 +79,7 @@ class GravityCorrection:
     def interval_at(self, q):
         """Half width (n, nv) of the 90 % interval of the gravity torque at poses q."""
         rows = gravity_rows(self.identifier.features_, np.asarray(q, dtype=float))
-        variance = np.einsum("kjp,pr,kjr->kj", rows, self.covariance, rows)
-        return HALF_WIDTH * np.sqrt(np.maximum(variance, 0.0))
+        return HALF_WIDTH * np.sqrt(_variances(rows, rows @ self.covariance))
 
 
 def correct_gravity(recording, model):
@@ -107,24 +106,24 @@ def correct_gravity(recording, model):
         If there are no poses, or one only; the torques contain no weight; or the
         description has no masses.
     """
-    features = RigidBodyFeatures(model, friction=()).load()
+    features, described = _described(model)
     nv = features.n_joints_
-    theta = _described(features).vector(10 * nv)
     samples = static_samples(recording, features)
-    _check_weight(samples, gravity_rows(features, samples.q) @ theta)
+    rows = gravity_rows(features, samples.q)
+    _check_weight(samples, rows @ described.vector(10 * nv))
     before, after = _held_out(samples, model)
-    _, identifier = _fitted(samples, model, np.ones(samples.n_samples, bool))
+    _, identifier = _fitted(samples, model, slice(None))
     inertial = np.arange(identifier.theta_.size).reshape(nv, -1)[:, :10].ravel()
     covariance = identifier.robot_.prediction_covariance.covariance
     covariance = covariance[np.ix_(inertial, inertial)]
     # What neither torques nor description tell moves no gravity torque.
     covariance = np.where(np.isfinite(covariance), covariance, 0.0)
     poses = _random_poses(model)
-    rows = gravity_rows(features, poses)
-    gravity = np.sqrt(((rows @ identifier.theta_[inertial]) ** 2).mean(axis=0))
-    noise = np.maximum(identifier.output_noise_, 1e-9 * gravity.max())
+    at_poses = gravity_rows(features, poses)
+    gravity = np.sqrt(((at_poses @ identifier.theta_[inertial]) ** 2).mean(axis=0))
     # A pose is recorded from both sides.
-    chosen, stds = _best_poses(rows, covariance, noise / np.sqrt(2.0), _PROPOSED)
+    noise = np.maximum(identifier.output_noise_, 1e-9 * gravity.max()) / np.sqrt(2.0)
+    chosen, now, then = _best_poses(at_poses, covariance, noise, _PROPOSED)
     side = samples.states[:, nv : 2 * nv]
     return GravityCorrection(
         identifier=identifier,
@@ -132,11 +131,11 @@ def correct_gravity(recording, model):
         error_before=before,
         error_after=after,
         gravity=np.where(gravity > 1e-6 * gravity.max(), gravity, 0.0),
-        interval=HALF_WIDTH * stds[0],
+        interval=HALF_WIDTH * now,
         friction_known=(side > 0).any(axis=0) & (side < 0).any(axis=0),
-        payload=_payload(identifier, samples, features, theta),
+        payload=_payload(identifier, samples, rows, described.vector(10 * nv)),
         next_poses=poses[chosen],
-        next_interval=HALF_WIDTH * stds[1:],
+        next_interval=HALF_WIDTH * then,
         covariance=covariance,
     )
 
@@ -167,8 +166,8 @@ def gravity_poses(model, n_poses=20, *, random_state=0):
     ValueError
         If the description has no masses.
     """
-    features = RigidBodyFeatures(model, friction=()).load()
-    bodies, size = _described(features), 10 * features.n_joints_
+    features, bodies = _described(model)
+    size = 10 * features.n_joints_
     covariance = np.zeros((size, size))
     for places, root in zip(bodies.places, bodies.root):
         inverse = DESCRIBED * np.linalg.inv(root)
@@ -196,8 +195,9 @@ def gravity_rows(features, q):
     return rows[..., :10].reshape(n, nv, -1)
 
 
-def _described(features):
-    """Return the bodies of a description; refuse one without masses."""
+def _described(model):
+    """Return features and bodies of a description; refuse one without masses."""
+    features = RigidBodyFeatures(model, friction=()).load()
     bodies = BodyPrior.of(features.model_, 10)
     if bodies is None:
         raise ValueError(
@@ -205,7 +205,7 @@ def _described(features):
             "corrects the masses of a description. Add <inertial> to its links, with "
             "rough masses at least."
         )
-    return bodies
+    return features, bodies
 
 
 def _random_poses(robot, random_state=0, margin=0.0):
@@ -216,28 +216,32 @@ def _random_poses(robot, random_state=0, margin=0.0):
     q = random.uniform(low + margin, high - margin, (2 * _CANDIDATES, model.nv))
     clearance, _ = Clearance.of(robot, model=model)
     if clearance is not None:
-        free = np.array([clearance.smallest(one[None]) > 0 for one in q])
+        free = np.array([clearance.nearest(one[None])[0] > 0 for one in q])
         q = q[free] if free.any() else q
     return q[:_CANDIDATES]
+
+
+def _variances(rows, across):
+    """Variances (n, nv) of torques from rows (n, nv, p) and rows times covariance."""
+    return np.maximum(np.einsum("kjp,kjp->kj", across, rows), 0.0)
 
 
 def _best_poses(rows, covariance, noise, n):
     """Choose n rows (n, nv, p), each of which narrows the widest interval most.
 
-    Returns their numbers, and the standard deviations (n + 1, nv) of the gravity torque
-    over all rows, before and after each.
+    Returns their numbers, and the standard deviations (nv,) of the gravity torque over
+    all rows before and after.
     """
     chosen, widths = [], []
     while True:
         across = rows @ covariance
-        variance = np.einsum("kjp,kjp->kj", across, rows).mean(axis=0)
-        widths.append(np.sqrt(variance))
+        widths.append(np.sqrt(_variances(rows, across).mean(axis=0)))
         if len(chosen) == n:
-            return chosen, np.array(widths)
+            return chosen, widths[0], widths[-1]
         gains = across @ rows.transpose(0, 2, 1) + np.diag(noise**2)
         gains = np.linalg.inv(gains)
         # What each pose would take away of the widest variance, summed over all poses.
-        shared = across[:, variance.argmax()] @ rows.transpose(0, 2, 1)
+        shared = across[:, widths[-1].argmax()] @ rows.transpose(0, 2, 1)
         best = int(np.einsum("kmj,kji,kmi->k", shared, gains, shared).argmax())
         covariance = covariance - across[best].T @ gains[best] @ across[best]
         chosen.append(best)
@@ -258,10 +262,8 @@ def static_samples(recording, features):
     size = np.sqrt((gravity**2).mean(axis=0))
     slow = np.abs(dynamic) <= _DYNAMIC * np.maximum(size, 0.1 * size.max())
     still = np.abs(v) <= _REST * np.percentile(np.abs(v), 99.5, axis=0)
-    slow, still = slow.all(axis=1), still.all(axis=1)
     length = max(1, round(_WINDOW / recording.dt)) if recording.dt else 1
-    parts = recording.segments
-    spans = [span for part in parts for span in _spans(slow, still, part, length)]
+    spans = _spans(slow.all(axis=1), still.all(axis=1), recording.segments, length)
     if not spans:
         raise ValueError(
             "The recording holds neither poses nor slow motion: gravity needs poses "
@@ -272,15 +274,13 @@ def static_samples(recording, features):
     # Friction opposes the last motion in full after a way.
     ways = np.maximum(_WAY * np.ptp(q, axis=0), np.finfo(float).tiny)
     came = np.empty_like(q)
-    for part in parts:
+    for part in recording.segments:
         for j, way in enumerate(ways):
             came[part, j] = stops(q[part, j], np.array([way]))[:, 0]
     pose, tau, side = (
         np.array([x[a:b].mean(axis=0) for a, b in spans])
         for x in (q, recording.tau - dynamic, came)
     )
-    labels = [recording.groups[a] for a, _ in spans]
-    labels, numbers = np.unique(labels, return_inverse=True)
     known = np.abs(side) >= _FULL
     side = np.sign(side) * known
     # Friction from one side only is part of the offset.
@@ -291,8 +291,8 @@ def static_samples(recording, features):
         tau=tau,
         states=np.hstack([pose, _DIRECTION * side, 0 * pose]),
         weight=known.astype(float),
-        groups=numbers,
-        group_names=tuple(recording.group_names[label] for label in labels),
+        groups=np.zeros(len(pose), dtype=int),
+        group_names=("poses",),
         t=None,
         v=None,
         dt=None,
@@ -300,17 +300,18 @@ def static_samples(recording, features):
     )
 
 
-def _spans(slow, still, part, length):
-    """Find (first, end) of the poses and of the windows of slow motion of a part."""
-    edges = np.flatnonzero(np.diff(np.r_[0, still[part], 0])) + part.start
-    # The first half of a window settles.
-    poses = edges.reshape(-1, 2)
-    found = [(a + length // 2, b) for a, b in poses if b - a >= 2 * length]
-    moving = slow & ~still
-    starts = range(part.start, part.stop - length + 1, length)
-    return sorted(
-        found + [(a, a + length) for a in starts if moving[a:][:length].all()]
-    )
+def _spans(slow, still, parts, length):
+    """Find (first, end) of the poses and of the windows of slow motion."""
+    found = []
+    for part in parts:
+        edges = np.flatnonzero(np.diff(np.r_[0, still[part], 0])) + part.start
+        # The first half of a window settles.
+        poses = [(a + length // 2, b) for a, b in edges.reshape(-1, 2)]
+        found += [(a, b) for a, b in poses if b - a >= 2 * length - length // 2]
+        for a in range(part.start, part.stop - length + 1, length):
+            if (slow & ~still)[a : a + length].all():
+                found.append((a, a + length))
+    return sorted(found)
 
 
 def _fitted(samples, model, rows):
@@ -386,12 +387,11 @@ def _check_weight(samples, gravity):
         )
 
 
-def _payload(identifier, samples, features, theta):
+def _payload(identifier, samples, rows, theta):
     """Mass of a payload and its deviation, if it explains the torques as well."""
     # The description with mass and first moments of something at the last link.
-    nv, rows = features.n_joints_, gravity_rows(features, samples.q)
     weight = samples.weight / np.maximum(identifier.output_noise_, 1e-300)
-    last = rows[:, :, 10 * (nv - 1) : 10 * (nv - 1) + 4]
+    last = rows[:, :, -10:-6]
     mass, std, squares = _explained(samples, last, samples.tau - rows @ theta, weight)
     predicted = identifier.predict(samples.states)
     other = (((samples.tau - predicted) * weight) ** 2).sum()
@@ -399,6 +399,6 @@ def _payload(identifier, samples, features, theta):
     # The corrected links have more freedom; each direction that the poses determine
     # is worth half the logarithm of their number.
     bodies = ~identifier.from_description_ & (np.abs(identifier.theta_std_) > 0)
-    freedom = max(bodies.sum() - 2 * nv - 4, 0)
+    freedom = max(bodies.sum() - 2 * samples.nv - 4, 0)
     behind = 0.5 * count * np.log(squares / other) - 0.5 * freedom * np.log(count)
     return (mass, std) if behind < _RIVAL and mass > _SURE * std else None

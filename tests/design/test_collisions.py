@@ -227,8 +227,7 @@ def test_a_robot_whose_links_cannot_meet_has_room(tmp_path):
     )
     clearance, q = clearance_of(path), np.zeros((5, 1))
     assert clearance.pairs == ()
-    assert clearance.smallest(q) == np.inf
-    assert clearance.nearest(q) is None
+    assert clearance.nearest(q) == (np.inf, ())
     assert clearance(q).distance.shape == (5, 0)
     assert clearance(q).gradient.shape == (5, 0, 1)
 

@@ -426,17 +426,12 @@ def _kuka_lbr_med7(files):
     return [Log(name="measurements", t=t, q=q, tau=-tau, signals=signals)]
 
 
-def _dfki_double_pendulum(files, which="short"):
-    if which not in ("short", "long"):
-        raise ValueError(f"which must be one of 'short', 'long'; got {which!r}.")
-    measured = which == "short"
-    suffix, logs = "_meas" if measured else "", []
-    for local in files.find(lambda x: ("trajectory_" in x) == measured).values():
+def _dfki_double_pendulum(files):
+    logs = []
+    for local in files.find(lambda path: "trajectory_" in path).values():
         with local.open(encoding="utf-8") as stream:
             names = stream.readline().strip().split(",")
-            table = np.loadtxt(stream, delimiter=",")
-
-        columns = dict(zip(names, table.T))
+            columns = dict(zip(names, np.loadtxt(stream, delimiter=",").T))
 
         def both(key, columns=columns):
             return np.column_stack([columns[f"{key}1"], columns[f"{key}2"]])
@@ -445,10 +440,10 @@ def _dfki_double_pendulum(files, which="short"):
             Log(
                 name=local.stem.removesuffix("-PM_measured"),
                 t=columns["time"],
-                q=both(f"pos{suffix}"),
-                v=both(f"vel{suffix}"),
-                tau=both(f"tau{suffix}"),
-                signals={"tau_command": both("tau_con")} if measured else {},
+                q=both("pos_meas"),
+                v=both("vel_meas"),
+                tau=both("tau_meas"),
+                signals={"tau_command": both("tau_con")},
             )
         )
     return logs

@@ -84,7 +84,6 @@ def declared(model, case, part, **more):
         dt=part["dt"],
         friction=PLAIN,
         cutoff=case.cutoff,
-        options=FitOptions(standstill=case.standstill),
         drive=PDDrive() if case.gains else None,
         **more,
     )
@@ -105,7 +104,10 @@ def identified(case, part, peer):
     """Answer of this package, or of a regressor on its columns."""
     model = case.recording.robot_model()
     started = time.process_time()
-    more = {} if peer in (OURS, SEARCH) else settings_of(peer)
+    options = FitOptions(standstill=case.standstill)
+    more = {"options": options}
+    if peer not in (OURS, SEARCH):
+        more = settings_of(peer, options)
     robot = declared(model, case, part, **more)
     if peer == SEARCH:
         robot = EffectDiscovery(robot, random_state=0)

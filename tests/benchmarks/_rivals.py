@@ -1,5 +1,7 @@
 """scikit-learn's regressors, as rivals on the columns of this package."""
 
+from dataclasses import replace
+
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin
 from sklearn.cross_decomposition import PLSRegression
@@ -13,7 +15,6 @@ from sklearn.linear_model import (
 from sklearn.model_selection import GridSearchCV, KFold
 
 from sklearn_vbjfa import InstrumentalVariables, StepwiseRegressor
-from sklearn_vbjfa.robot import FitOptions
 
 # Rows are in time order, so unshuffled folds are blocks of time.
 BLOCKS = KFold(5)
@@ -52,10 +53,10 @@ def regressors():
     }
 
 
-def settings_of(name):
+def settings_of(name, options):
     """Return settings of a `RobotIdentifier` with one of the regressors."""
     return {
         "regressor": regressors()[name],
         "projector": None,
-        "options": FitOptions(alike=None),
+        "options": replace(options, alike=None),
     }

@@ -325,13 +325,10 @@ def by_the_board(data_home):
     parts = [recording.select(name) for name in (emps.FITTED, emps.JUDGED)]
     states = [emps.authors_states(part.q[:, 0], part.dt) for part in parts]
     rows = [["published, least squares", *fixed(emps.PUBLISHED_ERRORS[1:], 2), ""]]
-    settings = {
-        "friction": emps.FRICTION,
-        "cutoff": emps.CUTOFF,
-        "options": FitOptions(standstill=None),
-    }
-    chosen = {OURS: {}, SEARCH: {}}
-    chosen |= {name: settings_of(name) for name in RIVALS}
+    settings = {"friction": emps.FRICTION, "cutoff": emps.CUTOFF}
+    options = FitOptions(standstill=None)
+    chosen = {OURS: {"options": options}, SEARCH: {"options": options}}
+    chosen |= {name: settings_of(name, options) for name in RIVALS}
     for name, own in chosen.items():
         robot = RobotIdentifier(
             recording.robot_model(), dt=recording.dt, **settings, **own

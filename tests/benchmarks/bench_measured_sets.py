@@ -137,7 +137,7 @@ def judge(q, tau, groups, identifier):
     }
     failures = {}
     for name in RIVALS:
-        model = clone(fuller).set_params(**settings_of(name))
+        model = clone(fuller).set_params(**settings_of(name, fuller.fit_options))
         try:
             errors[name] = error(model.fit(X, y, groups=labels))
         except ValueError as refused:

@@ -116,20 +116,14 @@ def test_values_are_those_of_an_independent_conversion(fetch, converted):
         powered = raw["torque_enable"] == 1
         np.testing.assert_array_equal(part.q[:, 0], raw["position"][powered])
         np.testing.assert_array_equal(part.signals["duty"], raw["pwm_duty"][powered])
-    for which in ("short", "long"):
-        pendulum = fetch("dfki_double_pendulum", which=which, resample=False)
-        _assert_pendulum(pendulum, converted, "_meas" if which == "short" else "")
-
-
-def _assert_pendulum(pendulum, converted, suffix):
-    folder = "20220815__sys_id__" if suffix else "20220812__sys_id__"
+    pendulum = fetch("dfki_double_pendulum", resample=False)
     for name in pendulum.group_names:
-        file = f"design_A.0__{folder}{name}{'' if suffix else '-PM_measured'}"
+        file = f"design_A.0__20220815__sys_id__{name}"
         raw, part = converted("dfki_double_pendulum", file), pendulum.select(name)
         columns = dict(zip(raw["columns"].tolist(), raw["data"].T))
         for key, values in (("pos", part.q), ("vel", part.v), ("tau", part.tau)):
             for joint in (1, 2):
-                expected = columns[f"{key}{suffix}{joint}"]
+                expected = columns[f"{key}_meas{joint}"]
                 np.testing.assert_array_equal(values[:, joint - 1], expected)
 
 

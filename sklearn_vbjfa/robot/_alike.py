@@ -11,7 +11,6 @@ from scipy import linalg
 from scipy.special import logsumexp
 
 from sklearn_vbjfa._core._groups import Groups
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import declared
 from sklearn_vbjfa.model import (
     is_prismatic,
@@ -23,14 +22,13 @@ from sklearn_vbjfa.robot._bodies import (
     DESCRIBED,
     RIVALS,
     SCALES,
-    BodyPosterior,
     Departure,
     Site,
     inverse_of,
     propagated,
 )
 from sklearn_vbjfa.robot._equations import held_columns
-from sklearn_vbjfa.robot._estimate import noise_of
+from sklearn_vbjfa.robot._estimate import widening, with_prior
 from sklearn_vbjfa.robot._gains import HALF_WIDTH
 from sklearn_vbjfa.robot._plan import effect_places
 
@@ -448,11 +446,7 @@ class _Seen:
 
     @classmethod
     def of(cls, found, kept):
-        C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-        size, known = np.sqrt(np.diagonal(C)), np.isfinite(found.std)
-        known &= size > 0
-        ratio = np.ones(size.size)
-        ratio[known] = found.std[known] / size[known]
+        C, ratio = widening(found)
         wide, theta = C * np.outer(ratio, ratio), found.theta_unconstrained
         unit = [np.full(p.size, _unit(theta[p], wide[np.ix_(p, p)])) for p in kept]
         ends = np.cumsum([places.size for places in kept])
@@ -474,36 +468,14 @@ class _Seen:
         return _AlikeProblem(y, S, self.parts)
 
     def beside(self, problem, sites):
-        found, at, scale = self.found, self.at, self.unit / self.ratio[self.at]
+        at, scale = self.at, self.unit / self.ratio[self.at]
         mean, covariance = problem.solved(sites)
-        move = self.unit * (mean - problem.y)
         less = (problem.S - covariance) * np.outer(scale, scale)
-        # All other parameters follow as the data have it.
-        follow = scaled_eigen(self.C[np.ix_(at, at)]).solve(self.C[at]).T
-        theta = found.theta_unconstrained + follow @ move
-        C = self.C - follow @ less @ follow.T
-        std = self.ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
-        C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
-        return replace(
-            found,
-            theta=theta,
-            theta_unconstrained=theta,
-            std=np.where(np.isfinite(found.std), std, found.std),
-            covariance=C,
-            bodies=self._prior(theta, C, problem, sites),
-        )
-
-    def _prior(self, theta, C, problem, sites):
-        at, known = self.at, {"theta": theta, "covariance": C}
-        before = self.found.bodies
-        if before is None:
-            before = BodyPosterior.of_nothing(**known, noise=noise_of(self.found))
-        prior, centre = before.prior.copy(), before.centre.copy()
-        prior[np.ix_(at, at)] += problem.precision(sites) / np.outer(
-            self.unit, self.unit
-        )
-        centre[at] += self.unit * problem.centre(sites, theta[at] / self.unit)
-        return replace(before, **known, prior=prior, centre=centre)
+        precision = problem.precision(sites)
+        right = precision @ problem.centre(sites, mean) / self.unit
+        precision = precision / np.outer(self.unit, self.unit)
+        moved = self.unit * (mean - problem.y)
+        return with_prior(self.found, at, moved, less, precision, right)
 
 
 def beside_each_other(found, groups, robot):

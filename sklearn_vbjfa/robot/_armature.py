@@ -1,13 +1,9 @@
 """A log-normal prior on rotor inertias, which are positive."""
 
-from dataclasses import replace
-
 import numpy as np
 
-from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import CommandDelay
-from sklearn_vbjfa.robot._bodies import BodyPosterior
-from sklearn_vbjfa.robot._estimate import noise_of
+from sklearn_vbjfa.robot._estimate import widening, with_prior
 
 # Standard deviation of the logarithm of a rotor inertia around its reference: a factor
 # of two, as descriptions differ from what is measured.
@@ -23,42 +19,16 @@ def with_positive_rotors(found, robot):
     at, references = _references(found, robot)
     if not at.size or found.covariance is None:
         return found
-    C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
-    size = np.sqrt(np.diagonal(C))
-    ratio = np.ones(size.size)
-    known = np.isfinite(found.std) & (size > 0)
-    ratio[known] = found.std[known] / size[known]
-    known = known[at]
+    C, ratio = widening(found)
+    known = np.isfinite(found.std[at]) & (np.diagonal(C)[at] > 0)
     at, references = at[known], references[known]
     S = C[np.ix_(at, at)] * np.outer(ratio[at], ratio[at])
     y = found.theta_unconstrained[at]
     mean, variance, centre = most_probable(y, S, references)
     gain = np.linalg.solve(S + np.diag(variance), S).T
     less = gain @ S / np.outer(ratio[at], ratio[at])
-    # All other parameters follow as the data have it.
-    follow = scaled_eigen(C[np.ix_(at, at)]).solve(C[at]).T
-    theta = found.theta_unconstrained + follow @ (mean - y)
-    C = C - follow @ less @ follow.T
-    std = ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
-    C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
-    changed = {"theta": theta, "covariance": C}
-    bodies = found.bodies
-    if bodies is None:
-        bodies = BodyPosterior.of_nothing(**changed, noise=noise_of(found))
-    prior, right = bodies.prior.copy(), bodies.prior @ bodies.centre
-    prior[at, at] += 1.0 / variance
-    right[at] += centre / variance
-    # The mean of both priors, of these and of what prior differences tie to them.
-    tied = np.flatnonzero((prior[at] != 0).any(axis=0))
-    before = bodies.centre.copy()
-    before[tied] = np.linalg.lstsq(prior[np.ix_(tied, tied)], right[tied])[0]
-    return replace(
-        found,
-        **changed,
-        theta_unconstrained=theta,
-        std=np.where(np.isfinite(found.std), std, found.std),
-        bodies=replace(bodies, **changed, prior=prior, centre=before),
-    )
+    prior = np.diag(1.0 / variance)
+    return with_prior(found, at, mean - y, less, prior, centre / variance)
 
 
 def most_probable(y, S, references):

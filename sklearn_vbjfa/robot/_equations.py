@@ -308,18 +308,7 @@ class RegressorRows:
 
     def __call__(self, piece):
         """Regressor matrices (n, nv, p) of a slice of rows."""
-        Phi = self._features.matrices(self.states[piece], self._rest)
-        if not self.columns:
-            return self._read(Phi, np.arange(self.n_joints)[:, None])
-        out = np.zeros((*Phi.shape[:2], self.n_parameters))
-        at = Phi.shape[2]
-        out[:, :, :at] = Phi
-        for effect, columns in self.columns:
-            stop = at + columns.shape[-1]
-            which = slice(None) if effect.whole_robot else effect.joint
-            out[:, which, at:stop] = columns[piece]
-            at = stop
-        return self._read(out, np.arange(self.n_joints)[:, None])
+        return self.spread(self.entries(piece).T)
 
     def _read(self, values, joints):
         """Multiply derivatives of the torques of joints with the channels' gains."""

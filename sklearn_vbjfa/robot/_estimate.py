@@ -20,7 +20,12 @@ from sklearn_vbjfa.regression import (
     VBJFARegressor,
     fit_moments,
 )
-from sklearn_vbjfa.robot._bodies import around, as_described, little_learned
+from sklearn_vbjfa.robot._bodies import (
+    BodyPosterior,
+    around,
+    as_described,
+    little_learned,
+)
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 from sklearn_vbjfa.robot._plan import effect_places
@@ -248,6 +253,48 @@ def beside_description(found, description, bodies="prior"):
         std=std,
         covariance=covariance,
         bodies=replace(posterior, noise=noise),
+    )
+
+
+def widening(found):
+    """Covariance (p, p), zero where nothing tells a value, and factors (p,) for std."""
+    # By these factors residuals correlated in time widen the deviations.
+    C = np.where(np.isfinite(found.covariance), found.covariance, 0.0)
+    size, ratio = np.sqrt(np.diagonal(C)), np.ones(len(C))
+    known = np.isfinite(found.std) & (size > 0)
+    ratio[known] = found.std[known] / size[known]
+    return C, ratio
+
+
+def with_prior(found, at, moved, less, precision, right):
+    """Return an `Estimate` with a prior on values at k places, all others following."""
+    # moved (k,), less (k, k): change of their means, and of their covariance before it
+    # is widened; precision (k, k), right (k,): of the prior, and its product with the
+    # mean.
+    C, ratio = widening(found)
+    follow = scaled_eigen(C[np.ix_(at, at)]).solve(C[at]).T
+    theta = found.theta_unconstrained + follow @ moved
+    C = C - follow @ less @ follow.T
+    std = ratio * np.sqrt(np.maximum(np.diagonal(C), 0.0))
+    C = np.where(np.isfinite(found.covariance), 0.5 * (C + C.T), found.covariance)
+    known, bodies = {"theta": theta, "covariance": C}, found.bodies
+    if bodies is None:
+        bodies = BodyPosterior.of_nothing(**known, noise=noise_of(found))
+    prior, sums = bodies.prior.copy(), bodies.prior @ bodies.centre
+    prior[np.ix_(at, at)] += precision
+    sums[at] += right
+    # The mean of both priors, of these values and of what is tied to them; where they
+    # say nothing, that of the estimate.
+    tied = np.flatnonzero((prior[at] != 0).any(axis=0))
+    centre, within = bodies.centre.copy(), prior[np.ix_(tied, tied)]
+    off = np.linalg.lstsq(within, sums[tied] - within @ theta[tied])[0]
+    centre[tied] = theta[tied] + off
+    return replace(
+        found,
+        **known,
+        theta_unconstrained=theta,
+        std=np.where(np.isfinite(found.std), std, found.std),
+        bodies=replace(bodies, **known, prior=prior, centre=centre),
     )
 
 

@@ -3,7 +3,6 @@
 import copy
 import itertools
 import re
-import warnings
 
 import numpy as np
 from sklearn.base import BaseEstimator, TransformerMixin
@@ -284,8 +283,6 @@ _EXACT = 1e-6
 _FEW_VALUES = 3
 # Columns looked at before all of them are.
 _FIRST = 8
-# Mean of a torque, relative to its root mean square, that columns without a mean miss.
-_MEAN_TORQUE = 0.1
 
 
 def parameter_names_of(names, nv):
@@ -320,48 +317,17 @@ def _one_joint(block, parameters):
     return len(before) == 1 and re.fullmatch("(.*__)?tau_.+/", before.pop() or "")
 
 
-def check_as_computed(X, tau, parameter_names=None, *, warn_only=False):
-    """Refuse (or warn of) columns that a scaler or another transformer has changed."""
-    trace = _trace_of_a_scaler(X) or _impossible(X, tau.shape[1], parameter_names)
+def check_as_computed(X):
+    """Refuse columns that a scaler has changed."""
+    trace = _trace_of_a_scaler(X)
     if trace:
-        message = (
+        raise ValueError(
             f"X is not as RigidBodyFeatures computes it: {trace}. All joints share one "
             "parameter vector in SI units, so that no scaler or PCA can stand between "
             "the features and JointTorqueRegressor. Leave it out (columns get unit "
             "mean square inside), or put it into the regressor: "
             "JointTorqueRegressor(make_pipeline(StandardScaler(), Lasso()))."
         )
-        if not warn_only:
-            raise ValueError(message)
-        warnings.warn(message, UserWarning, stacklevel=3)
-    elif _is_centred(X) and not _is_centred_torque(tau):
-        warnings.warn(
-            "All columns of X have a mean of zero, the torques have not. If a scaler "
-            "has centred the columns, take it out: there is no intercept, and constant "
-            "torques (gravity) are lost.",
-            UserWarning,
-            stacklevel=3,
-        )
-
-
-def _impossible(X, nv, parameter_names):
-    """Name the column that contradicts its name, or return an empty string."""
-    if parameter_names is None:
-        return ""
-    blocks = X.reshape(X.shape[0], nv, -1)
-    # Each is of one joint and zero in the torques of the others.
-    for k, name in enumerate(parameter_names):
-        kind = name.rpartition(":")[2]
-        if kind not in ("offset", "coulomb"):
-            continue
-        column = blocks[:, :, k]
-        largest = np.abs(column).max()
-        constant = np.ptp(column, axis=0).max() <= _EXACT
-        if kind == "offset" and not (constant and abs(largest - 1.0) <= _EXACT):
-            return f"the columns {name} of a constant torque are not 1"
-        if kind == "coulomb" and largest > 1.0 + _EXACT:
-            return f"the columns {name} of a sign reach {largest:.6g}"
-    return ""
 
 
 def _trace_of_a_scaler(X):
@@ -383,19 +349,6 @@ def _trace_of_a_scaler(X):
     if one:
         left = "a standard deviation of 1, as StandardScaler leaves them"
     return f"all {varying.size} columns that vary have {left}"
-
-
-def _is_centred(X):
-    """Whether all columns that vary, two or more, have a mean of zero, to rounding."""
-    varying = X.max(axis=0) > X.min(axis=0)
-    rounding = 100 * np.finfo(float).eps * np.abs(X).max(axis=0)
-    centred = np.abs(X.mean(axis=0)) <= rounding
-    return np.count_nonzero(varying) > 1 and bool(np.all(centred[varying]))
-
-
-def _is_centred_torque(tau):
-    size = np.sqrt(np.mean(tau**2, axis=0))
-    return bool(np.all(np.abs(tau.mean(axis=0)) <= _MEAN_TORQUE * size))
 
 
 # -- bodies of joints that follow others -----------------------------------------------

@@ -98,8 +98,8 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
 
     All joints share one parameter vector, so that nothing may rescale or mix the
     columns between `RigidBodyFeatures` and this estimator: columns that a scaler has
-    passed are refused (a single output without a projector gets a warning). As part of
-    `regressor` (``make_pipeline(StandardScaler(), Lasso())``) scalers do no harm.
+    passed are refused. As part of `regressor`
+    (``make_pipeline(StandardScaler(), Lasso())``) scalers do no harm.
 
     Examples
     --------
@@ -185,12 +185,9 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
             )
         names = getattr(self, "feature_names_in_", None)
         self.parameter_names_ = parameter_names_of(names, nv)
-        check_as_computed(
-            X,
-            tau,
-            self.parameter_names_,
-            warn_only=nv == 1 and self.projector is None,
-        )
+        # A single equation without a projection knows no units.
+        if nv > 1 or self.projector is not None:
+            check_as_computed(X)
         weight = check_weight(sample_weight, tau.shape)
         if instruments is not None:
             instruments = np.asarray(instruments, dtype=float)

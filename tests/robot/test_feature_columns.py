@@ -96,12 +96,6 @@ def test_a_scaler_in_between_is_refused(recording, name, output):
         model.fit(recording.states, recording.tau)
 
 
-def test_centred_arrays_get_a_warning(recording):
-    model = chain(recording, StandardScaler(with_std=False))
-    with pytest.warns(UserWarning, match=r"mean of zero.* \(gravity\) are lost"):
-        model.fit(recording.states, recording.tau)
-
-
 def test_a_scaler_inside_is_understood(recording):
     inside = make_pipeline(StandardScaler(), LinearRegression())
     plain = chain(recording, "passthrough").fit(recording.states, recording.tau)

@@ -23,10 +23,10 @@ from scipy import linalg
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import OfChannel, declared_columns, own_motions
 from sklearn_vbjfa.model import import_pinocchio
+from sklearn_vbjfa.recording import take_rows
 from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
 from sklearn_vbjfa.robot._estimate import project
 from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
-from sklearn_vbjfa.robot._states import SAMPLES_FOR_NOISE
 from sklearn_vbjfa.robot._windows import tell_once
 from sklearn_vbjfa.simulation import (
     SimulationError,
@@ -117,73 +117,43 @@ class Windows:
             n = part.stop - part.start
             first = (n % rows) // 2
             for at in range(first, n - rows + 1, rows):
-                picked.append(np.arange(part.start + at, part.start + at + rows))
+                picked.append(slice(part.start + at, part.start + at + rows))
                 start.append(own[slice(at, at + 1)].reshape(-1)[: 2 * nv])
-        index = np.concatenate(picked)
-        weight = np.ones((index.size, nv))
+        # Weights alone tell which positions count.
+        known = {"weight": None, "command": None, "feedback": None}
+        known["t"] = predictor.plan.clock(recording)
+        chosen = _windows_of(replace(recording, **known), picked)
+        weight = np.ones(chosen.tau.shape)
         if recording.weight is not None:
-            weight = (recording.weight[index] > 0).astype(float)
+            weight = take_rows(recording, picked, range(len(picked))).weight
+            weight = (weight > 0).astype(float)
         weight = weight.reshape(-1, rows, nv)
         total = weight.sum(axis=1, keepdims=True)
-        clock = predictor.plan.clock(recording)
-        chosen = predictor.recording(
-            recording.inputs[index],
-            recording.tau[index],
-            np.repeat(np.arange(len(picked)), rows),
-            None,
-            None if clock is None else clock[index],
-            {name: values[index] for name, values in recording.signals.items()},
-        )
         return cls(
             recording=chosen,
-            measured=recording.q[index].reshape(-1, rows, nv),
+            measured=chosen.q.reshape(-1, rows, nv),
             weight=np.divide(weight, total, out=np.zeros_like(weight), where=total > 0),
             start=np.array(start),
             noise=_start_noise(predictor.plan.state_estimator, nv),
         )
 
     def part(self, chosen):
-        nv = self.measured.shape[2]
-        index = np.arange(self.measured[:, :, 0].size).reshape(self.measured.shape[:2])
-        index = index[chosen].ravel()
-        own = self.recording
-        return replace(
-            own,
-            q=np.zeros((index.size, nv)),
-            states=None,
-            tau=own.tau[index],
-            t=None if own.t is None else own.t[index],
-            groups=own.groups[index] - own.groups[index[0]],
-            group_names=own.group_names[: index.size // self.measured.shape[1]],
-            signals={name: values[index] for name, values in own.signals.items()},
-        )
+        return _windows_of(self.recording, self.recording.segments[chosen])
+
+
+def _windows_of(recording, rows):
+    """Make a recording of windows, slices, each without what was before."""
+    return replace(take_rows(recording, rows, range(len(rows))), before=())
 
 
 def _start_noise(estimator, nv):
     """Deviations (2 nv,) of the noise of smoothed states."""
-    # Zero for states that were given, and where the noise is not known: `refine` tells.
+    # Zero for states that were given, and where the noise is not known.
     if estimator is None:
         return np.zeros(2 * nv)
     variance = estimator.noise_variance_
     encoder = np.sqrt(np.where(np.isnan(variance), 0.0, variance))
     return np.concatenate([encoder, estimator.velocity_noise()])
-
-
-def _tell_unknown_noise(predictor):
-    """Warn where windows cannot start anywhere but at their measured states."""
-    estimator = predictor.plan.state_estimator
-    if estimator is None or not np.isnan(estimator.noise_variance_).any():
-        return
-    unknown = np.isnan(estimator.noise_variance_)
-    names = [name for name, bad in zip(predictor.joint_names_, unknown) if bad]
-    warnings.warn(
-        f"The encoder noise of {', '.join(names)} is not known, as no recording is "
-        "long enough to show it: windows start exactly at the smoothed states, and the "
-        "parameters answer for errors of these. Give at least one recording of "
-        f"{SAMPLES_FOR_NOISE} samples, or states as X if they are free of noise.",
-        UserWarning,
-        stacklevel=6,
-    )
 
 
 def window_rows(window, predictor, recording, states):
@@ -213,15 +183,9 @@ def window_rows(window, predictor, recording, states):
 
 def _slowest(predictor, recording, states):
     """Longest time [s] in which friction slows a joint to 1 / e; 0 without friction."""
-    part, own = recording.segments[0], states.own[0]
-    seen = np.ascontiguousarray(own[:])
-    clock = predictor.plan.clock(recording)
-    first = predictor.recording(
-        seen,
-        t=None if clock is None else clock[part],
-        signals={name: x[part] for name, x in recording.signals.items()},
-    )
-    found = slopes(predictor, first, seen)
+    known = replace(recording, t=predictor.plan.clock(recording), weight=None)
+    first = take_rows(known, recording.segments[:1], [0])
+    found = slopes(predictor, first, np.ascontiguousarray(states.own[0][:]))
     mass = np.einsum("njj->j", found.mass)
     damping = np.einsum("njj->j", found.damping)
     times = mass[damping > 0] / damping[damping > 0]
@@ -356,7 +320,6 @@ def refine(predictor, found, recording, states, window, projector):
     # window, projector: see `FitOptions` and `RobotIdentifier`. Returns `Refined`.
     rows = window_rows(window, predictor, recording, states)
     windows = Windows.of(predictor, recording, states, rows)
-    _tell_unknown_noise(predictor)
     with warnings.catch_warnings(record=True) as caught:
         # Every window of every step says what the simulation goes without: once will
         # do.

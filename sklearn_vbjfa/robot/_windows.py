@@ -138,7 +138,7 @@ class SimulatedWindows:
             return {"stays": self._moving(0.0 * v), "goes on": self._moving(v)}
         v = np.gradient(self.commanded, self.t[0, 1] - self.t[0, 0], axis=1)
         states = np.concatenate([self.commanded, v, np.zeros_like(v)], axis=2)
-        return {"as told": replace(self, simulated=states, failures=())}
+        return {"as commanded": replace(self, simulated=states, failures=())}
 
     @property
     def scales(self):

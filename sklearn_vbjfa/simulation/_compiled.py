@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from sklearn_vbjfa.model._trees import Tree
 from sklearn_vbjfa.simulation import _integrate, _terms
 
 # Rows of what is known of a body: its axes, origin, angular velocity and acceleration,
@@ -397,3 +398,87 @@ def explicit_step(
         before, speeds[k] = found[k, 0], new_v
     error = step_error(h, a, found[3, 0], found[4, 0], fast, tolerance)
     return new_q, new_v, error, found[4].copy(), M
+
+
+@compiled
+def smooth_steps(
+    q,
+    v,
+    found,
+    M,
+    step,
+    span,
+    tau,
+    rate,
+    mode,
+    stuck,
+    barred,
+    watched,
+    way,
+    fast,
+    rules,
+    tree,
+    bodies,
+    armature,
+    loaded,
+    table,
+):
+    """Do explicit steps to the end of a span, or to where one of them is not enough."""
+    # q, v, found (5, nv), M: state at its beginning and what `accelerate` wrote there;
+    # step: length of the next step [s]; span: its beginning, end and least step, after
+    # the last sample [s]; tau, rate (nv,): torques at that sample, and what they change
+    # by in a second; barred (nv,): joints that stick until they are pushed loose;
+    # watched, way, fast (nv,): as of `Integrator`, `fast` is written; rules: constants
+    # of the steps. Where a step would be stiff, or pass an event, it is left to others.
+    # Returns the state and what was found there, time, next step, and their number.
+    # tree, table: tuples, as named ones take longer to pass.
+    tree, table = Tree(*tree), _terms.Table(*table)
+    stiff, tolerance, reserve, shrink, grow, holds, loose = rules
+    done, end, least = span
+    count = 0
+    while end - done > least:
+        left = end - done
+        h = max(left if step >= left else min(step, 0.5 * left), least)
+        if is_stiff(h, M, found[3], found[4], stuck, stiff):
+            break
+        new_q, new_v, error, new_found, new_M = explicit_step(
+            q,
+            v,
+            found[0],
+            tau + done * rate,
+            rate,
+            h,
+            mode,
+            stuck,
+            fast,
+            tolerance,
+            tree,
+            bodies,
+            armature,
+            loaded,
+            table,
+        )
+        grown = reserve * max(error, 1e-12) ** -0.25
+        if not error <= 1:
+            if h <= least:
+                break
+            step = h * (max(grown, shrink) if grown < 1 else shrink)
+            continue
+        exact = tolerance * fast
+        past = past_events(
+            watched, way, new_v, exact, barred, new_found[1], new_found[2], holds, loose
+        )
+        if np.max(past) > 0:
+            break
+        longer = h * min(grown, grow)
+        step = max(longer, step) if step > h else longer
+        q, v, found, M = new_q, new_v, new_found, new_M
+        for j in range(q.size):
+            if stuck[j]:
+                v[j] = 0.0
+            fast[j] = max(fast[j], abs(v[j]))
+        remember(table.kinds, table.joints, table.numbers, table.memory, q, v)
+        way = directions(v, found[0])
+        done += h
+        count += 1
+    return q, v, found, M, done, step, way, count

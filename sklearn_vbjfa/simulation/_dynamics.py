@@ -62,8 +62,9 @@ class ForwardDynamics:
 
     # Dry friction acts by modes: -1 or 1 for a joint that slides that way, 0 for one
     # that sticks, whose acceleration is zero, or that has none. signals: (name, t) ->
-    # value of what was recorded beside the motion; mass (nv, nv): rotors included;
-    # compiled: module of compiled functions.
+    # value of what was recorded beside the motion; values (5, nv), mass (nv, nv): what
+    # was found last, and the inertias with rotors; compiled: module of compiled
+    # functions.
 
     def __init__(self, robot, signals=None):
         self._signals = signals
@@ -76,6 +77,8 @@ class ForwardDynamics:
             every.append((instant, bodies))
         # Bodies without a mass are refused.
         self._loaded = every
+        # Times [s] at which the bodies change.
+        self.instants = tuple(instant for instant, _ in every[1:])
         self._tree = describe(with_bodies(robot.model, robot.bodies, terms.armature))
         for _, bodies in every[1:]:
             with_bodies(robot.model, bodies)
@@ -83,17 +86,11 @@ class ForwardDynamics:
         self._set_robot(robot.bodies)
         self._loads = terms.of_load
         self.compiled = import_compiled()
-        self.found = StateSolution(*np.zeros((5, self.n_joints)))
-        self.mass = None
+        self._set(np.zeros((5, self.n_joints)), None)
         self._remembers = bool(terms.remembers.any())
         self.start(np.zeros(self.n_joints))
 
     # -- what changes with time and with what was done before --------------------------
-
-    @property
-    def instants(self):
-        """Times [s] at which its bodies change, tuple of float."""
-        return tuple(instant for instant, _ in self._loaded[1:])
 
     def start(self, q):
         """Begin a motion at positions q (nv,), with the memory of a joint at rest."""
@@ -111,6 +108,7 @@ class ForwardDynamics:
 
     def _set_robot(self, bodies):
         self._robot = self._tree, bodies, self.terms.armature, self._load_bodies
+        self._plain = tuple(self._tree), *self._robot[1:]
 
     def remember(self, q, v):
         """Move memory on to a state q, v (nv,), to which no joint turned round."""
@@ -119,25 +117,35 @@ class ForwardDynamics:
 
     # -- accelerations -----------------------------------------------------------------
 
+    def _set(self, found, mass):
+        self.values, self.found, self.mass = found, StateSolution(*found), mass
+
     def accelerate(self, q, v, tau, mode, stuck):
         """Find the accelerations (nv,) under true torques tau, by modes of friction."""
         # mode (nv,): signs of dry friction; stuck (nv,): joints that stick.
         nv, (tree, bodies, armature, loaded) = self.n_joints, self._robot
         M, h = np.empty((nv, nv)), np.empty(nv)
         self.compiled.bodies_at(q, v, tree, bodies, armature, M, h)
-        self.mass, ML, hL = M, M, h
+        ML, hL = M, h
         if self._loads:
             ML, hL = np.empty((nv, nv)), np.empty(nv)
             self.compiled.bodies_at(q, v, tree, loaded, np.zeros(nv), ML, hL)
         out, state = np.empty((5, nv)), (ML, hL, tau, q, v, mode, stuck)
         self.compiled.accelerate(M, h, *state, self._table, self.found.a, out)
-        self.found = StateSolution(*out)
+        self._set(out, M)
         return self.found.a
 
     def explicit_step(self, q, v, a, *step):
         """Do a compiled step; (q, v, a, error) at its end."""
         # Arguments are those of `explicit_step` in `_compiled`, but the robot.
         own = *step, *self._robot, self._table
-        q, v, error, found, self.mass = self.compiled.explicit_step(q, v, a, *own)
-        self.found = StateSolution(*found)
+        q, v, error, found, mass = self.compiled.explicit_step(q, v, a, *own)
+        self._set(found, mass)
         return q, v, self.found.a, error
+
+    def smooth_steps(self, q, v, *rest):
+        """Do compiled steps; see `smooth_steps` in `_compiled`."""
+        own = *self._plain, tuple(self._table)
+        q, v, found, mass, *rest = self.compiled.smooth_steps(q, v, *rest, *own)
+        self._set(found, mass)
+        return q, v, *rest

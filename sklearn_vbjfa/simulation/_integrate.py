@@ -60,6 +60,8 @@ _SHORTEST, _MOST_STEPS = 1e-12, 20_000
 MOST_STOPS = 20
 # Beyond what holds a joint by this share it breaks loose, which is found to this share.
 _HOLDS, _LOOSE = 1e-9, 1e-6
+# Rules of compiled steps.
+_RULES = (_STIFF, _TOLERANCE, _RESERVE, _SHRINK, _GROW, 1 + _HOLDS, _LOOSE)
 _TINY = float(np.finfo(float).tiny)
 # Most steps in search of one event, and most changes of joints between sticking and
 # sliding at one instant.
@@ -105,7 +107,7 @@ class Integrator:
         self._step, self.steps = np.inf, 0
         self._stops, self._stops_often = np.zeros(nv, dtype=int), False
         self.held, self.held_since = np.zeros(nv, dtype=int), np.nan
-        self._time = t
+        self._time, self._compiles = t, not terms.is_timed
         dynamics.start(self.q)
         self.settle(tau)
 
@@ -141,9 +143,13 @@ class Integrator:
         self._arrive(a)
 
     def _arrive(self, a):
-        self.a = a
-        self._begin = _End(0.0, self.v, self._dynamics.found)
         self._way = self._steps.directions(self.v, a)
+        self._begin_here()
+
+    def _begin_here(self):
+        own = self._dynamics
+        self.a, self._known = own.found.a, (own.values, own.mass)
+        self._begin = _End(0.0, self.v, own.found)
 
     def advance(self, tau, after, dt):
         """Go on for a sample period, in which torques go from `tau` to `after`."""
@@ -160,6 +166,12 @@ class Integrator:
             if not left > shortest:
                 self._time = start + dt
                 return
+            if self._compiles:
+                done = self._smooth(tau, rate, (done, dt, shortest))
+                left = dt - done
+                if not left > shortest:
+                    continue
+            self._time = start + done
             h = left if self._step >= left else min(self._step, 0.5 * left)
             taken, new = self._attempt(tau + done * rate, rate, max(h, shortest))
             if new is not None:
@@ -169,6 +181,18 @@ class Integrator:
             elif h <= shortest:
                 break
         raise Diverged(done, int(np.argmax(np.abs(self.v))))
+
+    def _smooth(self, tau, rate, span):
+        """Go on by compiled steps while nothing happens; the time that is reached."""
+        state = self.q, self.v, *self._known, self._step, span, tau, rate
+        joints = self._mode, self._stuck, self._barred(), self._watched, self._way
+        found = self._dynamics.smooth_steps(*state, *joints, self._fast, _RULES)
+        self.q, self.v, done, self._step, self._way, count = found
+        if count:
+            np.multiply(_TOLERANCE, self._fast, out=self._exact)
+            self.steps += count
+            self._begin_here()
+        return done
 
     # -- one step ----------------------------------------------------------------------
 
@@ -286,17 +310,21 @@ class Integrator:
         scale = _STIFF_TOLERANCE * np.maximum(self._fast, h * np.abs(self.a))
         return q, v, a, float((np.abs(error_v) / scale).max())
 
+    def _barred(self):
+        """Joints (nv,), bool, that stick until their friction gives way."""
+        if not self._stops_often:
+            return self._stuck
+        return self._stuck & (self._stops <= MOST_STOPS)
+
     def _past(self, v):
         """How far joints are past events, in units of what they may be (nv,)."""
-        own, stuck = self._dynamics, self._stuck
-        if self._stops_often:
-            stuck = stuck & (self._stops <= MOST_STOPS)
+        own = self._dynamics
         return self._steps.past_events(
             self._watched,
             self._way,
             v,
             self._exact,
-            stuck,
+            self._barred(),
             own.found.needed,
             own.found.limit,
             1 + _HOLDS,

@@ -99,7 +99,7 @@ def _run(robot, dynamics, torques, q0, v0, t, updates=None):
     # time: a sample period, over which they go straight, or one of the `updates` of a
     # controller, over which they are held.
     n, nv, count = t.size, q0.size, updates or 1
-    states = np.empty((n, 3 * nv))
+    states = np.empty((n, 3, nv))
     with np.errstate(all="ignore"):
         dynamics.set_bodies(t[0])
         motion = Integrator(dynamics, q0, v0, torques(0, q0, v0)[0], t[0])
@@ -113,12 +113,12 @@ def _run(robot, dynamics, torques, q0, v0, t, updates=None):
                     dynamics.set_bodies(since)
                     motion.settle(ends[0])
                 if part == 0:
-                    states[i] = np.concatenate([motion.q, motion.v, motion.a])
+                    states[i] = motion.q, motion.v, motion.a
                 if not last:
                     until = t[i + 1] if count == 1 else since + length
                     _advance(robot, dynamics, motion, ends, since, until, i, updates)
     tell_held(robot, motion, stacklevel=5)
-    return states
+    return states.reshape(n, -1)
 
 
 def _advance(robot, dynamics, motion, ends, since, until, row, updates):

@@ -65,7 +65,7 @@ def _compile():
     from tests.simulation._machines import Arm
 
     remembered = MaxwellSlip(0, (0.02, 0.1), (), ()), [0.3, 0.2]
-    coupled = Coupling(1, 0, "sum"), [0.05, 0.1, 0.02]
+    coupled = Coupling(1, 0, 1.0), [0.05, 0.1, 0.02]
     for effects in ([], [remembered], [coupled]):
         robot = Arm().robot({"viscous": [0.3, 0.1], "coulomb": [1.0, 0.4]}, effects)
         simulate(robot, [[0.0, 0.0]] * 3, [0.4, -0.6], [1.0, -2.0])

@@ -129,7 +129,7 @@ def uses():
         Use(effect=effects.Ripple(joint=1, period=0.35), coef=(2.0, 1.0)),
         Use(effect=effects.RotorInertia(joint=3), coef=(0.4,), joint=3),
         Use(
-            effect=effects.Coupling(joint=4, other=5, of="sum"),
+            effect=effects.Coupling(joint=4, other=5, ratio=1.0),
             coef=(0.5, 1.5, 0.02),
             joint=4,
             x_label="sum of the speeds of joints 5 and 6 [rad/s]",

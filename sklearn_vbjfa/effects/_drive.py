@@ -7,6 +7,7 @@ import numpy as np
 from sklearn_vbjfa.effects._base import (
     INERTIA,
     POSITION,
+    RATIO,
     STIFFNESS,
     TORQUE,
     VISCOSITY,
@@ -16,8 +17,8 @@ from sklearn_vbjfa.effects._base import (
     Stateful,
 )
 
-# Of w, what the own joint's speed counts, beside the other's.
-_OWN_SHARE = {"other": 0.0, "sum": 1.0, "difference": -1.0}
+# Shares of the own joint's speed in w to try: none, sum and difference, and others.
+_PLAIN, _RATIOS = (0.0, 1.0, -1.0), (0.5, 0.7, 1.4, 2.0)
 # In a simulation the sign of w turns over at least this speed [rad/s or m/s].
 _SLOW = 1e-3
 # Compliance of the finite difference: deflections of this share of the positions'
@@ -65,9 +66,11 @@ class _ToAnother(Shaped):
     def describe(cls, shape, joint_label):
         if not isinstance(shape.get("other"), Integral):
             return cls.label
-        how = {"sum": " (sum)", "difference": " (difference)"}
         kind = cls.label.removesuffix(" to another joint")
-        return f"{kind} to {joint_label(shape['other'])}{how.get(shape.get('of'), '')}"
+        ratio = shape.get("ratio", 0.0)
+        how = {0.0: "", 1.0: " (sum)", -1.0: " (difference)"}
+        ending = how.get(ratio, f" (own speed times {ratio:.2g})")
+        return f"{kind} to {joint_label(shape['other'])}{ending}"
 
     def applies(self, motion):
         if motion.n_joints < 2:
@@ -91,9 +94,9 @@ class _ToAnother(Shaped):
 class Coupling(_ToAnother):
     """Friction and inertia due to the motion of a second joint.
 
-    tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity, or
-    the sum or difference of both: drives in series through a differential or coupled
-    wrist [1]_.
+    tau = Fvm w + Fcm sign(w) + Iam dw/dt, where w is the other joint's velocity plus
+    ratio times the own one: drives in series through a differential or coupled wrist
+    [1]_ (ratio 1 or -1), or a tendon over both joints.
 
     Parameters
     ----------
@@ -101,8 +104,8 @@ class Coupling(_ToAnother):
         Joint whose torque is felt, from zero.
     other : int, default=1
         Joint that moves.
-    of : {"other", "sum", "difference"}, default="other"
-        Which motion rubs: the other joint's own, or that of both together.
+    ratio : float, default=0.0
+        Share of the joint's own speed in w.
 
     References
     ----------
@@ -113,6 +116,7 @@ class Coupling(_ToAnother):
     name = "coupling"
     label = "coupling to another joint"
     formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
+    shape_units = (("ratio", RATIO),)
     coefficients = ("Fvm", "Fcm", "Iam")
     units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
@@ -123,20 +127,18 @@ class Coupling(_ToAnother):
         places=(("tendons", "Fvm", "Fcm", "Iam"),),
     )
 
-    def __init__(self, joint=0, other=1, of="other"):
+    def __init__(self, joint=0, other=1, ratio=0.0):
         super().__init__(joint, other)
-        self.of = of
+        self.ratio = ratio
 
     @property
-    def own_share(self):
-        """Factor of the joint's own speed in w."""
-        if self.of not in _OWN_SHARE:
-            raise ValueError(f"of must be one of {list(_OWN_SHARE)}; got {self.of!r}.")
-        return _OWN_SHARE[self.of]
+    def continuous(self):
+        """Whether a search refines the ratio."""
+        return () if self.ratio in _PLAIN else ("ratio",)
 
     def law(self, maths):
-        j, k, own = self.joint, self.other, self.own_share
-        sign = maths.sign(k) if self.of == "other" else maths.sign(k, j)
+        j, k, own = self.joint, self.other, self.ratio
+        sign = maths.sign(k, j) if own else maths.sign(k)
 
         def torque(state):
             w, dw = state.v[k] + own * state.v[j], state.a[k] + own * state.a[j]
@@ -145,7 +147,7 @@ class Coupling(_ToAnother):
         return torque
 
     def simulated(self, table, Fvm, Fcm, Iam):
-        j, k, own = self.joint, self.other, self.own_share
+        j, k, own = self.joint, self.other, self.ratio
         table.coupling[j, [k, j]] += Fvm, own * Fvm
         table.inertia[j, [k, j]] += Iam, own * Iam
         # The sign turns over the speeds at which both joints may be standing: friction
@@ -155,14 +157,13 @@ class Coupling(_ToAnother):
 
     def shapes(self, motion):
         """All other joints, alone and together with this one."""
+        kinds = motion.prismatic
+        ratios = (*_PLAIN, *_RATIOS, *(-ratio for ratio in _RATIOS))
         return [
-            {"other": other, "of": of}
-            for other in range(motion.n_joints)
-            for of in _OWN_SHARE
-            if other != self.joint
-            and (
-                of == "other" or motion.prismatic[other] == motion.prismatic[self.joint]
-            )
+            shape | {"ratio": ratio}
+            for shape in super().shapes(motion)
+            for ratio in ratios
+            if not ratio or kinds[shape["other"]] == kinds[self.joint]
         ]
 
 
@@ -189,7 +190,7 @@ class CouplingSpring(_ToAnother):
     formula = r"k\,(q - \mathrm{ratio}\,q_\mathrm{other} - q_0)"
     coefficients = ("k", "kx", "c")
     units = (STIFFNESS, STIFFNESS, TORQUE)
-    named_units = (("k", STIFFNESS), ("ratio", ("", "")), ("q0", POSITION))
+    named_units = (("k", STIFFNESS), ("ratio", RATIO), ("q0", POSITION))
     negative = (("k", "pushes away from q0"),)
     contains = ("spring", "offset")
     seen_over = "position"

@@ -366,7 +366,7 @@ def as_tendons(couplings, damping, armature, lined):
         C, given = np.zeros((2, nv, nv))
         for (effect, coef), place in zip(couplings, places):
             C[place] += counts[place] * coef[at]
-            given[place] += effect.own_share * counts[place] * coef[at]
+            given[place] += effect.ratio * counts[place] * coef[at]
         both, share = _mutual(C)
         # A joint with too little gives all its tendons the same share of what they ask.
         need = np.maximum(both - given * share, 0.0)
@@ -379,8 +379,8 @@ def as_tendons(couplings, damping, armature, lined):
         size[0, :, :, at], size[1, :, :, at] = both * (C > 0), both * (C < 0)
         for coef, place in zip(left, places):
             coef[at] *= 1.0 - share[place]
-    for k, of in enumerate(("sum", "difference")):
-        used = [n for n, (effect, _) in enumerate(couplings) if effect.of == of]
+    for k, ratio in enumerate((1.0, -1.0)):
+        used = [n for n, (effect, _) in enumerate(couplings) if effect.ratio == ratio]
         C = np.zeros((nv, nv))
         for n in used:
             C[places[n]] += couplings[n][1][1]

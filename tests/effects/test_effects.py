@@ -269,12 +269,12 @@ def closed_forms():
         "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
         "coupling_spring": ({"other": 0}, [q, Q[:, 0], one]),
         "coupling sum": (
-            {"other": 0, "of": "sum"},
+            {"other": 0, "ratio": 1.0},
             [w + v, np.sign(w + v), A[:, 0] + a],
         ),
-        "coupling difference": (
-            {"other": 0, "of": "difference"},
-            [w - v, np.sign(w - v), A[:, 0] - a],
+        "coupling tendon": (
+            {"other": 0, "ratio": -0.7},
+            [w - 0.7 * v, np.sign(w - 0.7 * v), A[:, 0] - 0.7 * a],
         ),
         "delay": ({"delay": 0.034}, [(lagged - load) / 0.034]),
         "torque_gain": ({"gain": 1.6}, [load / 1.6]),
@@ -526,19 +526,16 @@ def test_most_effects_have_one_shape_and_the_others_say_which():
 def test_coupling_tries_every_other_joint():
     _, states = motion(3, duration=2.0)
     three = Motion(q=states[:, :3], v=states[:, 3:6], a=states[:, 6:])
-    found = {(s["other"], s["of"]) for s in effects.Coupling(joint=1).shapes(three)}
-    assert found == {
-        (other, of) for other in (0, 2) for of in ("other", "sum", "difference")
-    }
+    found = {(s["other"], s["ratio"]) for s in effects.Coupling(joint=1).shapes(three)}
+    assert {(o, r) for o in (0, 2) for r in (0.0, 1.0, -1.0)} < found
     mixed = Motion(
         q=states[:, :3],
         v=states[:, 3:6],
         a=states[:, 6:],
         prismatic=np.array([True, False, False]),
     )
-    found = {(s["other"], s["of"]) for s in effects.Coupling(joint=1).shapes(mixed)}
-    assert (0, "other") in found
-    assert (0, "sum") not in found
+    found = {(s["other"], s["ratio"]) for s in effects.Coupling(joint=1).shapes(mixed)}
+    assert {ratio for other, ratio in found if other == 0} == {0.0}
 
 
 SCALED = [n for n in NAMES if n not in BODIES and slides(n)]

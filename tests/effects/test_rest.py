@@ -71,8 +71,8 @@ def motion(known, nv=2, n=200):
         effects.AsymmetricFriction(),
         effects.Drift(of="coulomb"),
         effects.Coupling(0, 1),
-        effects.Coupling(0, 1, of="sum"),
-        effects.Coupling(0, 1, of="difference"),
+        effects.Coupling(0, 1, ratio=1.0),
+        effects.Coupling(0, 1, ratio=-0.6),
     ],
     ids=repr,
 )

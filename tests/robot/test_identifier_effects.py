@@ -130,7 +130,7 @@ def cases():
         ),
         "rotor": (effects.RotorInertia(2), on_joint(2, 0.1 * A[:, 2]), None),
         "coupling": (
-            effects.Coupling(1, other=0, of="sum"),
+            effects.Coupling(1, other=0, ratio=1.0),
             on_joint(1, 0.9 * w + 1.1 * np.sign(w) + 0.2 * (A[:, 0] + a)),
             None,
         ),

@@ -48,7 +48,7 @@ def random_shape(effect, rng, nv, length):
         values["of"] = str(rng.choice(["coulomb", "offset", "viscous"]))
         values["time_constant"] = rng.uniform(0.5, 5.0)
     elif effect.name == "coupling":
-        values["of"] = str(rng.choice(["other", "sum", "difference"]))
+        values["ratio"] = float(rng.choice([0.0, 1.0, -1.0, 0.6]))
     else:
         values["of"] = str(rng.choice(["torque", "position"]))
     own = effect.get_params(deep=False)

@@ -36,7 +36,7 @@ EFFECTS = [
     (Counterbalance(1, "linkage", 0.6, 0.3), [-1.0, 1.5]),
     (Ripple(1, 0.3), [0.1, 0.2]),
     (RotorInertia(0), [0.2]),
-    (Coupling(1, 0, "sum"), [0.05, 0.1, 0.02]),
+    (Coupling(1, 0, 1.0), [0.05, 0.1, 0.02]),
     (Drift(0, "coulomb", 2.0), [0.5]),
     (Drift(1, "offset", 1.0), [0.3]),
 ]

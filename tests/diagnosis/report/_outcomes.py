@@ -23,7 +23,7 @@ KINDS = (
     ("load_friction", {"mu": 0.112}, {"mu": ""}, ("maxwell_slip",)),
     (
         "coupling",
-        {"Fvm": 1.234, "Fcm": 12.3, "Iam": 0.0345, "other": 0, "of": "sum"},
+        {"Fvm": 1.234, "Fcm": 12.3, "Iam": 0.0345, "other": 0, "ratio": 1.0},
         {"Fvm": "N m s/rad", "Fcm": "N m", "Iam": "kg m^2"},
         ("coulomb", "stribeck", "drift", "maxwell_slip"),
     ),

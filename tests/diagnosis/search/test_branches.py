@@ -117,8 +117,8 @@ def test_a_branch_is_the_robot_without_the_others(two_arms):
 
 def test_effects_are_numbered_by_the_robot(two_arms):
     _, second = branches_of(two_arms[1], resolve("all"), None)
-    moved = second.on_robot(Coupling(joint=1, other=3, of="sum"))
-    assert (moved.joint, moved.other, moved.of) == (3, 7, "sum")
+    moved = second.on_robot(Coupling(joint=1, other=3, ratio=1.0))
+    assert (moved.joint, moved.other, moved.ratio) == (3, 7, 1.0)
     assert second.local([1, 2, 7]) == [0, 3]
 
 

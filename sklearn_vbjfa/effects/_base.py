@@ -447,6 +447,8 @@ class Shaped(Effect):
     averaged : tuple of (str, tuple)
         One with few values, and these, over which intervals are averaged, of an effect
         with one coefficient.
+    coarse : tuple of str
+        Continuous ones with which the torque changes in single rows.
     cyclic : tuple of str
         Angles [rad], the same again after a turn.
     jumping : tuple of str
@@ -462,6 +464,7 @@ class Shaped(Effect):
     continuous: tuple[str, ...] = ()
     positive: tuple[str, ...] = ()
     averaged: tuple = ()
+    coarse: tuple[str, ...] = ()
     cyclic: tuple[str, ...] = ()
     jumping: tuple[str, ...] = ()
     partners: tuple[str, ...] = ()

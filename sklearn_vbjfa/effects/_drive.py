@@ -3,6 +3,7 @@
 from numbers import Integral
 
 import numpy as np
+from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import (
     INERTIA,
@@ -117,6 +118,7 @@ class Coupling(_ToAnother):
     label = "coupling to another joint"
     formula = r"F_{vm}\,w + F_{cm}\,\mathrm{sign}(w) + I_{am}\,\dot w"
     shape_units = (("ratio", RATIO),)
+    coarse = ("ratio",)
     coefficients = ("Fvm", "Fcm", "Iam")
     units = (VISCOSITY, TORQUE, INERTIA)
     contains = ("coulomb", "viscous")
@@ -135,6 +137,10 @@ class Coupling(_ToAnother):
     def continuous(self):
         """Whether a search refines the ratio."""
         return () if self.ratio in _PLAIN else ("ratio",)
+
+    def excludes(self):
+        ratios = (1.0, -1.0, _RATIOS[0]) if self.ratio else (0.0,)
+        return {clone(self).set_params(ratio=ratio).key() for ratio in ratios}
 
     def law(self, maths):
         j, k, own = self.joint, self.other, self.ratio

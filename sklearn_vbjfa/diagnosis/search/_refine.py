@@ -11,8 +11,9 @@ from sklearn_vbjfa.effects import Effect
 WORTH, MOST_STEPS = 0.01, 8
 # Shares of a step that are taken until one leads up.
 SHARES = (1.0, 0.5, 0.25)
-# Step of the derivatives in shares of the way between the grid's next points.
-_DERIVATIVE = 0.01
+# Step of the derivatives in shares of the way between the grid's next points: of smooth
+# columns, and of those that change in single rows.
+_DERIVATIVE, _COARSE = 0.01, 0.1
 # Points of the grid from which several parameters are searched: two of them may trade
 # against each other.
 _STARTS = 3
@@ -168,7 +169,8 @@ class Place:
     def steps(self):
         """Steps of the derivatives, (d,)."""
         highest = np.array([b.highest for b in self.brackets.values()])
-        step = _DERIVATIVE * self.width
+        coarse = [name in self.effect.coarse for name in self.brackets]
+        step = np.where(coarse, _COARSE, _DERIVATIVE) * self.width
         return np.where(self.values + step > highest, -step, step)
 
     def at(self, values):

@@ -137,44 +137,23 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
 
     Notes
     -----
-    The method is described in the section "Search for effects" of the documentation.
-    A candidate is an effect on a joint. Its posterior odds are a Bayes factor times the
-    prior odds (the expected number of effects over the number of candidates). The
-    coefficients are normal with a scale that has a half-Cauchy prior [2]_ and is
-    integrated over [3]_. The residual is coloured [1]_ as far as the result agrees
-    with least squares [5]_, and the evidence is discounted by its scatter between
-    blocks of time. Simpler effects are tried before those that contain them [4]_.
-
-    Effects are reported if their probability is at least ``1 - alpha``, if they reduce
-    the cross-validated squared error significantly and by at least 2 % of that of the
-    friction terms, and if the interval of a parameter excludes zero (three standard
-    deviations for values of the geometry).
-    Filters of a torque channel are reported only above the band of the motion.
+    A candidate is an effect on a joint. Its posterior odds are a Bayes factor, with a
+    half-Cauchy prior for the scale of its coefficients [1]_, times the prior odds (the
+    expected number of effects over the number of candidates); the evidence is
+    discounted by its scatter between blocks of time. Effects are reported if their
+    probability is at least ``1 - alpha``, if they reduce the cross-validated squared
+    error significantly and by at least 2 %, and if the interval of a parameter excludes
+    zero. The documentation describes all rules in "Search for effects".
 
     Robots with more than seven joints are searched branch by branch, without couplings
     between branches, unless `max_effects`, custom effects or declared effects are used.
     With a `PDDrive`, delays, filters, jerk and elasticity are excluded. Recordings of
     more than 50,000 rows are searched on a subset of the samples.
 
-    A guard interval separates the held-out data from the search data. Errors are
-    measured in the band of the fit and in a wider one
-    (``report_.outcome.wide_cutoff``).
-
-    Intervals of the effects' parameters follow from the completed model and the scatter
-    of its residuals between forty blocks of time, given the selected effects.
-
     References
     ----------
-    .. [1] P. Whittle, "Estimation and information in stationary time series", Arkiv for
-       Matematik 2, 1953. :doi:`10.1007/BF02590998`
-    .. [2] N. Polson, J. Scott, "On the half-Cauchy prior for a global scale parameter",
+    .. [1] N. Polson, J. Scott, "On the half-Cauchy prior for a global scale parameter",
        Bayesian Analysis 7(4), 2012. :doi:`10.1214/12-BA730`
-    .. [3] M. Tipping, A. Faul, "Fast marginal likelihood maximisation for sparse
-       Bayesian models", AISTATS 2003, equation 18, for a single column.
-    .. [4] H. Chipman, "Bayesian variable selection with related predictors", Canadian
-       Journal of Statistics 24(1), 1996. :doi:`10.2307/3315687`
-    .. [5] J. Hausman, "Specification tests in econometrics", Econometrica 46(6), 1978.
-       :doi:`10.2307/1913827`
 
     Examples
     --------
@@ -376,27 +355,27 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
             )
 
     def _check_parameters(self):
-        if not isinstance(self.identifier, RobotIdentifier):
+        """Check what was given; return the library to search."""
+        given = self.identifier
+        if not isinstance(given, RobotIdentifier):
             raise ValueError(
                 "identifier must be a RobotIdentifier, the declared model; got "
-                f"{type(self.identifier).__name__}."
+                f"{type(given).__name__}."
             )
-        if self.identifier.criterion != "torque":
+        if given.criterion != "torque":
             raise ValueError(
                 'identifier must have criterion="torque", as the search looks at what '
-                f"torques leave; got {self.identifier.criterion!r}. Refine the result "
+                f"torques leave; got {given.criterion!r}. Refine the result "
                 'afterwards: loop.identifier_.set_params(criterion="simulation").'
             )
         if not (isinstance(self.alpha, (int, float)) and 0 < self.alpha < 1):
             raise ValueError(
                 f"alpha must be a share between 0 and 1; got {self.alpha!r}."
             )
-        limit = self.max_effects
-        if limit is not None and not (
-            isinstance(limit, (int, np.integer)) and limit >= 0
-        ):
+        most, whole = self.max_effects, (int, np.integer)
+        if most is not None and not (isinstance(most, whole) and most >= 0):
             raise ValueError(
-                f"max_effects must be a non-negative integer or None; got {limit!r}."
+                f"max_effects must be a non-negative integer or None; got {most!r}."
             )
         if not (self.settings is None or isinstance(self.settings, SearchSettings)):
             raise ValueError(
@@ -404,25 +383,23 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
                 f"got {type(self.settings).__name__}."
             )
         library = resolve(self.effects)
-        if self.identifier.asked_gains is not None:
+        if given.asked_gains is not None:
             # They are declared on every channel.
             library = [one for one in library if not isinstance(one, TorqueGain)]
-        drive = self.identifier.drive
-        if drive is not None and drive.of_positions:
-            # No channel reads its torques, and values that were found beside what its
-            # simulation goes without are not those of the robot that is simulated.
-            reasons = {one.name: unfollowed(one) for one in library}
-            left = {name: why for name, why in reasons.items() if why}
-            library = [one for one in library if one.name not in left]
-            if left and not isinstance(self.effects, str):
-                said = "; ".join(f"{name} ({why})" for name, why in left.items())
-                warnings.warn(
-                    f"Under a {type(drive).__name__} these effects are not looked for: "
-                    f"{said}.",
-                    UserWarning,
-                    stacklevel=4,
-                )
-        return library
+        if given.drive is None or not given.drive.of_positions:
+            return library
+        # No channel reads its torques, and values that were found beside what its
+        # simulation goes without are not those of the robot that is simulated.
+        left = {one.name: unfollowed(one) for one in library if unfollowed(one)}
+        if left and not isinstance(self.effects, str):
+            names = "; ".join(f"{name} ({why})" for name, why in left.items())
+            warnings.warn(
+                f"Under a {type(given.drive).__name__} these effects are not looked "
+                f"for: {names}.",
+                UserWarning,
+                stacklevel=4,
+            )
+        return [one for one in library if one.name not in left]
 
     def _recording(self, model, X, y, groups, sample_weight, t):
         """Make a `Recording` of the arguments of a fit, with weights and a clock."""

@@ -16,6 +16,7 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
 )
 from sklearn_vbjfa.diagnosis.explain._curves import effect_curves, friction_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import (
+    excitation,
     hidden,
     memory_seconds,
     motion_limits,
@@ -171,6 +172,7 @@ class Outcome:
     # what physically consistent parameters cost; None if they were not asked for
     projection: ConsistencyCost | None = None
     recordings: tuple = ()  # what each recording is called
+    excitation: tuple = ()  # what each joint does
     motion_limits: tuple = ()  # what joints do in no recording
     next_recording: NextRecording | None = None  # of motion like the fitted
     expectation: Expectation | None = None  # of other motion
@@ -266,6 +268,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         settings=settings | _settings(search, asked),
         bodies=body_masses(identifier),
         recordings=recordings,
+        excitation=excitation(final.view),
         motion_limits=motion_limits(final.view),
         repeated=final.view.repetition.motions(),
         contradictions=contradictions(

@@ -230,6 +230,49 @@ def to_record(outcome, signal_advice, no_period):
     return wanted
 
 
+# Time that decides most questions [s], and the slowest of its speeds over the fastest.
+_SECONDS, _SLOWEST = 60, 0.1
+
+
+def motion_plan(outcome, joints):
+    """Rows of joints that are to move: range, speeds and seconds."""
+    rows = []
+    for j in sorted(set(joints)) if outcome.excitation else ():
+        one = outcome.excitation[j]
+        ends = [
+            limit if math.isfinite(limit) else reached
+            for limit, reached in zip(one.limits, one.position)
+        ]
+        fastest = one.fastest if math.isfinite(one.fastest) else one.speed
+        speeds = _SLOWEST * fastest, fastest
+        rows.append(
+            (
+                words.joint_label(outcome.joint_names, j),
+                range_text(outcome, j, "position", ends),
+                range_text(outcome, j, "speed", speeds),
+                f"{_SECONDS} s",
+            )
+        )
+    return rows
+
+
+def excitation_rows(outcome):
+    """Rows of what each joint does."""
+    rows = []
+    for j, one in enumerate(outcome.excitation):
+        unit = _UNITS["speed"][int(outcome.torque_units[j] == "N")]
+        rows.append(
+            (
+                words.joint_label(outcome.joint_names, j),
+                range_text(outcome, j, "position", one.position),
+                f"{words.number(one.speed)} {unit}",
+                f"{words.number(one.acceleration)} {unit}^2",
+                words.whole_percent(one.moving),
+            )
+        )
+    return rows
+
+
 # -- masses ----------------------------------------------------------------------------
 
 

@@ -9,10 +9,10 @@ from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_frictio
 
 # Share by which parameters differ between recordings of one robot, median over robots.
 # Friction follows the temperature; offsets are shares of the deviation of the torque.
-_KINDS = {"friction": 0.03, "gain": 0.004, "offset": 0.006, "load": 0.004}
+_KINDS = {"friction": 0.02, "gain": 0.002, "offset": 0.003, "load": 0.002}
 # Deviation of its logarithm, and how much of that variance kinds have in common: robots
 # whose one parameter stays the same are left alone in other ways as well.
-_WIDTH, _COMMON = 2.2, 0.7
+_WIDTH, _COMMON = 2.4, 0.6
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
 # What a model lacks is larger where it was not fitted: logarithm of the factor for a
@@ -59,27 +59,32 @@ class Expectation:
 
     def __init__(self, left, floor, scatter, left_out, motion):
         self._left, self._motion = left, motion
-        noise = np.minimum(np.nan_to_num(floor), left)
-        self._noise, self._lacks = noise**2, left**2 - noise**2
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
-        self._given = left_out
+        squares = left**2
+        if self.recordings > 1:
+            # The model is a mean over its recordings, of whose deviations from the mean
+            # held-out data of the same recordings have this share.
+            share = (1.0 - 1.0 / self.recordings) ** 2
+            out = np.where(left_out > 0, left_out, left) ** 2
+            alone = (squares - share * out.mean(axis=0)) / (1.0 - share)
+            squares = np.clip(alone, np.fmin(floor, left) ** 2, squares)
+        self._noise = np.minimum(np.nan_to_num(floor) ** 2, squares)
+        self._lacks = squares - self._noise
         self._weights = special.softmax(self._evidence(left_out))
 
     def _evidence(self, left_out):
         """Logarithm of the likelihood of left-out errors, (n_draws,)."""
         used = np.isfinite(self._left) & (self._left > 0)
-        differ, again, motions = _robots()
-        total = np.zeros(_DRAWS)
         count = len(left_out) - 1
         if count < 1 or not used.any():
-            return total
-        sizes = self._motion.sizes[:, used] ** 2
-        parts = (differ**2)[:, :, None] * sizes
+            return np.zeros(_DRAWS)
+        differ, again, motions = _robots()
+        parts = (differ**2)[:, :, None] * self._motion.sizes[:, used] ** 2
         between = parts.sum(axis=1)
-        # As many kinds as matter: a mean of squares of normal values.
+        # As many kinds as matter: a mean of squares of normal values, by Wilson's and
+        # Hilferty's quantiles.
         freedom = between**2 / np.maximum((parts**2).sum(axis=1), 1e-300)
-        # Wilson and Hilferty's quantiles.
         luck = special.ndtri((np.arange(_POINTS) + 0.5) / _POINTS)
         step = 2.0 / (9.0 * freedom[..., None])
         luck = np.maximum(1.0 - step + luck * np.sqrt(step), 0.0) ** 3
@@ -87,22 +92,22 @@ class Expectation:
         alone = self._noise[used] + lacks
         squares = alone[..., None] + (1 + 1 / count) * between[..., None] * luck
         width = np.hypot(self._scatter[used], motions * lacks / alone)[..., None]
+        total = 0.0
         for errors in left_out[:, used]:
             known = errors > 0
             away = np.log(np.where(known, errors, 1.0))[:, None] - 0.5 * np.log(squares)
             density = -0.5 * (away / width) ** 2 - np.log(width)
             own = np.where(known, special.logsumexp(density, axis=-1), 0.0)
-            # Joints of one recording move alike.
-            total += own.sum(axis=1) / np.sqrt(used.sum())
-        # Of r recordings r - 1 differences are independent.
-        return total * count / (count + 1)
+            # Joints differ alike; of r recordings r - 1 differences are independent.
+            total = total + own.mean(axis=1) * count / (count + 1)
+        return total
 
     def of(self, motion=None):
         """Return the `NextRecording` for a motion, by default one like the fitted."""
         motion = motion or self._motion
         count = max(self.recordings, 1)
-        lacks = self._lacks * self._motion.distance(motion)
         differ, again, motions = _robots()
+        lacks = self._lacks * self._motion.distance(motion)
         rng, nv = np.random.default_rng(1), lacks.size
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]

@@ -31,6 +31,8 @@ _SOME_TICKS, _FINE_TICKS = 0.3, 0.02
 # Positions must fit the stamps better by this much, in the sum over the joints of the
 # logarithms of their roughness, than they fit a steady sampling.
 _CLEARLY = 0.2
+# Share of steps over several periods from which rows are missing.
+_SEVERAL = 0.1
 # Rows are sorted by their stamps if the sum of second differences falls below this
 # share.
 _SMOOTHER = 0.99
@@ -80,7 +82,9 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
         )
     gaps = _gaps(t, step, period)
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
-    steady, own = _steady(t, step, pieces, period)
+    # Rows are missing, as of a second source, and stamps are not merely rounded.
+    missing = whole and np.mean(step > 1.5 * period) > _SEVERAL
+    steady, own = _steady(t, step, pieces, period, rounded=not missing)
     slots, sampled = _counted(pieces), False
     if not steady:
         own, slots, sampled = _when(t, pieces, period, whole, positions, where)
@@ -119,10 +123,13 @@ def _check_order(t, step, where):
 
 def _first_period(t, step):
     """Return a first period [s], and whether steps are whole multiples of it."""
-    period = float(np.median(step[step > 0]))
-    counts = np.round(step / period)
-    near = (np.abs(step / period - counts) < _NEAR) & (counts > 0)
-    if near.mean() >= _NEARLY_ALL:
+    # Without the rows of a second source, steps of two sizes may be equally frequent.
+    for share in (0.5, 0.25):
+        period = float(np.quantile(step[step > 0], share, method="lower"))
+        counts = np.round(step / period)
+        near = (np.abs(step / period - counts) < _NEAR) & (counts > 0)
+        if near.mean() < _NEARLY_ALL:
+            continue
         near &= counts <= GAP_PERIODS
         for _ in range(2):
             count = np.maximum(np.round(step[near] / period), 1.0).sum()
@@ -149,13 +156,13 @@ def _gaps(t, step, period):
     return np.array(gaps, dtype=int)
 
 
-def _steady(t, step, pieces, period):
+def _steady(t, step, pieces, period, rounded=True):
     """Whether stamps are equidistant but for rounding; their period [s]."""
     rows = sum(x.stop - x.start - 1 for x in pieces)
     own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / max(rows, 1)
     if own <= 0:
         return rows < 1, period
-    steady = max(2 * STEADY * own, 1.01 * _resolution(t, own))
+    steady = max(2 * STEADY * own, 1.01 * _resolution(t, own) * rounded)
     if np.mean(step == 0) > 1 - _NEARLY_ALL:
         # A clock that ticks more slowly than the robot is sampled.
         steady = max(steady, 1.01 * float(np.median(step[step > 0])))

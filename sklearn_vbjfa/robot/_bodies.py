@@ -8,7 +8,7 @@ from scipy.special import softmax
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
-from sklearn_vbjfa.model import nominal_parameters, solid_bodies
+from sklearn_vbjfa.model import joint_names, nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import pseudo_inertia
 
 # How far a description is expected to be off: a body's distance from it in each of ten
@@ -75,10 +75,15 @@ class BodyPrior:
     root: np.ndarray
 
     @classmethod
-    def of(cls, model, per_joint):
+    def of(cls, model, per_joint, followers=()):
         """Take the bodies of a model that have mass and extension; None without any."""
-        # Bodies that have none are left free, as nothing is said of them.
-        bodies = nominal_parameters(model)
+        # Bodies that have none are left free, as nothing is said of them. followers:
+        # `FollowingBody` of the model, whose parameters are behind those of its joints.
+        names, starts = joint_names(model), per_joint * np.arange(model.nv)
+        names = [*names, *(body.name for body in followers)]
+        starts = np.r_[starts, per_joint * model.nv + 10 * np.arange(len(followers))]
+        bodies = [*nominal_parameters(model), *(body.parameters for body in followers)]
+        bodies = np.array(bodies)
         solid = np.flatnonzero(solid_bodies(bodies))
         if not solid.size:
             return None
@@ -89,8 +94,8 @@ class BodyPrior:
             metric = np.einsum("iab,jba->ij", made, made)
             roots.append(linalg.cholesky(0.5 * (metric + metric.T)))
         return cls(
-            names=tuple(model.names[int(k) + 1] for k in solid),
-            places=solid[:, None] * per_joint + np.arange(10),
+            names=tuple(names[k] for k in solid),
+            places=starts[solid, None] + np.arange(10),
             centre=bodies[solid],
             root=np.array(roots),
         )
@@ -468,7 +473,7 @@ def described_bodies(settings):
         why = "a regressor: it estimates the bodies separately"
     elif bodies != "free":
         per_joint = features.n_parameters_ // features.n_joints_
-        found = BodyPrior.of(features.model_, per_joint)
+        found = BodyPrior.of(features.model_, per_joint, features.followers_)
         why = "a description in which no body has mass and extension"
     if bodies == "fixed" and found is None:
         raise ValueError(

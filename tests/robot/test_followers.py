@@ -160,3 +160,16 @@ def test_mujoco_closes_the_gripper(fitted, tmp_path):
         mujoco.mj_step(model, data)
     assert abs(data.qpos[2]) > 0.02
     assert data.qpos[3] == pytest.approx(0.2 - 2.5 * data.qpos[2], abs=1e-3)
+
+
+def test_fixed_bodies_include_those_of_followers(path, motion):
+    full = pin.buildModelFromUrdf(str(path))
+    tau = torques(full, *motion) + VISCOUS * motion[1]
+    robot = RobotIdentifier(str(path), dt=DT, friction=("viscous",), bodies="fixed")
+    robot.fit(motion[0], tau)
+    at = robot.parameter_names_.index("follow:m")
+    follow = full.inertias[full.getJointId("follow")].toDynamicParameters()
+    np.testing.assert_allclose(robot.theta_[at : at + 10], follow)
+    found = dict(zip(robot.parameter_names_, robot.theta_))
+    for name, value in zip(robot.joint_names_, VISCOUS):
+        assert found[f"{name}:viscous"] == pytest.approx(value, rel=1e-6)

@@ -42,6 +42,7 @@ class Hypothesis:
     # another hypothesis is probable; and whether its change undoes what was done.
     if_poor: bool = False
     repairs: bool = True
+    unclear: str = ""  # kind of the warning if a candidate is probable but not clear
 
     def candidate(self, reading):
         """Return the best candidate if it is probable, or None."""
@@ -62,6 +63,12 @@ class Hypothesis:
             fall=np.exp(candidate.fall / reading.robot.joints.size),
             **candidate.facts,
         )
+
+    def warning(self, reading, candidate):
+        """Return what is said of a candidate that is not clear."""
+        facts, joints = candidate.facts, candidate.joints
+        args = self.unclear, reading.names, joints, "warning"
+        return finding(*args, odds=candidate.log_odds, **facts)
 
 
 def odds(fit, now, variants=1):

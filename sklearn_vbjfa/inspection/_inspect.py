@@ -5,7 +5,7 @@ import numpy as np
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection import _positions, _torques
 from sklearn_vbjfa.inspection._likelihood import DescribedRobot
-from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts
+from sklearn_vbjfa.inspection._reading import Change, Reading, long_parts, thinned
 from sklearn_vbjfa.inspection._rows import inspect_rows, shuffled_rows
 from sklearn_vbjfa.inspection._sentences import finding
 from sklearn_vbjfa.model import is_prismatic, joint_names, load_model
@@ -22,7 +22,7 @@ __all__ = ["ChannelFinding", "inspect_channels", "inspect_recording"]
 # What was done to a log, and what is looked for once nothing else is found.
 TABLE = (*_positions.HYPOTHESES, *_torques.HYPOTHESES)
 # What is found of torques whose unit is not N m or N, or not known.
-OF_SIZE = ("torque_unit", "torque_factors", "gear_factor")
+OF_SIZE = ("torque_unit", "torque_factors", "gear_factor", "other_robot")
 
 
 def inspect_recording(recording, model=None):
@@ -145,14 +145,15 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     if shuffled or not parts:
         return in_order(shuffled)
     q, tau = q[rows], tau[rows]
-    revolute = ~is_prismatic(model)
-    findings, usable, q = inspect_rows(names, q, tau, dt, parts, rows, revolute)
-    if _names(findings, "velocity_as_torque", "copied_position"):
-        return in_order(findings)
-    return in_order(
-        findings
-        + _compared(Reading(model, names, q, tau, dt, parts, usable, drive=drive))
-    )
+    log = inspect_rows(names, q, tau, dt, parts, rows, ~is_prismatic(model))
+    if _names(log.findings, "motion_as_torque", "copied_position"):
+        return in_order(log.findings)
+    # Positions that were held are compared at the rate that they have.
+    rows, parts, dt = *thinned(parts, log.every), dt * log.every
+    channels = (x[rows] for x in (log.q, tau, log.usable))
+    q, tau, usable = channels
+    reading = Reading(model, names, q, tau, dt, parts, usable, drive=drive)
+    return in_order(log.findings + _compared(reading))
 
 
 def _compared(reading):
@@ -175,6 +176,9 @@ def _compared(reading):
             candidate = hypothesis.candidate(reading)
             if candidate is not None:
                 findings.append(hypothesis.finding(reading, candidate))
+    candidate = None if findings else _torques.OTHER.candidate(reading)
+    if candidate is not None:
+        findings = [_torques.OTHER.finding(reading, candidate)]
     return findings + _unverified(reading)
 
 
@@ -195,6 +199,8 @@ def _examined(reading):
         else:
             break
         if not candidate.clear:
+            if hypothesis.unclear:
+                findings.append(hypothesis.warning(reading, candidate))
             break
         rivals = [
             (one.kind or other.name).partition(":")[0]
@@ -226,26 +232,37 @@ def _scores_better(before, after):
 def _unverified(reading):
     """Say what the description cannot show in this motion."""
     if reading.bodies.massless:
-        kind = "unverified:massless"
-    elif reading.signals is None or not reading.signals.informative().any():
+        return [_warning(reading, "unverified:massless")]
+    if reading.tell_nothing() or len(reading.signals.row) < number.ENOUGH_ROWS:
         return []
-    elif reading.bodies.weightless:
-        kind = "unverified:weightless"
+    found = []
+    if reading.bodies.weightless:
+        found.append(_warning(reading, "unverified:weightless"))
+    elif not reading.commanded and _size_assumed(reading.robot):
+        found.append(_warning(reading, "unverified:size"))
     elif _order_assumed(reading):
-        kind = "unverified:order"
-    else:
-        return []
-    return [finding(kind, reading.names, reading.every, "warning")]
+        found.append(_warning(reading, "unverified:order"))
+    return found
+
+
+def _warning(reading, kind, **facts):
+    return finding(kind, reading.names, reading.every, "warning", **facts)
+
+
+def _size_assumed(robot):
+    """Whether torques of any size fit the described bodies as well."""
+    columns = robot.described[:, :, None]
+    fit = robot.fit(mean=np.zeros_like(robot.described), columns=columns)
+    return abs(fit.factors[0]) < number.INTERVAL * fit.errors[0]
 
 
 def _order_assumed(reading):
-    """Whether the order of joints by name fits as well as that of the description."""
-    order = np.argsort(reading.names, kind="stable")
-    least = reading.robot.now.evidence - number.RIVAL
-    for other in (order, np.argsort(order)) if (np.diff(order) < 0).any() else ():
-        change = Change(positions=other, torques=other)
-        fit = reading.tried(change, least=least)
-        if fit is not None and fit.evidence > least:
+    """Whether another usual order of joints fits as well as that of the description."""
+    now = reading.robot.now
+    for order in reading.usual_orders():
+        fit = reading.tried(Change(positions=order, torques=order))
+        as_well = fit is not None and fit.fall(now) > -number.CLEAR
+        if as_well or (fit is not None and fit.evidence > now.evidence - number.RIVAL):
             return True
     return False
 

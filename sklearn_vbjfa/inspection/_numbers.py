@@ -43,6 +43,9 @@ AT_ZERO, MOVED = 1e-3, 0.05
 # nor is a single one this many times as large as it should be: the rotor of a gear may
 # be many times its link. Of commands one order of magnitude is asked for.
 SCALE, SINGLE, COMMANDED = 2.5, 20.0, 10.0
+# Torques are in another unit if in the median over the joints they are this many times
+# the limits of the description [N m or N], of which some are no limits.
+BEYOND_LIMITS, NO_LIMIT = 5.0, 1e6
 # A torque is noise if it is less than this share of the described one, and its relative
 # error above this.
 SILENT, UNRELATED = 0.1, 0.9
@@ -53,9 +56,12 @@ NO_WEIGHT = 0.5
 # A base is mounted otherwise if it is turned by more than this [rad] (less is a tilt,
 # which the search finds among its rivals), pulls as gravity does to this factor, and in
 # no direction is its pull less certain than this [g].
-TURNED, AS_HEAVY, UNSHOWN = np.radians(45.0), 1.5, 0.5
+TURNED, AS_HEAVY, UNSHOWN = np.radians(30.0), 1.5, 0.5
 # Sample periods that are tried, as multiples.
 PERIODS = (1e3, 1e2, 10.0, 0.1, 1e-2, 1e-3)
+# Torques are those of another robot if its description leaves this share of them and
+# they are small, or this one of some joints.
+OF_ANOTHER, UNFOLLOWED = 0.3, 0.65
 # A joint without a speed limit does not move faster than this [rad/s, m/s], nor any
 # joint faster than its limit by this factor. Speeds are taken over so many samples,
 # lest encoder noise pass for motion.
@@ -70,8 +76,8 @@ TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # are followed by so many moves. Time constants of a low-pass, over the lag.
 LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
 # A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
-# for this part of the log at least.
-CONTACT, SHORTEST_CONTACT = 3.0, 20
+# for this part of the log at least; places of its ends that are tried.
+CONTACT, SHORTEST_CONTACT, CONTACT_ENDS = 3.0, 20, 80
 
 # -- positions and torques without a likelihood ----------------------------------------
 

@@ -76,10 +76,8 @@ def _joint_orders(reading):
         starts = [np.array(order) for order in permutations(range(nv))]
     else:
         shifts = {k % nv for k in range(-number.ROLLED, number.ROLLED + 1)}
-        # Programs that do not know the order of the joints sort them by name.
-        named = np.argsort(reading.names, kind="stable")
         starts = [np.roll(same, k) for k in sorted(shifts)]
-        starts += [same[::-1], named, np.argsort(named)]
+        starts += [same[::-1], *reading.usual_orders()]
     pairs, best, order = _pairs(reading), reading.rough().sum(), same
     starts += [_exchanged(same, pair) for pair in pairs]
     # Each swap puts at least one joint in its place.
@@ -358,7 +356,7 @@ def _zeroed(reading):
 _FLIPPED, _MIRRORED = _directions(of_torque=True), _directions(of_torque=False)
 HYPOTHESES = (
     Hypothesis("position_unit", "error", _units, _turns),
-    Hypothesis("position_zeros", "error", _zeros, _zeroed),
+    Hypothesis("position_zeros", "error", _zeros, _zeroed, unclear="unverified:zeros"),
     Hypothesis("swapped_torques", "error", _torque_orders, _several, if_poor=True),
     Hypothesis("swapped_positions", "error", _position_orders, _several, if_poor=True),
     Hypothesis("swapped_joints", "error", _joint_orders, _several, if_poor=True),

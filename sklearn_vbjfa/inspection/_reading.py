@@ -132,10 +132,14 @@ def long_parts(n, groups):
     """Rows of the recordings that are long enough, and where each is among them."""
     parts = contiguous_groups(groups, n)
     parts = [part for part in parts if part.stop - part.start >= number.MIN_SAMPLES]
-    rows = [np.arange(part.start, part.stop) for part in parts]
+    return thinned(parts, 1) if parts else (np.zeros(0, dtype=int), [])
+
+
+def thinned(parts, k):
+    """Every k-th row of recordings, and where each is among these."""
+    rows = [np.arange(part.start, part.stop, k) for part in parts]
     stops = np.cumsum([0, *map(len, rows)]).tolist()
-    found = [slice(a, b) for a, b in pairwise(stops)]
-    return np.concatenate([np.zeros(0, dtype=int), *rows]), found
+    return np.concatenate(rows), [slice(a, b) for a, b in pairwise(stops)]
 
 
 def filtered(q, tau, dt, parts, usable):
@@ -251,6 +255,20 @@ class Reading:
     def every(self):
         """All joints."""
         return tuple(range(self.nv))
+
+    def usual_orders(self):
+        """Return other orders of joints (nv,) that programs give them, and back."""
+        # By name, or as Pinocchio has them: branches are sorted by name.
+        parents, names = list(self.model.parents)[1:], self.names
+
+        def branch(joint):
+            children = [k for k, parent in enumerate(parents, 1) if parent == joint]
+            children.sort(key=lambda k: names[k - 1])
+            return [x for k in children for x in (k - 1, *branch(k))]
+
+        usual = np.argsort(names, kind="stable"), np.array(branch(0))
+        orders = [x for order in usual for x in (order, np.argsort(order))]
+        return [x for x in orders if (np.diff(x) < 0).any()]
 
     @functools.cached_property
     def slides(self):

@@ -27,6 +27,7 @@ class Rows:
         self.still = still_joints(q, parts)
         self.moving = self.moves(q)
         self.findings = []
+        self.every = 1  # rows until all positions are new
 
     def steps(self, x):
         """Return differences to the row before, zero where a recording begins."""
@@ -64,28 +65,30 @@ class Rows:
 
 
 def inspect_rows(names, q, tau, dt, parts, rows, revolute):
-    """Inspect each channel; return findings, sound samples, unwrapped positions."""
+    """Inspect each channel; return the `Rows` with findings and sound samples."""
     findings, q = _wrapped_positions(names, q, revolute, parts, rows)
     log = Rows(names, q, tau, dt, parts, rows)
     log.findings += findings
     _rest(log)
     _repeated_rows(log)
     held = [_held(log, what, x) for what, x in (("position", q), ("torque", tau))]
+    if ((held[0] > 0) | log.still).all() and not log.still.all():
+        log.every = round(float(np.median(held[0][~log.still])))
     constant = _constant(log)
     switched = two_values(names, ~log.still, tau)
     log.findings += switched
     for j in np.flatnonzero(~log.still):
         if not (constant[j] or switched):
-            _torque(log, j, held[1][j])
+            _torque(log, j, held[1][j] > 0)
         if not held[0][j]:
             log.usable[_stuck(log, j)] = False
         log.usable[_jumps(log, j)] = False
     _copies(log, "position", q)
     _copies(log, "torque", tau)
-    _velocities(log)
+    _motion_as_torque(log)
     log.usable[:, log.still | constant | bool(switched)] = False
     log.usable[log.lost] = False
-    return log.findings, log.usable, q
+    return log
 
 
 # -- order and wraps -------------------------------------------------------------------
@@ -244,16 +247,18 @@ def _repeated_rows(log):
 
 
 def _held(log, what, channels):
-    """Find positions or torques that have new values at a lower rate than the rows."""
+    """Find channels that have new values at a lower rate; rows per value, (nv,)."""
     # They lag by half a period and change in steps, which looks like delay, elasticity
     # and friction at reversals, but they show the recorded motion: a doubt.
-    rates = {j: _rate(log, channels[:, j]) for j in np.flatnonzero(~log.still)}
-    rates = {int(j): rate for j, rate in rates.items() if rate}
-    if rates:
-        k = round(float(np.median(list(rates.values()))))
+    rates = np.zeros(len(log.names))
+    for j in np.flatnonzero(~log.still):
+        rates[j] = _rate(log, channels[:, j])
+    joints = np.flatnonzero(rates)
+    if joints.size:
+        k = round(float(np.median(rates[joints])))
         facts = {"k": k, "late": 0.5e3 * (k - 1) * log.dt, "dt": k * log.dt}
-        log.report(f"held_{what}", list(rates), "doubt", **facts)
-    return np.isin(np.arange(len(log.names)), list(rates))
+        log.report(f"held_{what}", joints, "doubt", **facts)
+    return rates
 
 
 def _rate(log, x):
@@ -520,14 +525,19 @@ def _copies(log, kind, values):
             log.report(f"copied_{kind}", [same[0], j], "error", **facts)
 
 
-def _velocities(log):
-    """Find torques that are velocities."""
+def _motion_as_torque(log):
+    """Find torques that are positions, velocities or accelerations."""
     inner = [part for part in log.parts if part.stop - part.start > 2]
-    v = [np.gradient(log.q[part], log.dt, axis=0)[1:-1] for part in inner]
-    v, y = np.concatenate(v), np.concatenate([log.tau[part][1:-1] for part in inner])
-    moves = (np.ptp(v, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
-    size = np.maximum((v**2).mean(axis=0), 1e-300)
-    left = np.sqrt(((y - v) ** 2).mean(axis=0) / size)
-    if moves.any() and (left[moves] <= number.SAME).all():
-        facts = {"share": percent(left[moves].max())}
-        log.report("velocity_as_torque", range(len(log.names)), "error", **facts)
+    whole = [log.q[part] for part in inner]
+    y = np.concatenate([log.tau[part] for part in inner])
+    for what in ("positions", "velocities", "accelerations"):
+        x = np.concatenate(whole)
+        moves = (np.ptp(x, axis=0) > 0) & (np.ptp(y, axis=0) > 0)
+        size = np.maximum((x**2).mean(axis=0), 1e-300)
+        left = np.sqrt(((y - x) ** 2).mean(axis=0) / size)
+        if moves.any() and (left[moves] <= number.SAME).all():
+            facts = {"what": what, "share": percent(left[moves].max())}
+            joints = range(len(log.names))
+            log.report("motion_as_torque", joints, "error", **facts)
+            return
+        whole = [np.gradient(piece, log.dt, axis=0) for piece in whole]

@@ -80,7 +80,7 @@ SENTENCES = {
     "(--joints).",
     "copied_torque": "The torque of {second} equals that of {first} in every row: one "
     "channel was logged twice. Log the other one, or leave the joint out (--joints).",
-    "velocity_as_torque": "The torques are the velocities of the joints to {share}: "
+    "motion_as_torque": "The torques are the {what} of the joints to {share}: "
     "the wrong columns were taken. Give those of the torques (--columns).",
     # -- positions and time
     "position_degrees": _UNIT,
@@ -127,6 +127,9 @@ SENTENCES = {
     "times what the described masses require: they are {what} than N m{inside}, or the "
     "described masses are wrong. Give the factor to N m (--gain {gain:.3g}){unknown}; "
     'if they are N m, use --bodies free (Python: bodies="free").',
+    "torque_unit:limits": "The torques of {who} reach {most:.3g} times the limits of "
+    "the description, in the median: they are in another unit than N m or N, or the "
+    "limits are wrong. Give the factors to N m (--gain), or correct the limits.",
     "torque_factors": "The torques have different factors against what the described "
     "masses require ({each}): motor currents, or shares of each joint's rated torque. "
     'Give the factors to N m (--gain), or --gain unknown (Python: gains="unknown").',
@@ -135,6 +138,10 @@ SENTENCES = {
     "the gear ratio (about {ratio} would fit).",
     "gear_factor:commanded": "The commanded torques are {factor:.2g} times those of "
     "the described robot, in the median over the joints: check {numbers}.",
+    "other_robot": "The torques are {size:.2g} times as large as those of the "
+    "description, in the median over the joints, and do not follow them, which leaves "
+    "{share} of them: the description is that of another robot, or the torques are in "
+    "another unit. Check both.",
     "silent_torque": "The torque of {who} does not follow the motion and is {size:.2g} "
     "times what the description requires: only noise was recorded. Check the cable or "
     "the column, or leave the joint out (--joints).",
@@ -156,7 +163,7 @@ SENTENCES = {
     "frame, {angle:.0f} degrees from the description: the base is mounted in another "
     "orientation, as on a wall or a ceiling. Turn it in the description.",
     "delay": "All torques are {size:.3g} ± {error:.2g} ms {late} against the positions "
-    "(log odds {odds:.0f}){but}: two clocks, or a delay of the torques. The search "
+    "(log odds {odds:.0f}): two clocks, or a delay of the torques. The search "
     "shifts them by this lag.",
     "torque_lowpass": "All torques look filtered, by a low-pass with a time constant "
     "of about {size:.2g} ms (log odds {odds:.0f}): log them before the filter, or with "
@@ -166,6 +173,11 @@ SENTENCES = {
     "external force. Leave this interval out.",
     "unverified:massless": _UNVERIFIED + "a body of the description has no mass.",
     "unverified:weightless": _UNVERIFIED + "gravity loads no joint of the description.",
+    "unverified:size": "The size of the torques cannot be verified from this motion: "
+    "weight looks like an offset there, and inertia like that of the motors.",
+    "unverified:zeros": "All positions begin at zero, and other zeros explain the "
+    "torques better, though not clearly (log odds {odds:.0f}). If the encoders were "
+    "set to zero at power-up, add to the positions, about [rad]: {values}.",
     "unverified:order": "The columns are assumed to be in the order of the description "
     "({names}): in the order of the names the torques agree as well.",
 }

@@ -4,6 +4,7 @@ import numpy as np
 import scipy
 
 from sklearn_vbjfa.inspection import _numbers as number
+from sklearn_vbjfa.inspection._contact import contact
 from sklearn_vbjfa.inspection._hypotheses import (
     Candidate,
     Hypothesis,
@@ -227,6 +228,34 @@ def _commanded(reading):
     )
 
 
+def _beyond_limits(reading):
+    """Return torques that are many times the limits of the description."""
+    limit = np.asarray(reading.model.effortLimit, dtype=float)
+    known = (limit > 0) & (limit < number.NO_LIMIT)
+    most = np.quantile(np.abs(reading.tau), 0.995, axis=0)[known] / limit[known]
+    # Limits that are all alike are invented.
+    alike = np.unique(limit[known]).size < 2
+    if alike or np.median(most) < number.BEYOND_LIMITS:
+        return None
+    return Candidate(
+        joints=tuple(np.flatnonzero(known).tolist()),
+        log_odds=np.inf,
+        kind="torque_unit:limits",
+        facts={"most": np.median(most)},
+    )
+
+
+def _of_another(reading):
+    """Return torques that neither follow nor reach those of the description."""
+    robot = reading.robot
+    size, left = np.nanmedian(robot.sizes[robot.joints]), np.exp(0.5 * robot.now.left)
+    small = size < 1 / number.SCALE and np.median(left) > number.OF_ANOTHER
+    if not small and (left > number.UNFOLLOWED).sum() < max(2, left.size / 3):
+        return None
+    facts = {"size": size, "share": percent(np.median(left))}
+    return Candidate(joints=reading.every, log_odds=np.inf, facts=facts)
+
+
 # -- weight ----------------------------------------------------------------------------
 
 
@@ -265,7 +294,9 @@ def _weightless(reading):
             return None
         if abs(share - before) < number.SETTLED * error[1] / scale:
             break
-    if abs(share) + error[1] / scale > number.NO_WEIGHT:
+    # Slow motion may ask for another inertia, though the weight is there in N m.
+    there = fit.factors[1] > max(error[1], 1 / number.SCALE)
+    if there or abs(share) + error[1] / scale > number.NO_WEIGHT:
         return None
     # Without any weight, or with that of the description taken off.
     added = robot.fit(mean=scale * moving, scale=scale)
@@ -427,23 +458,8 @@ def _lag(reading):
             "size": 1e3 * abs(seconds),
             "error": 1e3 * error,
             "late": "late" if seconds > 0 else "early",
-            "but": "" if lowpass else _others(reading.names, after, reading.dt),
         },
     )
-
-
-def _others(names, reading, dt):
-    """Name joints whose lag differs from the common one that a reading corrects."""
-    robot, nv = reading.robot, reading.nv
-    columns = -np.einsum("nj,jk->njk", _slopes(robot), np.eye(nv))
-    fit = robot.fit(columns=columns)
-    common = np.median(fit.factors[robot.joints])
-    found = [
-        f"{names[j]} {1e3 * dt * (fit.factors[j] - common):+.2g} ms"
-        for j in robot.joints
-        if abs(fit.factors[j] - common) > number.SURE * fit.errors[j]
-    ]
-    return f", but for {', '.join(found)}" if found else ""
 
 
 def _slopes(robot):
@@ -493,57 +509,6 @@ def _lowpass(robot, samples):
     now, slope = robot.signals.now, _slopes(robot)
     made = [now + part * samples * slope for part in number.CONSTANTS]
     return max(robot.fit(tau=y).evidence for y in made) - robot.now.evidence
-
-
-# -- contact ---------------------------------------------------------------------------
-
-
-def _contact(reading):
-    """Return an interval in which something else acts on the robot."""
-    robot = reading.few
-    rows, inside = robot.signals.row, np.zeros(len(robot.signals.row), dtype=bool)
-    for _ in range(number.PASSES):
-        before, place = inside, _pushed(robot, inside)
-        inside = np.zeros(rows.size, dtype=bool)
-        inside[slice(*place)] = True
-        if (inside == before).all():
-            break
-    # A contact makes what is left correlated for as long as it lasts.
-    times = robot.correlation_times(inside[:, None].astype(float))
-    robot = robot.with_times(np.minimum(robot.times, times))
-    size = robot.signals.now[:, robot.joints].std(axis=0)
-    columns = np.einsum("n,jk->njk", inside.astype(float), np.eye(reading.nv))
-    fit, now = robot.fit(columns=columns, deviation=size.max()), robot.now
-    push = np.abs(fit.factors[robot.joints]) / (size * np.exp(0.5 * fit.left))
-    felt = robot.joints[push > number.CONTACT]
-    # A force on a link loads the joints before it; friction of a single one varies.
-    if felt.size < min(robot.joints.size, 2):
-        return None
-    if fit.fall(now) < number.CLEAR_OF_JOINT:
-        return None
-    begin, end = (rows[min(k, rows.size - 1)] * reading.dt for k in place)
-    pushes = ", ".join(
-        f"{reading.names[j]} {fit.factors[j]:+.2g} {'N' if slides else 'N m'}"
-        for j, slides in zip(felt, reading.slides[felt])
-    )
-    return Candidate(
-        joints=tuple(felt.tolist()),
-        log_odds=odds(fit, now, rows.size),
-        facts={"begin": begin, "end": end, "pushes": pushes},
-    )
-
-
-def _pushed(robot, inside):
-    """Rows between which constant torques explain most of what bodies leave."""
-    # inside (n,): rows with which the bodies are not fitted.
-    left = robot.residual(without=inside)[:, robot.joints]
-    left = left / np.sqrt(np.maximum((left[~inside] ** 2).mean(axis=0), 1e-300))
-    n, sums = len(left), np.vstack([np.zeros(left.shape[1]), left.cumsum(axis=0)])
-    gain = ((sums[None] - sums[:, None]) ** 2).sum(axis=-1)
-    width = np.arange(n + 1) - np.arange(n + 1)[:, None]
-    allowed = (width >= n // number.SHORTEST_CONTACT) & (width <= n // 2)
-    gain = np.where(allowed, gain / np.maximum(width, 1), -np.inf)
-    return np.unravel_index(np.argmax(gain), gain.shape)
 
 
 # -- torques without signs -------------------------------------------------------------
@@ -644,6 +609,9 @@ HYPOTHESES = (
 )
 # Looked for once nothing else is found.
 LAST = (
-    Hypothesis("external_force", "doubt", _contact, _poor_measured, repairs=False),
+    Hypothesis("external_force", "doubt", contact, _poor_measured, repairs=False),
     Hypothesis("delay", "warning", _lag, _measured, repairs=False),
+    Hypothesis("torque_unit", "doubt", _beyond_limits, _measured, repairs=False),
 )
+# If there is no other finding.
+OTHER = Hypothesis("other_robot", "doubt", _of_another, _poor_measured, repairs=False)

@@ -114,7 +114,7 @@ def test_a_copied_joint(log):
 def test_velocities_as_torques(log):
     recording = log[0]
     speed = np.gradient(recording.q, recording.dt, axis=0)
-    assert grave(log, tau=speed)[0] == ["velocity_as_torque"]
+    assert grave(log, tau=speed)[0] == ["motion_as_torque"]
 
 
 def test_a_torque_that_is_noise(log):

@@ -42,7 +42,6 @@ _MODULES = {
     "_reader": ("common_folder", "read_recording"),
     "_recording": (
         "Recording",
-        "as_one",
         "check_clock",
         "check_cutoff",
         "check_dt",
@@ -51,15 +50,14 @@ _MODULES = {
         "take_arrays",
         "take_rows",
     ),
-    "_repetition": ("RepeatedMotion", "commands_among", "find_repetition"),
-    "_sampling": (
+    "_repetition": ("commands_among", "find_repetition"),
+    "_clock": (
         "Log",
         "check_time_stamps",
         "inspect_time_stamps",
         "interpolate",
         "join",
         "median_period",
-        "merge_doubled",
         "prediction_errors",
         "resample_uniform",
     ),

@@ -6,6 +6,12 @@ from os import fspath
 
 import numpy as np
 
+from sklearn_vbjfa.recording._clock import (
+    SAME_DT,
+    check_given,
+    on_grid,
+    sorted_by_time,
+)
 from sklearn_vbjfa.recording._columns import as_numbers
 from sklearn_vbjfa.recording._layout import (
     ESTIMATES,
@@ -19,12 +25,6 @@ from sklearn_vbjfa.recording._layout import (
 )
 from sklearn_vbjfa.recording._missing import is_current, refusal
 from sklearn_vbjfa.recording._recording import Recording, contiguous_groups
-from sklearn_vbjfa.recording._sampling import (
-    SAME_DT,
-    check_given,
-    on_grid,
-    sorted_by_time,
-)
 from sklearn_vbjfa.recording._table import (
     RecordingRefused,
     Table,

@@ -1,6 +1,5 @@
 """Drives: control laws that give torques from commands, currents or voltages."""
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Real
@@ -47,22 +46,10 @@ class Drive(BaseEstimator):
     numbers = "the numbers of the drive"
 
     def driven(self, recording):
-        """Return a recording with the torques of the law at no delay, and `command`.
+        """Return a recording with `tau` of the law at no delay, and `command`.
 
-        Parameters
-        ----------
-        recording : Recording
-            Positions, and in `signals` the channels (n_samples, nv) of the drive.
-
-        Returns
-        -------
-        Recording
-            With `tau` and `command`.
-
-        Raises
-        ------
-        ValueError
-            If channels are missing, or do not suit the drive.
+        Of a recording with the channels (n_samples, nv) of the drive in `signals`;
+        raises a ValueError if they are missing, or do not suit the drive.
         """
         raise NotImplementedError(
             f"{type(self).__name__} must define driven(recording)."
@@ -136,9 +123,9 @@ def _by_name(what, given, joints):
         own = [key for key in given if key in joint]
         own = [joint] if joint in own else own
         if len(own) != 1:
-            said = f"{len(own)} of its keys are" if own else "none of its keys is"
+            which = f"{len(own)} of its keys are" if own else "none of its keys is"
             raise ValueError(
-                f"{what} must have one key in each joint's name; {said} in {joint!r}: "
+                f"{what} must have one key in each joint's name; {which} in {joint!r}: "
                 f"{', '.join(map(repr, own or given))}."
             )
         found.append(given[own[0]])
@@ -189,16 +176,14 @@ class PDDrive(Drive):
     -----
     Commands are steps: a row acts from its time to that of the next one, a delay later.
     Torques at rows are the mean of the last sample period, within the band of the rows.
-    A delay of the whole law, feedback included, cannot be distinguished from friction
-    and rotor inertia: with a latency l of the feedback, the identified viscous friction
-    is smaller by K_p l and the rotor inertia by K_d l. `period` corrects its known
-    part.
+    A latency l of the whole law, feedback included, cannot be distinguished from
+    friction and rotor inertia: the identified viscous friction is smaller by K_p l and
+    the rotor inertia by K_d l. `period` corrects its known part.
 
-    The velocity is the slope of the positions, as late as the recorded one
-    (`Recording.v`, the drive's estimate) where there is one. The noise of positions is
-    noise of the torque, K_p and K_d times, and of the regressor; their common part is
-    measured from the even and the odd samples and subtracted from their products, which
-    is exact to first order where only the log has the noise. Commands count as exact.
+    The velocity is the slope of the positions, as late as `Recording.v` where there is
+    one. The noise of positions is noise of the torque, K_p and K_d times, and of the
+    regressor; their common part is measured from the even and the odd samples and
+    subtracted from their products. Commands count as exact.
 
     References
     ----------
@@ -303,26 +288,13 @@ class PDDrive(Drive):
         travel = np.ptp(recording.q, axis=0)
         moves = travel > _HELD * travel.max()
         still = moves & (np.ptp(aim, axis=0) <= _STILL * travel)
-        if not still.any():
-            return
-        said = ", ".join(
-            f"{recording.joint_names[j]} ({aim[0, j]:.4g}, positions over "
-            f"{travel[j]:.3g})"
-            for j in np.flatnonzero(still)
-        )
-        if still[moves].all():
+        if still[moves].all() and still.any():
+            joints = ", ".join(recording.joint_names[j] for j in np.flatnonzero(still))
             raise ValueError(
-                f"q_desired is constant on every joint that moves: {said}. Commands "
+                f"q_desired is constant on every joint that moves: {joints}. Commands "
                 "of another time, or of another mode of the drive: record the "
                 "commands that the robot followed."
             )
-        warnings.warn(
-            f"q_desired is constant on joints that move: {said}. They count as held "
-            "there, and moved by the others. If they followed other commands, record "
-            "those, or leave the joints out.",
-            UserWarning,
-            stacklevel=2,
-        )
 
     def _saturated(self, recording):
         """Mark samples at the limit of torque, which the law does not tell."""
@@ -356,10 +328,7 @@ class PDDrive(Drive):
         """Return how often torques are set in a sample period."""
         if self.period is None:
             return 1 if usual is None else max(round(dt / usual), 1)
-        try:
-            period = float(self.period)
-        except (TypeError, ValueError):
-            period = np.nan
+        period = self.period if isinstance(self.period, Real) else np.nan
         # A hundredth of a period is the jitter of clocks.
         if not 0 < period <= 1.01 * dt:
             raise ValueError(
@@ -659,26 +628,19 @@ def _parsed_value(name, text):
     if text in _SWITCHES:
         return _SWITCHES[text]
     pairs = [one.rpartition(":")[::2] for one in text.split(",")]
-    joints, values = [joint for joint, _ in pairs], [_number(one) for _, one in pairs]
-    if any(joints):
-        if None in values or not all(joints) or len(set(joints)) < len(joints):
-            raise ValueError(
-                f"drive has {name}={text}; expected JOINT:NUMBER with commas between "
-                "them, each joint, or part of its name, once."
-            )
-        return dict(zip(joints, values))
-    if values == [None]:
-        # A word, which the drive knows or refuses.
-        return text
-    if None in values:
-        raise ValueError(f"drive has {name}={text}; expected numbers.")
-    return values[0] if len(values) == 1 else values
-
-
-def _number(text):
-    """Return a finite number, None for what is none."""
+    joints, values = [joint for joint, _ in pairs], []
     try:
-        value = float(text)
+        values = [float(one) for _, one in pairs]
     except ValueError:
-        return None
-    return value if np.isfinite(value) else None
+        if len(pairs) == 1 and not any(joints):
+            # A word, which the drive knows or refuses.
+            return text
+    by_joint = all(joints) and len(set(joints)) == len(joints)
+    if not (values and np.isfinite(values).all() and (by_joint or not any(joints))):
+        raise ValueError(
+            f"drive has {name}={text}; expected numbers, or JOINT:NUMBER with commas "
+            "between them, each joint, or part of its name, once."
+        )
+    if by_joint:
+        return dict(zip(joints, values))
+    return values[0] if len(values) == 1 else values

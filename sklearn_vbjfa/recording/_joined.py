@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from sklearn_vbjfa.recording._clock import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._layout import Role, by_names, channel_unit
 from sklearn_vbjfa.recording._missing import COMMAND_WORDS, is_current, words
-from sklearn_vbjfa.recording._sampling import GAP_PERIODS, STEADY
 from sklearn_vbjfa.recording._table import Loss, Table, listed, pandas_of
 from sklearn_vbjfa.recording._units import is_clock
 

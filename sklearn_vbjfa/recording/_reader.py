@@ -12,13 +12,13 @@ import numpy as np
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import formats
+from sklearn_vbjfa.recording._clock import distinct, on_one_grid
 from sklearn_vbjfa.recording._conversion import is_recording, recording_of
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
 from sklearn_vbjfa.recording._joined import joined
 from sklearn_vbjfa.recording._layout import ReadOptions, parse_mapping
 from sklearn_vbjfa.recording._presets import PRESETS
 from sklearn_vbjfa.recording._recording import Recording, check_dt
-from sklearn_vbjfa.recording._sampling import distinct, on_one_grid
 from sklearn_vbjfa.recording._table import Loss, NotATable, RecordingRefused, listed
 from sklearn_vbjfa.recording._units import TIME_UNITS
 from sklearn_vbjfa.recording.formats import expanded, read_table, tables_in
@@ -50,15 +50,13 @@ def read_recording(
     Parameters
     ----------
     path : str, os.PathLike or sequence of these
-        One row per sample, as
-        TABLES;
+        One row per sample, as TABLES;
         a bag of ROS 1 or 2 or an MCAP file with JointState; the folder of a LeRobot
         data set; "-" for standard input. Columns: positions q1 ... qn [rad or m],
-        torques tau1 ... taun [N m or N]; optionally v1 ... vn [rad/s or m/s], a1 ... an
-        [rad/s^2 or m/s^2], t [s or dates] and segment, the label of separate
-        recordings. Numbers may count from 0 or be joint names (q_shoulder), and a unit
-        may follow (q1 [deg], t_ms) or stand in a row below the names. Several files, or
-        a folder of them, are several recordings of one robot, or with `join` one.
+        torques tau1 ... taun [N m or N]; optionally v1 ... vn, a1 ... an, t [s or
+        dates] and segment, the label of separate recordings. Numbers may count from 0
+        or be joint names (q_shoulder), and a unit may follow (q1 [deg], t_ms). Several
+        files, or a folder of them, are several recordings of one robot.
     dt : float, default=None
         Sample period [s]; required if there is no time.
     urdf : str or os.PathLike, default=None
@@ -87,23 +85,18 @@ def read_recording(
     drive : Drive or str, default=None
         Control law of the motors if no torque was measured: a `PDDrive`, or a text such
         as ``"pd kp=20,20,40 kd=1,1,2"`` (``docs/drives.rst``). The columns of its
-        channels, such as q_desired1 ..., replace those of the torques; in an npz file
-        gains may be one number for each joint.
+        channels, such as q_desired1 ..., replace those of the torques.
     join : bool, default=False
-        Whether several files are one recording, such as positions.csv and torques.csv.
-        The rows are those of the file with the positions; other files are interpolated
-        linearly at its time stamps, or without stamps taken row by row. Where columns
-        do not tell the channel, the name of the file does. A folder is joined if fewer
-        than two of its files can be read alone.
+        Whether several files are one recording, such as positions.csv and torques.csv,
+        at the time stamps of the positions. A folder is joined if fewer than two of its
+        files can be read alone.
 
     Returns
     -------
     recording : Recording
         On a uniform time grid, in the units and joint order of the package. Other
         numeric columns are in `signals`, accelerations as "a", and the channels of a
-        `drive`; `left_out` says what is wrong with other columns. Where rows were
-        interpolated, `torque_noise` is the white noise of the torques before, and
-        commands hold their last value.
+        `drive`; `left_out` says what is wrong with other columns.
 
     Raises
     ------
@@ -116,17 +109,15 @@ def read_recording(
         If the file cannot be read.
     ValueError
         If the file is damaged or written to while it is read, channels are missing or
-        ambiguous, a value is not finite or beyond 1e12, time is missing or contradicts
-        `dt`; if several files have other joints, channels or periods, or are copies.
-        Where other options would read the file, the attribute ``options`` has them.
+        ambiguous, a value is not finite, time is missing or contradicts `dt`, or
+        several files do not agree. Where other options would read the file, the
+        attribute ``options`` has them.
 
     Warns
     -----
     UserWarning
         If names were recognised as those of a tool, torques are motor currents, time
-        stamps are irregular (rows are interpolated if positions follow the stamps, else
-        taken as equidistant), rows are missing (up to five are interpolated, the
-        recording is split at more), or rows or stamps are repeated.
+        stamps are irregular, or rows are missing or repeated (``docs/log_formats.rst``).
 
     Examples
     --------

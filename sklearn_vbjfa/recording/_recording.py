@@ -44,16 +44,25 @@ def check_dt(dt):
     return value
 
 
-def check_clock(t, n_samples, dt):
-    """Return the time of each row [s]; multiples of `dt` if none is given."""
-    if t is None:
-        return None if dt is None else np.arange(n_samples) * check_dt(dt)
+def check_rows_of_time(t, n_samples):
+    """Return the time of each row, finite floats (n_samples,) [s]."""
     time = np.asarray(t, dtype=float)
     if time.shape != (n_samples,):
         raise ValueError(
             f"t must hold one time per row, shape ({n_samples},); got {time.shape}."
         )
-    bad = np.flatnonzero(~(np.diff(time) > 0))
+    if not np.isfinite(time).all():
+        row = np.flatnonzero(~np.isfinite(time))[0]
+        raise ValueError(f"t must be finite; row {row} is not.")
+    return time
+
+
+def check_clock(t, n_samples, dt):
+    """Return the time of each row [s]; multiples of `dt` if none is given."""
+    if t is None:
+        return None if dt is None else np.arange(n_samples) * check_dt(dt)
+    time = check_rows_of_time(t, n_samples)
+    bad = np.flatnonzero(np.diff(time) <= 0)
     if bad.size:
         raise ValueError(
             f"t must rise from row to row, over all recordings; it does not at row "
@@ -199,20 +208,19 @@ class Recording:
     def __post_init__(self):
         if self.dt is not None or self.states is None:
             check_dt(self.dt)
-        q = self.q
-        if _finite_array("q", q).ndim != 2 or q.size == 0:
+        if _finite("q", self.q).ndim != 2 or self.q.size == 0:
             raise ValueError(
-                f"q must have shape (n_samples, nv), got {q.shape}; for one joint "
+                f"q must have shape (n_samples, nv), got {self.q.shape}; for one joint "
                 "use q.reshape(-1, 1)."
             )
-        n_samples, nv = q.shape
+        n_samples, nv = self.q.shape
         for key, width in _WIDTHS.items():
             values = getattr(self, key)
             if values is not None or key == "tau":
                 shape = (n_samples, width * nv) if width else (n_samples,)
-                _check_shape(key, _finite_array(key, values), shape)
+                _check_shape(key, _finite(key, values), shape)
         for key, values in self.signals.items():
-            if len(_finite_array(f"signals[{key!r}]", values)) != n_samples:
+            if len(_finite(f"signals[{key!r}]", values)) != n_samples:
                 raise ValueError(
                     f"signals[{key!r}] must have {n_samples} rows like q, got "
                     f"{len(values)}; resample it on the same time grid."
@@ -223,15 +231,25 @@ class Recording:
                     f"{key} must have one entry for each of the {nv} columns of q, "
                     f"got {len(getattr(self, key))}: {getattr(self, key)}."
                 )
-        _check_groups(self.groups, n_samples, self.group_names)
-        if self.t is None:
-            return
-        back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
-        if back.any():
+        names = self.group_names
+        _check_shape("groups", self.groups, (n_samples,))
+        labels = self.groups[[part.start for part in self.segments]]
+        if self.groups.dtype.kind not in "iu" or labels.tolist() != [
+            *range(len(names))
+        ]:
             raise ValueError(
-                "t must not decrease inside a recording, it does after row "
-                f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
+                f"groups must hold the integers 0 to {len(names) - 1} (one for each of "
+                f"group_names) in contiguous blocks, got blocks {labels[:10].tolist()}."
             )
+        if len(set(names)) != len(names):
+            raise ValueError(f"group_names must differ from one another, got {names}.")
+        if self.t is not None:
+            back = (np.diff(self.t) < 0) & (np.diff(self.groups) == 0)
+            if back.any():
+                raise ValueError(
+                    "t must not decrease inside a recording, it does after row "
+                    f"{np.flatnonzero(back)[0]}; sort the rows or start a new label."
+                )
 
     def _rows(self, rows):
         """Return all that has a value for each row, at some rows, by name."""
@@ -337,11 +355,12 @@ class Recording:
 
     def __repr__(self) -> str:
         joints = "joint" if self.nv == 1 else "joints"
+        period = "unknown" if self.dt is None else f"{self.dt:.6g} s"
         n_groups = len(self.group_names)
         recordings = f", {n_groups} recordings" if n_groups > 1 else ""
         return (
             f"Recording {self.name!r}: {self.n_samples} samples, {self.nv} {joints}, "
-            f"dt = {_period(self.dt)}{recordings}"
+            f"dt = {period}{recordings}"
         )
 
     def select(self, *names_or_labels: str | int) -> "Recording":
@@ -457,31 +476,6 @@ def labels_of(lengths):
     return np.repeat(np.arange(len(lengths)), lengths)
 
 
-def as_one(recordings):
-    """Join recordings of a robot, with the signals that all of them have."""
-    lengths = [part.stop - part.start for one in recordings for part in one.segments]
-
-    def together(values):
-        return np.concatenate(list(values))
-
-    return replace(
-        recordings[0],
-        q=together(one.q for one in recordings),
-        tau=together(one.tau for one in recordings),
-        t=None,
-        v=None,
-        states=None,
-        weight=None,
-        groups=labels_of(lengths),
-        group_names=tuple(str(k + 1) for k in range(len(lengths))),
-        signals={
-            name: together(one.signals[name] for one in recordings)
-            for name, x in recordings[0].signals.items()
-            if x.ndim == 1 and all(name in one.signals for one in recordings)
-        },
-    )
-
-
 def take_rows(recording, rows, groups):
     """Make a recording of some rows (ascending), in new segments."""
     # rows (n_kept,), or slices; groups (n_kept,): labels of the segments in any form,
@@ -517,17 +511,10 @@ def _positions_before(recording, row):
     return np.concatenate([recording.before[k], known])
 
 
-def _period(dt: float | None) -> str:
-    return "unknown" if dt is None else f"{dt:.6g} s"
-
-
-def _finite_array(name: str, values: Any) -> np.ndarray:
+def _finite(name: str, values: Any) -> np.ndarray:
     """Return a numeric array, rejecting NaN and infinity."""
     if not isinstance(values, np.ndarray) or values.dtype.kind not in "biuf":
-        raise ValueError(
-            f"{name} must be a numeric ndarray, got {type(values).__name__}"
-            f"{' of ' + str(values.dtype) if isinstance(values, np.ndarray) else ''}."
-        )
+        raise ValueError(f"{name} must be a numeric ndarray, got {_kind(values)}.")
     if not np.isfinite(values).all():
         raise ValueError(
             f"{name} must be finite, got {np.count_nonzero(~np.isfinite(values))} "
@@ -536,25 +523,14 @@ def _finite_array(name: str, values: Any) -> np.ndarray:
     return values
 
 
+def _kind(values):
+    is_array = isinstance(values, np.ndarray)
+    return f"ndarray of {values.dtype}" if is_array else type(values).__name__
+
+
 def _check_shape(name: str, values: np.ndarray, expected: tuple[int, ...]) -> None:
     """Reject an array whose shape does not agree with q."""
     if values.shape != expected:
         raise ValueError(
             f"{name} must have shape {expected} to agree with q, got {values.shape}."
         )
-
-
-def _check_groups(groups: np.ndarray, n_samples: int, names: tuple[str, ...]) -> None:
-    """Reject labels that are not 0, 1, 2, ... in contiguous blocks."""
-    _check_shape("groups", groups, (n_samples,))
-    starts = np.flatnonzero(np.diff(groups)) + 1
-    labels = groups[np.concatenate([[0], starts])]
-    if groups.dtype.kind not in "iu" or not np.array_equal(
-        labels, np.arange(len(names))
-    ):
-        raise ValueError(
-            f"groups must hold the integers 0 to {len(names) - 1} (one for each of "
-            f"group_names) in contiguous blocks, got blocks {labels[:10].tolist()}."
-        )
-    if len(set(names)) != len(names):
-        raise ValueError(f"group_names must differ from one another, got {names}.")

@@ -2,6 +2,7 @@
 
 import functools
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +23,7 @@ _AGAIN = 1.5
 _OVERLAP = 0.8
 
 
-@dataclass(frozen=True, kw_only=True)
-class RepeatedMotion:
+class RepeatedMotion(NamedTuple):
     """A motion that was recorded more than once."""
 
     seconds: float  # its length [s]
@@ -44,28 +44,24 @@ class Repetition:
 
     def motions(self):
         """Return the repeated motions, a tuple of `RepeatedMotion`."""
+        return self._motions
+
+    @functools.cached_property
+    def _motions(self):
         found = []
         for k, period in enumerate(self.period):
-            own = self.motion == k
+            own = np.flatnonzero(self.motion == k)
             first, last = self.delay[own], (self.delay + self.seconds)[own]
             length = min(period, last.max() - first.min())
             count = self.seconds[own].sum() / length if length else 0.0
             if count > _AGAIN:
                 found.append(
-                    RepeatedMotion(
-                        seconds=float(length),
-                        count=float(count),
-                        recordings=tuple(np.flatnonzero(own).tolist()),
-                    )
+                    RepeatedMotion(float(length), float(count), (*own.tolist(),))
                 )
         return tuple(found)
 
-    @functools.cached_property
-    def _repeats(self):
-        return bool(self.motions())
-
     def __bool__(self):
-        return self._repeats
+        return bool(self._motions)
 
     def phase(self, recording, t):
         """Return the motion (n,) and the time in it (n,) [s] of rows."""
@@ -81,15 +77,13 @@ class Repetition:
 def commands_among(signals, q):
     """Return the signals (n, m) that follow a position (n, nv): what was commanded."""
     found = []
-    used = [x for x in signals.values() if np.isfinite(x).all() and np.ptp(x) > 0]
-    if used:
-        x = np.column_stack(used)
-        x, away = x - x.mean(axis=0), q - q.mean(axis=0)
-        size, both = (away**2).sum(axis=0), x.T @ away
-        with np.errstate(divide="ignore", invalid="ignore"):
-            alike = both / np.linalg.norm(x, axis=0)[:, None] / np.sqrt(size)
-        follows = (np.abs(alike) > _FOLLOWS).any(axis=1)
-        found = [x for x, yes in zip(used, follows) if yes]
+    away = q - q.mean(axis=0)
+    for x in signals.values():
+        if np.isfinite(x).all() and np.ptp(x) > 0:
+            x0 = x - x.mean()
+            with np.errstate(divide="ignore", invalid="ignore"):
+                alike = x0 @ away / np.linalg.norm(x0) / np.linalg.norm(away, axis=0)
+            found += [x] * bool((np.abs(alike) > _FOLLOWS).any())
     return np.array(found).T if found else np.empty((len(q), 0))
 
 
@@ -136,25 +130,22 @@ def _speeds(q, t, step):
     return np.diff([np.interp(edges, t, x) for x in q.T], axis=1).T / step
 
 
-def _products(a, b, size):
-    """Sum a(i) b(i + lag) for lags from -len(a) + 1 on, (lags, nv)."""
-    spectrum = np.conj(np.fft.rfft(a, size, axis=0)) * np.fft.rfft(b, size, axis=0)
-    whole = np.fft.irfft(spectrum, size, axis=0)
-    return np.concatenate([whole[size - len(a) + 1 :], whole[: len(b)]])
-
-
 def _differences(a, b):
     """Lags, overlaps, and the largest share in which a(i) and b(i + lag) differ."""
     n, m = len(a), len(b)
     size = 1 << int(np.ceil(np.log2(n + m)))
+
+    def products(x, y):
+        # The sum of x(i) y(i + lag) for each lag.
+        both = np.conj(np.fft.rfft(x, size, axis=0)) * np.fft.rfft(y, size, axis=0)
+        whole = np.fft.irfft(both, size, axis=0)
+        return np.concatenate([whole[size - n + 1 :], whole[:m]])
+
     lags = np.arange(-n + 1, m)
-    cross = _products(a, b, size)
-    power = _products(np.ones_like(a), b**2, size) + _products(
-        a**2, np.ones_like(b), size
-    )
+    power = products(np.ones_like(a), b**2) + products(a**2, np.ones_like(b))
     overlap = np.minimum(n, m - lags) - np.maximum(0, -lags)
     with np.errstate(divide="ignore", invalid="ignore"):
-        share = 1.0 - 2.0 * cross / power
+        share = 1.0 - 2.0 * products(a, b) / power
     return lags, overlap, np.nan_to_num(share, nan=0.0).max(axis=1, initial=0.0)
 
 
@@ -170,12 +161,9 @@ def _own_period(v):
     if not other.size:
         return np.inf
     dips = np.flatnonzero((share[1:-1] <= share[:-2]) & (share[1:-1] <= share[2:])) + 1
-    dips = dips[dips > other[0]]
-    found = [_dip(share, k) for k in dips if share[k] < _SAME]
-    if not found:
-        return np.inf
-    least = max(_ALIKE * min(value for _, value in found), _LEAST)
-    return next(place for place, value in found if value <= least)
+    found = [_dip(share, k) for k in dips if k > other[0] and share[k] < _SAME]
+    least = max(_ALIKE * min((value for _, value in found), default=0.0), _LEAST)
+    return next((place for place, value in found if value <= least), np.inf)
 
 
 def _shift(a, b):
@@ -185,16 +173,14 @@ def _shift(a, b):
     lags, overlap, share = _differences(a, b)
     share = np.where(overlap >= _OVERLAP * min(len(a), len(b)), share, np.inf)
     best = int(np.argmin(share))
-    if not share[best] < _SAME:
-        return None
-    return -(lags[0] + _dip(share, best)[0])
+    return -(lags[0] + _dip(share, best)[0]) if share[best] < _SAME else None
 
 
 def _dip(share, best):
     """Place and value of a minimum between rows, by the parabola around it."""
-    if not 0 < best < share.size - 1:
-        return float(best), float(share[best])
-    left, middle, right = share[best - 1 : best + 2]
+    left, middle, right = np.nan, share[best], np.nan
+    if 0 < best < share.size - 1:
+        left, right = share[best - 1], share[best + 1]
     bend = left - 2 * middle + right
     if not (np.isfinite(bend) and bend > 0):
         return float(best), float(middle)

@@ -353,8 +353,8 @@ BAD = {
     "pd kp= 20": "'kp='; expected",
     "pd kp=1 kp=2": "'kp=2'; expected, each once",
     "pd kp=1,x": "kp=1,x; expected numbers",
-    "pd kp=hip:a": "expected JOINT:NUMBER",
-    "pd kp=hip:1,hip:2": "expected JOINT:NUMBER",
+    "pd kp=hip:a": "expected numbers, or JOINT:NUMBER",
+    "pd kp=hip:1,hip:2": "expected numbers, or JOINT:NUMBER",
 }
 
 

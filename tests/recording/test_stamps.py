@@ -159,12 +159,9 @@ def test_a_drifting_clock_loses_no_row(share):
     assert checked.dt == pytest.approx(DT, rel=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("dt", "meant"),
-    [(4.0, r"\(4 ms are 0\.004 s\)"), (250.0, r"\(250 Hz is a period of 0\.004 s\)")],
-)
-def test_a_period_in_another_unit_is_named(dt, meant):
-    with pytest.raises(ValueError, match=meant):
+@pytest.mark.parametrize("dt", [4.0, 250.0])
+def test_a_period_in_another_unit_is_refused(dt):
+    with pytest.raises(ValueError, match=r"0\.004 s but dt = .* not in ms or Hz"):
         inspect_time_stamps(DT * np.arange(N), dt)
 
 

@@ -1,14 +1,19 @@
 """Sample times by time stamps, and recordings on a uniform time grid."""
 
 import warnings
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from sklearn_vbjfa.recording._drives import COMMANDS
-from sklearn_vbjfa.recording._recording import check_dt, contiguous_groups, labels_of
+from sklearn_vbjfa.recording._recording import (
+    check_dt,
+    check_rows_of_time,
+    contiguous_groups,
+    labels_of,
+)
 from sklearn_vbjfa.recording._table import Loss, Table, listed
 
 # Stamps within this share of a period of equidistant times are a steady clock that was
@@ -73,7 +78,21 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
     if t.ndim != 1 or t.size < 2:
         raise ValueError(f"t must hold two time stamps or more, got shape {t.shape}.")
     step = np.diff(t)
-    _check_order(t, step, where)
+    back = np.flatnonzero(step < 0)
+    if back.size:
+        row = back[0] + 1
+        raise ValueError(
+            f"time runs backwards to {t[row]:.9g} s in {where(row)} ({back.size} such "
+            "row(s)); sort the rows, or mark separate recordings in a column segment."
+        )
+    ticks = step[step > 0]
+    few = ticks.size < _SOME_TICKS * step.size
+    if not ticks.size or (few and np.max(ticks) > _FINE_TICKS * (t[-1] - t[0])):
+        raise ValueError(
+            f"time repeats {t[0]:.9g} s in all rows or in most of them "
+            f"({ticks.size + 1} different stamps in {t.size} rows); write the stamps "
+            "with more digits, or leave them out and give dt."
+        )
     period, whole = _first_period(t, step)
     if period >= _SLOWEST:
         raise ValueError(
@@ -84,16 +103,16 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
     pieces = [slice(a, b) for a, b in zip(np.r_[0, gaps + 1], np.r_[gaps + 1, t.size])]
     # Rows are missing, as of a second source, and stamps are not merely rounded.
     missing = whole and np.mean(step > 1.5 * period) > _SEVERAL
-    steady, own = _steady(t, step, pieces, period, rounded=not missing)
+    steady, found = _steady(t, step, pieces, period, rounded=not missing)
     slots, sampled = _counted(pieces), False
     if not steady:
-        own, slots, sampled = _when(t, pieces, period, whole, positions, where)
-    check_given(own, dt)
-    off = [np.ptp(t[x] - own * slots[x]) for x in pieces]
+        found, slots, sampled = _when(t, pieces, period, whole, positions, where)
+    check_given(found, dt)
+    off = [np.ptp(t[x] - found * slots[x]) for x in pieces]
     return TimeStamps(
-        dt=float(f"{own:.7g}") if dt is None else float(dt),
+        dt=float(f"{found:.7g}") if dt is None else float(dt),
         sampled=sampled,
-        late=not steady and not sampled and max(off) > 2 * STEADY * own,
+        late=not steady and not sampled and max(off) > 2 * STEADY * found,
         slots=slots,
         steps=np.delete(step, gaps),
         gaps=gaps,
@@ -101,24 +120,6 @@ def inspect_time_stamps(t, dt=None, where=None, positions=None) -> TimeStamps:
 
 
 # -- the period ------------------------------------------------------------------------
-
-
-def _check_order(t, step, where):
-    back = np.flatnonzero(step < 0)
-    if back.size:
-        row = back[0] + 1
-        raise ValueError(
-            f"time runs backwards to {t[row]:.9g} s in {where(row)} ({back.size} such "
-            "row(s)); sort the rows, or mark separate recordings in a column segment."
-        )
-    ticks = step[step > 0]
-    several = ticks.size < _SOME_TICKS * step.size
-    if not ticks.size or (several and np.max(ticks) > _FINE_TICKS * (t[-1] - t[0])):
-        raise ValueError(
-            f"time repeats {t[0]:.9g} s in all rows or in most of them "
-            f"({ticks.size + 1} different stamps in {t.size} rows); write the stamps "
-            "with more digits, or leave them out and give dt."
-        )
 
 
 def _first_period(t, step):
@@ -159,22 +160,22 @@ def _gaps(t, step, period):
 def _steady(t, step, pieces, period, rounded=True):
     """Whether stamps are equidistant but for rounding; their period [s]."""
     rows = sum(x.stop - x.start - 1 for x in pieces)
-    own = sum(t[x.stop - 1] - t[x.start] for x in pieces) / max(rows, 1)
-    if own <= 0:
+    found = sum(t[x.stop - 1] - t[x.start] for x in pieces) / max(rows, 1)
+    if found <= 0:
         return rows < 1, period
-    steady = max(2 * STEADY * own, 1.01 * _resolution(t, own) * rounded)
+    steady = max(2 * STEADY * found, 1.01 * _resolution(t, found) * rounded)
     if np.mean(step == 0) > 1 - _NEARLY_ALL:
         # A clock that ticks more slowly than the robot is sampled.
         steady = max(steady, 1.01 * float(np.median(step[step > 0])))
-    late = [t[x] - t[x.start] - own * np.arange(x.stop - x.start) for x in pieces]
-    return max(float(np.ptp(x)) for x in late) <= steady, own
+    late = [t[x] - t[x.start] - found * np.arange(x.stop - x.start) for x in pieces]
+    return max(float(np.ptp(x)) for x in late) <= steady, found
 
 
 def _resolution(t, dt):
     """Return the decimal step to which stamps were rounded [s], 0 for a fine one."""
-    for digits in range(7):
-        step = 10.0**-digits
+    for step in 10.0 ** -np.arange(7):
         if step < 0.5 * dt:
+            digits = round(-np.log10(step))
             if np.abs(t - np.round(t, digits)).max() < 1e-6 * step:
                 return step
             if step < STEADY * dt:
@@ -182,19 +183,13 @@ def _resolution(t, dt):
     return 0.0
 
 
-def check_given(own, dt, what="time steps by", tolerance=_DT_TOLERANCE):
+def check_given(found, dt, what="time steps by", tolerance=_DT_TOLERANCE):
     """Refuse a period that contradicts the stamps, or what else tells it."""
-    if dt is None or abs(own - dt) <= tolerance * dt:
-        return
-    meant = ""
-    if abs(1 / dt - own) <= _DT_TOLERANCE * own:
-        meant = f" ({dt:.6g} Hz is a period of {1 / dt:.6g} s)"
-    elif abs(dt / 1e3 - own) <= _DT_TOLERANCE * own:
-        meant = f" ({dt:.6g} ms are {dt / 1e3:.6g} s)"
-    raise ValueError(
-        f"{what} {own:.6g} s but dt = {dt:.6g} s{meant}; correct one of them, "
-        "or leave out dt."
-    )
+    if dt is not None and abs(found - dt) > tolerance * dt:
+        raise ValueError(
+            f"{what} {found:.6g} s but dt = {dt:.6g} s; correct one of them, or leave "
+            "out dt (a period in s, not in ms or Hz)."
+        )
 
 
 # -- when rows were sampled ------------------------------------------------------------
@@ -226,11 +221,11 @@ def _when(t, pieces, period, whole, positions, where):
     # `whole` tells whether the steps show how many rows are missing.
     followed = []
     for piece in pieces:
-        slots, own = None, period
+        slots, found = None, period
         for _ in range(2):
-            slots = _followed_slots(t[piece], own, whole)
+            slots = _followed_slots(t[piece], found, whole)
             took = t[piece.stop - 1] - t[piece.start]
-            own = took / slots[-1] if slots[-1] and took > 0 else own
+            found = took / slots[-1] if slots[-1] and took > 0 else found
         followed.append(slots)
     # Late stamps may look like missing rows, also among others that are whole.
     candidates = [_counted(pieces), np.concatenate(followed)]
@@ -245,12 +240,7 @@ def _when(t, pieces, period, whole, positions, where):
     best = int(rough[1] < rough[0] - _CLEARLY)
     if rough[-1] < rough[best] - _CLEARLY:
         return periods[0], candidates[0], True
-    _check_rate(t, pieces, periods[best], candidates[best], where)
-    return periods[best], candidates[best], False
-
-
-def _check_rate(t, pieces, dt, slots, where):
-    """Refuse stamps whose period changes."""
+    dt, slots = periods[best], candidates[best]
     ends = [np.arange(x.start, x.stop, _LONG_WINDOW) for x in pieces]
     rate = np.concatenate([np.diff(t[x]) / np.diff(slots[x]) / dt for x in ends])
     row = np.concatenate([x[:-1] for x in ends])
@@ -262,6 +252,7 @@ def _check_rate(t, pieces, dt, slots, where):
             "follow these stamps; correct t, or mark recordings of different periods "
             "in a column segment."
         )
+    return dt, slots, False
 
 
 def _roughness(times, pieces, positions):
@@ -300,11 +291,18 @@ def prediction_errors(t, values):
     return (values[2:-2][good] - predicted) / np.sqrt(gain)[:, None]
 
 
+def _white_noise(rows):
+    """Return the standard deviation (nv,) of white noise of (t, torques), or None."""
+    # The lower quartile passes over what jumps, as friction does.
+    errors = np.abs(np.concatenate([prediction_errors(*one) for one in rows]))
+    return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
+
+
 # -- stamps against a known period -----------------------------------------------------
 
-# Beside a given period: beyond the first many of them a sample is missing, beyond the
-# second share of one a step is worth a warning. Accelerations go with the square of a
-# wrong period: this share of it, and no less than a row over a recording, is refused.
+# Beyond the first many of them a sample is missing, beyond the second share of one a
+# step is worth a warning. Accelerations go with the square of a wrong period: this
+# share of it, and no less than a row over a recording, is refused.
 _MISSING, _JITTER, _WRONG_PERIOD = 1.5, 0.1, 0.002
 
 
@@ -315,16 +313,8 @@ def check_time_stamps(t, dt, parts):
     # rise.
     if t is None:
         return
-    time, n = np.asarray(t, dtype=float), parts[-1].stop
-    if time.shape != (n,):
-        raise ValueError(
-            f"t must hold one time per row, shape ({n},); got {time.shape}."
-        )
-    if not np.isfinite(time).all():
-        raise ValueError(
-            f"t must be finite; row {np.flatnonzero(~np.isfinite(time))[0]} is not."
-        )
-    rows = np.delete(np.arange(n - 1), [part.stop - 1 for part in parts[:-1]])
+    time = check_rows_of_time(t, parts[-1].stop)
+    rows = np.delete(np.arange(time.size - 1), [part.stop - 1 for part in parts[:-1]])
     step = np.diff(time)[rows]
     back = rows[step <= 0]
     if back.size:
@@ -341,10 +331,9 @@ def check_time_stamps(t, dt, parts):
         took = time[part.stop - 1] - time[part.start]
         # One gap does not make another sample period.
         usual = np.median(np.diff(time[part])) if count else dt
-        if abs(usual - dt) > _MISSING * dt or (
-            abs(usual - dt) > _WRONG_PERIOD * dt
-            and abs(took - count * dt) > max(_WRONG_PERIOD * count, 1.0) * dt
-        ):
+        far = max(_WRONG_PERIOD * count, 1.0) * dt
+        slower = abs(usual - dt) > _WRONG_PERIOD * dt and abs(took - count * dt) > far
+        if abs(usual - dt) > _MISSING * dt or slower:
             raise ValueError(
                 f"The time stamps of the recording from row {part.start} advance by "
                 f"{took / count:.6g} s a row ({usual:.6g} s in the median), but "
@@ -374,18 +363,13 @@ def check_time_stamps(t, dt, parts):
 # -- interpolation ---------------------------------------------------------------------
 
 
-def local_cubic(t: np.ndarray, rows: np.ndarray) -> Callable:
+def _local_cubic(t, rows):
     """Cubics with the slopes of parabolas, which no far-off sample can disturb."""
     slope = np.gradient(rows, t, axis=0, edge_order=2)
     return CubicHermiteSpline(t, rows, slope, axis=0)
 
 
-def interpolate(
-    t: np.ndarray,
-    channels: Mapping[str, np.ndarray],
-    dt: float,
-    cubic: Callable = local_cubic,
-) -> tuple[np.ndarray, dict[str, np.ndarray]]:
+def interpolate(t, channels, dt: float, cubic=_local_cubic):
     """Interpolate channels (n, ...) at t (n,) [s], from 0 on, on multiples of dt."""
     # Positions "q" follow the cubic that `cubic` builds from stamps and rows; commands
     # hold the value that came last; all else, being noisier, follows straight lines.
@@ -409,12 +393,10 @@ def interpolate(
     return grid, resampled
 
 
-def merge_doubled(t, channels):
+def _merge_doubled(t, channels):
     """Average rows of one stamp: t (n,) [s] that does not fall, channels (n, ...)."""
     # Of commands the last one counts.
     starts = np.flatnonzero(np.r_[True, np.diff(t) > 0])
-    if starts.size == t.size:
-        return t, dict(channels)
     count = np.diff(starts, append=t.size)
     merged = {}
     for key, values in channels.items():
@@ -426,7 +408,7 @@ def merge_doubled(t, channels):
     return t[starts], merged
 
 
-def _repeats(channels: Mapping[str, np.ndarray], n: int) -> np.ndarray:
+def _repeats(channels, n):
     """Whether each of n - 1 rows equals the one before it in every channel."""
     same = np.ones(n - 1, dtype=bool)
     for values in channels.values():
@@ -435,51 +417,38 @@ def _repeats(channels: Mapping[str, np.ndarray], n: int) -> np.ndarray:
     return same
 
 
-# -- pieces of recordings --------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class _Piece:
-    """A part of a recording with its own time axis: name, stamps [s], channels."""
-
-    name: str
-    t: np.ndarray
-    channels: Mapping[str, np.ndarray]
-
-
 def _channels_of(one):
     """Return what a log or a recording has for every row, by name."""
-    own = {"q": one.q, "tau": one.tau, **one.signals}
-    return own if one.v is None else own | {"v": one.v}
+    found = {"q": one.q, "tau": one.tau, **one.signals}
+    return found if one.v is None else found | {"v": one.v}
 
 
 def _fields(pieces, dt: float) -> dict:
-    """Concatenate pieces into the array fields of a `Recording`."""
+    """Concatenate pieces (name, t, channels) into the array fields of a `Recording`."""
 
     def together(arrays):
         # A single one is not copied.
         return arrays[0] if len(arrays) == 1 else np.concatenate(arrays)
 
-    columns = {
-        key: together([piece.channels[key] for piece in pieces])
-        for key in pieces[0].channels
-    }
+    names, times, channels = zip(*pieces)
+    columns = {key: together([one[key] for one in channels]) for key in channels[0]}
     return {
         "q": columns.pop("q"),
         "tau": columns.pop("tau"),
         "v": columns.pop("v", None),
-        "t": together([piece.t for piece in pieces]),
+        "t": together(times),
         "dt": dt,
-        "groups": labels_of([len(x.t) for x in pieces]),
-        "group_names": tuple(piece.name for piece in pieces),
+        "groups": labels_of([t.size for t in times]),
+        "group_names": names,
         "signals": columns,
     }
 
 
 def _pieces(name, parts):
     """Return the parts (t, channels) of a recording, "name [1]", ... if it was cut."""
+    several = len(parts) > 1
     return [
-        _Piece(f"{name} [{k}]" if len(parts) > 1 else name, *part)
+        (f"{name} [{k}]" if several else name, *part)
         for k, part in enumerate(parts, start=1)
     ]
 
@@ -497,13 +466,6 @@ def _rows_of(channels, rows):
     """Return rows of all channels; all of them as they are."""
     whole = isinstance(rows, np.ndarray) and rows.size == len(channels["q"])
     return channels if whole else {key: x[rows] for key, x in channels.items()}
-
-
-def white_noise(rows):
-    """Return the standard deviation (nv,) of white noise of (t, torques), or None."""
-    # The lower quartile passes over what jumps, as friction does.
-    errors = np.abs(np.concatenate([prediction_errors(*one) for one in rows]))
-    return np.quantile(errors, 0.25, axis=0) / _QUARTILE if errors.size else None
 
 
 # -- logs of measured sets -------------------------------------------------------------
@@ -550,13 +512,7 @@ def resample_uniform(t, channels, *, dt: float, drop_repeated=False):
     """Return grid (n_part,) [s] and channels of a log's parts between long gaps."""
     # A log that is uniform already is left as it is; `drop_repeated` also drops rows
     # equal to the one before in every channel, readings that the logger wrote twice.
-    step = np.diff(t)
-    if np.any(step < 0):
-        raise ValueError(
-            "Time stamps must not decrease, they do after row "
-            f"{np.flatnonzero(step < 0)[0]}; sort the rows or split the log there."
-        )
-    keep = np.r_[True, step > 0]
+    keep = np.r_[True, np.diff(t) > 0]
     if drop_repeated:
         keep[1:] &= ~_repeats(channels, len(t))
     t = t[keep]
@@ -611,20 +567,27 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
     # Stamps t [s] and labels of segments, (n_rows,) or None; dt [s] or None for that of
     # the stamps; channels (n_rows, ...), "q" and "tau" among them. What was found goes
     # to `notes`.
-    segments = _segments(labels, table.n_rows)
+    runs = [np.arange(table.n_rows)[x] for x in contiguous_groups(labels, table.n_rows)]
+    names = ["recording"]
+    if labels is not None:
+        names = distinct(str(labels[rows[0]]).removesuffix(".0") for rows in runs)
     if t is None:
-        pieces = [
-            _Piece(name, dt * np.arange(rows.size), _rows_of(channels, rows))
-            for name, rows in segments
-        ]
-        return _fields(pieces, dt)
-    segments = _without_doubles(t, segments, channels, notes)
-    stamps = _inspected(table, t, segments, dt, channels["q"])
+        times = [dt * np.arange(rows.size) for rows in runs]
+        parts = [_rows_of(channels, rows) for rows in runs]
+        return _fields(list(zip(names, times, parts)), dt)
+    runs = _without_doubles(t, runs, channels, notes)
+    stamps = [_inspected(table, t, rows, dt, channels["q"]) for rows in runs]
     if dt is None:
-        dt = _common_period(table, stamps)
-    notes += _irregularities(table, stamps, segments, dt)
+        dt = float(np.median([x.dt for x in stamps]))
+        low, high = min(x.dt for x in stamps), max(x.dt for x in stamps)
+        if high - low > 2 * _DT_TOLERANCE * dt:
+            raise ValueError(
+                f"{table.path}: segments have periods of {low:.6g} to {high:.6g} s; "
+                "put those of one period into one file."
+            )
+    notes += _irregularities(table, stamps, runs, dt)
     pieces, off_grid, short, single, merged = [], [], 0, 0, 0
-    for (name, rows), checked in zip(segments, stamps):
+    for name, rows, checked in zip(names, runs, stamps):
         parts = np.split(np.arange(rows.size), checked.gaps + 1)
         long = [x for x in parts if x.size >= min(_MIN_SAMPLES, rows.size)]
         short += len(parts) - len(long)
@@ -642,12 +605,8 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
             put.append((at, values))
         pieces += _pieces(name, put)
     if short:
-        notes.append(
-            Loss(
-                f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps "
-                "are left out."
-            )
-        )
+        text = f"{short} piece(s) of fewer than {_MIN_SAMPLES} samples between gaps"
+        notes.append(Loss(f"{text} are left out."))
     if single:
         notes.append(f"{single} single sample(s) are missing and were interpolated.")
     if merged:
@@ -659,14 +618,40 @@ def on_grid(table: Table, t, labels, dt, channels, notes):
         )
     fields = _fields(pieces, dt)
     if off_grid:
-        fields["torque_noise"] = white_noise(off_grid)
+        fields["torque_noise"] = _white_noise(off_grid)
     return fields
+
+
+def _without_doubles(t, runs, channels, notes):
+    """Leave out rows that repeat the one before in every channel and in time."""
+    again = np.r_[False, np.diff(t) == 0]
+    if again.any():
+        again[1:] &= _repeats(channels, t.size)
+    again[[rows[0] for rows in runs]] = False
+    if again.any():
+        notes.append(f"{again.sum()} row(s) are there twice and were left out once.")
+    return [rows[~again[rows]] for rows in runs]
+
+
+def _inspected(table, t, rows, dt, positions):
+    """Return what the stamps of a segment tell."""
+    if rows.size < 2:
+        raise ValueError(
+            f"{table.path}: the segment at {table.where(rows[0])} has one row "
+            "only; give it another label, or remove it."
+        )
+    try:
+        return inspect_time_stamps(
+            t[rows], dt, lambda k: table.where(rows[k]), positions[rows]
+        )
+    except ValueError as error:
+        raise ValueError(f"{table.path}: {error}") from None
 
 
 def _placed(t, values, checked, part, dt):
     """Return times of the rows `part` of a segment, rows, and whether they fit."""
     if checked.sampled:
-        at, values = merge_doubled(t, values)
+        at, values = _merge_doubled(t, values)
         return at - at[0], values, False
     slots = checked.slots[part] - checked.slots[part[0]]
     # Late stamps alone do not make another period.
@@ -690,90 +675,34 @@ def on_one_grid(recordings, names, dt):
                 t, values = interpolate(one.dt * t, values, dt)
             else:
                 t = dt * t
-            pieces.append(_Piece(next(names), t, values))
+            pieces.append((next(names), t, values))
         moved += [k] * bool(off_grid)
         # That of the torques as they came, where they were interpolated before.
-        own = one.torque_noise
-        if own is None and off_grid:
-            own = white_noise(off_grid)
-        if own is not None:
-            noise.append((one.n_samples, own))
+        size = one.torque_noise
+        if size is None and off_grid:
+            size = _white_noise(off_grid)
+        if size is not None:
+            noise.append((one.n_samples, size))
     fields = _fields(pieces, dt)
     if noise:
-        share, power = zip(*((n, own**2) for n, own in noise))
+        share, power = zip(*((n, size**2) for n, size in noise))
         fields["torque_noise"] = np.sqrt(np.average(power, axis=0, weights=share))
     return fields, moved
 
 
-def _segments(labels, n_rows):
-    """Return (name, rows) of each run of equal labels, names made unique."""
-    runs = [np.arange(n_rows)[x] for x in contiguous_groups(labels, n_rows)]
-    texts = ["recording"]
-    if labels is not None:
-        texts = [str(labels[rows[0]]).removesuffix(".0") for rows in runs]
-    return list(zip(distinct(texts), runs))
-
-
-def _without_doubles(t, segments, channels, notes):
-    """Leave out rows that repeat the one before in every channel and in time."""
-    again = np.r_[False, np.diff(t) == 0]
-    if again.any():
-        again[1:] &= _repeats(channels, t.size)
-    again[[rows[0] for _, rows in segments]] = False
-    if again.any():
-        notes.append(f"{again.sum()} row(s) are there twice and were left out once.")
-    return [(name, rows[~again[rows]]) for name, rows in segments]
-
-
-def _inspected(table, t, segments, dt, positions):
-    """Return what the stamps of each segment tell."""
-    stamps = []
-    for _, rows in segments:
-        if rows.size < 2:
-            raise ValueError(
-                f"{table.path}: the segment at {table.where(rows[0])} has one row "
-                "only; give it another label, or remove it."
-            )
-
-        def where(k, rows=rows):
-            return table.where(rows[k])
-
-        try:
-            stamps.append(inspect_time_stamps(t[rows], dt, where, positions[rows]))
-        except ValueError as error:
-            raise ValueError(f"{table.path}: {error}") from None
-    return stamps
-
-
-def _common_period(table, stamps):
-    """Return the period of all segments [s]."""
-    periods = [x.dt for x in stamps]
-    dt = float(np.median(periods))
-    if max(periods) - min(periods) > 2 * _DT_TOLERANCE * dt:
-        raise ValueError(
-            f"{table.path}: segments have periods of {min(periods):.6g} to "
-            f"{max(periods):.6g} s; put those of one period into one file."
-        )
-    return dt
-
-
-def _irregularities(table, stamps, segments, dt):
+def _irregularities(table, stamps, runs, dt):
     """Say in words what is irregular."""
-    for what, said in (
-        (
-            [x for x in stamps if x.sampled],
-            "the positions say that the robot was sampled at these times; all is "
-            "interpolated on a uniform grid",
-        ),
-        (
-            [x for x in stamps if x.late],
-            "the positions do not follow them, so that only the stamps are irregular "
-            "and not the sampling; rows are taken as equidistant",
-        ),
-    ):
-        if what:
-            jitter = max(x.jitter for x in what)
-            steps = np.concatenate([x.steps for x in what])
+    sampled = "the positions say that the robot was sampled at these times; all is "
+    sampled += "interpolated on a uniform grid"
+    late = (
+        "the positions do not follow them, so that only the stamps are irregular and "
+    )
+    late += "not the sampling; rows are taken as equidistant"
+    for what, said in (("sampled", sampled), ("late", late)):
+        odd = [x for x in stamps if getattr(x, what)]
+        if odd:
+            jitter = max(x.jitter for x in odd)
+            steps = np.concatenate([x.steps for x in odd])
             yield (
                 f"time stamps are irregular (steps of {steps.min():.4g} to "
                 f"{steps.max():.4g} s, standard deviation {100 * jitter / dt:.2g} % of "
@@ -785,11 +714,10 @@ def _irregularities(table, stamps, segments, dt):
             f"{count} stamp(s) repeat the one before; the rows are taken as "
             "equidistant."
         )
-    count = sum(x.gaps.size for x in stamps)
-    if count:
-        k = next(k for k, x in enumerate(stamps) if x.gaps.size)
-        row = segments[k][1][stamps[k].gaps[0]]
+    gaps = [rows[x.gaps] for rows, x in zip(runs, stamps) if x.gaps.size]
+    if gaps:
         yield Loss(
-            f"{count} gap(s) of more than {GAP_PERIODS:g} periods in time, the first "
-            f"after {table.where(row)}: the recording is split there."
+            f"{sum(x.size for x in gaps)} gap(s) of more than {GAP_PERIODS:g} periods "
+            f"in time, the first after {table.where(gaps[0][0])}: the recording is "
+            "split there."
         )

@@ -90,7 +90,8 @@ def recording_of(table: Table, options: ReadOptions):
     torque_units = [x or y for x, y in zip(units.get("tau", of_joints), of_joints)]
     if isinstance(options.gains, tuple):
         torque_units = of_joints
-        channels["tau"] = channels["tau"] * _factors(table, options.gains, names)
+        _check_gains(table, options.gains, names)
+        channels["tau"] = channels["tau"] * np.array(options.gains)
     # Of a drive the torques are made when all files are read.
     channels.setdefault("tau", np.zeros(channels["q"].shape))
     if robot.in_model:
@@ -297,30 +298,29 @@ def _numbers(table: Table, column: str):
     return values
 
 
-# Sizes of registers whose sign was lost, and bits that are the sign; values of either
-# sign fill no more than the share of their range.
-_REGISTERS, _SIGN_BITS, _FILLED = (8, 16, 32), (10, 11, 15), 0.45
+# Integers whose sign was lost: half of what a register holds, or the bit that is the
+# sign, and whether it is two's complement. Values of either sign fill no more than the
+# share of their range.
+_CODES = [(2.0**bits, True) for bits in (7, 15, 31)]
+_CODES += [(2.0**bit, False) for bit in (10, 11, 15)]
+_FILLED = 0.45
 
 
 def _refuse_codes(table: Table, column, values):
-    """Refuse integers whose sign was lost: two's complement, or a bit for the sign."""
     if not values.size or values.min() < 0 or (values != np.round(values)).any():
         return
-    codes = [(2.0 ** (bits - 1), True) for bits in _REGISTERS]
-    codes += [(2.0**bit, False) for bit in _SIGN_BITS]
-    for half, is_register in codes:
+    for half, is_register in _CODES:
         high, low = values[values >= half], values[values < half]
         if not (high.size and low.size and high.max() < 2 * half):
             continue
+        largest, jumps = max(low.max(), high.max() - half), 0 < low.max()
+        remedy = f"replace those from {half:.0f} on by {half:.0f} - x"
         if is_register:
             # Values step from near zero to near the end of the register.
             largest = max(low.max(), 2 * half - high.min()) / 2
-            is_code = (np.abs(np.diff(values)) > half).any()
+            jumps = (np.abs(np.diff(values)) > half).any()
             remedy = f"subtract {2 * half:.0f} from those above {half - 1:.0f}"
-        else:
-            largest, is_code = max(low.max(), high.max() - half), 0 < low.max()
-            remedy = f"replace those from {half:.0f} on by {half:.0f} - x"
-        if is_code and largest < _FILLED * half:
+        if jumps and largest < _FILLED * half:
             raise ValueError(
                 f"{table.path}: the values of column {column!r} lie from 0 to "
                 f"{low.max():.0f} and from {high.min():.0f} to {high.max():.0f}: "
@@ -422,16 +422,14 @@ def _unwrap(channels, names, slides, labels, notes):
         )
 
 
-def _factors(table: Table, gains, names):
-    """Return the gains, one for each joint."""
-    if len(gains) == len(names):
-        return np.array(gains)
-    raise RecordingRefused(
-        f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
-        f"({listed(names)}); expected one for each, in this order, or unknown, to have "
-        "them identified.",
-        {"gains": gains * len(names) if len(gains) == 1 else "unknown"},
-    )
+def _check_gains(table: Table, gains, names):
+    if len(gains) != len(names):
+        raise RecordingRefused(
+            f"{table.path}: {len(gains)} gain(s) for {len(names)} joint(s) "
+            f"({listed(names)}); expected one for each, in this order, or unknown, to "
+            "have them identified.",
+            {"gains": gains * len(names) if len(gains) == 1 else "unknown"},
+        )
 
 
 def _segments(table: Table, layout):

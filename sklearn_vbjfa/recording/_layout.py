@@ -24,35 +24,30 @@ from sklearn_vbjfa.recording._units import (
 
 # Commands of joints, and further names that logs have for them. qd is in neither list:
 # some mean a desired position, others a velocity.
-_AIMS = ("desired", "target", "goal", "commanded", "ref")
 _COMMANDS = {
-    "q_desired": ("q_des", "q_cmd", "q_command", "q_target", "q_goal", "q_ref")
-    + ("qdes", "target_q", "q_setpoint", "desired_q")
-    + tuple(f"{one}_position" for one in _AIMS)
-    + tuple(f"position_{one}" for one in ("desired", "target", "command", "cmd")),
-    "v_desired": ("v_des", "v_cmd", "v_target", "v_goal", "v_ref", "target_v")
-    + tuple(f"dq_{one}" for one in ("desired", "des", "cmd", "target", "goal", "ref"))
-    + tuple(f"{one}_velocity" for one in _AIMS[:-1])
-    + tuple(f"velocity_{one}" for one in ("desired", "target", "command", "cmd")),
-    "tau_ff": ("tau_feedforward", "torque_ff", "torque_feedforward"),
-    "kp": ("p_gain",),
-    "kd": ("d_gain",),
+    "q_desired": ("q_des", "q_cmd", "q_target", "q_ref")
+    + ("target_position", "goal_position", "position_command"),
+    "v_desired": ("v_des", "dq_des", "dq_cmd", "target_velocity"),
+    "tau_ff": ("tau_feedforward",),
+    "kp": (),
+    "kd": (),
     "supply": (),
 }
 # A motor's own estimate of its torque, where there is no other.
 ESTIMATES, _ESTIMATED = ("tau_est", "tauest"), "estimate"
-# Further names that a velocity has in logs of commands.
-_SPEEDS = ("dq", "qdot")
 _KEY = re.compile(
     rf"({'|'.join((*_COMMANDS, *KINDS))})(\d+|[_.\[(].+)?|t|segment", re.IGNORECASE
 )
 # Columns that can only be time, where none is called t.
-_TIMES = {"t", "time", "timestamp", "time_stamp", "timestamps", "stamp", "__time", "ts"}
-_TIMES |= {"%time", "time_s", "seconds", "secs", "datetime", "elapsed", "zeit"}
-_TIMES |= {"zeitstempel"}
+_TIMES = {"t", "time", "timestamp", "stamp", "__time", "%time"}
 # How the parts of a ROS stamp are called.
 _CLOCK_PARTS = (("secs", "nsecs"), ("sec", "nsec"), ("sec", "nanosec"))
-_EVERY = re.compile(r"\\\{(i|joint)\\\}|\\\*")
+# What stands for others in patterns, as regular expressions escape it.
+_MARKS = (
+    (r"\{i\}", "i", r"\d{1,6}"),
+    (r"\{joint\}", "joint", ".+?"),
+    (r"\*", "any", ".*"),
+)
 # Numbers have so many digits.
 _NUMBER = re.compile(r"0*(\d{1,6})", re.ASCII)
 
@@ -200,7 +195,13 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
             plain = rest[0] if len(rest) == 1 else plain
         return _by_mapping(table, options.mapping, plain)
     if table.nameless:
-        raise _without_names(table, robot.names)
+        n = len(robot.names) or 6
+        ends = [f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n)]
+        raise RecordingRefused(
+            f"{table.path}: has no names of columns; give the places of its "
+            f"{len(table.names)} columns (command line: --columns), such as "
+            f'columns="t=1,q={ends[0]},tau={ends[1]}".'
+        )
     if table.joints:
         return replace(plain, certain=True)
     by_name = any(kind in plain.channels for kind in options.kinds[:2])
@@ -220,16 +221,6 @@ def laid_out(table: Table, options: ReadOptions, robot: Robot) -> Layout:
             f"columns {' or '.join(expected)}; found {listed(table.names)}."
         )
     return next(iter(fitted.values()), plain)
-
-
-def _without_names(table, names):
-    n = len(names) or 6
-    ends = [f"{k}-{k + n - 1}" if n > 1 else str(k) for k in (2, 2 + n)]
-    return RecordingRefused(
-        f"{table.path}: has no names of columns; give the places of its "
-        f"{len(table.names)} columns (command line: --columns), such as "
-        f'columns="t=1,q={ends[0]},tau={ends[1]}".'
-    )
 
 
 def _add(channels, kind, key, role):
@@ -252,7 +243,7 @@ def by_names(table: Table, joints=(), kinds=KINDS, drive=None) -> Layout:
     if drive is None:
         begins += [(one, _ESTIMATED) for one in ESTIMATES]
     else:
-        begins += [(one, "v") for one in _SPEEDS] + [(x, "tau") for x in drive.spelled]
+        begins += [("dq", "v")] + [(x, "tau") for x in drive.spelled]
     # The longest first: q_desired is no q.
     begins.sort(key=lambda x: -len(x[0]))
     clocks = _clocks_of_two(table)
@@ -423,18 +414,12 @@ def _in_places(places, unit, table):
 
 @functools.cache
 def _expression(pattern):
-    """Turn a pattern into a regular expression."""
-    seen = set()
-
-    def stand_in(match):
-        name = match[1] or "any"
-        if name in seen:
-            return f"(?P={name})"
-        seen.add(name)
-        anything = {"i": r"\d{1,6}", "joint": ".+?", "any": ".*"}
-        return f"(?P<{name}>{anything[name]})"
-
-    return re.compile(_EVERY.sub(stand_in, re.escape(pattern)), re.ASCII)
+    """Turn a pattern into a regular expression; what comes twice is the same."""
+    text = re.escape(pattern)
+    for mark, name, anything in _MARKS:
+        text = text.replace(mark, f"(?P<{name}>{anything})", 1)
+        text = text.replace(mark, f"(?P={name})")
+    return re.compile(text, re.ASCII)
 
 
 def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
@@ -486,7 +471,8 @@ def _by_mapping(table: Table, mapping: dict, plain: Layout) -> Layout:
 def _owners(table, mapping, found):
     """Return the key of a mapping for each column that fits one."""
     # Of patterns that fit the same column, the one counts that spells out more of it.
-    spelled = {key: len(_EVERY.sub("", re.escape(x))) for key, x in mapping.items()}
+    marks = re.compile(r"\{i\}|\{joint\}|\*")
+    spelled = {key: len(marks.sub("", x)) for key, x in mapping.items()}
     owner: dict[str, str] = {}
     for key, matched in found.items():
         for match in matched:
@@ -540,8 +526,11 @@ def _fitted(table, log: KnownLog, plain, robot, kinds):
     if not times and not log.commands:
         return None
     # Numbers count from 0 or 1; the file may have the names of the joints.
-    motors = () if robot.chosen else _motors(log, robot.names)
-    names = _names_in(table, log) or motors
+    names = _names_in(table, log)
+    motors = [[x for x in robot.names if part in x] for part in log.motors]
+    known = len(motors) == len(robot.names) and all(len(x) == 1 for x in motors)
+    if not names and known and not robot.chosen:
+        names = [x for (x,) in motors]
     first = int(not any(x.key == 0 for own in found.values() for x in own))
     names = dict(enumerate(names, start=first))
     channels: dict[str, dict] = {}
@@ -570,13 +559,6 @@ def _moving(table, found, count):
     while numbers and numbers[-1] in still and len(numbers) > max(count, 1):
         numbers.pop()
     return {kind: [x for x in own if x.key in numbers] for kind, own in found.items()}
-
-
-def _motors(log, joints):
-    """Return the robot's joints in the order of the motors of a log, if known."""
-    found = [[one for one in joints if part in one] for part in log.motors]
-    known = len(found) == len(joints) and all(len(own) == 1 for own in found)
-    return tuple(own[0] for own in found) if known else ()
 
 
 def _times(table, log, prefix):

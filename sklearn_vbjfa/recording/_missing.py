@@ -200,7 +200,10 @@ def _clocks(table):
         name
         for name in table.names
         for unit in [unit_of("t", split_unit(name)[1] or name)]
-        if ({"time", "stamp", "timestamp", "clock", "t"} & set(words(name)) or unit)
+        if (
+            {"time", "stamp", "timestamp", "clock", "t", "ts"} & set(words(name))
+            or unit
+        )
         and is_clock(table.values(name))
         and usual_step(table.values(name)) != 1
     ]

@@ -117,7 +117,7 @@ def read_recording(
     -----
     UserWarning
         If names were recognised as those of a tool, torques are motor currents, time
-        stamps are irregular, or rows are missing or repeated (``docs/log_formats.rst``).
+        stamps are irregular, or rows are missing or repeated.
 
     Examples
     --------

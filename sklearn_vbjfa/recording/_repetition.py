@@ -2,7 +2,6 @@
 
 import functools
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -23,7 +22,8 @@ _AGAIN = 1.5
 _OVERLAP = 0.8
 
 
-class RepeatedMotion(NamedTuple):
+@dataclass(frozen=True)
+class RepeatedMotion:
     """A motion that was recorded more than once."""
 
     seconds: float  # its length [s]

@@ -53,8 +53,7 @@ def assert_told(recording, nv=2):
 
 @pytest.mark.parametrize(
     "name",
-    ["q_desired_{}", "q_desired{}", "q_desired[{}]", "q_des_{}", "q_cmd_{}"]
-    + ["Q_Des{}", "position_command_{}", "target_position_{}", "goal_position{}"],
+    ["q_desired_{}", "q_desired[{}]", "Q_Des{}", "position_command_{}"],
 )
 def test_commands_are_recognised_by_their_names(name, tmp_path):
     path = write(tmp_path / "arm.csv", columns(aim=name))

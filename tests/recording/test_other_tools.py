@@ -136,7 +136,7 @@ def test_joint_states_without_a_header(tmp_path, urdf):
 def test_joints_with_units_of_their_own(tmp_path, urdf):
     columns = table()
     new = {
-        "Zeit [ms]": 1e3 * columns["t"],
+        "time [ms]": 1e3 * columns["t"],
         "shoulder.ActPos [deg]": np.rad2deg(columns["q1"]),
         "lift.ActPos [mm]": 1e3 * columns["q2"],
         "shoulder.ActTorque [mNm]": 1e3 * columns["tau1"],

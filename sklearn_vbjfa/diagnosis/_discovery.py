@@ -450,11 +450,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         # As many effects are expected of all branches together as of one robot.
         share = replace(settings, expected=settings.expected / max(len(heard), 1))
         found = []
-        for k, branch in enumerate(heard):
-            own = branch.recording(part)
-            plain = _fitted(branch.identifier(self.baseline_), own)
-            heard[k] = replace(branch, fitted=plain)
-            alone = heard[k].view(part, silent, **given)
+        for branch in heard:
+            alone = branch.view(self.baseline_.robot_, part, silent, **given)
             found.append(search(alone, library, share, self.alpha))
         if not found:
             return search(view, (), settings, self.alpha)
@@ -501,7 +498,8 @@ class EffectDiscovery(RecordingRegressorMixin, BaseEstimator):
         given = {"origin": origin, "all_samples": True, **known}
         view = RecordingView(self.baseline_, seen, silent, **given)
         if found.branches:
-            effects = tuned_apart(found, lambda b: b.view(seen, silent, **given))
+            known = self.baseline_.robot_, seen, silent
+            effects = tuned_apart(found, lambda b: b.view(*known, **given))
         else:
             effects = tuned_on(view, found.effects, found.settings)
         effects = (*effects, *unnamed)

@@ -284,7 +284,10 @@ def fit_robot(recipe, robot, source, before=None):
         robot = _at(robot, with_gains(robot.effects_, relative.gains))
     load, passes = _load_of(before, robot), robot.plan.passes()
     if load is not None:
-        passes = passes[1:]
+        # One that was fitted beside the same effects is the robot's.
+        beside = {effect.key() for effect in before.effects_}
+        same = beside >= {e.key() for e in robot.effects_ if "load" in e.needs}
+        passes = passes[-1:] if same else passes[1:]
     fit = run_passes(recipe, robot, source, relative, passes, load)
     steady = without_steps(fit.robot, source)
     if steady is not None:
@@ -430,19 +433,17 @@ def _corrected(recipe, fit, source, relative):
     """Correct a robot step by step; the last fit and its `ModelValues`."""
     # The equations with the derivatives by the values are, without these, those of the
     # next fit: its load is that of the fit before.
-    robot = fit.robot
+    robot, factor, before = fit.robot, 1.0, 0.0
+    loaded = needs_load(robot.effects_)
     for number in range(MOST_CORRECTIONS):
+        if number:
+            factor, before = values.longer(factor, before), values.step
+            robot = _at(robot, values.corrected(factor))
         robot = replace(robot, load_parameters=_known_load(fit.robot))
         made = source.segments(robot, tangents=True)
         moments = source.moments(made, robot.plan)
-        if not number:
-            fit = replace(fit, robot=robot)
-        elif from_moments(recipe.regressor):
-            held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
-            plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
-            fit = recipe.of_moments(robot, plain, made=source.segments(robot))
-        else:
-            fit = recipe.of_source(robot, source)
+        if number and loaded:
+            fit = _fitted_again(recipe, robot, source, moments)
         zeros = _unneeded_entries(robot, moments)
         n_rigid = robot.features_.n_parameters_
         if relative is not None:
@@ -458,11 +459,21 @@ def _corrected(recipe, fit, source, relative):
         )
         if values.stay() or (relative is not None and relative.vague(values).any()):
             break
-        robot = _at(fit.robot, values.corrected())
     else:
         tell_unsettled(values)
+    if number and not loaded:
+        fit = _fitted_again(recipe, robot, source, moments)
     robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
     return replace(fit, robot=robot), values
+
+
+def _fitted_again(recipe, robot, source, moments):
+    """Fit a corrected robot to moments that have derivatives by its values as well."""
+    if not from_moments(recipe.regressor):
+        return recipe.of_source(robot, source)
+    held = robot.linear_part(np.ones(moments.g.shape[1])) == 0.0
+    plain = moments.zeroed(np.broadcast_to(held, moments.g.shape))
+    return recipe.of_moments(robot, plain, made=source.segments(robot))
 
 
 def _common_gain(recipe, fit, relative, values):
@@ -602,12 +613,19 @@ class ModelValues:
     def values_of(effects):
         return np.concatenate([one.values for one in effects if one.in_model])
 
-    def corrected(self):
+    def longer(self, factor, before):
+        """Factors (k,) of the steps, twice those of the last if these lead on."""
+        # Noise in a derivative, such as that of a recorded torque, shortens the steps.
+        leads_on = np.abs(self.step) > 0.5 * np.abs(before)
+        return np.where(leads_on & (self.step * before > 0), 2.0 * factor, 1.0)
+
+    def corrected(self, factor):
         """Return the effects with corrected values, within those that are plausible."""
         found, at = [], 0
         for effect in self.effects:
             if effect.in_model:
-                step = self.step[at : at + len(effect.coefficients)]
+                own = slice(at, at + len(effect.coefficients))
+                step = (factor * self.step)[own]
                 at += len(effect.coefficients)
                 effect = effect.linearised_at(_within(effect, step))
             found.append(effect)

@@ -428,7 +428,10 @@ def _with_cutoffs(estimator, cutoffs):
 
 
 def of_joints(estimator, joints):
-    return _with_cutoffs(estimator, estimator.cutoff_[joints])
+    own = _with_cutoffs(estimator, estimator.cutoff_[joints])
+    own.n_features_in_ = own.cutoff_.size
+    own.noise_variance_ = estimator.noise_variance_[joints]
+    return own
 
 
 def smooth_to(estimator, cutoff):

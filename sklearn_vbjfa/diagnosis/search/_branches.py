@@ -10,12 +10,14 @@ from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel, in_orde
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.model import import_pinocchio
+from sklearn_vbjfa.robot._features import RigidBodyFeatures
+from sklearn_vbjfa.robot._states import of_joints
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.
 _TOGETHER = 7
-# Options of an identifier that may have a value for each joint.
-_BY_JOINT = ("state_cutoff", "joint_weights", "torque_noise")
+# Fields of a fitted robot that have a value for each joint.
+_OF_ROBOT = ("noise_floor_", "torque_noise_", "output_noise_", "joint_weights")
 # Fields of a recording that have a column for each joint.
 _COLUMNS = ("q", "tau", "v", "weight", "torque_noise", "command", "feedback")
 
@@ -26,23 +28,27 @@ class Branch:
 
     joints: list  # its joints among those of the robot, rising
     model: object
-    fitted: object = None  # declared model with which it was searched
 
-    def identifier(self, declared):
-        """Return the declared model of the branch, not fitted, in the robot's band."""
-        options = declared.fit_options
-        parts = {name: self._own(getattr(options, name)) for name in _BY_JOINT}
-        parts["standstill"] = declared.standstill_[self.joints]
-        cutoff = declared.cutoff_
-        return clone(declared).set_params(
-            model=self.model,
-            cutoff=float(cutoff) if np.isfinite(cutoff) else None,
-            options=replace(options, **parts),
-        )
-
-    def _own(self, value):
-        """Return a parameter's values for the branch's joints."""
-        return np.asarray(value)[self.joints] if np.ndim(value) == 1 else value
+    def robot(self, whole):
+        """Return the branch of a fitted robot without effects."""
+        # What acts on one branch is all that its parameters were fitted to.
+        features = RigidBodyFeatures(self.model, friction=whole.features_.friction_)
+        plan, known = whole.plan, {}
+        for name in _OF_ROBOT:
+            value = getattr(whole, name)
+            known[name] = None if value is None else value[self.joints]
+        for name in ("theta_", "theta_unconstrained_"):
+            by_joint = getattr(whole, name).reshape(len(plan.standstill), -1)
+            known[name] = by_joint[self.joints].ravel()
+        changes = {"standstill": plan.standstill[self.joints]}
+        for name in ("fastest_period", "corners"):
+            value = getattr(plan, name)
+            changes[name] = None if value is None else value[self.joints]
+        if plan.state_estimator is not None:
+            estimator = of_joints(plan.state_estimator, self.joints)
+            changes["state_estimator"] = estimator
+        known |= {"features_": features.load(), "plan": replace(plan, **changes)}
+        return replace(whole, **known)
 
     def recording(self, recording):
         """Return the columns of a recording that belong to the branch."""
@@ -61,10 +67,10 @@ class Branch:
             columns[name] = tuple(whole[j] for j in self.joints)
         return replace(recording, **columns)
 
-    def view(self, recording, leave_out, **known):
-        """Return the `RecordingView` of the branch in a recording of the robot."""
+    def view(self, whole, recording, leave_out, **known):
+        """Return the `RecordingView` of the branch of a fitted robot."""
         mute, own = self.local(leave_out), self.recording(recording)
-        return RecordingView(self.fitted, own, mute, **known)
+        return RecordingView(self.robot(whole), own, mute, **known)
 
     def local(self, joints):
         """Numbers in the branch of those of some joints that belong to it."""

@@ -32,9 +32,9 @@ from sklearn_vbjfa.diagnosis.search._view import variants
 from sklearn_vbjfa.effects import Shaped, closure
 
 # Times that load, spectrum and geometry are made anew.
-_TURNS = 3
+_TURNS = 2
 # Times that a model is tuned on another recording, until its evidence [nats] stays.
-_CLOSER, _STAYS = 20, 0.01
+_CLOSER, _STAYS = 20, 0.1
 # Share of the error that its mirror image saves of what an effect with a direction
 # saves: more is nothing with a direction.
 _MIRROR = 0.5
@@ -42,7 +42,7 @@ _MIRROR = 0.5
 _MOTION = 0.9
 # Instants of a jump that are looked at more closely.
 _JUMPS = 3
-# Log odds below which nothing is a candidate.
+# Log odds below which nothing of the geometry is a candidate.
 _NO_CHANCE = -20.0
 # Nats within which the first in precedence gives its name to equal columns.
 _EQUAL = 0.5
@@ -125,17 +125,17 @@ class Path:
 
     def _candidate(self, fit, family, taken, excess=None):
         """Return the best shape of a family given a fit as a `Candidate`, or None."""
-        scale = self.settings.scale
+        scale, least = self.settings.scale, self._no_chance(family)
         if excess is None:
             evidence = fit.evidence(family, scale)
-            if not evidence.max() + self.log_prior > _NO_CHANCE:
+            if not evidence.max() > least:
                 return None
         groups = fit.groups(family)
         if excess is not None:
             groups = groups.discounted(excess)
             evidence = groups.evidence(scale)
         free = groups.shown() & [key not in taken for key in family.keys]
-        if not free.any() or evidence[free].max() + self.log_prior <= _NO_CHANCE:
+        if not free.any() or evidence[free].max() <= least:
             return None
         coefs = groups.coefficients()
         for c in np.flatnonzero(free):
@@ -157,6 +157,12 @@ class Path:
             coef=coefs[int(np.argmax(evidence))],
             order=log_odds,
         )
+
+    def _no_chance(self, family):
+        """Log evidence of a shape up to which an effect decides nothing."""
+        # Rivals are within so many nats of a member, spectra take one of each joint.
+        near = -max(self.settings.rivals, np.log(len(self.families)))
+        return (_NO_CHANCE if family.effects[0].in_model else near) - self.log_prior
 
     def _tempered(self, fit, candidate):
         """Discount the evidence of a candidate by its scatter in time."""
@@ -542,6 +548,7 @@ class Path:
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
         been, tuned, self._rejected = {keys_of(fit)}, None, set()
+        tried = fit
         while True:
             full = self.max_effects is not None and len(fit.members) >= self.max_effects
             candidate = None if full else self._best(fit)
@@ -549,14 +556,18 @@ class Path:
                 new = self._added(fit, candidate)
                 if keys_of(new) in been:
                     # What came was refused, has gone again, or led back.
-                    self._rejected.add(candidate.effect.key())
+                    self._rejected.update(candidate.family.keys)
                     self._refused(candidate)
                     continue
-                self._rejected.clear()
             elif fit.members and keys_of(fit) != tuned:
                 # Shapes that were found before the others were there.
                 tuned = keys_of(fit)
                 new = self._pruned(self.refined(fit))
+            elif self._rejected and tried is not fit:
+                # What was refused beside another model.
+                self._rejected, tried = set(), fit
+                self._moved()
+                continue
             else:
                 new = self._exchanged(fit, been)
                 if new is None and (self.turn or not fit.members):

@@ -106,13 +106,15 @@ def test_a_branch_is_the_robot_without_the_others(two_arms):
         np.testing.assert_array_equal(part.tau, recording.tau[:, branch.joints])
         names = [recording.joint_names[j] for j in branch.joints]
         assert list(part.joint_names) == names
-        fitted = branch.identifier(robot).fit(part.q, part.tau)
-        assert fitted.cutoff_ == robot.cutoff_
-        # the parameters of the others do not matter
         view = RecordingView(robot, weighted)
-        alone = RecordingView(fitted, part)
+        alone = branch.view(robot.robot_, weighted, ())
         np.testing.assert_array_equal(alone.index, view.index)
         np.testing.assert_allclose(alone.target, view.target[branch.joints])
+        np.testing.assert_array_equal(alone.precision, view.precision[branch.joints])
+        # the parameters of the others do not matter
+        left = alone.equations.Phi @ alone.robot.theta_unconstrained_
+        both = view.equations.Phi @ robot.theta_unconstrained_
+        np.testing.assert_allclose(left, both[:, branch.joints], atol=1e-9)
 
 
 def test_effects_are_numbered_by_the_robot(two_arms):

@@ -433,13 +433,10 @@ def _corrected(recipe, fit, source, relative):
     """Correct a robot step by step; the last fit and its `ModelValues`."""
     # The equations with the derivatives by the values are, without these, those of the
     # next fit: its load is that of the fit before.
-    robot, factor, before = fit.robot, 1.0, 0.0
-    loaded = needs_load(robot.effects_)
+    corrected, factor, before = fit.robot, 1.0, 0.0
+    loaded = needs_load(corrected.effects_)
     for number in range(MOST_CORRECTIONS):
-        if number:
-            factor, before = values.longer(factor, before), values.step
-            robot = _at(robot, values.corrected(factor))
-        robot = replace(robot, load_parameters=_known_load(fit.robot))
+        robot = replace(corrected, load_parameters=_known_load(fit.robot))
         made = source.segments(robot, tangents=True)
         moments = source.moments(made, robot.plan)
         if number and loaded:
@@ -459,6 +456,8 @@ def _corrected(recipe, fit, source, relative):
         )
         if values.stay() or (relative is not None and relative.vague(values).any()):
             break
+        factor, before = values.longer(factor, before), values.step
+        corrected = _at(robot, values.corrected(factor))
     else:
         tell_unsettled(values)
     if number and not loaded:

@@ -27,9 +27,9 @@ from sklearn_vbjfa.robot._bodies import (
     inverse_of,
     propagated,
 )
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._equations import held_columns
 from sklearn_vbjfa.robot._estimate import widening, with_prior
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
 from sklearn_vbjfa.robot._plan import effect_places
 
 # What tells one leg, arm or finger from another in the names of joints, beside numbers.

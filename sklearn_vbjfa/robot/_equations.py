@@ -28,7 +28,7 @@ from sklearn_vbjfa.robot._joint_moments import (
 )
 from sklearn_vbjfa.robot._parallel import run
 from sklearn_vbjfa.robot._plan import effect_places
-from sklearn_vbjfa.robot._spreads import SignalRanges
+from sklearn_vbjfa.robot._ranges import SignalRanges
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
 _EDGE_PERIODS = 1.0

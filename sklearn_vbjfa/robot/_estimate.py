@@ -12,8 +12,6 @@ from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import (
     Options,
     PhysicalProjector,
-    body_scales,
-    min_eigenvalue,
 )
 from sklearn_vbjfa.regression import (
     BaseJointFactorRegressor,
@@ -29,6 +27,7 @@ from sklearn_vbjfa.robot._bodies import (
 from sklearn_vbjfa.robot._features import nominal_followers
 from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
 from sklearn_vbjfa.robot._plan import effect_places
+from sklearn_vbjfa.robot._spreads import min_eigenvalues
 
 # Largest weight of a joint's equations in units of its mean squared torque: no robot is
 # modelled better than to 1e-4 of its torque. Without noise, the weight of a joint that
@@ -594,12 +593,6 @@ def _without_negative(theta, metric, places):
     zero = places[sizes == 0]
     metric[zero] = metric[:, zero] = 0.0
     return found, metric
-
-
-def min_eigenvalues(bodies):
-    """Smallest pseudo-inertia eigenvalues (nv,) of bodies (nv, k), in own scales."""
-    mass, length = body_scales(bodies[:, :10])
-    return min_eigenvalue(bodies[:, :10], mass_scale=mass, length_scale=length)
 
 
 # -- weights of joints -----------------------------------------------------------------

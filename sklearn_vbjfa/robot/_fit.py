@@ -14,6 +14,7 @@ from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.recording import Recording, check_wait, take_rows
 from sklearn_vbjfa.robot._alike import beside_each_other
 from sklearn_vbjfa.robot._armature import with_positive_rotors
+from sklearn_vbjfa.robot._between import between_recordings, places_between
 from sklearn_vbjfa.robot._bodies import DESCRIBED
 from sklearn_vbjfa.robot._equations import (
     accumulate,
@@ -47,15 +48,10 @@ from sklearn_vbjfa.robot._gains import (
 from sklearn_vbjfa.robot._joint_moments import sum_moments
 from sklearn_vbjfa.robot._output_error import refine
 from sklearn_vbjfa.robot._plan import effect_places, needs_load, observe
-from sklearn_vbjfa.robot._posterior import BetweenRecordings, places_between
+from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
 from sklearn_vbjfa.robot._recording_checks import check_count
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
-from sklearn_vbjfa.robot._spreads import (
-    TorqueSpread,
-    effect_ranges,
-    known_parameters,
-    sum_ranges,
-)
+from sklearn_vbjfa.robot._spreads import TorqueSpread, known_parameters
 from sklearn_vbjfa.robot._states import RecordingStates
 from sklearn_vbjfa.robot._torque_noise import filtered_noise
 
@@ -175,7 +171,7 @@ class RobotFit:
 
     def between(self):
         """Return how far values are off between recordings; None if unknown."""
-        return BetweenRecordings.of_estimate(
+        return between_recordings(
             self.tangents or self.found,
             places=places_between(self.robot),
             values=self.robot.theta_,

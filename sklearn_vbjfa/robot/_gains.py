@@ -7,7 +7,7 @@
 # therefore maximised over the logarithms of the gains by Gauss and Newton, from the
 # second moments of the joints' equations.
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import linalg, stats
@@ -15,16 +15,18 @@ from scipy import linalg, stats
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
 from sklearn_vbjfa.model._trees import body_names
+from sklearn_vbjfa.robot._channels import (
+    HALF_WIDTH,
+    LIMIT,
+    ChannelGains,
+    CommonGain,
+    KnownMass,
+)
 from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, LOST, noise_weights
 from sklearn_vbjfa.robot._plan import effect_places
 
-# Gains are plausible within this factor of those of the other channels, and known if
-# their 90 % interval is narrower than that ...
-LIMIT = 5.0
 # ... so that two of them differ by its square at most.
 _WIDEST = LIMIT**2
-# Half width of a 90 % interval in standard deviations.
-HALF_WIDTH = 1.645
 # Standard deviation of the logarithm of a gain about which nothing is known.
 _UNKNOWN = np.log(1e4)
 # Steps to the gains, the largest of them, and halvings of one that does harm.
@@ -236,59 +238,6 @@ def gain_places(effects, n_rigid):
 # -- what a fit says -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class ChannelGains:
-    """Gains of the torque channels of an identified robot."""
-
-    joint_names: tuple[str, ...]
-    # (nv,): what each channel reads over the torque: over that in units of the
-    # reference channel, or over the torque itself [recorded unit / (N m or N)] where a
-    # known mass says how much that is. 1 (relative) where the recording does not show
-    # it
-    gain: np.ndarray
-    # (nv,): 0 for a reference, which is the unit, nan where the gain is not shown
-    std: np.ndarray
-    # (nv,): joint whose channel each is relative to: itself for a reference and for a
-    # joint whose gain is not shown relative to any other
-    reference: np.ndarray
-    common: "CommonGain"  # what fixes the common factor
-    # (2, nv): ends of the 90 % intervals; nan where the gain is not shown
-    intervals: np.ndarray = field(init=False)
-
-    def __post_init__(self):
-        half = HALF_WIDTH * self.std
-        ends = np.stack([self.gain - half, self.gain + half])
-        object.__setattr__(self, "intervals", ends)
-
-    @property
-    def references(self):
-        own = np.arange(self.reference.size)
-        return tuple(np.unique(self.reference[self.reference != own]).tolist())
-
-    @property
-    def hidden(self):
-        """Joints (tuple of int) whose gain is not shown relative to any other."""
-        own = np.arange(self.reference.size)
-        alone = own[self.reference == own]
-        return tuple(np.setdiff1d(alone, self.references).tolist())
-
-    @property
-    def doubtful(self):
-        # By more than is plausible, from the median of those that are relative to one
-        # channel.
-        found, logs = [], np.log(self.gain)
-        for reference in self.references:
-            own = np.flatnonzero(self.reference == reference)
-            off = np.abs(logs[own] - np.median(logs[own]))
-            found += own[off > np.log(LIMIT)].tolist()
-        return tuple(sorted(found))
-
-    @property
-    def absolute(self):
-        """Whether a known mass fixes what a gain of 1 is."""
-        return self.common.factor is not None
-
-
 def channel_gains(names, gain, std, relative, common):
     """Collect the gains (nv,) that a fit found and their deviations, `ChannelGains`."""
     # relative: RelativeGains; common: CommonGain.
@@ -325,89 +274,9 @@ def check_gains(gains, joint_names):
         )
 
 
-def note_of_gains(gains):
-    """Say what channels read over the torque in a written file; empty if known."""
-    if gains is None:
-        return ""
-    each = ", ".join(
-        f"{name} {gain:.5g}" for name, gain in zip(gains.joint_names, gains.gain)
-    )
-    text = f"Divide what the torque channels read by: {each}."
-    return " ".join(filter(None, [text, note_of_units(gains)]))
-
-
-def note_of_units(gains):
-    """Say what units a written file is in; empty where they are kg and N m."""
-    if gains is None or gains.absolute:
-        return ""
-    names = [gains.joint_names[j] for j in gains.references]
-    unit = f"that of {' or '.join(names)}" if names else "each channel"
-    return (
-        "These gains are relative: masses, inertias and friction in this file are in "
-        f"units of {unit}, not in kg and N m."
-    )
-
-
 # -- the common gain, from known masses ------------------------------------------------
 
 PAYLOAD = "payload"
-# Known masses disagree if chance alone would do so less often.
-_CHANCE = 0.01
-
-
-@dataclass(frozen=True, kw_only=True)
-class KnownMass:
-    """A mass that was given, and what the recording makes of it."""
-
-    name: str  # body, or "payload"
-    mass: float  # as given [kg]
-    # what the recording has for it, in units of the reference channel; nan for nothing
-    found: float
-    std: float  # its standard deviation
-    shown: bool  # whether the recording determines it by itself
-    used: bool = False  # whether it is part of what fixes the common gain
-
-
-@dataclass(frozen=True, kw_only=True)
-class CommonGain:
-    """What fixes the common factor of all gains."""
-
-    # gain of the reference channel [recorded unit / (N m or N)]; None where nothing
-    # fixes it. Parameters were divided by it
-    factor: float | None = None
-    std: float = float("nan")  # nan where nothing fixes it
-    masses: tuple[KnownMass, ...] = ()  # those that were given
-    # probability of masses that disagree as much by chance; nan for a single one
-    p_value: float = float("nan")
-
-    @property
-    def agree(self):
-        """Whether the known masses agree with one another, as far as is known."""
-        return not self.p_value < _CHANCE
-
-    def given_up(self):
-        return CommonGain(masses=tuple(replace(m, used=False) for m in self.masses))
-
-    def widened(self, theta, std, units, gains, covariance):
-        """Deviations (p,) of parameters with that of the common gain."""
-        # theta: parameters in kg and N m (p,); std: deviations of the same with the
-        # factor as it is, gains relative to a reference; units: of the parameters;
-        # gains: places of gains among them; covariance: see `common_gain`.
-        power = np.array([_power(unit) for unit in units])
-        power[gains] = 1
-        # A parameter is what it was in relative units times this power of the factor.
-        scale = float(self.factor) ** power
-        std = np.where(np.isin(np.arange(std.size), gains), std * scale, std)
-        share = self.std / self.factor
-        both = 2 * power * theta / self.factor * scale * covariance
-        return np.sqrt(np.maximum(std**2 + (power * theta * share) ** 2 + both, 0.0))
-
-
-def _power(unit):
-    """Return how a parameter of some unit depends on the gain of torques."""
-    if unit.startswith(("N", "kg")):
-        return -1
-    return int(unit.endswith(("N", "(N m)")))
 
 
 def check_masses(masses, gains, model):

@@ -52,6 +52,7 @@ from sklearn_vbjfa.robot._plan import (
     make_plan,
     observe,
 )
+from sklearn_vbjfa.robot._ranges import ends
 from sklearn_vbjfa.robot._recording_checks import (
     check_channels,
     check_drive,
@@ -65,7 +66,6 @@ from sklearn_vbjfa.robot._recording_checks import (
 )
 from sklearn_vbjfa.robot._robot import IdentifiedRobot, recording_of
 from sklearn_vbjfa.robot._signs import signed, with_signs
-from sklearn_vbjfa.robot._spreads import ends
 from sklearn_vbjfa.robot._states import fit_states
 from sklearn_vbjfa.robot._torque_noise import given_noise
 

@@ -31,6 +31,7 @@ from sklearn_vbjfa.recording._recording import (
     check_dt,
     take_arrays,
 )
+from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
 from sklearn_vbjfa.robot._equations import (
     build_segments,
@@ -42,7 +43,6 @@ from sklearn_vbjfa.robot._equations import (
     make_motion,
     regressor_rows,
 )
-from sklearn_vbjfa.robot._estimate import min_eigenvalues
 from sklearn_vbjfa.robot._exports import (
     as_pinocchio,
     friction_of_file,
@@ -53,7 +53,6 @@ from sklearn_vbjfa.robot._exports import (
 )
 from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
 from sklearn_vbjfa.robot._followers import Follower
-from sklearn_vbjfa.robot._gains import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
@@ -70,6 +69,7 @@ from sklearn_vbjfa.robot._refitted import refitted, warn_of_motion
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
 from sklearn_vbjfa.robot._spreads import (
     TorqueSpread,
+    min_eigenvalues,
     note_of_masses,
     outside_text,
     signals_outside_text,

@@ -7,7 +7,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import write_whole
 from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.robot._gains import note_of_units
+from sklearn_vbjfa.robot._channels import note_of_units
 from sklearn_vbjfa.robot._posterior import Posterior
 
 FORMAT, VERSION = "sklearn_vbjfa ranges", 1

@@ -1,7 +1,5 @@
 """How large the torques of friction and effects are, and how well they are known."""
 
-import functools
-import operator
 import warnings
 from dataclasses import dataclass, replace
 
@@ -14,12 +12,11 @@ from sklearn_vbjfa.effects import (
     SPEED,
     STRAIGHT,
     TORQUE,
-    EffectRange,
-    resolve,
 )
 from sklearn_vbjfa.model._dynamics import rounding_entries
 from sklearn_vbjfa.model._loading import nominal_parameters
 from sklearn_vbjfa.model._trees import body_names
+from sklearn_vbjfa.physical import body_scales, min_eigenvalue
 
 # Time outside the fit, as a share of its duration, from which a prediction says so.
 _MARGIN = 0.1
@@ -114,6 +111,12 @@ class BodyMass:
     known: str  # whether the recording determines it, see `known_parameters`
 
 
+def min_eigenvalues(bodies):
+    """Smallest pseudo-inertia eigenvalues (nv,) of bodies (nv, k), in own scales."""
+    mass, length = body_scales(bodies[:, :10])
+    return min_eigenvalue(bodies[:, :10], mass_scale=mass, length_scale=length)
+
+
 def known_parameters(robot, found):
     """State which parameters of a robot its recording determines, by an `Estimate`."""
     # "yes": by itself, as well as its standard deviation says. "in combination":
@@ -175,88 +178,6 @@ def note_of_masses(robot):
 _UNITS = {"position": POSITION, "speed": SPEED, "load": TORQUE}
 _WAYS = ("forward motion", "backward motion")
 _PLURALS = {"position": "positions", "speed": "speeds", "load": "loads"}
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class SignalRanges:
-    """Lowest and highest values of signals in the rows of each joint that count."""
-
-    # (k, nv): of k signals of each joint; infinite, of the wrong order, without a row
-    lowest: np.ndarray
-    highest: np.ndarray
-
-    @classmethod
-    def of(cls, signals, counts):
-        """Ranges of signals (k arrays of shape (n, nv)) in rows that count, (n, nv)."""
-        return cls(
-            lowest=np.array([_extreme(np.min, x, counts, np.inf) for x in signals]),
-            highest=np.array([_extreme(np.max, x, counts, -np.inf) for x in signals]),
-        )
-
-    def __add__(self, other):
-        """Merge the ranges of disjoint rows."""
-        return SignalRanges(
-            lowest=np.minimum(self.lowest, other.lowest),
-            highest=np.maximum(self.highest, other.highest),
-        )
-
-    def pairs(self):
-        """Return (lowest, highest) by signal and joint; nan where there is no row."""
-        return [
-            [
-                (float(low), float(high)) if low <= high else _UNKNOWN
-                for low, high in zip(lows, highs)
-            ]
-            for lows, highs in zip(self.lowest, self.highest)
-        ]
-
-
-_UNKNOWN = (float("nan"), float("nan"))
-
-
-def _extreme(function, values, counts, nothing):
-    if values.size and counts.all():
-        return function(values, axis=0)
-    return function(values, axis=0, where=counts, initial=nothing)
-
-
-def sum_ranges(several):
-    """Merge `SignalRanges`; None if one of them is not known."""
-    several = list(several)
-    if any(one is None for one in several):
-        return None
-    return functools.reduce(operator.add, several)
-
-
-def effect_ranges(friction, effects, motion, load=None):
-    """Return an `EffectRange` for each joint's declared friction, then each effect."""
-    # friction: names of the declared columns; effects: tuple of Effect; motion:
-    # `SignalRanges` of positions, speeds and directions; load: that of the loads, if it
-    # is known.
-    positions, speeds, directions = motion.pairs()
-    nv = len(positions)
-    loads = nv * [_UNKNOWN] if load is None else load.pairs()[0]
-    declared = resolve(friction) if friction else ()
-    used = [(effect, joint) for joint in range(nv) for effect in declared]
-    used += [(effect, effect.joint) for effect in effects]
-    return tuple(
-        EffectRange(
-            name=effect.name,
-            joint=joint,
-            position=positions[joint],
-            speed=speeds[joint],
-            load=loads[joint],
-            direction=directions[joint],
-            depends=effect.depends,
-            curved=effect.growth != "straight",
-        )
-        for effect, joint in used
-    )
-
-
-def ends(signals):
-    """Lowest and highest value of each recorded signal, a dict of (float, float)."""
-    return {name: (float(x.min()), float(x.max())) for name, x in signals.items()}
 
 
 def signals_outside_text(fitted, signals):

@@ -6,6 +6,10 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from sklearn_vbjfa.diagnosis._discovery import EffectDiscovery
+    from sklearn_vbjfa.equations._features import RigidBodyFeatures
+    from sklearn_vbjfa.equations._states import StateEstimator
+    from sklearn_vbjfa.fit._identifier import RobotIdentifier
+    from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
     from sklearn_vbjfa.model._loading import load_model
     from sklearn_vbjfa.physical import PhysicalProjector
     from sklearn_vbjfa.regression._instrumental_variables import InstrumentalVariables
@@ -17,12 +21,8 @@ if TYPE_CHECKING:
         replicate_noise,
     )
     from sklearn_vbjfa.regression._vbjfa import VBJFARegressor
-    from sklearn_vbjfa.robot._features import RigidBodyFeatures
-    from sklearn_vbjfa.robot._identifier import RobotIdentifier
-    from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
     from sklearn_vbjfa.robot._robot import IdentifiedRobot, load_identified
     from sklearn_vbjfa.robot._simulator_ranges import Ranges
-    from sklearn_vbjfa.robot._states import StateEstimator
 
 __version__ = "0.2.0.dev0"
 __all__ = [
@@ -60,12 +60,12 @@ _MODULES = {
         "replicate_noise",
     ),
     "regression._vbjfa": ("VBJFARegressor",),
-    "robot._features": ("RigidBodyFeatures",),
+    "equations._features": ("RigidBodyFeatures",),
     "robot._robot": ("IdentifiedRobot", "load_identified"),
-    "robot._identifier": ("RobotIdentifier",),
-    "robot._joint_torque": ("JointTorqueRegressor",),
+    "fit._identifier": ("RobotIdentifier",),
+    "fit._joint_torque": ("JointTorqueRegressor",),
     "robot._simulator_ranges": ("Ranges",),
-    "robot._states": ("StateEstimator",),
+    "equations._states": ("StateEstimator",),
 }
 _ROOMS = (
     "datasets",

@@ -85,8 +85,9 @@ def imports_at_work(path):
 
 def rooms_imported(path):
     """Rooms of the package that a module imports, with what it imports of each."""
-    used = {}
-    for name in imports(path):
+    # Faces of rooms name for type checkers what they import when it is asked for.
+    used, face = {}, path.stem == "__init__"
+    for name in imports(path, for_types=not face):
         if name in NAMES:
             used.setdefault(room_of(name), set()).add(name)
     return used
@@ -106,7 +107,9 @@ ROOMS = (
     "recording",
     "inspection",
     "simulation",
+    "equations",
     "robot",
+    "fit",
     "diagnosis",
     "design",
     "gravity",
@@ -124,6 +127,7 @@ APART = {
     "recording": {"_core", "model"},
     "inspection": {"_core", "model", "recording"},
     "simulation": {"_core", "effects", "physical", "model"},
+    "equations": {"_core", "effects", "physical", "model", "recording", "inspection"},
     # Of inspection the name alone, beside read_recording: what is read is looked at.
     "datasets": {"physical", "model", "recording", "inspection"},
 }

@@ -18,9 +18,9 @@ from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.diagnosis.explain import curves_over
 from sklearn_vbjfa.diagnosis.report import effect_figure
 from sklearn_vbjfa.effects import Motion, closure, cross_axes, rotation
+from sklearn_vbjfa.equations._equations import make_motion
 from sklearn_vbjfa.model import CorrectedModel
 from sklearn_vbjfa.robot import RigidBodyFeatures
-from sklearn_vbjfa.robot._equations import make_motion
 from sklearn_vbjfa.robot._exports import to_mjcf, to_urdf
 from sklearn_vbjfa.simulation import TorqueModel, why_left_out
 

@@ -106,7 +106,7 @@ def search(
     """Return the `EffectDiscovery` of a recording, fitted."""
     # several: whether recordings have names, which the report uses.
     from sklearn_vbjfa import EffectDiscovery, RobotIdentifier
-    from sklearn_vbjfa.robot import FitOptions
+    from sklearn_vbjfa.fit import FitOptions
 
     identifier = RobotIdentifier(
         urdf,

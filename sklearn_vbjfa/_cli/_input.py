@@ -11,6 +11,7 @@ import numpy as np
 
 from sklearn_vbjfa import datasets
 from sklearn_vbjfa._cli._parser import Refused, number
+from sklearn_vbjfa.fit import FitOptions
 from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels
 from sklearn_vbjfa.model import (
     load_model,
@@ -27,7 +28,6 @@ from sklearn_vbjfa.recording import (
     expanded,
     tables_in,
 )
-from sklearn_vbjfa.robot import FitOptions
 
 # How a cell begins that a spreadsheet computes.
 _FORMULA = ("=", "+", "-", "@", "\t", "\r")

@@ -256,7 +256,7 @@ def _commanded(drive, robot, recording):
     # The drive is None where the torques of the recording take its place.
     from sklearn.base import clone
 
-    from sklearn_vbjfa.robot import signed
+    from sklearn_vbjfa.fit import signed
 
     if drive is not None and drive.of_positions:
         if _command_delay(robot) is not None:

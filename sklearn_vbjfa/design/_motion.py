@@ -7,13 +7,13 @@ import numpy as np
 from scipy.linalg import null_space
 
 from sklearn_vbjfa._core import write_whole
+from sklearn_vbjfa.equations._features import RigidBodyFeatures
 from sklearn_vbjfa.model import (
     is_prismatic,
     joint_names,
     load_model,
     nominal_parameters,
 )
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
 
 # A joint that turns without end gets one turn about its zero [rad].
 _ONE_TURN = np.pi

@@ -15,9 +15,9 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import or_one
 from sklearn_vbjfa.effects import Motion, Rest, RotorInertia, Stateful, resolve
+from sklearn_vbjfa.equations._features import RigidBodyFeatures
+from sklearn_vbjfa.equations._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
 from sklearn_vbjfa.model import is_prismatic, joint_names, nominal_parameters
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH, STANDSTILL_SHARE
 
 # Friction of a robot of which only the description is known.
 _FRICTION = ("viscous", "coulomb")

@@ -28,6 +28,9 @@ from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import SearchSettings, search
 from sklearn_vbjfa.diagnosis.search._view import RecordingView, stretches
 from sklearn_vbjfa.effects import TorqueGain, declarable, resolve
+from sklearn_vbjfa.equations._plan import check_effects
+from sklearn_vbjfa.equations._recording_checks import check_weight, check_widths
+from sklearn_vbjfa.fit._identifier import RecordingRegressorMixin, RobotIdentifier
 from sklearn_vbjfa.inspection import OF_SIZE, inspect_channels, refusal
 from sklearn_vbjfa.model import joint_names, load_model
 from sklearn_vbjfa.physical import one_blas_thread
@@ -44,9 +47,6 @@ from sklearn_vbjfa.recording import (
     take_rows,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._identifier import RecordingRegressorMixin, RobotIdentifier
-from sklearn_vbjfa.robot._plan import check_effects
-from sklearn_vbjfa.robot._recording_checks import check_weight, check_widths
 from sklearn_vbjfa.robot._windows import unfollowed
 
 # Channels with these faults are reported and not searched: the search would find the

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from sklearn.utils.validation import check_is_fitted
 
+from sklearn_vbjfa.equations._equations import make_motion
+from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.model._trees import is_prismatic
 from sklearn_vbjfa.recording import check_clock, contiguous_groups
-from sklearn_vbjfa.robot._equations import make_motion
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
 
 # Points of one panel: more are a blot, and slow.
 _POINTS = 4000

@@ -18,6 +18,18 @@ import numpy as np
 
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import counted, show_progress
+from sklearn_vbjfa.equations._equations import accumulate, build_segments
+from sklearn_vbjfa.equations._joint_moments import BlockAssignment
+from sklearn_vbjfa.equations._plan import MotionFacts, make_plan, n_fastest, smooth
+from sklearn_vbjfa.equations._recording_checks import (
+    check_channels,
+    check_input_noise,
+    check_length,
+    check_widths,
+)
+from sklearn_vbjfa.equations._states import choose_states
+from sklearn_vbjfa.fit._estimate import from_moments
+from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.inspection import levels
 from sklearn_vbjfa.physical import one_blas_thread
 from sklearn_vbjfa.recording import (
@@ -26,23 +38,6 @@ from sklearn_vbjfa.recording import (
     read_recording,
     recordings_in,
 )
-from sklearn_vbjfa.robot._equations import accumulate, build_segments
-from sklearn_vbjfa.robot._estimate import from_moments
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
-from sklearn_vbjfa.robot._joint_moments import BlockAssignment
-from sklearn_vbjfa.robot._plan import (
-    MotionFacts,
-    make_plan,
-    n_fastest,
-    smooth,
-)
-from sklearn_vbjfa.robot._recording_checks import (
-    check_channels,
-    check_input_noise,
-    check_length,
-    check_widths,
-)
-from sklearn_vbjfa.robot._states import choose_states
 
 __all__ = ["fit_recordings"]
 # Results that are in memory together.

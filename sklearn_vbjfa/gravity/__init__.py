@@ -7,16 +7,12 @@ import numpy as np
 
 from sklearn_vbjfa.design import Clearance
 from sklearn_vbjfa.effects import stops
+from sklearn_vbjfa.equations import RigidBodyFeatures, StateEstimator
+from sklearn_vbjfa.fit import FitOptions, RobotIdentifier
+from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior
 from sklearn_vbjfa.model import load_model, nominal_parameters, position_range
 from sklearn_vbjfa.recording import Recording
-from sklearn_vbjfa.robot import (
-    FitOptions,
-    RigidBodyFeatures,
-    RobotIdentifier,
-    StateEstimator,
-)
-from sklearn_vbjfa.robot._bodies import DESCRIBED, BodyPrior
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 __all__ = ["GravityCorrection", "correct_gravity", "gravity_poses"]
 # Samples: length of a window [s], share of the fastest speed that is rest, torque of

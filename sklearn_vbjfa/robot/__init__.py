@@ -1,4 +1,7 @@
-"""Robots: from recordings to states, equations, and an identified model."""
+"""Identified robots: predictions, simulation, samples and files.
+
+Settings of `RobotIdentifier` and drives are here as well, for users.
+"""
 
 from typing import TYPE_CHECKING
 
@@ -6,12 +9,13 @@ from sklearn_vbjfa import _lazily
 
 # What type checkers see of names that are imported when they are asked for.
 if TYPE_CHECKING:
+    from sklearn_vbjfa.equations import RigidBodyFeatures as RigidBodyFeatures
+    from sklearn_vbjfa.equations import StateEstimator as StateEstimator
+    from sklearn_vbjfa.equations import TorqueResiduals as TorqueResiduals
+    from sklearn_vbjfa.fit import FitOptions as FitOptions
+    from sklearn_vbjfa.fit import JointTorqueRegressor as JointTorqueRegressor
+    from sklearn_vbjfa.fit import RobotIdentifier as RobotIdentifier
     from sklearn_vbjfa.recording import CurrentDrive, PDDrive, VoltageDrive
-    from sklearn_vbjfa.robot._equations import TorqueResiduals
-    from sklearn_vbjfa.robot._features import RigidBodyFeatures
-    from sklearn_vbjfa.robot._identifier import FitOptions, RobotIdentifier
-    from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-    from sklearn_vbjfa.robot._states import StateEstimator
 
 __all__ = [
     "CurrentDrive",
@@ -25,45 +29,17 @@ __all__ = [
     "VoltageDrive",
 ]
 
-# Values and findings that are not in __all__ are for other rooms and for tests.
+# What is not in __all__ is for other rooms and for tests.
 _MODULES = {
-    "_alike": ("AlikeValue",),
-    "_bodies": ("Departure",),
-    "_corrections": (
-        "AxisCorrection",
-        "Corrections",
-        "GainCorrection",
-        "TiltCorrection",
-        "ZeroCorrection",
-        "corrections_of",
-        "note_of_corrections",
-    ),
-    "_equations": ("Equations", "TorqueResiduals", "is_plain"),
-    "_estimate": ("estimate", "project"),
-    "_features": ("RigidBodyFeatures",),
-    "_fit": ("ModelValues",),
-    "_gains": ("ChannelGains", "CommonGain", "KnownMass"),
-    "_identifier": ("FitOptions", "RobotIdentifier"),
-    ".recording._drives": ("CurrentDrive", "PDDrive", "VoltageDrive"),
-    "_joint_moments": (
-        "JointMoments",
-        "BlockAssignment",
-        "piece_moments",
-        "sum_moments",
-    ),
-    "_joint_torque": ("JointTorqueRegressor",),
-    "_output_error": ("slopes",),
-    "_plan": ("MotionFacts", "Plan"),
+    ".equations": ("RigidBodyFeatures", "StateEstimator", "TorqueResiduals"),
+    ".fit": ("FitOptions", "JointTorqueRegressor", "RobotIdentifier"),
+    ".recording": ("CurrentDrive", "PDDrive", "VoltageDrive"),
+    "_channels": ("ChannelGains", "CommonGain", "KnownMass"),
+    "_corrections": ("AxisCorrection", "Corrections", "GainCorrection")
+    + ("TiltCorrection", "ZeroCorrection", "corrections_of"),
     "_posterior": ("BetweenRecordings", "Marginal", "Posterior"),
-    "_signs": ("signed",),
     "_simulator_ranges": ("ParameterRange", "Ranges"),
-    "_spreads": (
-        "BodyMass",
-        "SignalRanges",
-        "body_masses",
-        "note_of_masses",
-    ),
-    "_states": ("RecordingStates", "StateEstimator"),
+    "_spreads": ("BodyMass", "body_masses", "note_of_masses"),
     "_windows": ("follow_windows",),
 }
 __getattr__, __dir__ = _lazily(__name__, _MODULES)

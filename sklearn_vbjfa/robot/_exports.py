@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from sklearn_vbjfa.effects import CommandDelay
+from sklearn_vbjfa.equations._features import follower_parameters, following_joints
 from sklearn_vbjfa.model._dynamics import CorrectedModel
 from sklearn_vbjfa.model._mjcf import JointDynamics, Servo, Tendon, write_mjcf
 from sklearn_vbjfa.model._urdf import check_possible, write_urdf
-from sklearn_vbjfa.robot._features import follower_parameters, following_joints
 from sklearn_vbjfa.robot._refitted import TERMS, without_place
 from sklearn_vbjfa.simulation import with_bodies
 

@@ -21,14 +21,14 @@ from sklearn_vbjfa.effects import (
     available,
     resolve,
 )
+from sklearn_vbjfa.equations._equations import is_plain
+from sklearn_vbjfa.equations._features import RigidBodyFeatures
+from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._states import StateEstimator
 from sklearn_vbjfa.model._loading import load_text
 from sklearn_vbjfa.model._trees import in_order
 from sklearn_vbjfa.recording._table import quoted
-from sklearn_vbjfa.robot._equations import is_plain
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._followers import Follower
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
-from sklearn_vbjfa.robot._states import StateEstimator
 
 FORMAT = "sklearn_vbjfa identified robot"
 VERSION = 1

@@ -9,9 +9,9 @@ from scipy.special import log_ndtr, logsumexp, ndtri_exp, softmax
 from sklearn.utils import check_random_state
 
 from sklearn_vbjfa.effects import declared
+from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._plan import effect_places
 from sklearn_vbjfa.physical import Options, PhysicalProjector
-from sklearn_vbjfa.robot._followers import Follower
-from sklearn_vbjfa.robot._plan import effect_places
 
 # Sweeps of Gibbs's sampler for draws outside the possible values.
 _SWEEPS = 200

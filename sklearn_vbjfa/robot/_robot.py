@@ -9,6 +9,26 @@ from sklearn.utils.validation import check_array
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import CommandDelay, EffectRange, OfTime
 from sklearn_vbjfa.effects._motion import Rest, outside
+from sklearn_vbjfa.equations._equations import (
+    build_segments,
+    compare,
+    edge_rows,
+    equations,
+    is_plain,
+    joined,
+    make_motion,
+    regressor_rows,
+)
+from sklearn_vbjfa.equations._features import RigidBodyFeatures, nominal_followers
+from sklearn_vbjfa.equations._followers import Follower
+from sklearn_vbjfa.equations._plan import Plan, effect_names
+from sklearn_vbjfa.equations._recording_checks import (
+    check_length,
+    check_weight,
+    check_widths,
+)
+from sklearn_vbjfa.equations._states import RecordingStates, fit_states, smooth_to
+from sklearn_vbjfa.equations._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.model._loading import (
     description_text,
     is_urdf,
@@ -33,16 +53,6 @@ from sklearn_vbjfa.recording._recording import (
 )
 from sklearn_vbjfa.robot._channels import ChannelGains, note_of_gains, note_of_units
 from sklearn_vbjfa.robot._corrections import note_of_corrections, turned_joints
-from sklearn_vbjfa.robot._equations import (
-    build_segments,
-    compare,
-    edge_rows,
-    equations,
-    is_plain,
-    joined,
-    make_motion,
-    regressor_rows,
-)
 from sklearn_vbjfa.robot._exports import (
     as_pinocchio,
     friction_of_file,
@@ -51,19 +61,11 @@ from sklearn_vbjfa.robot._exports import (
     to_mjcf,
     to_urdf,
 )
-from sklearn_vbjfa.robot._features import RigidBodyFeatures, nominal_followers
-from sklearn_vbjfa.robot._followers import Follower
-from sklearn_vbjfa.robot._plan import Plan, effect_names
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     Posterior,
     check_number,
     seed_of,
-)
-from sklearn_vbjfa.robot._recording_checks import (
-    check_length,
-    check_weight,
-    check_widths,
 )
 from sklearn_vbjfa.robot._refitted import refitted, warn_of_motion
 from sklearn_vbjfa.robot._simulator_ranges import ranges_of
@@ -76,8 +78,6 @@ from sklearn_vbjfa.robot._spreads import (
     time_outside_text,
     warn_outside,
 )
-from sklearn_vbjfa.robot._states import RecordingStates, fit_states, smooth_to
-from sklearn_vbjfa.robot._torque_noise import noise_facts, rows_looked_at, seen
 from sklearn_vbjfa.robot._windows import follow
 from sklearn_vbjfa.simulation._simulate import simulate
 from sklearn_vbjfa.simulation._stepper import Load, Stepper, TorqueModel, causal

@@ -38,7 +38,7 @@ class Load:
     """Parameters that the load and the torque in effects' columns are made with."""
 
     # They are those of the fit before the last one, and differ a little from the final
-    # ones; see `sklearn_vbjfa.robot._equations.make_motion`.
+    # ones; see `sklearn_vbjfa.equations._equations.make_motion`.
     bodies: np.ndarray  # (nv, 10)
     friction: np.ndarray  # (nv, n_friction): of the declared friction
     coefficients: tuple  # of each effect; empty for effects that need a load themselves

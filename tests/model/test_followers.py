@@ -8,6 +8,7 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.effects import Motion  # noqa: E402
+from sklearn_vbjfa.equations._features import with_followers  # noqa: E402
 from sklearn_vbjfa.model import (  # noqa: E402
     joint_names,
     load_folded,
@@ -17,7 +18,6 @@ from sklearn_vbjfa.model import (  # noqa: E402
     write_reduced,
 )
 from sklearn_vbjfa.robot import RigidBodyFeatures  # noqa: E402
-from sklearn_vbjfa.robot._features import with_followers  # noqa: E402
 
 
 def link(name, mass):

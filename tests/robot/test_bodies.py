@@ -8,14 +8,9 @@ import pytest
 from scipy import integrate
 
 from sklearn_vbjfa import RobotIdentifier
+from sklearn_vbjfa.fit import _bodies
+from sklearn_vbjfa.fit._bodies import DESCRIBED, BodyPrior, around, little_learned
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.robot import _bodies
-from sklearn_vbjfa.robot._bodies import (
-    DESCRIBED,
-    BodyPrior,
-    around,
-    little_learned,
-)
 
 TERMS = ("viscous", "coulomb", "offset", "rotor_inertia")
 DT = 0.01

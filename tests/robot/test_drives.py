@@ -17,14 +17,11 @@ from sklearn_vbjfa import (  # noqa: E402
     load_identified,
 )
 from sklearn_vbjfa.effects import CommandDelay  # noqa: E402
+from sklearn_vbjfa.equations import RecordingStates  # noqa: E402
+from sklearn_vbjfa.equations._equations import build_segments  # noqa: E402
 from sklearn_vbjfa.recording import take_arrays  # noqa: E402
 from sklearn_vbjfa.recording._drives import velocities  # noqa: E402
-from sklearn_vbjfa.robot import (  # noqa: E402
-    FitOptions,
-    PDDrive,
-    RecordingStates,
-)
-from sklearn_vbjfa.robot._equations import build_segments  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions, PDDrive  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics  # noqa: E402
 from tests.model._mujoco import followed  # noqa: E402
 

@@ -6,7 +6,8 @@ import pytest
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
-from sklearn_vbjfa.robot._estimate import min_eigenvalues, project_beside  # noqa: E402
+from sklearn_vbjfa.fit._estimate import project_beside  # noqa: E402
+from sklearn_vbjfa.robot._spreads import min_eigenvalues  # noqa: E402
 
 
 def problem(extra):

@@ -10,14 +10,9 @@ from scipy import linalg, optimize
 pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
-from sklearn_vbjfa.robot import (  # noqa: E402
-    FitOptions,
-    piece_moments,
-    sum_moments,
-)
-from sklearn_vbjfa.robot._gains import (  # noqa: E402
-    relative_gains,
-)
+from sklearn_vbjfa.equations import piece_moments, sum_moments  # noqa: E402
+from sklearn_vbjfa.fit._gains import relative_gains  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.effects._arms import arm, inverse_dynamics, motion  # noqa: E402
 
 DT = 0.02

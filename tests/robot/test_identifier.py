@@ -12,8 +12,9 @@ pin = pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier  # noqa: E402
 from sklearn_vbjfa.datasets import make_robot_recording  # noqa: E402
+from sklearn_vbjfa.equations import _equations  # noqa: E402
 from sklearn_vbjfa.model import load_model, nominal_parameters  # noqa: E402
-from sklearn_vbjfa.robot import FitOptions, _equations  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests.model._robots import random_tree  # noqa: E402
 from tests.simulation._machines import wheel  # noqa: E402
 

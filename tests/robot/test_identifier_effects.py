@@ -12,7 +12,8 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects
 from sklearn_vbjfa.effects import Effect
-from sklearn_vbjfa.robot import FitOptions, _plan
+from sklearn_vbjfa.equations import _plan
+from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import (
     arm,
     inverse_dynamics,

@@ -17,12 +17,9 @@ from sklearn_vbjfa.effects import (  # noqa: E402
     JointZero,
     TorqueGain,
 )
-from sklearn_vbjfa.robot import (  # noqa: E402
-    FitOptions,
-    ModelValues,
-    piece_moments,
-    sum_moments,
-)
+from sklearn_vbjfa.equations import piece_moments, sum_moments  # noqa: E402
+from sklearn_vbjfa.fit import ModelValues  # noqa: E402
+from sklearn_vbjfa.robot import FitOptions  # noqa: E402
 from tests._quick import one_in  # noqa: E402
 from tests.effects._arms import arm, motion  # noqa: E402
 from tests.effects._faults import faulty, measured  # noqa: E402

@@ -13,19 +13,16 @@ from sklearn_vbjfa.effects import (
     Spring,
     Stribeck,
 )
-from sklearn_vbjfa.robot import (
-    FitOptions,
-    PDDrive,
-    RecordingStates,
-    slopes,
-)
-from sklearn_vbjfa.robot._output_error import (
+from sklearn_vbjfa.equations import RecordingStates
+from sklearn_vbjfa.fit import slopes
+from sklearn_vbjfa.fit._output_error import (
     Normal,
     Windows,
     deviations,
     propagate,
     run_windows,
 )
+from sklearn_vbjfa.robot import FitOptions, PDDrive
 from sklearn_vbjfa.simulation import (
     simulate,
     simulate_controlled,

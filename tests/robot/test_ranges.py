@@ -10,7 +10,8 @@ from sklearn.linear_model import LinearRegression
 pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier, effects, load_identified
-from sklearn_vbjfa.robot import FitOptions, SignalRanges
+from sklearn_vbjfa.equations import SignalRanges
+from sklearn_vbjfa.robot import FitOptions
 from tests.effects._arms import arm, inverse_dynamics, motion
 
 MODEL = arm("ZYX")

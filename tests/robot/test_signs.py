@@ -9,10 +9,10 @@ from numpy.testing import assert_allclose, assert_array_equal
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa._core._smoothing import interpolate
 from sklearn_vbjfa.datasets import make_robot_recording
+from sklearn_vbjfa.fit._signs import expected
 from sklearn_vbjfa.inspection import most_explaining
 from sklearn_vbjfa.recording import take_arrays
 from sklearn_vbjfa.robot import CurrentDrive, VoltageDrive
-from sklearn_vbjfa.robot._signs import expected
 
 ARM = make_robot_recording(duration=20.0, dt=0.01, random_state=3)
 

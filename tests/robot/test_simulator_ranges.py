@@ -14,13 +14,9 @@ from sklearn.utils import check_random_state
 pytestmark = pytest.mark.filterwarnings("ignore:The rows are not in the order of time")
 
 from sklearn_vbjfa import RobotIdentifier, load_identified  # noqa: E402
+from sklearn_vbjfa.fit._between import _RecordingEffects  # noqa: E402
 from sklearn_vbjfa.physical import min_eigenvalue  # noqa: E402
-from sklearn_vbjfa.robot import (  # noqa: E402
-    BetweenRecordings,
-    Marginal,
-    Posterior,
-)
-from sklearn_vbjfa.robot._posterior import _RecordingEffects  # noqa: E402
+from sklearn_vbjfa.robot import BetweenRecordings, Marginal, Posterior  # noqa: E402
 from tests._quick import checkered  # noqa: E402
 from tests.model._mujoco import drive_torques, moving_states  # noqa: E402
 from tests.model.test_mjcf import assert_same  # noqa: E402
@@ -234,7 +230,7 @@ def test_neither_units_nor_order_nor_pieces_matter(urdf, several, monkeypatch):
     order = np.argsort(np.random.default_rng(0).permutation(6)[labels], kind="stable")
     again = RobotIdentifier(urdf, bodies="fixed")
     check(again.fit(X[order], y[order], groups=labels[order]))
-    monkeypatch.setattr("sklearn_vbjfa.robot._equations.CHUNK_BYTES", 2_000)
+    monkeypatch.setattr("sklearn_vbjfa.equations._equations.CHUNK_BYTES", 2_000)
     check(RobotIdentifier(urdf, bodies="fixed").fit(X, y, groups=labels))
 
 

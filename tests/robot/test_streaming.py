@@ -13,7 +13,8 @@ from sklearn_vbjfa import RigidBodyFeatures, RobotIdentifier
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.datasets import make_robot_recording
 from sklearn_vbjfa.effects import Ripple
-from sklearn_vbjfa.robot import BlockAssignment, FitOptions, _equations
+from sklearn_vbjfa.equations import BlockAssignment, _equations
+from sklearn_vbjfa.robot import FitOptions
 from tests.model._trees import build, by_sample
 
 FRICTION = ("viscous", "coulomb")

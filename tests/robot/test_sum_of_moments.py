@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.testing import assert_allclose
 
-from sklearn_vbjfa.robot import piece_moments, sum_moments
+from sklearn_vbjfa.equations import piece_moments, sum_moments
 
 
 def joint_moments(*rows):

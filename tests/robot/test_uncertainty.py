@@ -9,7 +9,9 @@ pytest.importorskip("pinocchio")
 
 from sklearn_vbjfa import RobotIdentifier
 from sklearn_vbjfa.datasets import make_robot_recording
-from sklearn_vbjfa.robot import BlockAssignment, FitOptions, _identifier
+from sklearn_vbjfa.equations import BlockAssignment
+from sklearn_vbjfa.fit import _identifier
+from sklearn_vbjfa.robot import FitOptions
 from tests._quick import one_in
 from tests.effects._arms import arm, inverse_dynamics, motion
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa import IdentifiedRobot, RigidBodyFeatures
 from sklearn_vbjfa.effects import Motion, resolve
-from sklearn_vbjfa.robot import Plan, is_plain
+from sklearn_vbjfa.equations import Plan, is_plain
 from tests.model._robots import random_body
 from tests.model._trees import ALIGNED, OBLIQUE, build
 

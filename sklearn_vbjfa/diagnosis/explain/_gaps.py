@@ -10,9 +10,9 @@ from sklearn.base import clone
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, fit_memory
 from sklearn_vbjfa.effects import Shaped, closure
+from sklearn_vbjfa.equations._equations import make_motion
 from sklearn_vbjfa.inspection import one_speed
 from sklearn_vbjfa.model._trees import is_prismatic
-from sklearn_vbjfa.robot._equations import make_motion
 
 # What takes less than this off a joint's squared error is not worth reporting.
 SMALLEST_GAIN = 0.02

@@ -4,9 +4,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from sklearn_vbjfa.equations._features import nominal_followers
 from sklearn_vbjfa.model._loading import nominal_parameters
-from sklearn_vbjfa.robot._features import nominal_followers
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # Inertial parameters of a body, Pinocchio's.
 _INERTIAL = 10

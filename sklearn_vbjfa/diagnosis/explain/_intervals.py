@@ -11,8 +11,12 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
 from sklearn_vbjfa.effects import Shaped
-from sklearn_vbjfa.robot._equations import TorqueResiduals, held_columns, make_motion
-from sklearn_vbjfa.robot._joint_moments import BlockAssignment
+from sklearn_vbjfa.equations._equations import (
+    TorqueResiduals,
+    held_columns,
+    make_motion,
+)
+from sklearn_vbjfa.equations._joint_moments import BlockAssignment
 
 # Probability below the upper end of an interval, and above its lower end.
 _UPPER_END = 0.95

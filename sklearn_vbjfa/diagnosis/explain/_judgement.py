@@ -18,9 +18,9 @@ from sklearn_vbjfa.diagnosis.explain._identified import recorded_motion
 from sklearn_vbjfa.diagnosis.explain._intervals import FinalFit, error_intervals
 from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.effects import Shaped
+from sklearn_vbjfa.equations._equations import torque_spread
+from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.robot._equations import torque_spread
-from sklearn_vbjfa.robot._identifier import RobotIdentifier
 from sklearn_vbjfa.robot._windows import CommandFollower, tell_once
 
 # At most so much of the held-out part is simulated [s]: the beginnings of its

@@ -48,8 +48,8 @@ from sklearn_vbjfa.effects import (
     resolve,
 )
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
+from sklearn_vbjfa.robot._channels import HALF_WIDTH, ChannelGains
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
-from sklearn_vbjfa.robot._gains import HALF_WIDTH, ChannelGains
 from sklearn_vbjfa.robot._spreads import body_masses
 
 # Why the values of an effect give it no name.

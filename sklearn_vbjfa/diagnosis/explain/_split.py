@@ -8,13 +8,13 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._view import counted_rows, even_weight
+from sklearn_vbjfa.equations._equations import derivative
+from sklearn_vbjfa.equations._plan import observe, resolve_cutoff, resolve_standstill
+from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.recording import (
     contiguous_groups,
     take_rows,
 )
-from sklearn_vbjfa.robot._equations import derivative
-from sklearn_vbjfa.robot._plan import observe, resolve_cutoff, resolve_standstill
-from sklearn_vbjfa.robot._states import fit_states
 
 # Stretches of a single recording: a robot does not do the same all the time, and what
 # it does last need not be like the rest.

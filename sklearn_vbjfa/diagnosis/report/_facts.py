@@ -8,7 +8,7 @@ import numpy as np
 from sklearn_vbjfa.diagnosis.report import _words as words
 from sklearn_vbjfa.diagnosis.report._verdict import interval
 from sklearn_vbjfa.effects import BaseTilt, JointAxis, JointZero, TorqueGain
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 
 # One of a SI unit in the unit that is read off an instrument.
 _FINE = {"rad": (180.0 / math.pi, "degrees"), "m": (1e3, "mm")}

@@ -12,7 +12,7 @@ from tabulate import tabulate
 from sklearn_vbjfa.diagnosis.explain import ABOVE_FLOOR
 from sklearn_vbjfa.diagnosis.report import _facts, _figures, _pictures
 from sklearn_vbjfa.diagnosis.report import _words as words
-from sklearn_vbjfa.robot._gains import HALF_WIDTH
+from sklearn_vbjfa.robot._channels import HALF_WIDTH
 from sklearn_vbjfa.robot._spreads import held_text
 
 # Characters of a terminal's line, and of the longest word that a table leaves whole.

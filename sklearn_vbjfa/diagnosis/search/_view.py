@@ -15,8 +15,8 @@ from sklearn_vbjfa.diagnosis.search._blocks import (
     make_blocks,
     phase_blocks,
 )
+from sklearn_vbjfa.equations._equations import make_motion, plain_coefficients
 from sklearn_vbjfa.recording import check_clock
-from sklearn_vbjfa.robot._equations import make_motion, plain_coefficients
 
 # Most samples that are looked at.
 _SAMPLES = 50_000

@@ -14,14 +14,8 @@ from sklearn_vbjfa.diagnosis.explain import (
     MotionLimit,
     NextRecording,
 )
-from sklearn_vbjfa.robot import (
-    AlikeValue,
-    BodyMass,
-    ChannelGains,
-    CommonGain,
-    Departure,
-    KnownMass,
-)
+from sklearn_vbjfa.fit import AlikeValue, Departure
+from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report._pages import section_of, text_of
 

@@ -9,7 +9,7 @@ pytest.importorskip("pinocchio")
 from sklearn_vbjfa import effects
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.diagnosis.search._view import reduced
-from sklearn_vbjfa.robot import Equations
+from sklearn_vbjfa.equations import Equations
 from tests.diagnosis._recordings import DT
 from tests.diagnosis.search._searches import CLEAN, search
 

@@ -16,16 +16,16 @@ from sklearn_vbjfa.effects import (
     TorqueLag,
     resolve,
 )
-from sklearn_vbjfa.model import is_prismatic, joint_names
-from sklearn_vbjfa.recording import check_cutoff, check_dt
-from sklearn_vbjfa.robot._parallel import run
-from sklearn_vbjfa.robot._states import (
+from sklearn_vbjfa.equations._parallel import run
+from sklearn_vbjfa.equations._states import (
     RecordingStates,
     SplineStates,
     StateEstimator,
     of_joints,
     smooth_segment,
 )
+from sklearn_vbjfa.model import is_prismatic, joint_names
+from sklearn_vbjfa.recording import check_cutoff, check_dt
 
 # Quantile that defines a joint's top speed: the fastest, without outliers.
 _FAST = 0.995

@@ -14,6 +14,8 @@ from scipy import linalg, stats
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import Payload, TorqueGain
+from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, LOST, noise_weights
 from sklearn_vbjfa.model._trees import body_names
 from sklearn_vbjfa.robot._channels import (
     HALF_WIDTH,
@@ -22,8 +24,6 @@ from sklearn_vbjfa.robot._channels import (
     CommonGain,
     KnownMass,
 )
-from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, LOST, noise_weights
-from sklearn_vbjfa.robot._plan import effect_places
 
 # ... so that two of them differ by its square at most.
 _WIDEST = LIMIT**2

@@ -9,6 +9,7 @@ from sklearn.base import BaseEstimator, TransformerMixin
 from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa.effects import check_declared, declared, declared_columns
+from sklearn_vbjfa.equations._followers import ChainJoint, Follower
 from sklearn_vbjfa.model import (
     CorrectedModel,
     TorqueDerivatives,
@@ -20,7 +21,6 @@ from sklearn_vbjfa.model import (
 from sklearn_vbjfa.model._loading import import_pinocchio
 from sklearn_vbjfa.model._mjcf import FollowingJoint
 from sklearn_vbjfa.physical import INERTIAL_NAMES
-from sklearn_vbjfa.robot._followers import ChainJoint, Follower
 
 
 class RigidBodyFeatures(TransformerMixin, BaseEstimator):

@@ -3,7 +3,7 @@
 import numpy as np
 
 from sklearn_vbjfa.effects import CommandDelay
-from sklearn_vbjfa.robot._estimate import widening, with_prior
+from sklearn_vbjfa.fit._estimate import widening, with_prior
 
 # Standard deviation of the logarithm of a rotor inertia around its reference: a factor
 # of two, as descriptions differ from what is measured.

@@ -22,11 +22,11 @@ from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa.effects import OfChannel, declared_columns, own_motions
+from sklearn_vbjfa.equations._equations import motion_of, regressor_rows
+from sklearn_vbjfa.equations._plan import CUTOFF_PER_BANDWIDTH
+from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.recording import take_rows
-from sklearn_vbjfa.robot._equations import motion_of, regressor_rows
-from sklearn_vbjfa.robot._estimate import project
-from sklearn_vbjfa.robot._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.robot._windows import tell_once
 from sklearn_vbjfa.simulation import (
     SimulationError,

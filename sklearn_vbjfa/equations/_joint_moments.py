@@ -6,7 +6,7 @@ import numpy as np
 
 from sklearn_vbjfa._core._linear_systems import block_variance
 from sklearn_vbjfa._core._moments import Moments
-from sklearn_vbjfa.robot._ranges import SignalRanges, sum_ranges
+from sklearn_vbjfa.equations._ranges import SignalRanges, sum_ranges
 
 # Number of blocks over all recordings of a fit, and the fewest rows per block: 2.5
 # periods of the cut-off.

@@ -12,13 +12,9 @@ from scipy.special import logsumexp
 
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa.effects import declared
-from sklearn_vbjfa.model import (
-    is_prismatic,
-    joint_names,
-    nominal_parameters,
-    solid_bodies,
-)
-from sklearn_vbjfa.robot._bodies import (
+from sklearn_vbjfa.equations._equations import held_columns
+from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.fit._bodies import (
     DESCRIBED,
     RIVALS,
     SCALES,
@@ -27,10 +23,14 @@ from sklearn_vbjfa.robot._bodies import (
     inverse_of,
     propagated,
 )
+from sklearn_vbjfa.fit._estimate import widening, with_prior
+from sklearn_vbjfa.model import (
+    is_prismatic,
+    joint_names,
+    nominal_parameters,
+    solid_bodies,
+)
 from sklearn_vbjfa.robot._channels import HALF_WIDTH
-from sklearn_vbjfa.robot._equations import held_columns
-from sklearn_vbjfa.robot._estimate import widening, with_prior
-from sklearn_vbjfa.robot._plan import effect_places
 
 # What tells one leg, arm or finger from another in the names of joints, beside numbers.
 _SIDES = frozenset(

@@ -16,19 +16,19 @@ from sklearn_vbjfa._core._lowpass import (
 )
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.effects import Motion, declared_columns, own_motions
-from sklearn_vbjfa.model import is_prismatic, rounding_entries
-from sklearn_vbjfa.physical import one_blas_thread
-from sklearn_vbjfa.recording._repetition import find_repetition
-from sklearn_vbjfa.robot._joint_moments import (
+from sklearn_vbjfa.equations._joint_moments import (
     BlockAssignment,
     MomentSums,
     joint_entries,
     piece_moments,
     sum_moments,
 )
-from sklearn_vbjfa.robot._parallel import run
-from sklearn_vbjfa.robot._plan import effect_places
-from sklearn_vbjfa.robot._ranges import SignalRanges
+from sklearn_vbjfa.equations._parallel import run
+from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.equations._ranges import SignalRanges
+from sklearn_vbjfa.model import is_prismatic, rounding_entries
+from sklearn_vbjfa.physical import one_blas_thread
+from sklearn_vbjfa.recording._repetition import find_repetition
 
 # Periods of the state cut-off at each end in which the smoother sees one side only.
 _EDGE_PERIODS = 1.0

@@ -8,12 +8,12 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa._core._lowpass import decimate, filter_weight
+from sklearn_vbjfa.equations._equations import Equations
+from sklearn_vbjfa.equations._features import check_as_computed, parameter_names_of
+from sklearn_vbjfa.equations._joint_moments import sum_moments
+from sklearn_vbjfa.equations._recording_checks import check_weight
+from sklearn_vbjfa.fit._estimate import estimate
 from sklearn_vbjfa.recording import check_cutoff, check_dt, contiguous_groups
-from sklearn_vbjfa.robot._equations import Equations
-from sklearn_vbjfa.robot._estimate import estimate
-from sklearn_vbjfa.robot._features import check_as_computed, parameter_names_of
-from sklearn_vbjfa.robot._joint_moments import sum_moments
-from sklearn_vbjfa.robot._recording_checks import check_weight
 
 
 class JointTorqueRegressor(RegressorMixin, BaseEstimator):

@@ -16,7 +16,7 @@ import numpy as np
 
 from sklearn_vbjfa._core import _lowpass
 from sklearn_vbjfa.effects import stops
-from sklearn_vbjfa.robot._parallel import run
+from sklearn_vbjfa.equations._parallel import run
 
 _ORDER = 5
 # The median of abs(x) is 0.6745 standard deviations of a normal variable, and the

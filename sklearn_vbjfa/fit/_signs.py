@@ -4,10 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from sklearn_vbjfa.equations._equations import derivative
+from sklearn_vbjfa.fit._fit import fit_robot
 from sklearn_vbjfa.inspection import most_explaining, signed_columns
 from sklearn_vbjfa.model import nominal_parameters
-from sklearn_vbjfa.robot._equations import derivative
-from sklearn_vbjfa.robot._fit import fit_robot
 
 # Rounds of the whole robot; they end when less than this share of the torque moves.
 _PASSES, _SETTLED = 30, 1e-4

@@ -5,9 +5,9 @@ import numpy as np
 from sklearn_vbjfa._core._groups import Groups
 from sklearn_vbjfa._core._linear_systems import block_variance, scaled_eigen
 from sklearn_vbjfa.effects import OfTime
-from sklearn_vbjfa.robot._bodies import DESCRIBED
-from sklearn_vbjfa.robot._estimate import IDENTIFIABLE, noise_variance
-from sklearn_vbjfa.robot._joint_moments import weighted_parts
+from sklearn_vbjfa.equations._joint_moments import weighted_parts
+from sklearn_vbjfa.fit._bodies import DESCRIBED
+from sklearn_vbjfa.fit._estimate import IDENTIFIABLE, noise_variance
 from sklearn_vbjfa.robot._posterior import (
     BetweenRecordings,
     body_places,

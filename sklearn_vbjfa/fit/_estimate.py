@@ -8,6 +8,15 @@ from sklearn.base import clone
 
 from sklearn_vbjfa._core._linear_systems import ROUNDING, ScaledEigen, scaled_eigen
 from sklearn_vbjfa.effects import declared
+from sklearn_vbjfa.equations._features import nominal_followers
+from sklearn_vbjfa.equations._joint_moments import JointMoments, block_scatter
+from sklearn_vbjfa.equations._plan import effect_places
+from sklearn_vbjfa.fit._bodies import (
+    BodyPosterior,
+    around,
+    as_described,
+    little_learned,
+)
 from sklearn_vbjfa.model import nominal_parameters, solid_bodies
 from sklearn_vbjfa.physical import (
     Options,
@@ -18,15 +27,6 @@ from sklearn_vbjfa.regression import (
     VBJFARegressor,
     fit_moments,
 )
-from sklearn_vbjfa.robot._bodies import (
-    BodyPosterior,
-    around,
-    as_described,
-    little_learned,
-)
-from sklearn_vbjfa.robot._features import nominal_followers
-from sklearn_vbjfa.robot._joint_moments import JointMoments, block_scatter
-from sklearn_vbjfa.robot._plan import effect_places
 from sklearn_vbjfa.robot._spreads import min_eigenvalues
 
 # Largest weight of a joint's equations in units of its mean squared torque: no robot is

@@ -10,13 +10,7 @@ from sklearn.utils.validation import has_fit_parameter
 from sklearn_vbjfa._core import _smoothing
 from sklearn_vbjfa._core._progress import stage
 from sklearn_vbjfa.effects import CommandDelay, TorqueLag
-from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import Recording, check_wait, take_rows
-from sklearn_vbjfa.robot._alike import beside_each_other
-from sklearn_vbjfa.robot._armature import with_positive_rotors
-from sklearn_vbjfa.robot._between import between_recordings, places_between
-from sklearn_vbjfa.robot._bodies import DESCRIBED
-from sklearn_vbjfa.robot._equations import (
+from sklearn_vbjfa.equations._equations import (
     accumulate,
     build_segments,
     equations,
@@ -27,7 +21,17 @@ from sklearn_vbjfa.robot._equations import (
     regressor_rows,
     unexcited_entries,
 )
-from sklearn_vbjfa.robot._estimate import (
+from sklearn_vbjfa.equations._joint_moments import sum_moments
+from sklearn_vbjfa.equations._plan import effect_places, needs_load, observe
+from sklearn_vbjfa.equations._ranges import effect_ranges, sum_ranges
+from sklearn_vbjfa.equations._recording_checks import check_count
+from sklearn_vbjfa.equations._states import RecordingStates
+from sklearn_vbjfa.equations._torque_noise import filtered_noise
+from sklearn_vbjfa.fit._alike import beside_each_other
+from sklearn_vbjfa.fit._armature import with_positive_rotors
+from sklearn_vbjfa.fit._between import between_recordings, places_between
+from sklearn_vbjfa.fit._bodies import DESCRIBED
+from sklearn_vbjfa.fit._estimate import (
     Estimate,
     PlainEstimate,
     beside_description,
@@ -37,7 +41,7 @@ from sklearn_vbjfa.robot._estimate import (
     plain_estimate,
     project,
 )
-from sklearn_vbjfa.robot._gains import (
+from sklearn_vbjfa.fit._gains import (
     channel_gains,
     common_gain,
     gain_places,
@@ -45,15 +49,11 @@ from sklearn_vbjfa.robot._gains import (
     relative_gains,
     with_gains,
 )
-from sklearn_vbjfa.robot._joint_moments import sum_moments
-from sklearn_vbjfa.robot._output_error import refine
-from sklearn_vbjfa.robot._plan import effect_places, needs_load, observe
-from sklearn_vbjfa.robot._ranges import effect_ranges, sum_ranges
-from sklearn_vbjfa.robot._recording_checks import check_count
+from sklearn_vbjfa.fit._output_error import refine
+from sklearn_vbjfa.model import DoubtWarning
+from sklearn_vbjfa.recording import Recording, check_wait, take_rows
 from sklearn_vbjfa.robot._robot import IdentifiedRobot
 from sklearn_vbjfa.robot._spreads import TorqueSpread, known_parameters
-from sklearn_vbjfa.robot._states import RecordingStates
-from sklearn_vbjfa.robot._torque_noise import filtered_noise
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -11,6 +11,40 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.effects import TorqueLag
+from sklearn_vbjfa.equations._equations import numbered
+from sklearn_vbjfa.equations._features import (
+    RigidBodyFeatures,
+    refuse_followers,
+    with_followers,
+)
+from sklearn_vbjfa.equations._plan import (
+    check_effects,
+    delay_of,
+    effect_names,
+    make_plan,
+    observe,
+)
+from sklearn_vbjfa.equations._ranges import ends
+from sklearn_vbjfa.equations._recording_checks import (
+    check_channels,
+    check_drive,
+    check_input_noise,
+    check_length,
+    check_motion,
+    check_speed,
+    check_weight,
+    check_widths,
+    warn_of_disorder,
+)
+from sklearn_vbjfa.equations._states import fit_states
+from sklearn_vbjfa.equations._torque_noise import given_noise
+from sklearn_vbjfa.fit._alike import alike_joints
+from sklearn_vbjfa.fit._bodies import described_bodies
+from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
+from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
+from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.fit._output_error import check_criterion
+from sklearn_vbjfa.fit._signs import signed, with_signs
 from sklearn_vbjfa.inspection import _numbers as number
 from sklearn_vbjfa.inspection import inspect_channels, levels, size_message
 from sklearn_vbjfa.model import DoubtWarning
@@ -27,47 +61,7 @@ from sklearn_vbjfa.recording import (
     signals_for,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._alike import alike_joints
-from sklearn_vbjfa.robot._bodies import described_bodies
-from sklearn_vbjfa.robot._equations import numbered
-from sklearn_vbjfa.robot._features import (
-    RigidBodyFeatures,
-    refuse_followers,
-    with_followers,
-)
-from sklearn_vbjfa.robot._fit import (
-    FitData,
-    Recipe,
-    fit_robot,
-    refine_fit,
-    seems_late,
-)
-from sklearn_vbjfa.robot._gains import check_gains, check_masses, declared_gains
-from sklearn_vbjfa.robot._joint_torque import JointTorqueRegressor
-from sklearn_vbjfa.robot._output_error import check_criterion
-from sklearn_vbjfa.robot._plan import (
-    check_effects,
-    delay_of,
-    effect_names,
-    make_plan,
-    observe,
-)
-from sklearn_vbjfa.robot._ranges import ends
-from sklearn_vbjfa.robot._recording_checks import (
-    check_channels,
-    check_drive,
-    check_input_noise,
-    check_length,
-    check_motion,
-    check_speed,
-    check_weight,
-    check_widths,
-    warn_of_disorder,
-)
 from sklearn_vbjfa.robot._robot import IdentifiedRobot, recording_of
-from sklearn_vbjfa.robot._signs import signed, with_signs
-from sklearn_vbjfa.robot._states import fit_states
-from sklearn_vbjfa.robot._torque_noise import given_noise
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -153,7 +147,7 @@ class FitOptions:
     Examples
     --------
     >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.robot import FitOptions
+    >>> from sklearn_vbjfa.fit import FitOptions
     >>> options = FitOptions(standstill=0.01, alike=None)
     >>> robot = RobotIdentifier("arm.urdf", dt=0.01, options=options)
     """

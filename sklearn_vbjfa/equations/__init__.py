@@ -1,0 +1,25 @@
+"""From recordings to states, regressor matrices, filtered equations and moments."""
+
+from typing import TYPE_CHECKING
+
+from sklearn_vbjfa import _lazily
+
+# What type checkers see of names that are imported when they are asked for.
+if TYPE_CHECKING:
+    from sklearn_vbjfa.equations._equations import TorqueResiduals
+    from sklearn_vbjfa.equations._features import RigidBodyFeatures
+    from sklearn_vbjfa.equations._states import StateEstimator
+
+__all__ = ["RigidBodyFeatures", "StateEstimator", "TorqueResiduals"]
+
+# What is not in __all__ is for other rooms and for tests.
+_MODULES = {
+    "_equations": ("Equations", "TorqueResiduals", "is_plain"),
+    "_features": ("RigidBodyFeatures",),
+    "_joint_moments": ("BlockAssignment", "JointMoments", "piece_moments")
+    + ("sum_moments",),
+    "_plan": ("MotionFacts", "Plan"),
+    "_ranges": ("SignalRanges",),
+    "_states": ("RecordingStates", "StateEstimator"),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -1,0 +1,24 @@
+"""From equations to the parameters of a robot, and the estimator that users fit."""
+
+from typing import TYPE_CHECKING
+
+from sklearn_vbjfa import _lazily
+
+# What type checkers see of names that are imported when they are asked for.
+if TYPE_CHECKING:
+    from sklearn_vbjfa.fit._identifier import FitOptions, RobotIdentifier
+    from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
+
+__all__ = ["FitOptions", "JointTorqueRegressor", "RobotIdentifier"]
+
+# What is not in __all__ is for other rooms and for tests.
+_MODULES = {
+    "_alike": ("AlikeValue",),
+    "_bodies": ("Departure",),
+    "_fit": ("ModelValues",),
+    "_identifier": ("FitOptions", "RobotIdentifier"),
+    "_joint_torque": ("JointTorqueRegressor",),
+    "_output_error": ("slopes",),
+    "_signs": ("signed",),
+}
+__getattr__, __dir__ = _lazily(__name__, _MODULES)

@@ -9,9 +9,9 @@ from sklearn_vbjfa.diagnosis.search._path import tuned_on
 from sklearn_vbjfa.diagnosis.search._posterior import Found, FoundModel, in_order
 from sklearn_vbjfa.diagnosis.search._view import RecordingView
 from sklearn_vbjfa.effects import Shaped
+from sklearn_vbjfa.equations._features import RigidBodyFeatures
+from sklearn_vbjfa.equations._states import of_joints
 from sklearn_vbjfa.model import import_pinocchio
-from sklearn_vbjfa.robot._features import RigidBodyFeatures
-from sklearn_vbjfa.robot._states import of_joints
 
 # A robot of up to this many joints is searched as a whole, in which an effect may join
 # two branches, such as a coupling through a common drive: so are arms, and most hands.

@@ -314,50 +314,43 @@ def check_time_stamps(t, dt, parts):
     if t is None:
         return
     time = check_rows_of_time(t, parts[-1].stop)
-    rows = np.delete(np.arange(time.size - 1), [part.stop - 1 for part in parts[:-1]])
-    step = np.diff(time)[rows]
-    back = rows[step <= 0]
-    if back.size:
-        raise ValueError(
-            f"t must rise within a recording; it does not after row {listed(back)} "
-            f"({time[back[0]]:.6g} s, then {time[back[0] + 1]:.6g} s). Drop repeated "
-            "rows, or begin another recording there (groups)."
-        )
-    if dt is None:
-        return
-    dt = check_dt(dt)
+    dt = None if dt is None else check_dt(dt)
     for part in parts:
-        count = part.stop - part.start - 1
-        took = time[part.stop - 1] - time[part.start]
-        # One gap does not make another sample period.
-        usual = np.median(np.diff(time[part])) if count else dt
-        far = max(_WRONG_PERIOD * count, 1.0) * dt
-        slower = abs(usual - dt) > _WRONG_PERIOD * dt and abs(took - count * dt) > far
-        if abs(usual - dt) > _MISSING * dt or slower:
+        step, start = np.diff(time[part]), part.start
+        back = np.flatnonzero(step <= 0)
+        if back.size:
+            a, b = time[start + back[0] : start + back[0] + 2]
             raise ValueError(
-                f"The time stamps of the recording from row {part.start} advance by "
-                f"{took / count:.6g} s a row ({usual:.6g} s in the median), but "
-                f"dt={dt:.6g} s. Correct dt, or resample onto equidistant times."
+                f"t must rise within a recording; it does not after row "
+                f"{listed(start + back)} ({a:.6g} s, then {b:.6g} s). Drop repeated "
+                "rows, or begin another recording there (groups)."
             )
-    gap = rows[step > _MISSING * dt]
-    if gap.size:
-        raise ValueError(
-            f"Samples are missing: the time stamps step by up to {step.max():.6g} s, "
-            f"with dt={dt:.6g} s, {gap.size} times by more than {_MISSING} dt (after "
-            f"row {listed(gap)}). Resample onto equidistant times, or begin another "
-            "recording after each gap (groups)."
-        )
-    off = np.abs(step / dt - 1)
-    odd = rows[off > _JITTER]
-    if odd.size:
-        warnings.warn(
-            f"{odd.size} of {step.size} steps between time stamps differ from "
-            f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} %, at most by "
-            f"{100 * off.max():.0f} % (after row {listed(odd)}); rows count as "
-            "equidistant. Resample, unless only the stamps are irregular.",
-            UserWarning,
-            stacklevel=3,
-        )
+        if dt is None or not step.size:
+            continue
+        # One gap does not make another sample period.
+        usual, off = np.median(step), abs(step.sum() - step.size * dt)
+        slower = abs(usual - dt) > _WRONG_PERIOD * dt
+        slower &= off > max(_WRONG_PERIOD * step.size, 1.0) * dt
+        gap = start + np.flatnonzero(step > _MISSING * dt)
+        odd = start + np.flatnonzero(np.abs(step / dt - 1) > _JITTER)
+        if slower or abs(usual - dt) > _MISSING * dt or gap.size:
+            gaps = f"; after row {listed(gap)} samples are missing" if gap.size else ""
+            raise ValueError(
+                f"The time stamps of the recording from row {start} advance by "
+                f"{step.mean():.6g} s a row ({usual:.6g} s in the median, at most "
+                f"{step.max():.6g} s), but dt={dt:.6g} s{gaps}. Correct dt, resample "
+                "onto equidistant times, or begin another recording after each gap "
+                "(groups)."
+            )
+        if odd.size:
+            warnings.warn(
+                f"{odd.size} of {step.size} steps between time stamps differ from "
+                f"dt={dt:.6g} s by more than {100 * _JITTER:.0f} % (after row "
+                f"{listed(odd)}); rows count as equidistant. Resample, unless "
+                "only the stamps are irregular.",
+                UserWarning,
+                stacklevel=3,
+            )
 
 
 # -- interpolation ---------------------------------------------------------------------

@@ -108,8 +108,8 @@ class OfferedSignals:
 
     def numbers(self, n_samples):
         """Return the columns that are numbers, a dict of arrays (n_samples,)."""
-        read = {name: as_numbers(x, n_samples) for name, x in self.columns.items()}
-        return {name: values for name, (values, reason) in read.items() if not reason}
+        read = {name: as_numbers(x, n_samples)[0] for name, x in self.columns.items()}
+        return {name: values for name, values in read.items() if values is not None}
 
     @property
     def names(self):
@@ -173,8 +173,7 @@ def _asked_for(effects, given, offered, n_samples):
         raise ValueError(
             f"signals has {twice[0]!r}, which is a column of X as well; give it once."
         )
-    users = [effect for effect in effects if "signals" in effect.needs]
-    wanted = {name for effect in users for name in effect.recorded}
+    wanted = {x for effect in _users(effects) for x in effect.recorded}
     for name in wanted & set(offered.names):
         found[name] = offered.column(name, n_samples)
     missing = sorted(wanted - set(found))
@@ -187,14 +186,18 @@ def _asked_for(effects, given, offered, n_samples):
     return found, wanted, offered
 
 
+def _users(effects):
+    return [effect for effect in effects if "signals" in effect.needs]
+
+
 def signals_for(effects, given, offered, n_samples):
     """Return the signals that effects use by name, a dict of arrays (n_samples,)."""
     # given: by name, or `OfferedSignals`; offered: `OfferedSignals` of the same rows.
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
-    if not any("signals" in effect.needs for effect in effects):
-        return {}
+    if wanted or not _users(effects):
+        return found if wanted else {}
     # An effect of one's own, of which nobody knows what it uses, takes all.
-    return found if wanted else found | offered.numbers(n_samples)
+    return found | offered.numbers(n_samples)
 
 
 def check_useful(given, recording):
@@ -216,21 +219,28 @@ def survey(given, offered, recording, effects):
     found, wanted, offered = _asked_for(effects, given, offered, n_samples)
     check_useful(found, recording)
     reasons = {k: v for k, v in offered.left_out.items() if k not in wanted}
-    for name, values in offered.columns.items():
-        if name in wanted:
-            continue
-        values, reason = as_numbers(values, n_samples)
-        if not reason:
-            reason = fault(values, recording, _FOLLOWS)
+    for name in (x for x in offered.columns if x not in wanted):
+        values, reason = as_numbers(offered.columns[name], n_samples)
+        reason = reason or fault(values, recording, _FOLLOWS)
         if reason:
             reasons[name] = reason
         else:
             found[name] = values
-    users = [effect for effect in effects if "signals" in effect.needs]
+    users = _users(effects)
     if users and all(effect.recorded for effect in users):
         # Each names the one that it is meant for.
         found = {name: found[name] for name in found if name in wanted}
-    return found, tuple(_finding(*one) for one in reasons.items())
+    findings = [
+        ChannelFinding(
+            # What is known already is not left out.
+            kind="copied_signal" if _COPIED in reason else "unusable_signal",
+            joints=(),
+            severity="warning",
+            message=f"The column {name!r} is not used as a signal: it {reason}.",
+        )
+        for name, reason in reasons.items()
+    ]
+    return found, tuple(findings)
 
 
 def fault(values, recording, share=_COPY):
@@ -307,35 +317,21 @@ def _shared(x, y):
 
 def _is_clock(values, recording):
     """Whether a column counts time, or rows, in each recording."""
-    t = recording.t
+    t = recording.clock(stamped=False) if recording.t is None else recording.t
     if t is None:
-        if recording.dt is None:
-            return False
-        t = recording.dt * np.arange(recording.n_samples)
+        return False
     period = recording.dt or float(np.median(np.diff(t)))
     slopes, wander = [], 0.0
     for part in recording.segments:
         time, x = (column[part] - column[part].mean() for column in (t, values))
-        if not time.any():
-            continue
-        slopes.append((time @ x) / (time @ time))
-        wander = max(wander, np.abs(x - slopes[-1] * time).max())
-    slopes = np.array(slopes)
+        if time.any():
+            slopes.append((time @ x) / (time @ time))
+            wander = max(wander, np.abs(x - slopes[-1] * time).max())
     return any(
-        np.abs(slopes / unit - 1).max(initial=0.0) <= _CLOCK_TOLERANCE
+        np.abs(np.array(slopes) / unit - 1).max() <= _CLOCK_TOLERANCE
         and wander <= unit * period
         for unit in (*_CLOCKS, 1 / period)
-        if slopes.size
-    )
-
-
-def _finding(name, reason):
-    return ChannelFinding(
-        # What is known already is not left out.
-        kind="copied_signal" if _COPIED in reason else "unusable_signal",
-        joints=(),
-        severity="warning",
-        message=f"The column {name!r} is not used as a signal: it {reason}.",
+        if slopes
     )
 
 

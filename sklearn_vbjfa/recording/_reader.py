@@ -312,8 +312,7 @@ def _table(path, options):
     """Read the table of a file that nobody writes to meanwhile."""
     before, broken, table = _version(path), None, None
     try:
-        commanded = "q_desired" in options.recorded
-        table = read_table(path, options.topic, lambda: options.joints, commanded)
+        table = read_table(path, options.topic, lambda: options.joints)
     except ValueError as error:
         broken = error
     if _version(path) != before:

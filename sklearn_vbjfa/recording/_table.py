@@ -112,7 +112,6 @@ class Wanted:
 
     topic: str | None = None  # of a bag; None for the only one of joint states
     joints: Callable = lambda: ()  # returns the robot's, empty for all
-    commanded: bool = False  # whether commanded positions are needed
 
 
 # -- files that are damaged, too large or empty, packages that are missing -------------

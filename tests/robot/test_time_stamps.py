@@ -35,16 +35,16 @@ def test_regular_stamps_pass():
 def test_jitter_is_told():
     t = stamps()
     t[[20, 70]] += [0.3 * DT, -0.2 * DT]
-    message = r"4 of 98 steps .* dt=0\.01 s by more than 10 %, at most by 30 % \(after "
-    with pytest.warns(UserWarning, match=message + r"row 19, 20, 69, 70\); rows count"):
+    message = r"2 of 59 steps .* by more than 10 % \(after row 19, 20\); rows count"
+    with pytest.warns(UserWarning, match=message):
         check_time_stamps(t, DT, PARTS)
 
 
 def test_gaps_are_refused_and_named():
     t = stamps()
     t[30:60] += 4 * DT
-    message = r"step by up to 0\.05 s, with dt=0\.01 s, 1 times .* \(after row 29\)"
-    with pytest.raises(ValueError, match=message + r"\. Resample onto .*groups"):
+    message = r"at most 0\.05 s\), but dt=0\.01 s; after row 29 samples are missing"
+    with pytest.raises(ValueError, match=message):
         check_time_stamps(t, DT, PARTS)
     # a border there is what is asked for
     check_time_stamps(t, DT, [slice(0, 30), slice(30, 60), slice(60, 100)])
@@ -66,7 +66,7 @@ def test_stamps_that_do_not_rise():
 @pytest.mark.parametrize("factor", [0.5, 0.99, 1.01, 2.0, 100.0])
 def test_another_sample_period(factor):
     t = np.arange(1000) * DT * factor
-    with pytest.raises(ValueError, match=r"from row 0 advance by .*but dt=0\.01 s\. C"):
+    with pytest.raises(ValueError, match=r"from row 0 advance by .*but dt=0\.01 s"):
         check_time_stamps(t, DT, [slice(0, 1000)])
 
 

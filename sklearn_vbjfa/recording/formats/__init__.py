@@ -68,13 +68,12 @@ _MARKS = ("metadata.yaml", "meta/info.json")
 _CHUNK = 1 << 20
 
 
-def read_table(path, topic=None, joints=lambda: (), commanded=False) -> Table:
+def read_table(path, topic=None, joints=lambda: ()) -> Table:
     """Read a file's columns, at least one and one row."""
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
-    # topic: topic of a bag; joints: function that returns the robot's joints;
-    # commanded: whether commanded positions are needed.
+    # topic: topic of a bag; joints: function that returns the robot's joints.
     path = expanded(path)
-    wanted = Wanted(topic=topic, joints=joints, commanded=commanded)
+    wanted = Wanted(topic=topic, joints=joints)
     with contextlib.ExitStack() as stack:
         read = _read_folder if path.is_dir() else _read_file
         table = read(stack, path, wanted)

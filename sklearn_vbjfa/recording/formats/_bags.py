@@ -24,10 +24,6 @@ BAGS = {
     ".mcap": "mcap recover {} -o whole.mcap",
 }
 _TYPE = "sensor_msgs/msg/JointState"
-# Of controllers of ROS: commanded and measured positions in one message.
-_CONTROLLER = "control_msgs/msg/JointTrajectoryControllerState"
-# Topics of joint states that are commands, by words in their names.
-_COMMAND = re.compile("command|desired|target|goal|reference|cmd", re.IGNORECASE)
 
 
 def bag_files(folder):
@@ -51,7 +47,7 @@ def _packs_messages(folder):
 
 
 def read_bag(files, shown, wanted) -> Table:
-    """Read positions and efforts, or commanded positions, of the joints in a bag."""
+    """Read positions and efforts of the joints in a bag."""
     try:
         from rosbags.highlevel import AnyReader
         from rosbags.typesys import Stores, get_typestore
@@ -69,28 +65,17 @@ def read_bag(files, shown, wanted) -> Table:
         parsing(shown, "bag", remedy),
         AnyReader(files, default_typestore=store) as bag,
     ):
-        choose, take = (_states, _joint_states)
-        if wanted.commanded:
-            choose, take = (_commands, _commanded)
-        connections = choose(bag, shown, wanted)
-        frame, clock = _messages(bag, shown, connections, wanted.commanded)
-        topics = listed(sorted({x.topic for x in connections}))
-        return take(shown, topics, frame, clock, wanted.joints())
+        connections = _connections(bag, shown, wanted)
+        frame, clock = _messages(bag, shown, connections)
+        return _joint_states(shown, connections[0].topic, frame, clock, wanted.joints())
 
 
 # -- messages as rows ------------------------------------------------------------------
 
 
-def _messages(bag, shown, connections, commanded):
+def _messages(bag, shown, connections):
     """Return what messages say, a row each, columns (channel, joint), and times."""
     pandas = pandas_of(shown)
-    unknown = {x.msgtype for x in connections} - set(bag.typestore.fielddefs)
-    if unknown:
-        raise RecordingRefused(
-            f"{shown}: has messages of {listed(sorted(unknown))} and not their "
-            "definition: record with --storage mcap, or convert the bag to MCAP where "
-            "ROS knows it."
-        )
     count = sum(x.msgcount for x in connections)
     if 200 * count > LARGEST:
         raise RecordingRefused(
@@ -101,69 +86,26 @@ def _messages(bag, shown, connections, commanded):
     messages = bag.messages(connections=connections)
     for number, (connection, received, raw) in enumerate(messages, start=1):
         message = bag.deserialize(raw, connection.msgtype)
-        joints, channels = _channels(message, connection.topic, commanded)
+        # Without names the numbers of the joints must do.
+        count = len(message.position)
+        joints = tuple(message.name) or tuple(str(k + 1) for k in range(count))
+        known = {"q": message.position, "v": message.velocity, "tau": message.effort}
+        channels = {k: x for k, x in known.items() if len(x) == len(joints) > 0}
         stamp = message.header.stamp
         times = number, stamp.sec * 10**9 + stamp.nanosec, received
-        kind = kinds.setdefault((connection.topic, joints, tuple(channels)), [])
+        kind = kinds.setdefault((joints, tuple(channels)), [])
         kind.append((times, np.concatenate([[], *channels.values()])))
     frames, clocks = [], []
-    for (topic, joints, channels), rows in kinds.items():
+    for (joints, channels), rows in kinds.items():
         columns = pandas.MultiIndex.from_product([channels or ["none"], joints])
         times, values = zip(*rows)
         clock = pandas.DataFrame(times, columns=["number", "stamp", "received"])
-        clocks.append(clock.assign(topic=topic).set_index("number"))
+        clocks.append(clock.set_index("number"))
         if channels:
             frames.append(pandas.DataFrame(values, clocks[-1].index, columns))
     clock = pandas.concat(clocks).sort_index()
     frame = pandas.concat(frames) if frames else pandas.DataFrame()
     return frame.reindex(clock.index), clock
-
-
-def _channels(message, topic, commanded):
-    """Return the joints of a message, and its channels that have a value for each."""
-    after = "_desired" if commanded and _COMMAND.search(topic) else ""
-    if hasattr(message, "joint_names"):
-        # ROS 2 has other names for them since 2023.
-        aim = getattr(message, "reference", None) or message.desired
-        read = getattr(message, "feedback", None) or message.actual
-        names = tuple(message.joint_names)
-        channels = {"q_desired": aim.positions, "v_desired": aim.velocities}
-        channels |= {"q": read.positions, "v": read.velocities}
-    else:
-        # Without names the numbers of the joints must do.
-        count = len(message.position)
-        names = tuple(message.name) or tuple(str(k + 1) for k in range(count))
-        channels = {f"q{after}": message.position, f"v{after}": message.velocity}
-        channels |= {} if commanded else {"tau": message.effort}
-    return names, {k: x for k, x in channels.items() if len(x) == len(names) > 0}
-
-
-def _table(shown, frame, clock, joints, channels, notes):
-    """Return the table of some joints' channels, those without any number left out."""
-    # Times are those of the headers, unless these stand still.
-    times = clock.stamp
-    if not (clock.groupby("topic").stamp.nunique() > 1).all():
-        notes.append(
-            "the stamps in the headers stand still; times are those of the recorder."
-        )
-        times = clock.received
-    if clock.topic.nunique() > 1:
-        times = times.sort_values(kind="stable")
-        frame = frame.loc[times.index]
-    columns = {"t": (times - times.iloc[0]) / 1e9}
-    numbered = all(name.isdecimal() for name in joints)
-    for channel in channels:
-        known = frame[channel] if channel in frame else frame[[]]
-        if set(joints) <= set(known) and known[joints].notna().any().all():
-            mark = "" if numbered else "_"
-            columns |= {f"{channel}{mark}{name}": known[name] for name in joints}
-    return Table(
-        path=shown,
-        frame=pandas_of(shown).DataFrame(columns),
-        place="message {}",
-        joints=() if numbered else tuple(joints),
-        notes=tuple(notes),
-    )
 
 
 def _joint_states(shown, topic, frame, clock, wanted):
@@ -205,36 +147,34 @@ def _joint_states(shown, topic, frame, clock, wanted):
             "joints taken, or numbers of theirs, and are left out."
         )
         notes.append(Loss(note) if lost else note)
-    frame, channels = frame[rows], ["q", "tau"]
+    frame, clock, channels = frame[rows], clock[rows], ["q", "tau"]
     if "v" in frame and set(joints) <= set(frame["v"]):
         channels += ["v"] * bool(np.isfinite(frame["v"][joints]).all(axis=None))
-    return _table(shown, frame, clock[rows], joints, channels, notes)
-
-
-def _commanded(shown, topics, frame, clock, wanted):
-    """Make a table of positions and of those that were commanded."""
-    commanded, read = (
-        set(frame[x].dropna(axis=1, how="all")) if x in frame else set()
-        for x in ("q_desired", "q")
-    )
-    joints = sorted(commanded & read & set(wanted) or commanded & read)
-    if not joints:
-        raise RecordingRefused(
-            f"{shown}: no joint of {topics} has both a position and a commanded one; "
-            "record both by the same names."
+    # Times are those of the headers, unless these stand still.
+    times = clock.stamp
+    if times.nunique() < 2:
+        notes.append(
+            "the stamps in the headers stand still; times are those of the recorder."
         )
-    notes = [
-        f"read from {topics}: positions [rad or m] as q and commanded ones as "
-        f"q_desired of {', '.join(joints)}."
-    ]
-    channels = ["q", "v", "q_desired", "v_desired"]
-    return _table(shown, frame, clock, joints, channels, notes)
+        times = clock.received
+    numbered = all(name.isdecimal() for name in joints)
+    columns = {"t": (times - times.iloc[0]) / 1e9}
+    for channel in channels:
+        mark = "" if numbered else "_"
+        columns |= {f"{channel}{mark}{name}": frame[channel][name] for name in joints}
+    return Table(
+        path=shown,
+        frame=pandas_of(shown).DataFrame(columns),
+        place="message {}",
+        joints=() if numbered else tuple(joints),
+        notes=tuple(notes),
+    )
 
 
 # -- which topic -----------------------------------------------------------------------
 
 
-def _states(bag, shown, wanted):
+def _connections(bag, shown, wanted):
     """Return the connections of the topic that was asked for, or of the only one."""
     states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
     topics = sorted({x.topic for x in states})
@@ -256,42 +196,14 @@ def _states(bag, shown, wanted):
     if len(topics) > 1:
         able = [x for x in topics if _has_joints(bag, states, x, wanted.joints())]
         if len(able) != 1:
-            raise _ambiguous(shown, topics, (able or topics)[0])
+            raise RecordingRefused(
+                f"{shown}: holds {len(topics)} topics of joint states: "
+                f"{listed(topics)}; give --topic with one of them (in Python: "
+                "topic=...).",
+                {"topic": (able or topics)[0]},
+            )
         topics = able
     return [x for x in states if x.topic == topics[0]]
-
-
-def _commands(bag, shown, wanted):
-    """Return connections of a controller, or of joint states and of their commands."""
-    named = (wanted.topic, f"/{wanted.topic}")
-    used = [x for x in bag.connections if x.msgcount]
-    found = [x for x in used if x.msgtype == _CONTROLLER]
-    found = [x for x in found if wanted.topic is None or x.topic in named]
-    topics = sorted({x.topic for x in found})
-    if len(topics) > 1:
-        raise _ambiguous(shown, topics, topics[0])
-    states = [x for x in used if x.msgtype == _TYPE]
-    commands = {x.topic for x in states if _COMMAND.search(x.topic)}
-    others = {x.topic for x in states} - commands
-    others = others if wanted.topic is None else others & {*named}
-    if not found and len(commands) == 1 and len(others) == 1:
-        found = [x for x in states if x.topic in commands | others]
-    if not found:
-        raise RecordingRefused(
-            f"{shown}: holds {len(others)} topic(s) of joint states and "
-            f"{len(commands)} of commanded ones; expected one of "
-            f"{_CONTROLLER.replace('/msg', '')}, or one of each, that of commands "
-            f"called so, {_all(bag)}."
-        )
-    return found
-
-
-def _ambiguous(shown, topics, offered):
-    return RecordingRefused(
-        f"{shown}: holds {len(topics)} topics of joint states: {listed(topics)}; give "
-        "--topic with one of them (in Python: topic=...).",
-        {"topic": offered},
-    )
 
 
 def _has_joints(bag, states, topic, joints):

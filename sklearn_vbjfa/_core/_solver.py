@@ -10,7 +10,7 @@ from collections import deque
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from scipy import linalg, optimize
+from scipy import linalg
 
 from sklearn_vbjfa._core._linear_systems import scaled_eigen
 from sklearn_vbjfa._core._updates import (
@@ -444,8 +444,8 @@ def at_highest_likelihood(moments, state, prior):
     # Unless the input noise alone contributes more to s than least squares leaves, the
     # maximum has V_m the variance of x_m, c the least-squares solution and s its
     # residual variance; EM approaches it slowly where inputs are strongly correlated.
-    # Known input noise is kept, unless it implies more output noise than there is,
-    # since V and c then depend on each other. Unknown noise keeps its ratio to the
+    # Known input noise is kept; if it implies more output noise than there is, the
+    # maximum is not explicit. Unknown noise keeps its ratio to the
     # signal, or all ratios are lowered by one factor, so that their share of the output
     # noise is that in `state`.
     n, variance = moments.n, moments.xx / moments.n
@@ -463,7 +463,7 @@ def at_highest_likelihood(moments, state, prior):
     through = c**2 * variance @ odds
     if through > s:
         if prior.psi_x_fixed is not None:
-            return _all_from_inputs(moments, state, c, used)
+            return None
         old = coefficients_noisy(state) ** 2 @ (
             state.psi_x * (state.w_x_mean**2 + state.psi_x) / state.w_x_mean**2
         )
@@ -484,42 +484,6 @@ def at_highest_likelihood(moments, state, prior):
         psi_x=psi_x,
         psi_y=max(rest * state.psi_y, VARIANCE_FLOOR),
         psi_z=np.maximum(rest * state.psi_z, VARIANCE_FLOOR),
-    )
-
-
-def _all_from_inputs(moments, state, c, used):
-    """State of highest likelihood whose output has no noise but that of its inputs."""
-    # Known noise psi that implies more output noise s than least squares leaves: then
-    # psi_y and psi_z vanish, where EM stands still. What is left is a smooth function
-    # of c and u = log(w_x^2), with s = sum(c^2 psi (1 + psi / w_x^2)).
-    n, d, psi = moments.n, c.size, state.psi_x
-    variance = moments.xx / n
-
-    def cost(vector):
-        c, w2 = vector[:d], np.exp(vector[d:])
-        V = w2 + psi
-        S_xe, S_ee = moments.residual(c)
-        g = psi * V / w2
-        s = max(c**2 @ g, VARIANCE_FLOOR)
-        on_s = 1.0 / s - S_ee / (n * s * s)
-        on_c = 2 * (on_s * g * c - S_xe / (n * s))
-        on_u = (1.0 - variance / V) * w2 / V - on_s * c**2 * psi**2 / w2
-        value = np.log(V).sum() + (variance / V).sum() + np.log(s) + S_ee / (n * s)
-        return value, np.where(np.tile(used, 2), np.append(on_c, on_u), 0.0)
-
-    signal = np.log(np.maximum(variance - psi, VARIANCE_FLOOR))
-    options = {"maxiter": 10_000, "ftol": 0.0, "gtol": 1e-10, "maxcor": 50}
-    found = optimize.minimize(
-        cost, np.append(c, signal), jac=True, method="L-BFGS-B", options=options
-    )
-    c, w_x = found.x[:d], np.exp(0.5 * found.x[d:])
-    w_x *= np.where(state.w_x_mean < 0, -1.0, 1.0)
-    return replace(
-        state,
-        w_z_mean=np.where(used, c * (w_x**2 + psi) / w_x, 0.0),
-        w_x_mean=np.where(used, w_x, state.w_x_mean),
-        psi_y=VARIANCE_FLOOR,
-        psi_z=np.full(d, VARIANCE_FLOOR),
     )
 
 

@@ -7,7 +7,6 @@ alone. Requires Dask (``pip install "sklearn-vbjfa[dask]"``).
 
 import contextvars
 import functools
-import hashlib
 import operator
 import warnings
 from functools import partial
@@ -71,9 +70,8 @@ def fit_recordings(identifier, source):
     FileNotFoundError
         If the folder holds no recording.
     ValueError
-        If a file cannot be read, has another sample period or number of joints, or
-        changes during the fit, or if settings need more than second moments (effects,
-        other regressors).
+        If a file cannot be read or has another sample period or number of joints, or
+        if settings need more than second moments (effects, other regressors).
 
     Notes
     -----
@@ -117,11 +115,11 @@ def _identify(identifier, paths):
 
     def every(text, function, *arguments):
         tasks = [(function, read, path, *arguments) for path in paths]
-        return _counted(text, _of_file, tasks)
+        results = _on_workers(_of_file, tasks)
+        return counted(results, text, "files", len(tasks) * [1])
 
     extents = list(every("lengths", _extent))
     lengths = [n for one in extents for n in one["lengths"]]
-    read = partial(read, digests={p: one["digest"] for p, one in zip(paths, extents)})
     estimator = _choose_states(identifier, every, extents, lengths)
     keep = n_fastest(sum(lengths))
     merge = partial(MotionFacts.merge, keep=keep)
@@ -180,11 +178,6 @@ def _alone(function, *arguments):
         return contextvars.Context().run(function, *arguments)
 
 
-def _counted(text, function, tasks):
-    """Yield the results of workers, counting files."""
-    return counted(_on_workers(function, tasks), text, "files", len(tasks) * [1])
-
-
 def _paths(source):
     """Return the files of a folder, or those of a list, each once."""
     if isinstance(source, (str, PathLike)):
@@ -220,24 +213,14 @@ def _check_settings(identifier):
 # -- one file, on a worker -------------------------------------------------------------
 
 
-def _read(path, *, dt, urdf, names, digests=None):
-    """Read a file; with digests it must be what it was."""
+def _read(path, *, dt, urdf, names):
+    """Read a file with the joints of the robot."""
     recording = read_recording(path, dt=dt, urdf=urdf)
-    if digests is not None and _digest(recording) != digests[path]:
-        raise ValueError(f"{path} changed during the fit; wait until it is complete.")
     try:
         check_widths(names, recording.q, recording.tau)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     return recording
-
-
-def _digest(recording):
-    """Digest the positions and torques of a recording."""
-    digest = hashlib.blake2b(digest_size=16)
-    for values in (recording.q, recording.tau):
-        digest.update(np.ascontiguousarray(values))
-    return digest.digest()
 
 
 def _of_file(function, read, path, *arguments):
@@ -248,7 +231,6 @@ def _of_file(function, read, path, *arguments):
 def _extent(recording, path):
     parts = recording.segments
     return {
-        "digest": _digest(recording),
         "lengths": [part.stop - part.start for part in parts],
         "torques": levels(recording.tau),
         "moving": np.any([np.ptp(recording.q[p], axis=0) > 0 for p in parts], axis=0),

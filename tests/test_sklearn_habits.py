@@ -1,10 +1,7 @@
 """What users of scikit-learn expect beside its checks: frames, copies, notebooks."""
 
-import inspect
 import pickle
 import re
-import typing
-from importlib import resources
 
 import numpy as np
 import pytest
@@ -28,10 +25,7 @@ from sklearn_vbjfa import (
     StepwiseRegressor,
     TotalLeastSquares,
     VBJFARegressor,
-    datasets,
-    diagnosis,
     effects,
-    physical,
 )
 from sklearn_vbjfa.datasets import make_robot_recording
 
@@ -285,43 +279,3 @@ def test_fitted_discoveries_are_pickled(recording):
     np.testing.assert_array_equal(
         found.predict(recording.q[:50]), loop.predict(recording.q[:50])
     )
-
-
-# -- types ----------------------------------------------------------------------------
-
-
-def annotated():
-    """Public functions, methods and constructors that carry annotations."""
-    found = {}
-    for module in (sklearn_vbjfa, datasets, diagnosis, effects, physical):
-        for name in module.__all__:
-            thing = getattr(module, name)
-            if inspect.isfunction(thing):
-                found[name] = thing
-                continue
-            for key, value in vars(thing).items():
-                if inspect.isfunction(value) and (
-                    key == "__init__" or not key.startswith("_")
-                ):
-                    found[f"{name}.{key}"] = value
-    return {name: f for name, f in found.items() if f.__annotations__}
-
-
-def test_the_package_says_that_it_is_typed():
-    assert resources.files("sklearn_vbjfa").joinpath("py.typed").is_file()
-    assert len(annotated()) > 20
-
-
-@pytest.mark.parametrize("name", annotated())
-def test_annotations_name_what_exists(name):
-    function = annotated()[name]
-    hints = typing.get_type_hints(function, localns={"pin": pin})
-    assert set(hints) <= {*inspect.signature(function).parameters, "return"}
-
-
-def test_loaders_say_what_they_return():
-    for name, function in vars(datasets).items():
-        if name.startswith(("load_", "make_", "fetch_", "read_", "simulate_")):
-            assert "return" in function.__annotations__, name
-    found = typing.get_type_hints(datasets.load_demo_recording)["return"]
-    assert isinstance(datasets.load_demo_recording(), found)

@@ -235,9 +235,7 @@ class SecondMoments:
     xx: np.ndarray
     xy: np.ndarray
     yy: float
-    # (d, d) S_xx; None with fewer rows than inputs, where the rows themselves are the
-    # root
-    S: np.ndarray | None
+    S: np.ndarray  # (d, d): S_xx
     # square root with more digits than S, used for products
     root: SquareRoot | None = None
 
@@ -276,9 +274,7 @@ class SecondMoments:
 
     def is_exact(self, share):
         """Whether some linear function leaves at most this share of y's variance."""
-        # Known for fewer rows than inputs, and given a square root.
-        if self.S is None:
-            return self.root.R.shape[0] <= self.root.R.shape[1]
+        # Known with a square root.
         return self.root is not None and self.root.rest <= share * self.yy
 
     def without_last_digits(self):
@@ -321,31 +317,15 @@ class Standardised:
         return out
 
 
-def _standard_units(squares, mean, n):
-    """Scales of the columns [X y] from the sums of squares of n samples."""
-    # Returns the fields of `Standardised` except its moments, and the columns in use
-    # with their units (that of y is never zero).
-    spread = np.sqrt(np.maximum(squares, 0.0) / n)
-    varies = ~is_constant(spread, mean)
-    used = np.append(varies[:-1], True)
-    units = spread[used]
-    if not varies[-1]:
-        units[-1] = 1.0
-    names = {
-        "active": varies[:-1],
-        "x_scale": units[:-1],
-        "y_scale": float(spread[-1]) if varies[-1] else 0.0,
-        "x_offset": mean[:-1],
-        "y_offset": float(mean[-1]),
-    }
-    return names, used, units
-
-
 def standardise(moments, *, centred):
     """Scale moments to unit variance (unit mean square if uncentred)."""
     scatter = moments.scatter_about(centred=centred)
     n, mean = moments.n_samples, moments.mean * centred
-    names, used, units = _standard_units(np.diagonal(scatter), mean, n)
+    spread = np.sqrt(np.maximum(np.diagonal(scatter), 0.0) / n)
+    varies = ~is_constant(spread, mean)
+    # y is used in any case, in a unit that is not zero.
+    used = np.append(varies[:-1], True)
+    units = np.where(varies, spread, 1.0)[used]
     scatter = scatter[np.ix_(used, used)] / np.outer(units, units)
     root, factor = None, moments.factor_about(centred=centred)
     if factor is not None:
@@ -363,35 +343,14 @@ def standardise(moments, *, centred):
         xx=np.diagonal(S).copy(),
         root=root,
     )
-    return Standardised(moments=second, **names)
-
-
-def standardise_data(X, y, weight=None, *, centred):
-    """Like `standardise`, holding the (weighted, centred, scaled) rows themselves."""
-    X, y, weight = _with_weight(X, y, weight)
-    rows = np.column_stack([X, y])
-    if centred:
-        origin = rows[0].copy()
-        rows -= origin
-        n, mean = _centre(rows, weight)
-        mean += origin
-    else:
-        w = np.ones(X.shape[0]) if weight is None else weight
-        n, mean = float(w.sum()), np.zeros(rows.shape[1])
-        rows *= np.sqrt(w)[:, None]
-    squares = np.einsum("ij,ij->j", rows, rows)
-    names, used, units = _standard_units(squares, mean, n)
-    rows = rows[:, used] / units
-    R, z = rows[:, :-1], rows[:, -1]
-    second = SecondMoments(
-        n=n,
-        S=None,
-        xy=R.T @ z,
-        yy=float(z @ z),
-        xx=np.einsum("ij,ij->j", R, R),
-        root=SquareRoot(R=R, z=z, rest=0.0),
+    return Standardised(
+        moments=second,
+        active=varies[:-1],
+        x_scale=units[:-1],
+        y_scale=float(spread[-1]) if varies[-1] else 0.0,
+        x_offset=mean[:-1],
+        y_offset=float(mean[-1]),
     )
-    return Standardised(moments=second, **names)
 
 
 # ------------------------------------------------------- the rounding of the scatter

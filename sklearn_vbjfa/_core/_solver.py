@@ -541,7 +541,7 @@ def solve(moments, state, prior, *, max_iter, tol):
         rounded = IndependentProblem(moments.without_last_digits(), prior)
         steps = QuasiNewtonSteps(rounded, tol)
         found = climb(steps, rounded.evaluate(state), max_iter)
-        if found.status == "converged" and not prior.ard and moments.S is not None:
+        if found.status == "converged" and not prior.ard:
             # The last step is an iteration too.
             if found.n_iter < max_iter:
                 found = _end(problem, found)

@@ -27,8 +27,6 @@ from sklearn_vbjfa.regression._base import (
     resolve_input_noise,
 )
 
-# Up to this many features the scatter matrix is cheap, however few the rows are.
-_GRAM_FEATURES = 256
 # Coefficients whose variances are numbers.
 _LARGEST_UNIT = 1e140
 
@@ -62,13 +60,6 @@ class BaseJointFactorRegressor(BaseRegressor):
             Fitted estimator.
         """
         X, y, weight = self._check_rows(X, y, sample_weight, min_samples=2)
-        wide = X.shape[1] > max(X.shape[0], _GRAM_FEATURES)
-        if wide and self._accepts_data_moments():
-            # Fewer rows than columns: the rows themselves are the smaller form.
-            self.statistics_ = None
-            return self._fit(
-                _moments.standardise_data(X, y, weight, centred=self.fit_intercept)
-            )
         stats = _moments.accumulate(X, y, weight, centred=self.fit_intercept)
         return self._fit_moments(stats)
 
@@ -90,19 +81,8 @@ class BaseJointFactorRegressor(BaseRegressor):
         -------
         self : object
             Fitted estimator.
-
-        Raises
-        ------
-        ValueError
-            If the estimator was fitted by `fit` to fewer samples than features, which
-            keeps no statistics to add to.
         """
-        first = getattr(self, "statistics_", None) is None
-        if first and hasattr(self, "coef_"):
-            raise ValueError(
-                "partial_fit cannot continue a fit with fewer samples than features, "
-                "which keeps no statistics; start with partial_fit instead of fit."
-            )
+        first = not hasattr(self, "statistics_")
         X, y, weight = self._check_rows(X, y, sample_weight, reset=first)
         old = None if first else self.statistics_
         centred = self.fit_intercept
@@ -113,9 +93,6 @@ class BaseJointFactorRegressor(BaseRegressor):
             if _moments.loses_digits(total, X, y, weight, centred=centred):
                 _warn_lost_digits(type(self).__name__)
         return self._fit_moments(total)
-
-    def _accepts_data_moments(self):
-        return True
 
     def _fit_moments(self, moments):
         self.statistics_ = moments
@@ -338,8 +315,8 @@ class JFARegressor(BaseJointFactorRegressor):
         Number of iterations.
     converged_ : bool
         Whether the gain of an iteration fell below `tol`; see Notes.
-    statistics_ : Moments or None
-        Count, means and scatter; None when there were fewer samples than features.
+    statistics_ : Moments
+        Count, means and scatter of the rows.
     n_features_in_ : int
         Number of features seen during fit.
     feature_names_in_ : ndarray of shape (n_features,)
@@ -367,8 +344,7 @@ class JFARegressor(BaseJointFactorRegressor):
     more output noise than there is, fewer samples than features, and an exact fit,
     which has no highest likelihood.
 
-    An iteration costs O(d^2), whatever the number of samples, on sufficient
-    statistics; with more features than samples O(n d) on the data.
+    An iteration costs O(d^2), whatever the number of samples.
 
     References
     ----------
@@ -476,17 +452,6 @@ def _coefficient_covariance(moments, s, precision):
     # With z and t integrated out, y | x ~ N(c'x, s), so that c has the precision
     # S_xx / s plus that of its prior. The variational variances, conditional on the
     # private z of each input, would be far too small.
-    if moments.S is None:
-        # Woodbury with n < d; inputs without a prior have no finite variance.
-        if not np.all(precision > 0):
-            return np.full((moments.xx.size, moments.xx.size), np.inf)
-        rows = moments.root.R
-        scaled = rows / precision
-        inner = scaled @ rows.T
-        inner[np.diag_indices_from(inner)] += s
-        return np.diag(1.0 / precision) - scaled.T @ linalg.solve(
-            inner, scaled, assume_a="pos"
-        )
     if np.all(precision > 0):
         root = 1.0 / np.sqrt(precision)
         A = moments.S * np.outer(root, root) / s

@@ -106,8 +106,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
         Number of iterations.
     converged_ : bool
         Whether the increase fell below `tol`.
-    statistics_ : Moments or None
-        Count, means and scatter; None if there were fewer samples than features.
+    statistics_ : Moments
+        Count, means and scatter of the rows.
     n_features_in_ : int
         Number of features seen during fit.
     feature_names_in_ : ndarray of shape (n_features,)
@@ -145,8 +145,8 @@ class VBJFARegressor(BaseJointFactorRegressor):
     inputs, one with a precision for each input and one with a common precision, unless
     there is no selection.
 
-    An iteration costs O(d^2) with independent latent inputs (O(n d) with more features
-    than samples) and O(d^3) with correlated ones, for any number of samples.
+    An iteration costs O(d^2) with independent latent inputs and O(d^3) with correlated
+    ones, for any number of samples.
 
     References
     ----------
@@ -199,9 +199,6 @@ class VBJFARegressor(BaseJointFactorRegressor):
         self.max_iter = max_iter
         self.tol = tol
 
-    def _accepts_data_moments(self):
-        return self.latent != "correlated"
-
     def _fit(self, data):
         noise = resolve_input_noise(self.input_noise, data.active.shape[0])
         if self._resolve_latent(data) == "correlated":
@@ -229,7 +226,7 @@ class VBJFARegressor(BaseJointFactorRegressor):
             return "independent"
         d = data.x_scale.size
         few = data.moments.n <= d and d > CUBIC_FEATURES
-        return "independent" if few or data.moments.S is None else "correlated"
+        return "independent" if few else "correlated"
 
     def _fit_correlated(self, data, noise):
         d = data.active.shape[0]

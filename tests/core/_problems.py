@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from sklearn_vbjfa._core._moments import SecondMoments, SquareRoot
+from sklearn_vbjfa._core._moments import SecondMoments
 from sklearn_vbjfa._core._solver import evaluate, plain_step
 from sklearn_vbjfa._core._updates import Prior, State
 from tests.reference import paper_jfa as ref
@@ -26,18 +26,6 @@ def as_gram(X, y):
     S = X.T @ X
     return SecondMoments(
         n=float(len(y)), S=S, xy=X.T @ y, yy=float(y @ y), xx=np.diagonal(S).copy()
-    )
-
-
-def as_rows(X, y):
-    """Hold the same moments as the rows."""
-    return SecondMoments(
-        n=float(len(y)),
-        S=None,
-        xy=X.T @ y,
-        yy=float(y @ y),
-        xx=(X**2).sum(axis=0),
-        root=SquareRoot(R=X, z=y, rest=0.0),
     )
 
 

@@ -62,7 +62,8 @@ def test_units_at_the_ends_of_the_range_are_only_units(estimator):
             assert np.isfinite(estimator.coef_std_).all()
 
 
-@pytest.mark.parametrize("input_noise", [None, 0.05, 0.3])
+# Known noise that makes no more output noise than there is.
+@pytest.mark.parametrize("input_noise", [None, 1e-4])
 @pytest.mark.parametrize("seed", range(3))
 def test_columns_of_joint_factors_in_another_order(input_noise, seed):
     rng = np.random.default_rng(seed)

@@ -9,7 +9,6 @@ from sklearn.exceptions import ConvergenceWarning
 from sklearn.utils._param_validation import InvalidParameterError
 
 from sklearn_vbjfa import VBJFARegressor
-from sklearn_vbjfa.regression import _joint_factor
 from tests.regression._problems import assert_same_fit, least_squares, make_regression
 
 
@@ -219,22 +218,6 @@ def test_constant_output_is_the_intercept(kind, value):
     assert_allclose(model.predict(X), value, rtol=1e-14)
     assert not model.relevant_.any()
     assert model.output_noise_ == 0.0
-
-
-@unconverged
-@pytest.mark.parametrize("kind", INDEPENDENT)
-def test_rows_and_statistics_give_the_same_fit(monkeypatch, kind):
-    monkeypatch.setattr(_joint_factor, "_GRAM_FEATURES", 0)
-    X, y, _ = make_regression(14, 12, 18)
-    rows = make_model(kind, **ALIKE).fit(X, y)
-    gram = make_model(kind, **ALIKE).partial_fit(X, y)
-    assert rows.statistics_ is None
-    # Two ways to round, through some hundred iterations.
-    scale = np.abs(gram.coef_noisy_).max()
-    assert_allclose(rows.coef_noisy_, gram.coef_noisy_, atol=1e-4 * scale)
-    assert_allclose(rows.coef_std_, gram.coef_std_, rtol=1e-3)
-    with pytest.raises(ValueError, match=r"fewer samples than features.*partial_fit"):
-        rows.partial_fit(X, y)
 
 
 def test_noise_that_leaves_no_signal_is_named():

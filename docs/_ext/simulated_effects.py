@@ -127,6 +127,7 @@ def uses():
             coef=(-40.0, 10.0),
         ),
         Use(effect=effects.Ripple(joint=1, period=0.35), coef=(2.0, 1.0)),
+        Use(effect=effects.FrictionByPosition(joint=1, period=2.0), coef=(2.0, 1.0)),
         Use(effect=effects.RotorInertia(joint=3), coef=(0.4,), joint=3),
         Use(
             effect=effects.Coupling(joint=4, other=5, ratio=1.0),

@@ -76,7 +76,13 @@ from sklearn_vbjfa.effects._motion import (
     outside,
     own_motions,
 )
-from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._position import (
+    Counterbalance,
+    FrictionByPosition,
+    Offset,
+    Ripple,
+    Spring,
+)
 from sklearn_vbjfa.effects._unnamed import UnnamedTorque
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
@@ -92,6 +98,7 @@ __all__ = [
     "Drift",
     "Effect",
     "Elastic",
+    "FrictionByPosition",
     "GearLoss",
     "InFiles",
     "InModel",

@@ -18,7 +18,13 @@ from sklearn_vbjfa.effects._friction import (
 from sklearn_vbjfa.effects._in_model import BaseTilt, JointAxis, JointZero, TorqueGain
 from sklearn_vbjfa.effects._memory import Backlash, MaxwellSlip
 from sklearn_vbjfa.effects._motion import Motion
-from sklearn_vbjfa.effects._position import Counterbalance, Offset, Ripple, Spring
+from sklearn_vbjfa.effects._position import (
+    Counterbalance,
+    FrictionByPosition,
+    Offset,
+    Ripple,
+    Spring,
+)
 from sklearn_vbjfa.effects._varying import Drift, Payload, Signal
 
 _LIBRARY = {
@@ -37,6 +43,7 @@ _LIBRARY = {
         Spring,
         Counterbalance,
         Ripple,
+        FrictionByPosition,
         RotorInertia,
         Coupling,
         CouplingSpring,

@@ -4,7 +4,9 @@ import numpy as np
 from sklearn.base import clone
 
 from sklearn_vbjfa.effects._base import (
+    ANGLE,
     POSITION,
+    RATIO,
     STIFFNESS,
     TORQUE,
     Effect,
@@ -12,9 +14,10 @@ from sklearn_vbjfa.effects._base import (
     Shaped,
 )
 
-# Longest and shortest period to try: of a revolute joint [rad], and as shares of the
-# range of a prismatic one.
+# Longest and shortest period of a ripple to try on a revolute joint [rad], and most
+# periods within the range of the motion, of a ripple and of friction.
 _LONGEST, _SHORTEST = np.radians(75.0), np.radians(2.0)
+_MOST, _FEW = 60.0, 6.0
 # Linkages to try: shorter over longer distance from the axis, and angles [degrees].
 _RATIOS = (0.2, 0.5, 0.85)
 _ANGLES = tuple(range(0, 360, 15))
@@ -114,7 +117,7 @@ class Counterbalance(Shaped):
         r" \quad l^2 = 1 + \mathrm{ratio}^2 - 2\,\mathrm{ratio} \cos x"
         r"\quad \text{or} \quad a \cos q + b \sin q + c \cos 2q + d \sin 2q + e"
     )
-    shape_units = (("ratio", ("", "")), ("angle", ("rad", "rad")))
+    shape_units = (("ratio", RATIO), ("angle", ANGLE))
     contains = ("offset", "spring")
     cyclic = ("angle",)
     depends = ("position",)
@@ -204,7 +207,8 @@ _FORMS = ("harmonics", "linkage")
 class Ripple(Shaped):
     """Periodic torque, tau = A cos(2 pi q / period - phase).
 
-    Cogging of motors, teeth of gears, the waves of a harmonic drive [1]_.
+    Cogging of motors, teeth of gears, the waves of a harmonic drive [1]_. A joint may
+    have several, whose periods differ by more than a half.
 
     Parameters
     ----------
@@ -223,11 +227,10 @@ class Ripple(Shaped):
     formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})"
     coefficients = ("c", "s")
     units = (TORQUE, TORQUE)
-    named_units = (("A", TORQUE), ("phase", ("rad", "rad")))
+    named_units = (("A", TORQUE), ("phase", ANGLE))
     shape_units = (("period", POSITION),)
     contains = ("offset",)
-    continuous = ("period",)
-    positive = ("period",)
+    continuous = positive = ("period",)
     depends = ("position",)
     growth = "bounded"
     seen_over = "position"
@@ -248,26 +251,83 @@ class Ripple(Shaped):
 
         return torque
 
+    @property
+    def _band(self):
+        """Number of the half octave of the period."""
+        return int(np.floor(2 * np.log2(self.period)))
+
+    def key(self):
+        """Periods of one half octave are one use of the effect."""
+        return (self.name, self.joint, self._band)
+
+    def excludes(self):
+        return {(self.name, self.joint, self._band + step) for step in (-1, 0, 1)}
+
     def shapes(self, motion):
         """Periods that the motion crosses and the low-pass lets through."""
         reach = motion.range(self.joint)
         if not reach > 0:
             return []
-        longest = reach
-        shortest = reach / 60.0
-        if not motion.prismatic[self.joint]:
-            longest = min(longest, _LONGEST)
-            shortest = max(shortest, _SHORTEST)
+        angle = not motion.prismatic[self.joint]
+        longest, shortest = self._ends(reach, angle)
         # The slower fifth of the motion must take longer for a period than what the
         # low-pass lets through.
         moving = np.abs(motion.v[:, self.joint])
         slow = np.quantile(moving[moving > 0.02 * motion.speed(self.joint)], 0.2)
         shortest = max(shortest, slow / motion.bandwidth)
-        if not shortest < longest:
-            return []
         waves = np.arange(1 / longest, 1 / shortest, _CYCLES / reach)
         return [{"period": float(1 / w)} for w in waves]
+
+    @staticmethod
+    def _ends(reach, angle):
+        """Return the longest and the shortest period for a range of positions."""
+        if angle:
+            return min(reach, _LONGEST), max(reach / _MOST, _SHORTEST)
+        return reach, reach / _MOST
 
     def parameters(self, coef):
         c, s = (float(x) for x in coef)
         return {"A": float(np.hypot(c, s)), "phase": float(np.arctan2(s, c))}
+
+
+class FrictionByPosition(Ripple):
+    """Dry friction whose level varies with the position, A cos(...) sign(v).
+
+    An eccentric wheel, a bent screw, or a seal that rubs more in some places [1]_. Its
+    mean is that of `Coulomb`; a turn of the joint is a period.
+
+    Parameters
+    ----------
+    joint : int, default=0
+        Joint, from zero.
+    period : float, default=0.1
+        Period [rad or m].
+
+    References
+    ----------
+    .. [1] Armstrong-Helouvry, Dupont and Canudas de Wit (1994), section 2,
+       :doi:`10.1016/0005-1098(94)90209-7`
+    """
+
+    name = "friction_by_position"
+    label = "friction that varies with position"
+    formula = r"A \cos(2 \pi q / \mathrm{period} - \mathrm{phase})\,\mathrm{sign}(v)"
+    contains = ("coulomb",)
+    depends = ("position", "direction")
+    with_motion = True
+    record = "motion to and fro over the whole range"
+    terms = (("dry_ripple", "c", "s", "period"),)
+    files = InFiles.nowhere("friction that varies with position")
+
+    def law(self, maths):
+        j, wave, sign = self.joint, super().law(maths), maths.sign(self.joint)
+
+        def torque(state):
+            way = sign(state.v[j], state.a[j])
+            return tuple(way * one for one in wave(state))
+
+        return torque
+
+    @staticmethod
+    def _ends(reach, angle):
+        return (2 * np.pi if angle else 2 * reach), reach / _FEW

@@ -23,9 +23,9 @@ _MASS, _FIRST, _INERTIA = 33, 34, 37
 _STATE = 46
 
 
-# The machine code is kept on disk: only the first use after an installation takes the
-# seconds of the compilation. Fused multiplications and additions round once instead of
-# twice.
+# The machine code is kept on disk, as long as this file is the same: only the first use
+# after an installation takes the seconds of the compilation. Fused multiplications and
+# additions round once instead of twice.
 compiled = numba.njit(
     nogil=True, cache=True, error_model="numpy", fastmath={"contract"}
 )

@@ -18,12 +18,12 @@ from sklearn_vbjfa.effects import HELD, OfChannel
 _NAMES: tuple[str, ...] = ("stribeck", "quadratic", "absolute")
 _NAMES += ("harmonics", "linkage", "ripple", "stop", "backlash")
 _NAMES += ("coupled_dry", "level", "level_dry", "viscous", "spring")
-_NAMES += ("coupled_spring", "bristle")
+_NAMES += ("coupled_spring", "bristle", "dry_ripple")
 KINDS = {name: kind for kind, name in enumerate(_NAMES)}
 _STRIBECK, _QUADRATIC, _ABSOLUTE = range(3)
 _HARMONICS, _LINKAGE, _RIPPLE, _STOP, _BACKLASH = range(3, 8)
 _COUPLED_DRY, _LEVEL, _LEVEL_DRY, _VISCOUS, _SPRING = range(8, 13)
-_COUPLED_SPRING, _BRISTLE = 13, 14
+_COUPLED_SPRING, _BRISTLE, _DRY_RIPPLE = 13, 14, 15
 _DRY = _STRIBECK, _LEVEL_DRY
 _ELEMENTS = _STOP, _BRISTLE
 _REMEMBERING = (*_ELEMENTS, _BACKLASH)
@@ -111,7 +111,7 @@ class TermTable:
         self.remembers[self._joints_of(_REMEMBERING)] = True
         self.bends[self._joints_of([_ABSOLUTE])] = True
         self.has_dry = (self.dry != 0) | (self.load_dry != 0)
-        self.has_dry[self._joints_of(_DRY)] = True
+        self.has_dry[self._joints_of((*_DRY, _DRY_RIPPLE))] = True
 
     def _joints_of(self, kinds):
         return self.joints[np.isin(self.kinds, kinds)]
@@ -242,6 +242,9 @@ def add_terms(kinds, joints, numbers, memory, q, v, out):
             c, s = math.cos(waves * x), math.sin(waves * x)
             placed[j] += size * c + row[1] * s
             by_position[j] += moves_x * waves * (row[1] * c - size * s)
+        elif kind == _DRY_RIPPLE:
+            waves = 2.0 * math.pi / row[2]
+            dry[j] += size * math.cos(waves * x) + row[1] * math.sin(waves * x)
         elif kind == _STOP or kind == _BRISTLE:
             # Its state z on the way `way`, its level, and the slopes of both.
             step = (q[j] - memory[i][0]) / row[1]

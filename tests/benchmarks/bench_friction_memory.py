@@ -28,7 +28,7 @@ ACCEPTED = {
     "gms": {"maxwell_slip", "stribeck"},
     "elasto_plastic": {"maxwell_slip", "stribeck"},
     "lugre": {"maxwell_slip", "stribeck"},
-    "friction_by_position": {"maxwell_slip", "load_friction"},
+    "friction_by_position": {"friction_by_position"},
     "tendon_friction": {"coupling"},
     "tendon_spring": {"coupling_spring"},
     "gear_loss": {"gear_loss", "load_friction", "maxwell_slip", "torque_gain"},

@@ -265,6 +265,10 @@ def closed_forms():
                 np.exp(2j * np.pi * q / 0.4).imag,
             ],
         ),
+        "friction_by_position": (
+            {"period": 1.7},
+            [sign * np.cos(2 * np.pi * q / 1.7), sign * np.sin(2 * np.pi * q / 1.7)],
+        ),
         "rotor_inertia": ({}, [a]),
         "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
         "coupling_spring": ({"other": 0}, [q, Q[:, 0], one]),
@@ -588,6 +592,10 @@ def test_keys_tell_uses_apart_but_not_shapes():
     assert here.key() != effects.Signal(signal="T", of="viscous").key()
     assert effects.Coupling(other=1).key() != effects.Coupling(other=2).key()
     assert effects.Coulomb(0).key() != effects.Coulomb(1).key()
+    # Two ripples of a joint have periods that differ clearly.
+    first, near, far = (effects.Ripple(period=x) for x in (0.1, 0.12, 0.3))
+    assert near.key() in first.excludes()
+    assert far.key() not in first.excludes()
 
 
 # -- what is missing

@@ -182,6 +182,7 @@ TURN = np.linspace(-np.pi, np.pi, 2001)
 # sin x / l in a triangle with the sides 1 and l, the sine of the angle opposite to 1.
 LARGEST = {
     "ripple": [({"period": period}, [1, 1]) for period in (0.04, 0.7)],
+    "friction_by_position": [({"period": 0.7}, [1, 1])],
     "counterbalance": [
         ({}, [1, 1, 1, 1, 1]),
         *(

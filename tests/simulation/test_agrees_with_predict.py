@@ -45,7 +45,7 @@ def some_effects(rng, nv):
         (Drift(j, "viscous", 2.0), [0.2]),
     ]
     if nv > 1:
-        effects.append((Coupling(j, (j + 1) % nv, "other"), [0.05, 0.1, 0.01]))
+        effects.append((Coupling(j, (j + 1) % nv), [0.05, 0.1, 0.01]))
     return [effects[i] for i in np.flatnonzero(rng.random(len(effects)) < 0.5)]
 
 

@@ -382,7 +382,7 @@ def following_joints(effects, coefficients, names):
     ways = {tuple(effect.chain): effect.of for effect, _ in found}
     joints = []
     for effect, own in found:
-        *above, last = map(ChainJoint.of_flat, effect.chain)
+        *above, last = (ChainJoint(*row) for row in effect.chain)
         carrier = ways.get(tuple(effect.chain[:-1]))
         if carrier is None and above:
             carrier = names[above[-1].joint]
@@ -430,10 +430,10 @@ def _follower(body):
             rate=link.rate,
             offset=link.offset,
             slides=link.slides,
-            place=tuple(link.placement.translation),
-            frame=tuple(link.placement.rotation.ravel()),
-            axis=tuple(link.axis),
-        ).flat()
+            place=tuple(link.placement.translation.tolist()),
+            frame=tuple(link.placement.rotation.ravel().tolist()),
+            axis=tuple(np.asarray(link.axis, dtype=float).tolist()),
+        )
         for link in body.chain
     )
     return Follower(

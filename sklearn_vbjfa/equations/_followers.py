@@ -1,6 +1,6 @@
 """The body of a joint that follows another, as an effect of the joint that leads."""
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,8 +13,7 @@ _MASS, _MOMENT = ("kg", "kg"), ("kg m", "kg m")
 _INERTIA = ("kg m^2", "kg m^2")
 
 
-@dataclass(frozen=True, kw_only=True)
-class ChainJoint:
+class ChainJoint(NamedTuple):
     """One joint between the base and a body."""
 
     joint: int  # joint of the robot that moves it, from zero: itself or its leader
@@ -25,29 +24,6 @@ class ChainJoint:
     place: tuple  # its origin in the frame of the joint before it [m]
     frame: tuple  # its axes there, by rows of the rotation matrix
     axis: tuple  # direction about or along which it moves, in its own frame
-
-    def flat(self):
-        """Return all in one row, (18,) of float, as a file holds it."""
-        return (
-            float(self.joint),
-            float(self.rate),
-            float(self.offset),
-            float(self.slides),
-            *map(float, (*self.place, *self.frame, *self.axis)),
-        )
-
-    @classmethod
-    def of_flat(cls, row):
-        """Read what `flat` returned."""
-        return cls(
-            joint=int(row[0]),
-            rate=row[1],
-            offset=row[2],
-            slides=bool(row[3]),
-            place=tuple(row[4:7]),
-            frame=tuple(row[7:16]),
-            axis=tuple(row[16:19]),
-        )
 
 
 class Follower(Effect):
@@ -62,8 +38,8 @@ class Follower(Effect):
         Joint that leads, from zero; all joints that carry the body feel it.
     of : str, default=""
         Name of the joint that follows.
-    chain : tuple of tuple of float, default=()
-        Joints from the base to the body, rows of `ChainJoint.flat`.
+    chain : tuple of tuple, default=()
+        Joints from the base to the body, each as a `ChainJoint`.
     gravity : tuple of three floats, default=(0.0, 0.0, -9.81)
         Gravity in the axes of the base [m/s^2].
 
@@ -92,7 +68,7 @@ class Follower(Effect):
         return self.of
 
     def columns(self, motion):
-        links = [ChainJoint.of_flat(row) for row in self.chain]
+        links = [ChainJoint(*row) for row in self.chain]
         joints, count = [link.joint for link in links], len(links)
         rate, offset = np.array([(link.rate, link.offset) for link in links]).T
         slides = np.array([link.slides for link in links], dtype=float)

@@ -738,24 +738,21 @@ def with_corners(robot, source):
     """Return a fitted robot whose plan knows its corners, None where there are none."""
     # Of drives whose law is known. Torques that are measured belong to controllers
     # which nothing is known of, and may take the jump away.
-    plan, features = robot.plan, robot.features_
+    plan = robot.plan
     estimator, feedback = plan.state_estimator, source.recording.feedback
     if feedback is None or estimator is None:
         return None
-    nothing = np.zeros(source.recording.nv)
-    terms = dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
+    terms, inertia = _joints_of(robot, source)
     recording = source.recording
     command = recording.command + recording.torques(plan.delay) - recording.tau
     torques = [_of_effects(robot, source), command]
     further, commanded = _jumps_of(torques, robot, source)
-    dry = terms.get("coulomb", nothing) + further
+    dry = terms["coulomb"] + further
     if not dry.any():
         return None
     # Friction that is commanded ahead takes the jump away.
     dry = np.maximum(dry - commanded, 0.0)
-    damping = feedback[1] + np.maximum(terms.get("viscous", 0.0), 0.0)
-    rotors = np.maximum(terms.get("rotor_inertia", nothing), 0.0)
-    inertia = _inertias(robot, rotors, source.states)
+    damping = feedback[1] + np.maximum(terms["viscous"], 0.0)
     jumps = [
         jump(*own) for own in zip(dry, inertia, damping, feedback[0], estimator.cutoff_)
     ]
@@ -771,15 +768,13 @@ def without_steps(robot, source):
     recording, dt = source.recording, source.recording.dt
     if recording.feedback is None or robot.plan.state_estimator is None:
         return None
-    terms = dict(zip(robot.features_.friction_, robot.bodies(robot.theta_)[:, 10:].T))
-    rotors = np.maximum(terms.get("rotor_inertia", np.zeros(recording.nv)), 0.0)
+    terms, inertia = _joints_of(robot, source)
     phase = robot.plan.delay / dt % 1.0
     third = phase * (phase - 0.5) * (phase - 1.0) * dt**3 / 6.0
     fourth = ((phase * (phase - 1.0)) ** 2 - 1.0 / 30.0) * dt**4 / 24.0
-    inertia = _inertias(robot, rotors, source.states)
     inertia = np.where(inertia > 0, inertia, np.inf)
     stiffness, damping = recording.feedback
-    losses = damping + np.maximum(terms.get("viscous", 0.0), 0.0)
+    losses = damping + np.maximum(terms["viscous"], 0.0)
     size = (third + losses / inertia * fourth) / inertia
     if (stiffness * np.abs(size) < _LEAST_RIPPLE * dt).all():
         return None
@@ -835,16 +830,19 @@ def _jumps_of(torques, robot, source):
     return [(torque * signs).sum(axis=0) / power for torque in torques]
 
 
-def _inertias(robot, rotors, states):
-    """Inertia (nv,) of each joint while all others are free, in the mean of poses."""
-    # Columns of the inertia matrix are torques that accelerations ask for: bodies that
-    # were fitted need not be physical.
-    nv = rotors.size
+def _joints_of(robot, source):
+    """Friction (nv,) by name, and inertia (nv,) of each joint while others are free."""
+    # The inertia is the mean of poses. Columns of the inertia matrix are torques that
+    # accelerations ask for: bodies that were fitted need not be physical.
+    nv, features = source.recording.nv, robot.features_
+    terms = dict.fromkeys(("coulomb", "viscous", "rotor_inertia"), np.zeros(nv))
+    terms |= dict(zip(features.friction_, robot.bodies(robot.theta_)[:, 10:].T))
+    rotors = np.diag(np.maximum(terms["rotor_inertia"], 0.0))
     a, found = np.vstack([np.zeros(nv), np.eye(nv)]), []
-    for own in states.own:
+    for own in source.states.own:
         for i in np.unique(np.linspace(0, own.shape[0] - 1, _ROWS).astype(int)):
             q = np.tile(own[slice(i, i + 1)].reshape(-1)[:nv], (nv + 1, 1))
-            still, *columns = robot.features_.torques(q, 0.0 * a, a, robot.inertial())
-            mass = np.array(columns) - still + np.diag(rotors)
+            still, *columns = features.torques(q, 0.0 * a, a, robot.inertial())
+            mass = np.array(columns) - still + rotors
             found.append(1.0 / np.diagonal(np.linalg.pinv(mass)))
-    return np.mean(found, axis=0)
+    return terms, np.mean(found, axis=0)

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from sklearn_vbjfa.equations._equations import derivative
 from sklearn_vbjfa.fit._fit import fit_robot
 from sklearn_vbjfa.inspection import most_explaining, signed_columns
 from sklearn_vbjfa.model import nominal_parameters
@@ -65,12 +64,8 @@ def expected(sizes, predicted):
 def _first(features, source, bodies):
     """Torques (n, nv) with likely signs, and joints (nv,) that these explain badly."""
     sizes = source.recording.tau
-    lengths = [part.stop - part.start for part in source.recording.segments]
-    own = [
-        np.hstack([derivative(states, slice(0, n), k) for k in range(3)])
-        for states, n in zip(source.states.own, lengths)
-    ]
-    made = signed_columns(features, np.vstack(own), bodies)
+    own = np.vstack([states[slice(None)] for states in source.states.own])
+    made = signed_columns(features, own, bodies)
     found = [most_explaining(x, sizes[:, j]) for j, x in enumerate(made)]
     predicted = np.column_stack([x @ coef for x, coef in zip(made, found)])
     left = ((sizes - np.abs(predicted)) ** 2).sum(axis=0)

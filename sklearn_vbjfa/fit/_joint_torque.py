@@ -92,9 +92,7 @@ class JointTorqueRegressor(RegressorMixin, BaseEstimator):
     Notes
     -----
     `sample_weight` weights the equations, whether or not the regressor supports
-    weights. Labels in `groups` are requested without being asked for: with metadata
-    routing enabled, ``search.fit(X, y, groups=groups)`` splits by recordings and keeps
-    them apart here.
+    weights. With metadata routing, labels in `groups` are requested.
 
     All joints share one parameter vector, so that nothing may rescale or mix the
     columns between `RigidBodyFeatures` and this estimator: columns that a scaler has

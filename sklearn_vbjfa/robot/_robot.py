@@ -446,16 +446,11 @@ class IdentifiedRobot:
             Joint positions, or states.
         y : array-like of shape (n_samples, nv)
             Measured torques.
-        groups : array-like of shape (n_samples,), default=None
-            Labels of separate recordings.
+        groups, t, signals : default=None
+            As for `predict`.
         sample_weight : array-like of shape (n_samples,) or (n_samples, nv), \
                 default=None
             Weights; zero leaves a sample out.
-        t : array-like of shape (n_samples,), default=None
-            Time [s] on the clock of the fit, for effects that vary with time; None as
-            for `predict`.
-        signals : mapping of str to array-like of shape (n_samples,), default=None
-            Recorded signals, as for `fit`.
         cutoff : "fit", float or None, default="fit"
             Cut-off frequency of the low-pass filter [Hz]; ``"fit"`` uses `cutoff_`,
             None filters nothing.
@@ -463,12 +458,7 @@ class IdentifiedRobot:
         Returns
         -------
         TorqueResiduals
-            Filtered torques, predictions and weights.
-
-        Notes
-        -----
-        Effects are held within their ranges, and dry friction at rest has its mean, as
-        in `predict`.
+            Filtered torques, predictions (as of `predict`) and weights.
         """
         X, signals = self.checked(X, signals)
         y = torques_in_order(y, self.joint_names_)
@@ -560,8 +550,7 @@ class IdentifiedRobot:
 
         Notes
         -----
-        One robot object is for one loop; copy it (`copy.deepcopy`) for another. Nothing
-        is said of motion outside what was fitted, which `predict` warns of.
+        One robot object is for one loop; copy it (`copy.deepcopy`) for another.
         """
         if self._stepper is None:
             object.__setattr__(self, "_stepper", Stepper(self.torque_model()))
@@ -614,13 +603,9 @@ class IdentifiedRobot:
         Notes
         -----
         Friction and all other effects are those of `predict`. Dry friction holds a
-        joint at rest up to its size; the times at which joints stop, turn round and
-        break loose are found, with Runge-Kutta steps of order four between them, or
-        implicit ones (a Rosenbrock method) where friction or a stiffness is steep.
-        Delays, filters and gains of torque channels are taken back from `tau` first.
-
-        Without feedback errors add up: compare with a recording over windows of about a
-        second, each from a measured state (`diagnosis.simulate_windows`).
+        joint at rest up to its size. Delays, filters and gains of torque channels are
+        taken back from `tau` first. Without feedback errors add up: compare with a
+        recording over windows of about a second (`diagnosis.simulate_windows`).
 
         Examples
         --------
@@ -676,9 +661,7 @@ class IdentifiedRobot:
         -----
         The law acts on simulated positions and velocities, at least a thousand times a
         second (`PDDrive.period`), with commands that are held between rows, within
-        its `saturation`. Where a robot is followed closely, positions say little of
-        its parameters: compare the errors with the range of what was commanded minus
-        what was reached.
+        its `saturation`.
         """
         if not isinstance(drive, PDDrive):
             raise ValueError(
@@ -805,15 +788,14 @@ class IdentifiedRobot:
             e_k \sim N(0, s_k^2 (1 + h_k)), \quad \theta_k \ge 0.
 
         theta-hat is `theta_unconstrained_`, and C the covariance of the parameters
-        before the projection. With several recordings, e is a random effect by
-        recording of all parameters that are not of bodies; h is the sum of the squared
-        shares of the recordings in the fitted value, 1/R for R equal ones. The scale s
-        is half-Cauchy around a fifth of the value, at most twice the value, and is
-        drawn from its posterior given the second moments of the recordings.
+        before the projection. e is a random effect by recording of all parameters that
+        are not of bodies; h is the sum of the squared shares of the recordings in the
+        fitted value, 1/R for R equal ones. The scale s is half-Cauchy around a fifth of
+        the value, at most twice the value, given the second moments of the recordings.
 
-        Rows with a negative armature or friction are redrawn by Gibbs sampling (200
-        sweeps). Inconsistent bodies are projected in the metric of their posterior, and
-        the other parameters are drawn given them.
+        Rows with a negative armature or friction are redrawn by Gibbs sampling.
+        Inconsistent bodies are projected in the metric of their posterior, and the
+        other parameters are drawn given them.
         """
         n = check_number("n", n, 1)
         return Posterior.of(self).sample(seed_of(random_state), range(n))
@@ -918,12 +900,10 @@ class IdentifiedRobot:
     def to_mjcf(self, path, sample=None, random_state=0, *, drive=None):
         """Write the identified robot as an MJCF file for MuJoCo.
 
-        Bodies and joints are those of the corrected robot model; no meshes are written.
-        Viscous friction is ``damping``, Coulomb friction ``frictionloss``, rotor
-        inertia ``armature``, a spring ``stiffness`` and ``springref``, a tilted base
-        ``gravity``, an encoder zero ``ref``, and a coupling a fixed tendon. Each joint
-        has a motor of its name, whose control is the reading of the torque channel, or,
-        with a `PDDrive`, the commanded position.
+        Bodies and joints are those of the corrected robot model, with viscous friction,
+        Coulomb friction, rotor inertia, springs and couplings; no meshes are written.
+        Each joint has a motor of its name, whose control is the reading of the torque
+        channel, or, with a `PDDrive`, the commanded position.
 
         Parameters
         ----------

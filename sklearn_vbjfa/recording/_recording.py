@@ -108,44 +108,39 @@ class Recording:
     name : str
         Short name of the data set.
     q : ndarray of shape (n_samples, nv)
-        Joint positions [rad or m, see `position_units`], in the joint order,
-        zero and sign of `robot_model`.
+        Joint positions [rad or m, see `position_units`], in the joint order, zero and
+        sign of `robot_model`.
     tau : ndarray of shape (n_samples, nv)
         Joint torques or forces [see `torque_units`], same order and sign.
     t : ndarray of shape (n_samples,) or None
-        Time since the start of each recording [s]; the logger's stamps if the data
-        were not resampled. None counts `dt` from the first row.
+        Time since the start of each recording [s]; the logger's stamps if the data were
+        not resampled. None counts `dt` from the first row.
     dt : float or None
         Sample period [s]; the median one if `t` is not uniform. None only with
         `states`, whose rows need not be uniformly sampled.
     groups : ndarray of shape (n_samples,)
         Labels of the recordings: 0, 1, 2, ... in order of the rows.
-    group_names : tuple of str
-        Names of the recordings; the index is the label.
-    joint_names : tuple of str
-        Names of the nv joints, as in `robot_model`.
+    group_names, joint_names : tuple of str
+        Names of the recordings by label, and of the joints as in `robot_model`.
     position_units : tuple of {"rad", "m"}
         Unit of each joint.
     torque_units : tuple of {"N m", "N", "A", "V", "count"}
-        Unit of each joint. Units other than "N m" and "N" denote a motor quantity
-        proportional to the torque by an unknown factor.
+        Unit of each joint; other than "N m" and "N", a motor quantity proportional to
+        the torque by an unknown factor.
     v : ndarray of shape (n_samples, nv) or None, default=None
         The robot's own velocities [rad/s or m/s], if recorded.
     states : ndarray of shape (n_samples, 3 * nv) or None, default=None
-        States [q | v | a] if given; None if they are to be estimated from the measured
-        positions.
+        States [q | v | a] if given; None if they are to be estimated from positions.
     weight : ndarray of shape (n_samples, nv) or None, default=None
         Weights of each joint's samples, zero to leave one out; None is unit weights.
     torque_noise : ndarray of shape (nv,) or None, default=None
         Standard deviation of the white noise of a torque sample [see `torque_units`],
-        measured before rows were interpolated, which attenuates noise; None if no row
-        was. A parameter of `RobotIdentifier`.
+        measured before rows were interpolated; None if no row was.
     command : ndarray of shape (n_samples, nv) or None, default=None
-        The part of `tau` that follows from commands alone [see `torque_units`], where
-        a drive computed it from commands and positions; see `PDDrive`.
+        The part of `tau` that a drive made of commands alone; see `PDDrive`.
     feedback : ndarray of shape (2, nv) or None, default=None
-        Gains with which the drive made the rest of the measured positions and
-        velocities: noise of positions is noise of `tau`, that many times.
+        Gains with which it made the rest of measured positions and velocities: noise of
+        positions is noise of `tau`, that many times.
     signals : mapping of str to ndarray, default={}
         Other channels on the same rows; the loader gives their units.
     before : tuple of ndarray of shape (k, nv), default=()

@@ -21,8 +21,7 @@ from sklearn_vbjfa.recording._table import (
 )
 from sklearn_vbjfa.recording.formats import _arrays
 from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
-from sklearn_vbjfa.recording.formats._cells import read_sheet
-from sklearn_vbjfa.recording.formats._text import read_text
+from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
 # What a file may be, and what reads it, for docstrings and the help of commands.
 TABLES = (

@@ -25,7 +25,7 @@ from sklearn_vbjfa.recording._table import (
     parsing,
     quoted,
 )
-from sklearn_vbjfa.recording.formats._cells import CUT
+from sklearn_vbjfa.recording.formats._text import CUT
 
 # Nested structures are followed to this depth.
 _DEEPEST = 8

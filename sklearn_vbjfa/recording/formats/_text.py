@@ -1,10 +1,15 @@
-"""Tables out of text: encoding, separator, names, cells of each row; then pandas."""
+"""Tables out of text and spreadsheets: encoding, separator, names, cells; pandas."""
 
 import codecs
+import contextlib
 import csv
+import datetime
 import io
+import itertools
 import re
-from dataclasses import dataclass
+import zipfile
+from dataclasses import dataclass, replace
+from importlib.util import find_spec
 
 import numpy as np
 
@@ -12,22 +17,29 @@ from sklearn_vbjfa.recording._table import (
     NotATable,
     Source,
     Table,
+    check_names,
+    check_size,
+    missing,
     no_rows,
     pandas_of,
     parsing,
+    quoted,
 )
-from sklearn_vbjfa.recording.formats._cells import (
-    CUT,
-    LONGEST_PREAMBLE,
-    NOTHING,
-    check_header,
-    is_data,
-    is_number,
-    names_and_start,
-    table_of_cells,
-    without_blank_ends,
-)
+from sklearn_vbjfa.recording._units import is_unit
 
+# Note of a file that ends within a line.
+CUT = "the last line is cut, as where a logger is stopped: it is left out."
+# Lines that an instrument may write before the names of its columns.
+_LONGEST_PREAMBLE = 100
+# What loggers write where nothing was measured.
+_NOTHING = ("", "-", "nan", "-nan", "+nan", "na", "n/a", "null", "none")
+# NumPy writes lists of its numbers as [np.float64(0.1), ...].
+_OF_NUMPY = re.compile(r"np\.\w+\(([^()]*)\)")
+_LIST = re.compile(r"[(\[]([^()\[\]]*)[)\]]")
+# float() takes more (1_000, digits of other scripts), which no logger writes.
+_NUMBER = re.compile(
+    r"[+-]?((\d+\.?\d*|\.\d+)([eE][+-]?\d+)?|nan|inf(inity)?)", re.ASCII | re.I
+)
 # A longer line is not a row of a table; bytes that are checked at once.
 _LONGEST_LINE, _BLOCK = 1 << 25, 1 << 24
 # Of fewer rows the last is not said to be cut; rows that show the usual decimals.
@@ -63,7 +75,7 @@ def read_text(path: Source) -> Table:
         ) from error
     except ValueError as error:
         # An empty log is one, and broken.
-        if len(content) < 2 or any(is_data(re.split(_ANY, x)) for x in content):
+        if len(content) < 2 or any(_is_data(re.split(_ANY, x)) for x in content):
             raise
         raise NotATable(str(error)) from error
 
@@ -93,7 +105,7 @@ def _read(text, lines):
                 nrows=len(numbers),
                 comment="#",
                 keep_default_na=False,
-                na_values=[y for x in NOTHING for y in (x, x.upper(), x.capitalize())],
+                na_values=[y for x in _NOTHING for y in (x, x.upper(), x.capitalize())],
                 encoding="utf-8-sig",
                 decimal="," if separator != "," and "," in lines[start] else ".",
             )
@@ -103,7 +115,7 @@ def _read(text, lines):
             "in one line."
         )
     frame.index = numbers
-    return table_of_cells(
+    return _table_of_cells(
         path,
         frame,
         comma=separator != ",",
@@ -123,7 +135,7 @@ def _head(path, lines):
     echo = _echo_names(line)
     if echo:
         return echo, first, ",", (), []
-    at, names, start, units = names_and_start(_cells(x) for _, x in content)
+    at, names, start, units = _names_and_start(_cells(x) for _, x in content)
     # Of a file with a header alone the data begin after it.
     start = content[start][0] if start < len(content) else len(lines)
     if at is not None:
@@ -133,18 +145,18 @@ def _head(path, lines):
         header = max((k for k in range(first) if lines[k].strip()), default=None)
         found = "" if header is None else lines[header].strip().lstrip("#")
         found = found.split("#")[0].strip()
-        names = without_blank_ends(_cells(found))
+        names = _without_blank_ends(_cells(found))
         separator = _separator_of(line)
-        if len(names) != len(_places(line, separator)) or any(map(is_number, names)):
+        if len(names) != len(_places(line, separator)) or any(map(_is_number, names)):
             return [], start, separator, (), []
-    check_header(path, names, header + 1)
+    _check_header(path, names, header + 1)
     notes = [f"the names of the columns are in line {header + 1}."] if at else []
     return list(names), start, _separator_of(found), units, notes
 
 
 def _places(line, separator):
     """Return names for the columns of a table that has none, by a row."""
-    count = len(without_blank_ends(_cells(line, separator)))
+    count = len(_without_blank_ends(_cells(line, separator)))
     return [str(k + 1) for k in range(count)]
 
 
@@ -157,7 +169,9 @@ def _echo_names(line):
     n, rest = divmod(len(cells) - 3, 4)
     if n < 1 or rest or not all(re.fullmatch(r"\d+", x) for x in cells[:2]):
         return []
-    if any(map(is_number, cells[3 : 3 + n])) or not all(map(is_number, cells[3 + n :])):
+    if any(map(_is_number, cells[3 : 3 + n])) or not all(
+        map(_is_number, cells[3 + n :])
+    ):
         return []
     names = ["header.stamp.sec", "header.stamp.nanosec", "header.frame_id"]
     for what in ("name", "position", "velocity", "effort"):
@@ -179,6 +193,78 @@ def _cells(line, *separator):
     else:
         cells = next(csv.reader([line], delimiter=separator, skipinitialspace=True))
     return [cell.strip("\"' ") for cell in cells]
+
+
+def _is_number(cell: str) -> bool:
+    """Whether a cell is a number as loggers write them."""
+    return _NUMBER.fullmatch(cell) is not None
+
+
+def _is_data(cells):
+    """Whether most of the cells that are filled are numbers."""
+    numbers = [_is_number(x.replace(",", ".", 1)) for x in cells if x]
+    return 2 * sum(numbers) > len(cells)
+
+
+def _names_and_start(lines):
+    """Find the names among the first lines, each a list of cells as text.
+
+    Returns the position of the names, None without any, the names, the position of the
+    first row of data, and (name, unit) of columns out of a row of units.
+    """
+    rows = []
+    for cells in itertools.islice(lines, _LONGEST_PREAMBLE):
+        rows.append(_without_blank_ends(cells))
+        if _is_data(rows[-1]):
+            break
+    # Without a row of numbers, as with one column of text, the names come first.
+    found = _is_data(rows[-1])
+    width = len(rows[-1]) if found else len(rows[0])
+    above = rows[:-1] if found else rows[:2]
+    if not above:
+        # Data frames without names have a header that counts them.
+        counts = rows[0] == [str(k) for k in range(width)] and width > 2
+        return None, (), int(counts), ()
+    # Titles stand above the names, which are as many as there are numbers.
+    fitting = [k for k, x in enumerate(above) if len(x) == width and not _units(x, x)]
+    at = 0 if len(above[0]) == width or not fitting else fitting[-1]
+    names = above[at]
+    if at and len(set(names)) < len(names):
+        # Groups of columns stand above their names.
+        groups = itertools.accumulate(above[at - 1][:width], lambda x, y: y or x)
+        pairs = itertools.zip_longest(groups, names)
+        last = _without_blank_ends(above[at - 1])[-1]
+        names = [f"{last if x is None else x} {name}".strip() for x, name in pairs]
+    units = _units(above[at + 1], names) if at + 1 < len(above) else ()
+    return at, names, at + 1 + bool(units), units
+
+
+def _without_blank_ends(cells):
+    """Return cells without empty ones at the end."""
+    return cells[: max((k + 1 for k, cell in enumerate(cells) if cell), default=0)]
+
+
+def _units(cells, names):
+    """Return (name, unit) of columns if the cells below the names are units."""
+    cells = [cell.strip("[]() ") for cell in cells]
+    cells += [""] * (len(names) - len(cells))
+    filled = [cell for cell in cells if cell not in ("", "-", "1")]
+    if len(cells) != len(names) or any(map(_is_number, filled)):
+        return ()
+    if not 0 < len(filled) <= 2 * sum(map(is_unit, filled)):
+        return ()
+    return tuple((name, x) for name, x in zip(names, cells) if x not in ("", "-"))
+
+
+def _check_header(path, names, line):
+    """Refuse names that are missing or come twice; the first may be an index."""
+    for k, name in enumerate(names):
+        if not name and (k > 0 or len(names) == 1):
+            raise ValueError(
+                f"{path}: column {k + 1} has no name in line {line}; name it (t, q1, "
+                "tau1, ...) or remove it."
+            )
+    check_names(path, names, f"line {line} names")
 
 
 # -- encoding --------------------------------------------------------------------------
@@ -206,7 +292,7 @@ class _Text:
     def first_lines(self):
         """Return the lines that may come before the data, without their ends."""
         with io.TextIOWrapper(self.open(), encoding="utf-8-sig") as file:
-            lines = zip(range(2 * LONGEST_PREAMBLE), file)
+            lines = zip(range(2 * _LONGEST_PREAMBLE), file)
             return [line.rstrip("\n") for _, line in lines]
 
 
@@ -318,3 +404,170 @@ def _is_cut(lines, width, separator):
 def _decimals(line, separator):
     cell = line.rstrip().rpartition(separator or " ")[2]
     return len(cell.rpartition("." if separator == "," or "." in cell else ",")[2])
+
+
+# -- columns ---------------------------------------------------------------------------
+
+
+def _table_of_cells(path, frame, *, place="line {}", comma=False, notes=(), **known):
+    """Return a table of columns whose cells are numbers, dates, text or lists."""
+    # comma: whether numbers may have decimal commas.
+    frame, notes = _without_headers(frame, notes)
+    table = Table(path=path.shown, frame=frame, place=place)
+    if "" not in frame and all(kind.kind in "iuf" for kind in frame.dtypes):
+        return replace(table, notes=notes, **known)
+    columns = {}
+    for name in frame:
+        values = _column(table, name, comma)
+        spread = _spread(table, name, values) or {name: values}
+        check_names(path, [*columns, *spread], "as an entry of a list has")
+        columns |= spread
+    if "" in columns:
+        index = columns.pop("")
+        counts = index.dtype.kind in "if" and (np.diff(index) == 1).all()
+        if not (counts and columns):
+            _check_header(path, [""], frame.index[0] - 1)
+        note = "the first column has no name and counts the rows: it is left out."
+        notes = (*notes, note)
+    frame = pandas_of(path).DataFrame(columns, index=frame.index)
+    return replace(table, frame=frame, notes=notes, **known)
+
+
+def _without_headers(frame, notes):
+    """Begin another recording where the names stand between rows."""
+    if any(kind.kind in "iuf" for kind in frame.dtypes):
+        return frame, notes
+    again = (frame == list(frame.columns)).all(axis=1)
+    if not again.any():
+        return frame, notes
+    if "segment" not in frame:
+        frame = frame.assign(segment=again.cumsum().astype(float))
+    lines = ", ".join(map(str, frame.index[again][:5]))
+    note = f"the names of the columns stand again in line {lines}: another recording."
+    return frame[~again], (*notes, note)
+
+
+def _column(table, name, comma):
+    """Return cells as numbers, dates or text; a column is what its first cell is."""
+    values = table.frame[name]
+    if values.dtype.kind in "iuf":
+        return values.to_numpy(dtype=float)
+    text = values.astype(str).str.strip("\"' ")
+    blank = (values.isna() | text.str.lower().isin(_NOTHING)).to_numpy()
+    if blank.all():
+        return np.full(len(values), np.nan)
+    first = int(np.argmin(blank))
+    if isinstance(values.iloc[first], datetime.date):
+        dates = pandas_of(table.path).to_datetime(values, errors="coerce")
+        return dates.to_numpy("datetime64[ns]")
+    numbers = text
+    if comma:
+        points = text.str.contains(".", regex=False)
+        numbers = text.where(points, text.str.replace(",", ".", n=1, regex=False))
+    if not _is_number(numbers.iloc[first]):
+        return text.mask(blank, "").to_numpy(dtype=object)
+    wrong = np.flatnonzero(~numbers.str.fullmatch(_NUMBER).to_numpy(bool) & ~blank)
+    if wrong.size:
+        cell = text.iloc[wrong[0]]
+        remedy = "correct or remove that line"
+        if _is_number(cell.replace(",", "")):
+            remedy = "write numbers without separators of thousands"
+        raise ValueError(
+            f"{table.path}: {quoted(cell)} in {table.where(wrong[0])}, column "
+            f"{quoted(name)} is not a number; {remedy}."
+        )
+    return numbers.mask(blank, "nan").to_numpy(dtype=object).astype(float)
+
+
+def _spread(table, name, values):
+    """Return a column for each entry of cells that are lists of numbers, else {}."""
+    if values.dtype.kind != "O" or not all(map(_is_number, _entries(values[0]))):
+        return {}
+    cells = [_entries(cell) for cell in values]
+    if len({len(x) for x in cells}) > 1 or not all(
+        _is_number(x) for row in cells for x in row
+    ):
+        raise ValueError(
+            f"{table.path}: the cells of column {quoted(name)} are not lists of as "
+            "many numbers; correct or remove those rows."
+        )
+    matrix = np.array(cells, dtype=float)
+    return {f"{name}_{k}": x for k, x in enumerate(matrix.T)}
+
+
+def _entries(cell):
+    """Return the texts in a list; of what is none, one that is no number."""
+    match = _LIST.fullmatch(_OF_NUMPY.sub(r"\1", cell))
+    return re.split(r"[\s,;]+", match[1].strip()) if match else ["none"]
+
+
+# -- spreadsheets ----------------------------------------------------------------------
+
+
+def read_sheet(path: Source) -> Table:
+    """Read the first sheet with a table of numbers, below the names of its columns."""
+    pandas = pandas_of(path)
+    if find_spec("python_calamine") is None:
+        raise missing(path, "python-calamine", "spreadsheets need", "excel")
+    check_size(path, _unpacked_size(path), "save a shorter recording, or CSV")
+    with (
+        parsing(path, "spreadsheet", "save it as CSV."),
+        pandas.ExcelFile(path.file, engine="calamine") as book,
+    ):
+        sheets = {
+            name: pandas.read_excel(
+                book,
+                name,
+                dtype=object,
+                header=None,
+                keep_default_na=False,
+                na_values=[],
+            )
+            for name in book.sheet_names
+        }
+    count = len(sheets)
+    sheets = {name: frame for name, frame in sheets.items() if len(frame)}
+    filled = [
+        name for name, frame in sheets.items() if any(map(_is_data, _texts_in(frame)))
+    ]
+    name = (filled or list(sheets) or [""])[0]
+    frame = sheets.get(name)
+    if frame is None:
+        raise no_rows(path)
+    frame.index += 1
+    frame = frame[(frame != "").any(axis=1)]
+    if len(frame) < 2:
+        raise no_rows(path)
+    at, names, start, units = _names_and_start(_texts_in(frame))
+    if at is None:
+        names = [str(k + 1) for k in range(frame.shape[1])]
+    else:
+        _check_header(path, [x for x in names if x], frame.index[at])
+    used = [k for k, one in enumerate(names) if one]
+    frame = frame.iloc[start:, used]
+    frame.columns = [names[k] for k in used]
+    if not len(frame):
+        raise ValueError(f"{path}: only a header and no rows of data.")
+    return _table_of_cells(
+        path,
+        frame,
+        place="line {} of sheet " + repr(name).replace("{", "{{").replace("}", "}}"),
+        notes=(f"sheet {name!r} of {count} was read.",) * (count > 1),
+        units=dict(units),
+        nameless=at is None,
+    )
+
+
+def _texts_in(frame):
+    return ([str(x).strip() for x in row] for row in frame.itertuples(index=False))
+
+
+def _unpacked_size(path):
+    """Return the bytes of a file, or of what is packed in it."""
+    size = path.file.stat().st_size
+    with (
+        contextlib.suppress(zipfile.BadZipFile, OSError),
+        zipfile.ZipFile(path.file) as archive,
+    ):
+        size = max(size, sum(x.file_size for x in archive.infolist()))
+    return size

@@ -12,8 +12,8 @@ _MODULES = {
         curve_size curves_over effect_curves extremes time_line
     """,
     "_gaps": """
-        ABOVE_FLOOR Dependence Hidden MotionLimit Unexplained dependences
-        inseparable motion_limits motion_signals p_value
+        ABOVE_FLOOR Dependence Hidden Unexplained dependences
+        inseparable motion_signals p_value
     """,
     "_identified": """
         ParameterValue RecordedMotion parameter_values

@@ -1,4 +1,4 @@
-"""Unexplained residuals, effects that are not identifiable, limits of the motion."""
+"""Unexplained residuals, and effects that are not identifiable."""
 
 import functools
 from dataclasses import dataclass, replace
@@ -7,12 +7,9 @@ import numpy as np
 from scipy import special
 from sklearn.base import clone
 
-from sklearn_vbjfa.diagnosis.explain._split import FEWEST_VALUES
 from sklearn_vbjfa.diagnosis.search._blocks import FEWEST, fit_memory
 from sklearn_vbjfa.effects import Shaped, closure
 from sklearn_vbjfa.equations._equations import make_motion
-from sklearn_vbjfa.inspection import one_speed
-from sklearn_vbjfa.model._trees import is_prismatic
 
 # What takes less than this off a joint's squared error is not worth reporting.
 SMALLEST_GAIN = 0.02
@@ -33,10 +30,6 @@ _EQUAL = 1e-3
 _LOOSE = 1e4
 # Nats that a scale and a value cost an effect.
 _OCCAM = 5.0
-# Rows that show which way a link hangs.
-_POSES = 400
-# Position or velocity that is no limit of a joint.
-_UNLIMITED = 1e3
 
 
 # -- signals that a residual varies with -----------------------------------------------
@@ -360,123 +353,3 @@ def named_beside(effect, chosen, names):
     if effect.joint == chosen.joint or effect.scope == "robot":
         return name
     return f"{name} on {names[effect.joint]}"
-
-
-# -- what joints do, and what they do in no recording ----------------------------------
-
-
-@dataclass(frozen=True, kw_only=True)
-class Excitation:
-    """What a joint does in all recordings, and what it may do [rad or m, s]."""
-
-    position: tuple  # lowest and highest
-    speed: float  # 99.5 % of the time it is slower, as for the acceleration
-    acceleration: float
-    moving: float  # share of the samples
-    # of the description; infinite without a limit
-    limits: tuple
-    fastest: float
-
-
-def excitation(view):
-    """Return the `Excitation` of each joint of a recording, a tuple."""
-    model, nv = view.robot.features_.model_, view.nv
-    q, v, a = np.split(view.states, [nv, 2 * nv], axis=1)
-    v, a = np.abs(v), np.abs(a)
-    moving = (v > np.maximum(view.robot.standstill_, 0.0)).mean(axis=0)
-    limits = np.array([model.lowerPositionLimit, model.upperPositionLimit])
-    return tuple(
-        Excitation(
-            position=(float(q[:, j].min()), float(q[:, j].max())),
-            speed=float(np.quantile(v[:, j], 0.995)),
-            acceleration=float(np.quantile(a[:, j], 0.995)),
-            moving=float(moving[j]),
-            limits=tuple(_bounded(limits[:, j])),
-            fastest=float(_bounded(model.velocityLimit[j])),
-        )
-        for j in range(nv)
-    )
-
-
-def _bounded(values):
-    """Return limits, infinite where they stand for none."""
-    # Zero is what descriptions without limits are read as.
-    values = np.where(np.abs(values) < _UNLIMITED, values, np.inf * np.sign(values))
-    return np.where(np.any(values != 0), values, np.inf)
-
-
-@dataclass(frozen=True, kw_only=True)
-class MotionLimit:
-    """What a joint does not do in any recording."""
-
-    # "one way": it never reverses; "one speed": it always has the same; "one pose": its
-    # link always hangs the same way
-    kind: str
-    joint: int  # from zero
-    recordings: tuple  # recordings in which it moves, from zero
-    # range of its velocity, speed or position that it keeps to [rad or m, s]
-    low: float
-    high: float
-
-
-def motion_limits(view):
-    """Return the `MotionLimit` of each joint of a recording, a tuple."""
-    found = []
-    for joint in np.flatnonzero(view.precision > 0).tolist():
-        rows = np.flatnonzero(view.equations.weight[:, joint] > 0)
-        if not rows.size:
-            continue
-        v = view.states[view.index[rows], view.nv + joint]
-        v = v[np.abs(v) > max(view.robot.standstill_[joint], 0.0)]
-        kinds = {
-            "one way": _one_way(view, v),
-            "one speed": one_speed(np.abs(v)) if v.size else None,
-            "one pose": _one_pose(view, joint, rows),
-        }
-        recordings = tuple(np.unique(view.origin[rows]).tolist())
-        found += [
-            MotionLimit(
-                kind=kind,
-                joint=joint,
-                recordings=recordings,
-                low=float(ends[0]),
-                high=float(ends[1]),
-            )
-            for kind, ends in kinds.items()
-            if ends is not None
-        ]
-    return tuple(found)
-
-
-def _one_way(view, v):
-    """Return the range of the velocity of a joint that never reverses, or None."""
-    if not v.size:
-        return None
-    rarer = min((v > 0).sum(), (v < 0).sum())
-    share = rarer / v.size
-    # The power of the velocity's sign about its mean, and how many values it is of.
-    band = min(view.robot.cutoff_, 0.5 / (view.robot.dt or 1.0))
-    values = 2.0 * band * rarer * view.step
-    if rarer and (4 * share * (1 - share) >= _UNSEEN and values >= FEWEST_VALUES):
-        return None
-    common = v[v > 0] if (v > 0).sum() > rarer else v[v < 0]
-    return common.min(), common.max()
-
-
-def _one_pose(view, joint, rows):
-    """Return the range of the position of a joint whose link always hangs alike."""
-    features, nv = view.robot.features_, view.nv
-    if is_prismatic(features.model_)[joint]:
-        return None
-    chosen = view.index[rows[:: max(1, rows.size // _POSES)]]
-    states = np.zeros((chosen.size, 3 * nv))
-    states[:, :nv] = view.states[chosen, :nv]
-    first = joint * (features.n_parameters_ // nv)
-    # At rest: torques of the first moments of the link are those of its weight.
-    weight = features.matrices(states)[:, joint, first + 1 : first + 4]
-    power = (weight**2).sum()
-    varying = ((weight - weight.mean(axis=0)) ** 2).sum()
-    # Gravity does not act about a vertical axis.
-    if not power > 0 or varying >= _UNSEEN * power:
-        return None
-    return states[:, joint].min(), states[:, joint].max()

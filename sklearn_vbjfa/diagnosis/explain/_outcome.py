@@ -16,10 +16,8 @@ from sklearn_vbjfa.diagnosis.explain._contradictions import (
 )
 from sklearn_vbjfa.diagnosis.explain._curves import effect_curves, friction_curves
 from sklearn_vbjfa.diagnosis.explain._gaps import (
-    excitation,
     hidden,
     memory_seconds,
-    motion_limits,
     named_beside,
     too_short,
     unexplained,
@@ -47,6 +45,7 @@ from sklearn_vbjfa.effects import (
     declarable,
     resolve,
 )
+from sklearn_vbjfa.inspection import motion_of
 from sklearn_vbjfa.model import import_pinocchio, is_prismatic
 from sklearn_vbjfa.robot._channels import HALF_WIDTH, ChannelGains
 from sklearn_vbjfa.robot._corrections import Corrections, corrections_of
@@ -54,6 +53,8 @@ from sklearn_vbjfa.robot._spreads import body_masses
 
 # Why the values of an effect give it no name.
 _UNKNOWN = "no parameter of it is known from zero"
+# Position or velocity that is no limit of a joint.
+_UNLIMITED = 1e3
 _UNSURE = "its value is not known well enough to correct anything"
 
 
@@ -172,8 +173,7 @@ class Outcome:
     # what physically consistent parameters cost; None if they were not asked for
     projection: ConsistencyCost | None = None
     recordings: tuple = ()  # what each recording is called
-    excitation: tuple = ()  # what each joint does
-    motion_limits: tuple = ()  # what joints do in no recording
+    motion: tuple = ()  # what each joint does, `JointMotion`s
     next_recording: NextRecording | None = None  # of motion like the fitted
     expectation: Expectation | None = None  # of other motion
     repeated: tuple = ()  # motion that was recorded more than once
@@ -182,7 +182,7 @@ class Outcome:
     # masses of the model that is handed over, and which of them are known
     bodies: tuple = ()
     # of pictures: "effects" has an `EffectCurves` or None of each effect, "friction",
-    # "spectra" and "residuals" the curves of the joints, "line" the `TimeLine`,
+    # and "residuals" the curves of the joints, "line" the `TimeLine`,
     # "positions" that of the positions from commands alone; "index" the held-out rows
     curves: dict = field(default_factory=dict)
     # where the held-out part leaves what the judged model was fitted on
@@ -242,6 +242,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
             "n_parameters": features.n_parameters_,
             "cutoff": float(robot.cutoff_),
             "standstill": robot.standstill_.tolist(),
+            "limits": _limits(features.model_),
             **_drive(robot.drive, whole),
         },
         effects=tuple(effect for effect in effects if not effect.warning),
@@ -268,8 +269,7 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         settings=settings | _settings(search, asked),
         bodies=body_masses(identifier),
         recordings=recordings,
-        excitation=excitation(final.view),
-        motion_limits=motion_limits(final.view),
+        motion=() if whole.dt is None else motion_of(whole, features.nominal_),
         repeated=final.view.repetition.motions(),
         contradictions=contradictions(
             parts, spread, float(asked["alpha"]), search.settings.rivals
@@ -285,6 +285,15 @@ def make_outcome(search, models, final, judged, channels, asked, whole, recordin
         parameters=parameter_values(identifier),
         unnamed=tuple(e for e in final.effects if isinstance(e, UnnamedTorque)),
     )
+
+
+def _limits(model):
+    """Lowest and highest position and speed of each joint; infinite without limits."""
+    limits = [model.lowerPositionLimit, model.upperPositionLimit, model.velocityLimit]
+    limits = np.array(limits).T
+    # Zero is what descriptions without limits are read as.
+    unknown = (np.abs(limits) > _UNLIMITED) | ~limits.any(axis=1, keepdims=True)
+    return np.where(unknown, np.inf, limits)
 
 
 def _drive(drive, whole):

@@ -236,41 +236,42 @@ _SECONDS, _SLOWEST = 60, 0.1
 
 def motion_plan(outcome, joints):
     """Rows of joints that are to move: range, speeds and seconds."""
-    rows = []
-    for j in sorted(set(joints)) if outcome.excitation else ():
-        one = outcome.excitation[j]
-        ends = [
-            limit if math.isfinite(limit) else reached
-            for limit, reached in zip(one.limits, one.position)
-        ]
-        fastest = one.fastest if math.isfinite(one.fastest) else one.speed
-        speeds = _SLOWEST * fastest, fastest
+    limits, rows = outcome.declared.get("limits"), []
+    for j in sorted(set(joints)) if outcome.motion and limits is not None else ():
+        one, (low, high, fastest) = outcome.motion[j], limits[j]
+        ends = low, high
+        if not np.isfinite(ends).all():
+            ends = one.lowest, one.highest
+        fastest = fastest if math.isfinite(fastest) else one.fastest
         rows.append(
             (
                 words.joint_label(outcome.joint_names, j),
                 range_text(outcome, j, "position", ends),
-                range_text(outcome, j, "speed", speeds),
+                range_text(outcome, j, "speed", (_SLOWEST * fastest, fastest)),
                 f"{_SECONDS} s",
             )
         )
     return rows
 
 
-def excitation_rows(outcome):
+def motion_rows(outcome):
     """Rows of what each joint does."""
-    rows = []
-    for j, one in enumerate(outcome.excitation):
-        unit = _UNITS["speed"][int(outcome.torque_units[j] == "N")]
-        rows.append(
-            (
-                words.joint_label(outcome.joint_names, j),
-                range_text(outcome, j, "position", one.position),
-                f"{words.number(one.speed)} {unit}",
-                f"{words.number(one.acceleration)} {unit}^2",
-                words.whole_percent(one.moving),
-            )
+    return [
+        (
+            words.joint_label(outcome.joint_names, j),
+            range_text(outcome, j, "position", (one.lowest, one.highest)),
+            f"{words.number(one.fastest)} {_UNITS['speed'][int(one.slides)]}",
+            str(one.reversals),
+            words.whole_percent(one.resting),
         )
-    return rows
+        for j, one in enumerate(outcome.motion)
+    ]
+
+
+def poorly_shown(outcome):
+    """Group joints by what their motion does not show, with the reason."""
+    pairs = [(x, j) for j, one in enumerate(outcome.motion) for x in one.hides]
+    return [(x, [j for _, j in own]) for x, own in grouped(pairs, lambda p: p[0])]
 
 
 # -- masses ----------------------------------------------------------------------------
@@ -523,22 +524,6 @@ def culprits(outcome):
     causes = outcome.contradictions.deviations
     alone = all(len(one.recordings) == 1 for one in causes)
     return sorted({one.recordings[0] for one in causes}) if alone else []
-
-
-def limit_groups(outcome):
-    """Group the limits of the motion of which the same is said."""
-    groups = grouped(outcome.motion_limits, lambda one: (one.kind, one.recordings))
-    return [(*key, own) for key, own in groups]
-
-
-def limit_range(outcome, limit):
-    """Write a range of speed or position with its unit."""
-    slides = outcome.torque_units[limit.joint] == "N"
-    scale, unit = (1.0, "m/s" if slides else "rad/s")
-    if limit.kind != "one speed":
-        scale, unit = 180.0 / math.pi, "degrees"
-    low, high = words.number(scale * limit.low), words.number(scale * limit.high)
-    return f"{low} to {high} {unit}"
 
 
 def anchors(outcome):

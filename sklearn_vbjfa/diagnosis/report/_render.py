@@ -142,7 +142,6 @@ class Voice:
             ("in_model", _facts.in_model),
             ("statement", _facts.statement),
             ("fitted_on", _facts.fitted_on),
-            ("limit_range", _facts.limit_range),
             ("range_text", _facts.range_text),
         ):
             self._values[name] = partial(function, outcome)

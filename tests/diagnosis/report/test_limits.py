@@ -11,10 +11,11 @@ from sklearn_vbjfa.diagnosis.explain import (
     Contradiction,
     Contradictions,
     Deviation,
-    MotionLimit,
+    Hidden,
     NextRecording,
 )
 from sklearn_vbjfa.fit import AlikeValue, Departure
+from sklearn_vbjfa.inspection import JointMotion
 from sklearn_vbjfa.robot import BodyMass, ChannelGains, CommonGain, KnownMass
 from tests.diagnosis.report._outcomes import make_outcome
 from tests.diagnosis.report._pages import section_of, text_of
@@ -120,21 +121,35 @@ def test_alike_joints_share_values():
 # -- recordings
 
 
-@pytest.mark.parametrize(
-    ("kind", "facts"),
-    [
-        ("one way", ("Coulomb", "offset", "hysteresis")),
-        ("one speed", ("0.2 to 0.21 rad/s", "viscous")),
-        ("one pose", ("11.5 to 12 degrees", "springs")),
-    ],
-)
-def test_motion_that_hides_effects(kind, facts):
-    limit = MotionLimit(kind=kind, joint=1, recordings=(0,), low=0.2, high=0.21)
-    given = {"motion_limits": (limit,), "recordings": ("a", "b")}
-    text = shown("Limits of the recordings", **given)
-    assert_said(text, "oint 2", "recording a", *facts)
-    slides = shown("Limits of the recordings", torque_units=("N",) * 3, **given)
-    assert kind != "one speed" or "0.2 to 0.21 m/s" in slides
+def test_the_motion_of_each_joint_and_what_it_does_not_show():
+    one = JointMotion(
+        name="joint2",
+        slides=False,
+        lowest=-1.0,
+        highest=1.5,
+        fastest=0.8,
+        reversals=3,
+        resting=0.25,
+        torques=(-5.0, 5.0),
+        loads=(-4.0, 4.0),
+        shows=(),
+        hides=("hysteresis: it reverses 3 times",),
+    )
+    limits = np.array([[-2.0, 2.0, 3.0], [np.inf, np.inf, np.inf]])
+    hidden = Hidden(
+        name="spring", joint=0, joint_name="joint1", reason="excitation", remedy="x"
+    )
+    given = make_outcome(nv=2, hidden=(hidden,), motion=(one, one))
+    given.declared["limits"] = limits
+    report = Report(given)
+    text = section_of(report, "Excitation")
+    assert_said(text, "all joints", "it reverses 3 times", "-1 to 1.5 rad", "25 %")
+    steps = section_of(report, "Next steps")
+    assert_said(steps, "a wide range of positions (joint 1)", "-2 to 2 rad")
+    assert_said(steps, "0.3 to 3 rad/s", "60 s")
+    # Without limits: what was recorded.
+    free = Report(replace(given, hidden=(replace(hidden, joint=1),)))
+    assert_said(section_of(free, "Next steps"), "-1 to 1.5 rad", "0.08 to 0.8 rad/s")
 
 
 def contradicted(*deviations):

@@ -9,21 +9,21 @@ from sklearn_vbjfa.diagnosis.explain._curves import friction_columns, is_frictio
 
 # Share by which parameters differ between recordings of one robot, median over robots.
 # Friction follows the temperature; offsets are shares of the deviation of the torque.
-_KINDS = {"friction": 0.02, "gain": 0.002, "offset": 0.003, "load": 0.002}
+_KINDS = {"friction": 0.03, "gain": 0.003, "offset": 0.004, "load": 0.003}
 # Deviation of its logarithm, and how much of that variance kinds have in common: robots
 # whose one parameter stays the same are left alone in other ways as well.
-_WIDTH, _COMMON = 2.4, 0.6
+_WIDTH, _COMMON = 2.4, 0.5
 # Kinds that differ on all joints at once: temperature, and what the robot carries.
 _SHARED = (True, False, False, True)
-# What a model lacks is larger where it was not fitted: logarithm of the factor for a
-# single recording, to be divided by how many were fitted, and how much it differs
-# between motions. Of both, means and deviations over robots.
-_AGAIN, _DIFFER = (np.log(1.3), 0.2), (0.35, 0.5)
+# What a model lacks is larger where it was not fitted: logarithm of the factor, a part
+# of it over the number of recordings that were fitted, and how much it differs between
+# motions. Means and deviations over robots.
+_AGAIN, _FIRST, _DIFFER = (0.1, 0.1), (0.2, 0.2), (0.35, 0.5)
 # From so many recordings on the differences are called measured.
 _MEASURED = 3
 _ENDS = (0.5, 0.05, 0.95)
-# Draws of what is not known, and points over what parameters of a recording may be.
-_DRAWS, _POINTS = 4000, 9
+# Draws of what is not known, and the least difference over an error that is seen.
+_DRAWS, _SLACK = 4000, 0.2
 # Rows of which the size of torques is taken.
 _ROWS = 4000
 
@@ -59,60 +59,56 @@ class Expectation:
 
     def __init__(self, left, floor, scatter, left_out, motion):
         self._left, self._motion = left, motion
+        self._noise = np.fmin(floor, left) ** 2
+        self._noise[np.isnan(floor)] = 0.0
         self._scatter = np.nan_to_num(scatter)
         self.recordings = len(left_out)
-        squares = left**2
-        if self.recordings > 1:
-            # The model is a mean over its recordings, of whose deviations from the mean
-            # held-out data of the same recordings have this share.
-            share = (1.0 - 1.0 / self.recordings) ** 2
-            out = np.where(left_out > 0, left_out, left) ** 2
-            alone = (squares - share * out.mean(axis=0)) / (1.0 - share)
-            squares = np.clip(alone, np.fmin(floor, left) ** 2, squares)
-        self._noise = np.minimum(np.nan_to_num(floor) ** 2, squares)
-        self._lacks = squares - self._noise
-        self._weights = special.softmax(self._evidence(left_out))
+        known = np.where(left_out > 0, left_out, np.nan) ** 2
+        self._out = np.full(left.size, np.nan)
+        some = np.isfinite(known).any(axis=0)
+        self._out[some] = np.nanmean(known[:, some], axis=0)
+        self._weights = special.softmax(self._evidence())
 
-    def _evidence(self, left_out):
-        """Logarithm of the likelihood of left-out errors, (n_draws,)."""
-        used = np.isfinite(self._left) & (self._left > 0)
-        count = len(left_out) - 1
-        if count < 1 or not used.any():
+    def _parts(self):
+        """Split what is left: variance between recordings, and what the model lacks."""
+        # Squares (n_draws, nv). The model is a mean over r recordings: held-out data of
+        # these have (r - 1) / r of the variance. One that was left out has r / (r - 1)
+        # of it, and more of what the model lacks.
+        r, most = self.recordings, self._left**2 - self._noise
+        if r < 2:
+            return 0.0, most + np.zeros((_DRAWS, 1))
+        more, share = np.exp(2 * _robots(r - 1)[1]), (r - 1) / r
+        between = self._out - self._noise - more * most
+        # Where what is lacking grows as much as the variance does, there is none.
+        room = 1 / share - more * share
+        between = np.where(room > 0, between / np.where(room > 0, room, 1.0), 0.0)
+        between = np.clip(np.nan_to_num(between), 0.0, most / share)
+        return between, most - share * between
+
+    def _evidence(self):
+        """Logarithm of the likelihood of the variance between recordings, (n,)."""
+        used = np.isfinite(self._out) & (self._left > 0)
+        if self.recordings < 2 or not used.any():
             return np.zeros(_DRAWS)
-        differ, again, motions = _robots()
-        parts = (differ**2)[:, :, None] * self._motion.sizes[:, used] ** 2
-        between = parts.sum(axis=1)
-        # As many kinds as matter: a mean of squares of normal values, by Wilson's and
-        # Hilferty's quantiles.
-        freedom = between**2 / np.maximum((parts**2).sum(axis=1), 1e-300)
-        luck = special.ndtri((np.arange(_POINTS) + 0.5) / _POINTS)
-        step = 2.0 / (9.0 * freedom[..., None])
-        luck = np.maximum(1.0 - step + luck * np.sqrt(step), 0.0) ** 3
-        lacks = self._lacks[used] * np.exp(2 * again / count)
-        alone = self._noise[used] + lacks
-        squares = alone[..., None] + (1 + 1 / count) * between[..., None] * luck
-        width = np.hypot(self._scatter[used], motions * lacks / alone)[..., None]
-        total = 0.0
-        for errors in left_out[:, used]:
-            known = errors > 0
-            away = np.log(np.where(known, errors, 1.0))[:, None] - 0.5 * np.log(squares)
-            density = -0.5 * (away / width) ** 2 - np.log(width)
-            own = np.where(known, special.logsumexp(density, axis=-1), 0.0)
-            # Joints differ alike; of r recordings r - 1 differences are independent.
-            total = total + own.mean(axis=1) * count / (count + 1)
-        return total
+        sizes = self._motion.sizes[:, used] ** 2
+        expected = (_robots(1)[0][:, :, None] ** 2 * sizes).sum(axis=1)
+        # Of one kind as a rule, so that the variance has a chi-squared distribution.
+        least = (_SLACK * self._left[used]) ** 2
+        ratio = (self._parts()[0][:, used] + least) / (expected + least)
+        # Joints differ alike.
+        return (0.5 * (self.recordings - 1) * (np.log(ratio) - ratio)).mean(axis=1)
 
     def of(self, motion=None):
         """Return the `NextRecording` for a motion, by default one like the fitted."""
         motion = motion or self._motion
         count = max(self.recordings, 1)
-        differ, again, motions = _robots()
-        lacks = self._lacks * self._motion.distance(motion)
-        rng, nv = np.random.default_rng(1), lacks.size
+        differ, again, motions = _robots(count)
+        lacks = self._parts()[1] * self._motion.distance(motion)
+        rng, nv = np.random.default_rng(1), lacks.shape[1]
         values = rng.standard_normal((_DRAWS, len(_KINDS), nv))
         values[:, _SHARED] = values[:, _SHARED, :1]
         change, luck = rng.standard_normal((2, _DRAWS, nv))
-        alone = self._noise + lacks * np.exp(2 * (again / count + motions * change))
+        alone = self._noise + lacks * np.exp(2 * (again + motions * change))
         squares = alone * np.exp(2 * self._scatter * luck)
         shifts = differ[:, :, None] * motion.sizes * values
         errors = np.sqrt(squares + (1 + 1 / count) * (shifts**2).sum(axis=1))
@@ -143,16 +139,17 @@ class Expectation:
         return np.take_along_axis(ranked, np.minimum(rows, len(draws) - 1), axis=0)
 
 
-def _robots():
+def _robots(count):
     """Draw how recordings of robots differ: by kind, again and between motions."""
+    # count: recordings that are fitted
     rng = np.random.default_rng(0)
     medians = np.array([*_KINDS.values()])
     common, own = np.sqrt([_COMMON, 1.0 - _COMMON])
     drawn = common * rng.standard_normal((_DRAWS, 1))
     drawn = drawn + own * rng.standard_normal((_DRAWS, medians.size))
     differ = medians * np.exp(_WIDTH * drawn)
-    again, motions = rng.standard_normal((2, _DRAWS, 1))
-    again = _AGAIN[0] + _AGAIN[1] * again
+    first, other, motions = rng.standard_normal((3, _DRAWS, 1))
+    again = _AGAIN[0] + _AGAIN[1] * first + (_FIRST[0] + _FIRST[1] * other) / count
     return differ, again, _DIFFER[0] * np.exp(_DIFFER[1] * motions)
 
 

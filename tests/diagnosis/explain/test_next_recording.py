@@ -1,10 +1,12 @@
 """What the next recording will show, by what differs between recordings."""
 
+import functools
+
 import numpy as np
 import pytest
 
 from sklearn_vbjfa.diagnosis.explain import Expectation, Motions
-from sklearn_vbjfa.diagnosis.explain._next import _KINDS, _WIDTH
+from sklearn_vbjfa.diagnosis.explain._next import _COMMON, _KINDS, _WIDTH
 from tests.diagnosis._recordings import SPRINGY
 
 LEFT, FLOOR, SCATTER = 0.05, 0.04, 0.05
@@ -36,21 +38,29 @@ def test_where_it_is_from(r, source):
     assert found.mean == pytest.approx(found.error[0])
 
 
+def error_of(away, sizes, rng):
+    noise = FLOOR * np.exp(SCATTER * rng.standard_normal())
+    return np.hypot(noise, np.linalg.norm(away * sizes))
+
+
 @pytest.mark.parametrize("r", [0, 2, 4])
 def test_nine_of_ten_next_recordings_of_robots_like_those_assumed(r):
     sizes, inside = motion().sizes[:, 0], []
-    medians = np.array([*_KINDS.values()])
-    count = max(r, 1)
+    medians, count = np.array([*_KINDS.values()]), max(r, 1)
+    common, own = np.sqrt([_COMMON, 1.0 - _COMMON])
     for seed in range(150):
         rng = np.random.default_rng(seed)
-        differ = medians * np.exp(_WIDTH * rng.standard_normal(4))
-        # A model that lacks nothing: its error on held-out data is noise.
-        shifts = (rng.standard_normal((r + 1, 4)) * differ * sizes) ** 2
-        share = np.r_[np.full(r, 1 + 1 / max(r - 1, 1)), 1 + 1 / count]
-        noise = FLOOR * np.exp(SCATTER * rng.standard_normal(r + 1))
-        errors = np.sqrt(noise**2 + share * shifts.sum(axis=1))
-        low, high = expected(errors[:r], left=FLOOR).interval[:, 0]
-        inside.append(low < errors[r] < high)
+        drawn = common * rng.standard_normal() + own * rng.standard_normal(4)
+        values = rng.standard_normal((count + 1, 4)) * medians * np.exp(_WIDTH * drawn)
+        fitted, following = values[:count], values[count]
+
+        # A model that lacks nothing, whose parameters are means over its recordings.
+        error = functools.partial(error_of, sizes=sizes, rng=rng)
+        mean = fitted.mean(axis=0)
+        left = np.sqrt(np.mean([error(x - mean) ** 2 for x in fitted]))
+        out = [error((x - mean) * r / (r - 1)) for x in fitted] if r else []
+        low, high = expected(out, left=left).interval[:, 0]
+        inside.append(low < error(following - mean) < high)
     # Three deviations of 150 draws.
     assert 0.82 < np.mean(inside) < 0.98
 
@@ -61,10 +71,12 @@ def test_noise_is_no_evidence_that_recordings_agree():
 
 
 def test_recordings_that_agree_narrow_it_and_others_widen_it():
-    one, alike, apart = expected(), expected(4 * [0.05]), expected([0.3, 0.1, 0.2, 0.3])
+    one, alike = expected(), expected(4 * [0.05])
+    apart = expected([0.3, 0.1, 0.2, 0.3], left=0.18)
     assert alike.interval[1, 0] < 0.5 * one.interval[1, 0]
-    assert alike.error < one.error < apart.error
-    assert apart.interval[0, 0] > one.interval[0, 0]
+    assert alike.interval[1, 0] < apart.error
+    # Held-out data of the same recordings have a share of what these differ by.
+    assert apart.interval[0, 0] < 0.18
 
 
 def test_it_grows_with_the_distance_from_what_was_fitted():

@@ -57,7 +57,7 @@ def check_speed(dt, fast, travel, model):
     if dt >= _SLOWEST_PERIOD or (dt >= _SLOW_PERIOD and top < _SLOW_SPEED):
         raise ValueError(
             f"dt={dt:.6g} s is too slow for a motion: the fastest joint would move at "
-            f"{top:.2g} rad/s or m/s. dt is in seconds{_other_units(dt, share, top)}."
+            f"{top:.2g} rad/s or m/s. dt is in seconds."
         )
     reaching = known & (travel <= _TURN)
     near = float(np.max(fast[reaching] / limit[reaching], initial=0.0))
@@ -70,20 +70,6 @@ def check_speed(dt, fast, travel, model):
             f"move at {top:.2g} rad/s or m/s, far more than the robot allows. Give "
             "times in seconds (not minutes)."
         )
-
-
-def _other_units(dt, share, top):
-    meant = []
-    for name, period in (
-        ("milliseconds", dt / 1e3),
-        ("microseconds", dt / 1e6),
-        ("nanoseconds", dt / 1e9),
-        ("Hz", 1 / dt),
-    ):
-        times = dt / period
-        if period < _SLOW_PERIOD and share * times <= 2.0 and top * times > _SLOW_SPEED:
-            meant.append(f"in {name} it would be {period:.4g} s")
-    return f"; {', '.join(meant)}" if meant else ""
 
 
 def check_input_noise(input_noise):

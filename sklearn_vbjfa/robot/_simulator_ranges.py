@@ -139,28 +139,26 @@ class Ranges:
                 return one
         raise KeyError(name)
 
-    def to_json(self, *, described=False):
+    def to_json(self):
         """Return the ranges as JSON by joint, the text of a ``ranges.json``."""
         # What reads a robot imports it.
         from sklearn_vbjfa.robot._model_file import readable
 
-        return f"{readable(self._content(described))}\n"
+        return f"{readable(self._content())}\n"
 
-    def save(self, path, *, described=False):
+    def save(self, path):
         """Write the ranges to a file, ``ranges.json``.
 
         Parameters
         ----------
         path : str or os.PathLike
             File to write, see ``docs/simulation.rst``.
-        described : bool, default=False
-            Whether values that only the description knows are there as well.
         """
-        write_whole(path, self.to_json(described=described))
+        write_whole(path, self.to_json())
 
-    def _content(self, described):
-        taken = [k for k, one in enumerate(self) if _has_place(one, described)]
-        left = [one for one in self if not _has_place(one, described)]
+    def _content(self):
+        taken = [k for k, one in enumerate(self) if _has_place(one)]
+        left = [one for one in self if not _has_place(one)]
         joints = [
             {"name": name, "torque_unit": unit, **self._values(taken, name)}
             for name, unit in zip(self.joint_names, self.torque_units)
@@ -196,9 +194,9 @@ class Ranges:
         }
 
 
-def _has_place(one, described):
+def _has_place(one):
     finite = np.isfinite([one.lower, one.upper, one.std]).all()
-    return bool(finite and (described or one.measured))
+    return bool(finite and one.measured)
 
 
 def _value(one):

@@ -237,19 +237,14 @@ def _times(robot, t, n):
             f"tau has {n} rows and t has shape {t.shape}; expected one time for each "
             f"row, shape ({n},)."
         )
-    bad = ~np.isfinite(t)
-    if bad.any():
-        raise ValueError(f"t holds {t[np.argmax(bad)]} in row {int(np.argmax(bad))}.")
     steps = np.diff(t)
-    if not steps.size:
-        return t
-    if not (steps > 0).all():
-        row = int(np.argmax(steps <= 0))
+    if not ((steps > 0) & np.isfinite(steps)).all():
+        row = int(np.argmin((steps > 0) & np.isfinite(steps)))
         raise ValueError(
             f"t must rise; it goes from {t[row]:.6g} to {t[row + 1]:.6g} s in row "
             f"{row + 1}."
         )
-    if robot.dt is not None:
+    if robot.dt is not None and steps.size:
         usual = float(np.median(steps))
         if abs(usual - robot.dt) > _JITTER * robot.dt:
             raise ValueError(

@@ -157,8 +157,6 @@ class Stepper:
         own = [effect for effect, *_ in pairs]
         if model.rest is not None and model.rest.noise.any():
             raise ValueError("rest of the model has noise; states are taken as exact.")
-        for effect in own:
-            _check_applies(model, effect)
         self._timed = any("time" in effect.needs for effect in own)
         self._signals = {name for effect in own for name in effect.recorded}
         self._payloads = [one for one in pairs if isinstance(one[0], Payload)]
@@ -279,28 +277,6 @@ class Stepper:
                 "vary with."
             )
         return {name: float(signals[name]) for name in self._signals}
-
-
-def _check_applies(model, effect):
-    """Refuse an effect that does not suit the robot, as a prediction would."""
-    nothing = np.zeros((1, model.n_joints))
-    motion = Motion(
-        q=nothing,
-        v=nothing,
-        a=nothing,
-        t=np.zeros(1),
-        load=None if model.load is None else nothing,
-        torque=None if model.load is None else nothing,
-        prismatic=is_prismatic(model.model),
-        rigid=None if model.load is None else lambda q, v, a: nothing,
-        last_body=lambda: np.zeros((1, model.n_joints, 10)),
-        rest=model.rest,
-        since=model.since,
-        signals={name: np.zeros(1) for name in effect.recorded},
-    )
-    reason = effect.applies(motion)
-    if reason:
-        raise ValueError(f"{effect.name} on joint {effect.joint}: {reason}.")
 
 
 def _of_load(model):

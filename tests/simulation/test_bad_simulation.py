@@ -88,7 +88,7 @@ def test_times():
     refused(r"tau has 20 rows and t has shape \(19,\)", TAU, [0, 0], t=t[:-1])
     bad = t.copy()
     bad[4] = np.nan
-    refused("t holds nan in row 4", TAU, [0, 0], t=bad)
+    refused("t must rise; it goes from 0.03 to nan s in row 4", TAU, [0, 0], t=bad)
     bad[4] = t[2]
     refused("t must rise; it goes from 0.03 to 0.02 s in row 4", TAU, [0, 0], t=bad)
     refused("every 0.005 s .*identified at 0.01 s", TAU, [0, 0], t=0.5 * t)

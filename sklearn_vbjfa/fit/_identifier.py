@@ -1,13 +1,12 @@
 """From positions and torques to a physically consistent rigid-body model."""
 
 import warnings
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import wraps
 
 import numpy as np
 from sklearn.base import BaseEstimator, RegressorMixin, clone
-from sklearn.utils.validation import check_is_fitted, validate_data
+from sklearn.utils.validation import check_is_fitted
 
 from sklearn_vbjfa._core._progress import show_progress
 from sklearn_vbjfa.effects import TorqueLag
@@ -30,11 +29,7 @@ from sklearn_vbjfa.equations._recording_checks import (
     check_drive,
     check_input_noise,
     check_length,
-    check_motion,
     check_speed,
-    check_weight,
-    check_widths,
-    warn_of_disorder,
 )
 from sklearn_vbjfa.equations._states import fit_states
 from sklearn_vbjfa.equations._torque_noise import given_noise
@@ -42,7 +37,9 @@ from sklearn_vbjfa.fit._alike import alike_joints
 from sklearn_vbjfa.fit._bodies import described_bodies
 from sklearn_vbjfa.fit._fit import FitData, Recipe, fit_robot, refine_fit, seems_late
 from sklearn_vbjfa.fit._gains import check_gains, check_masses, declared_gains
+from sklearn_vbjfa.fit._input import checked_recording, recording_of_arguments
 from sklearn_vbjfa.fit._joint_torque import JointTorqueRegressor
+from sklearn_vbjfa.fit._options import FitOptions
 from sklearn_vbjfa.fit._output_error import check_criterion
 from sklearn_vbjfa.fit._signs import signed, with_signs
 from sklearn_vbjfa.inspection import _numbers as number
@@ -50,18 +47,11 @@ from sklearn_vbjfa.inspection import inspect_channels, levels, size_message
 from sklearn_vbjfa.model import DoubtWarning
 from sklearn_vbjfa.model._loading import joint_names
 from sklearn_vbjfa.recording import (
-    OfferedSignals,
     PDDrive,
     check_dt,
-    check_time_stamps,
-    check_useful,
-    columns_beside,
-    contiguous_groups,
-    positions_in_order,
-    signals_for,
     torques_in_order,
 )
-from sklearn_vbjfa.robot._robot import IdentifiedRobot, recording_of
+from sklearn_vbjfa.robot._robot import IdentifiedRobot
 
 
 class RecordingRegressorMixin(RegressorMixin):
@@ -101,65 +91,13 @@ class RecordingRegressorMixin(RegressorMixin):
         from sklearn.metrics import r2_score
 
         if getattr(self, "drive", None) is not None:
-            recording = self._take(X, y, groups, None, t, signals)
+            recording = recording_of_arguments(self, X, y, groups, None, t, signals)
             _, signals = self.drive.taken(y, signals)
             y = self.robot_.plan.applied(recording).tau
         predicted = self.predict(X, groups=groups, t=t, signals=signals)
         if hasattr(self, "joint_names_"):
             y = torques_in_order(y, self.joint_names_)
         return r2_score(y, predicted, sample_weight=sample_weight)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FitOptions:
-    """Settings of `RobotIdentifier` for experts.
-
-    Parameters
-    ----------
-    state_cutoff : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Cut-off frequency [Hz] of `StateEstimator`; ``"auto"`` is 1.25 times that of
-        least acceleration error.
-    standstill : "auto", float, array-like of shape (nv,) or None, default="auto"
-        Speed [rad/s or m/s] at or below which the equations of a joint are excluded.
-        ``"auto"`` is 2 % of the 99.5th percentile of its speed. None excludes nothing.
-    joint_weights : "auto", None or array-like of shape (nv,), default="auto"
-        Weights of the joints' equations, see `JointTorqueRegressor`.
-    torque_noise : float or array-like of shape (nv,), default=None
-        Standard deviation of the white noise of one torque sample [N m or N], for
-        ``noise_floor_``. None estimates it above the band of the low-pass filter.
-    known_masses : dict of str to float, default=None
-        Known masses [kg] of bodies, or of a ``"payload"`` (effect `Payload`), which
-        determine the common factor of unknown gains.
-    window : "auto" or float, default="auto"
-        Length [s] of the windows of ``criterion="simulation"``. ``"auto"`` is five
-        times the longest time constant of friction, at least five periods of the
-        fastest motion, and at most an eighth of the recordings.
-    alike : "auto", None, str or sequence, default="auto"
-        Groups of joints with the same drive, whose rotor inertia, viscous and Coulomb
-        friction, and coefficients of unsigned effects share a mean. A sequence holds
-        the groups, each as names or as a pattern; a string holds all patterns,
-        ``"hip thigh calf"``. ``"auto"`` groups joints whose names differ in a leg, a
-        side or a number only and whose described bodies are equal; it groups none with
-        `gains` or a custom `regressor`. None groups none.
-    verbose : int, default=0
-        If not 0, show :ref:`progress bars <progress>` on terminals.
-
-    Examples
-    --------
-    >>> from sklearn_vbjfa import RobotIdentifier
-    >>> from sklearn_vbjfa.fit import FitOptions
-    >>> options = FitOptions(standstill=0.01, alike=None)
-    >>> robot = RobotIdentifier("arm.urdf", dt=0.01, options=options)
-    """
-
-    state_cutoff: object = "auto"
-    standstill: object = "auto"
-    joint_weights: object = "auto"
-    torque_noise: object = None
-    known_masses: Mapping[str, float] | None = None
-    window: str | float = "auto"
-    alike: object = "auto"
-    verbose: int = 0
 
 
 class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
@@ -383,7 +321,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             too small for the described bodies.
         """
         self._declare()
-        recording = self._take(X, y, groups, sample_weight, t, signals)
+        recording = recording_of_arguments(
+            self, X, y, groups, sample_weight, t, signals
+        )
         with show_progress(self.fit_options.verbose):
             return self._fit_with_lag(recording)._warn_if_small()
 
@@ -402,7 +342,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
             Fitted estimator.
         """
         self._declare()
-        return self._fit_with_lag(self._checked(recording))._warn_if_small()
+        return self._fit_with_lag(checked_recording(self, recording))._warn_if_small()
 
     def _fit_with_lag(self, recording):
         self._fit(recording, look=True)
@@ -485,7 +425,7 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         # lag: about the time [s] by which all torques are late; not zero if it is to be
         # found, as `torque_lag_`.
         self._declare(*([TorqueLag(lag=lag)] if lag else []))
-        return self._fit(self._checked(recording))
+        return self._fit(checked_recording(self, recording))
 
     def build_model(self):
         """Load the model without data: names, `effects_` and `features_`."""
@@ -552,66 +492,6 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         self.parameter_units_ = self.features_.parameter_units_ + units
         self._description = described_bodies(self)
         self._shared_drives = alike_joints(self)
-
-    def _take(self, X, y, groups, sample_weight, t, signals):
-        """Make a `Recording` of the arguments of a fit, rejecting invalid ones."""
-        columns = columns_beside(X, self.joint_names_)
-        X, y = validate_data(
-            self,
-            positions_in_order(X, self.joint_names_),
-            torques_in_order(y, self.joint_names_),
-            dtype=np.float64,
-            multi_output=True,
-            y_numeric=True,
-        )
-        y = np.asarray(y, dtype=float).reshape(X.shape[0], -1)
-        check_widths(self.joint_names_, X, y)
-        self._check_rows(X, groups, t, contiguous_groups(groups, X.shape[0]))
-        channels = {}
-        if self.drive is not None:
-            channels, signals = self.drive.taken(y, signals)
-        used = signals_for(self.effects_, signals, columns, X.shape[0])
-        recording = recording_of(
-            self.joint_names_,
-            self.dt,
-            X,
-            y,
-            groups=groups,
-            weight=check_weight(sample_weight, y.shape),
-            t=t,
-            signals=used,
-        )
-        check_useful(signals, recording)
-        if self.drive is None:
-            return recording
-        recording = self.drive.driven(replace(recording, signals=channels))
-        return replace(recording, signals=used)
-
-    def _checked(self, recording):
-        """Return a recording with the signals that are needed, rejecting others."""
-        names, X = self.joint_names_, recording.inputs
-        if recording.joint_names != names or recording.dt != self.dt:
-            raise ValueError(
-                f"recording must have the joints of the robot ({', '.join(names)}) in "
-                f"their order and its sample period dt={self.dt} s; got "
-                f"{', '.join(recording.joint_names)} and {recording.dt} s."
-            )
-        validate_data(self, X, skip_check_array=True)
-        self._check_rows(X, recording.groups, recording.t, recording.segments)
-        offered = OfferedSignals(columns=recording.signals)
-        used = signals_for(self.effects_, None, offered, recording.n_samples)
-        weight = recording.weight
-        if weight is not None and used.keys() == recording.signals.keys():
-            return recording
-        weight = check_weight(weight, recording.tau.shape)
-        return replace(recording, signals=used, weight=weight)
-
-    def _check_rows(self, X, groups, t, parts):
-        nv = self.features_.n_joints_
-        if X.shape[1] == nv:
-            check_motion(self.joint_names_, X, parts)
-        warn_of_disorder(self.joint_names_, X[:, :nv], parts, groups)
-        check_time_stamps(t, self.dt, parts)
 
     def _prepare(self, recording):
         estimator, parts = None, recording.segments
@@ -715,7 +595,9 @@ class RobotIdentifier(RecordingRegressorMixin, BaseEstimator):
         robot, arguments = self.robot_, (X, y, groups, sample_weight, t, signals)
         if self.drive is None:
             return robot.residuals(*arguments, cutoff=cutoff)
-        return robot.residuals_of(self._take(*arguments), cutoff=cutoff)
+        return robot.residuals_of(
+            recording_of_arguments(self, *arguments), cutoff=cutoff
+        )
 
     @wraps(IdentifiedRobot.follow)
     def follow(self, recording, drive=None, *, window=None):

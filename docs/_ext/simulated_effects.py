@@ -138,7 +138,7 @@ def uses():
         ),
         Use(
             effect=effects.CouplingSpring(joint=4, other=5),
-            coef=(3.0, -2.0, 0.1),
+            coef=(3.0, 0.1),
             joint=4,
         ),
         Use(effect=effects.Elastic(joint=1), coef=(1 / 2000.0,), **_over_time()),

@@ -18,8 +18,10 @@ from sklearn_vbjfa.effects._base import (
     Stateful,
 )
 
-# Shares of the own joint's speed in w to try: none, sum and difference, and others.
+# Shares of the own joint's speed in w to try: none, sum and difference, and others; and
+# ratios of springs.
 _PLAIN, _RATIOS = (0.0, 1.0, -1.0), (0.5, 0.7, 1.4, 2.0)
+_RATIOS_OF_SPRINGS = (0.25, 0.5, 1.0, 2.0, 4.0)
 # In a simulation the sign of w turns over at least this speed [rad/s or m/s].
 _SLOW = 1e-3
 # Compliance of the finite difference: deflections of this share of the positions'
@@ -78,12 +80,16 @@ class _ToAnother(Shaped):
             return "there is only one joint"
         return super().applies(motion)
 
-    def columns(self, motion):
+    def _check_other(self, motion):
+        """Refuse a second joint that is not another one."""
         if self.other == self.joint or not 0 <= self.other < motion.n_joints:
             raise ValueError(
                 f"other of {self.name} must be another joint, 0 to "
                 f"{motion.n_joints - 1} but not {self.joint}; got {self.other!r}."
             )
+
+    def columns(self, motion):
+        self._check_other(motion)
         return super().columns(motion)
 
     def shapes(self, motion):
@@ -174,17 +180,19 @@ class Coupling(_ToAnother):
 
 
 class CouplingSpring(_ToAnother):
-    """Spring between two joints, such as a tendon, tau = k q + kx q_other + c.
+    """Spring over two joints, such as a tendon, tau = k (q - ratio q_other - q0).
 
-    A tendon that runs over both joints has tau = k (q - ratio q_other - q0), and acts
-    on the other joint with -ratio times that torque.
+    It acts on the other joint with -ratio times that torque, as its energy is that of
+    one deflection [1]_.
 
     Parameters
     ----------
     joint : int, default=0
-        Joint whose torque is felt, from zero.
+        First joint, from zero.
     other : int, default=1
-        Joint whose position stretches it.
+        Second joint.
+    ratio : float, default=1.0
+        Deflection by the second joint over that by the first, of the opposite sign.
 
     References
     ----------
@@ -194,29 +202,50 @@ class CouplingSpring(_ToAnother):
     name = "coupling_spring"
     label = "spring to another joint"
     formula = r"k\,(q - \mathrm{ratio}\,q_\mathrm{other} - q_0)"
-    coefficients = ("k", "kx", "c")
-    units = (STIFFNESS, STIFFNESS, TORQUE)
-    named_units = (("k", STIFFNESS), ("ratio", RATIO), ("q0", POSITION))
+    coefficients = ("k", "c")
+    units = (STIFFNESS, TORQUE)
+    named_units = (("k", STIFFNESS), ("q0", POSITION))
+    shape_units = (("ratio", RATIO),)
     negative = (("k", "pushes away from q0"),)
-    contains = ("spring", "offset")
+    contains = ("offset",)
+    continuous = ("ratio",)
     seen_over = "position"
+    whole_robot = True
     record = "each joint moving alone through a wide range"
     files = InFiles.nowhere("a spring between two joints")
-    terms = (
-        ("spring", "k"),
-        ("coupled_spring", "kx", "other"),
-        ("constant", "c"),
-    )
 
-    def law(self, maths):
-        j, k = self.joint, self.other
-        return lambda state: (state.q[j], state.q[k], 1.0)
+    def __init__(self, joint=0, other=1, ratio=1.0):
+        super().__init__(joint, other)
+        self.ratio = ratio
+
+    def columns(self, motion):
+        self._check_other(motion)
+        way = np.zeros((motion.n_joints, 1))
+        way[[self.joint, self.other], 0] = 1.0, -self.ratio
+        deflection = motion.q @ way
+        return np.hstack([deflection, np.ones_like(deflection)])[:, None] * way
+
+    def simulated(self, table, k, c):
+        ends = ((self.joint, 1.0), (self.other, -self.ratio))
+        for (j, own), (other, partner) in (ends, ends[::-1]):
+            table.add("spring", j, k * own * own)
+            table.add("coupled_spring", j, k * own * partner, other)
+            table.add("constant", j, c * own)
+        return True
+
+    def shapes(self, motion):
+        """All joints behind, with ratios of either sign."""
+        return [
+            shape | {"ratio": way * ratio}
+            for shape in super().shapes(motion)
+            if shape["other"] > self.joint
+            for ratio in _RATIOS_OF_SPRINGS
+            for way in (1.0, -1.0)
+        ]
 
     def parameters(self, coef):
-        k, kx, c = (float(x) for x in coef)
-        if not k:
-            return {"k": k, "ratio": np.nan, "q0": np.nan}
-        return {"k": k, "ratio": -kx / k, "q0": -c / k}
+        k, c = (float(x) for x in coef)
+        return {"k": k, "q0": -c / k if k else np.nan}
 
 
 class Elastic(Stateful):

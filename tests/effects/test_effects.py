@@ -271,7 +271,6 @@ def closed_forms():
         ),
         "rotor_inertia": ({}, [a]),
         "coupling": ({"other": 0}, [w, np.sign(w), A[:, 0]]),
-        "coupling_spring": ({"other": 0}, [q, Q[:, 0], one]),
         "coupling sum": (
             {"other": 0, "ratio": 1.0},
             [w + v, np.sign(w + v), A[:, 0] + a],
@@ -312,6 +311,14 @@ def test_columns_are_what_the_formula_says(case):
     parameters, expected = closed_forms()[case]
     effect = library_effect(case.split()[0], joint=1).set_params(**parameters)
     assert_allclose(transform(effect), np.column_stack(expected), rtol=1e-9, atol=1e-12)
+
+
+def test_a_spring_over_two_joints_has_the_work_of_its_deflection():
+    effect = effects.CouplingSpring(0, 1, ratio=0.7)
+    torque = transform(effect) @ [3.0, -0.6]
+    expected = 3.0 * (Q[:, 0] - 0.7 * Q[:, 1] - 0.2)
+    assert_allclose(torque, np.outer(expected, [1.0, -0.7]).reshape(-1, 2), atol=1e-12)
+    assert effect.parameters([3.0, -0.6]) == {"k": 3.0, "q0": pytest.approx(0.2)}
 
 
 @pytest.mark.parametrize("samples", [1, 7, 30])
@@ -519,7 +526,7 @@ def test_elastic_does_not_differentiate_across_recordings():
 
 def test_most_effects_have_one_shape_and_the_others_say_which():
     for effect in effects.resolve("all"):
-        shapes = clone(effect).set_params(joint=1).shapes(signals())
+        shapes = clone(effect).set_params(joint=0).shapes(signals())
         searched = {key for shape in shapes for key in shape}
         assert searched <= set(effect.get_params()) - {"joint"}
         assert (searched == set()) == (shapes == [{}])

@@ -5,14 +5,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from sklearn_vbjfa.physical._pseudo_inertia import (
+from sklearn_vbjfa.physical import (
     body_scales,
-    constraint_matrix,
     inertial_parameters,
     is_consistent,
     min_eigenvalue,
-    parameter_units,
     pseudo_inertia,
+)
+from sklearn_vbjfa.physical._pseudo_inertia import (
+    constraint_matrix,
+    parameter_units,
     spatial_inertia,
 )
 from tests.physical._problems import literal_matrix, parameters_of, point_masses

@@ -22,9 +22,9 @@ _DEFAULT_SPEED = 2.5
 _RANGE_SHARE = 0.8
 # Speed over which friction turns, as a share of the joint's fastest.
 _TURN = 0.005
-# Elements of the slip model: displacements at which they begin to slip [rad or m].
-_SLIPS = (0.004, 0.01, 0.02)
 _RIPPLE_PERIOD = np.radians(20.0)
+# Of the regression study: variances of signal over noise of the output, and rows.
+_OUTPUT_SNR, _N_TEST = 5.0, 2000
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -185,7 +185,7 @@ def make_robot_recording(
     inertial : ndarray of shape (nv, 10), default=None
         True inertial parameters, instead of drawing them.
     undeclared : mapping of {"load_friction", "stribeck", "spring", "ripple", \
-            "offset", "presliding"} to (int, float), default=None
+            "offset"} to (int, float), default=None
         Effects that a rigid-body model with friction does not have: name -> joint
         (from zero) and size, which is a share of the load for load_friction, a
         stiffness [N m/rad or N/m] for spring, a torque [N m or N] for the others.
@@ -365,18 +365,6 @@ def _turn(v):
     return np.tanh(v / (_TURN * np.abs(v).max()))
 
 
-def _presliding(q):
-    """Maxwell's slip model, summed: springs that slide when stretched too far."""
-    total = np.zeros_like(q)
-    for slip in _SLIPS:
-        stretch = np.zeros_like(q)
-        for i in range(1, q.size):
-            moved = stretch[i - 1] + q[i] - q[i - 1]
-            stretch[i] = min(max(moved, -slip), slip)
-        total += stretch / slip
-    return total
-
-
 # Name -> torque of size, position, speed and load of the joint.
 _TORQUES = {
     "load_friction": lambda size, q, v, load: size * np.abs(load) * _turn(v),
@@ -386,7 +374,6 @@ _TORQUES = {
     "spring": lambda size, q, v, load: size * q,
     "ripple": lambda size, q, v, load: size * np.sin(2 * np.pi * q / _RIPPLE_PERIOD),
     "offset": lambda size, q, v, load: np.full(q.shape, float(size)),
-    "presliding": lambda size, q, v, load: size * _presliding(q) / len(_SLIPS),
 }
 
 
@@ -542,8 +529,6 @@ def make_noisy_regression(
     n_redundant=0,
     n_irrelevant=90,
     input_snr=2.0,
-    output_snr=5.0,
-    n_test=2000,
     random_state=None,
 ) -> NoisyRegression:
     """Generate the data of section 5.1 of the paper.
@@ -559,10 +544,9 @@ def make_noisy_regression(
         Number of training samples (the paper does not say).
     n_relevant, n_redundant, n_irrelevant : int, default=10, 0, 90
         Numbers of inputs of each kind.
-    input_snr, output_snr : float, default=2.0, 5.0
-        Signal-to-noise ratios: variance of the signal by that of the noise.
-    n_test : int, default=2000
-        Number of test samples.
+    input_snr : float, default=2.0
+        Signal-to-noise ratio: variance of the signal by that of the noise. That of the
+        output is 5.
     random_state : int, RandomState instance or None, default=None
         Seed of everything that is drawn.
 
@@ -574,7 +558,8 @@ def make_noisy_regression(
     Raises
     ------
     ValueError
-        If a ratio is not positive, a number of inputs is negative, or none is relevant.
+        If the ratio is not positive, a number of inputs is negative, or none is
+        relevant.
 
     References
     ----------
@@ -589,10 +574,9 @@ def make_noisy_regression(
     >>> data.X.shape, int(data.relevant.sum())
     ((1000, 100), 10)
     """
-    if input_snr <= 0 or output_snr <= 0:
+    if input_snr <= 0:
         raise ValueError(
-            "Signal-to-noise ratios must be positive, got input_snr="
-            f"{input_snr} and output_snr={output_snr}; infinity means no noise."
+            f"input_snr must be positive, got {input_snr}; infinity means no noise."
         )
     if n_relevant < 1 or n_redundant < 0 or n_irrelevant < 0:
         raise ValueError(
@@ -606,15 +590,15 @@ def make_noisy_regression(
     coef = np.arange(1.0, n_relevant + 1)
     weights = rng.dirichlet(np.ones(n_relevant), size=n_redundant)
     noise = np.diagonal(covariance) / input_snr
-    output_noise = float(coef @ covariance @ coef / output_snr)
+    output_noise = float(coef @ covariance @ coef / _OUTPUT_SNR)
 
     t = rng.normal(size=(n_samples, n_relevant)) @ root.T
     y = t @ coef + np.sqrt(output_noise) * rng.normal(size=n_samples)
     x = t + np.sqrt(noise) * rng.normal(size=t.shape)
     X = np.hstack([x, x @ weights.T, rng.normal(size=(n_samples, n_irrelevant))])
-    t_test = rng.normal(size=(n_test, n_relevant)) @ root.T
+    t_test = rng.normal(size=(_N_TEST, n_relevant)) @ root.T
     X_test = np.hstack(
-        [t_test, t_test @ weights.T, rng.normal(size=(n_test, n_irrelevant))]
+        [t_test, t_test @ weights.T, rng.normal(size=(_N_TEST, n_irrelevant))]
     )
     made = np.vstack(
         [np.eye(n_relevant), weights, np.zeros((n_irrelevant, n_relevant))]

@@ -212,7 +212,12 @@ class DescribedRobot:
             rows, used = self.rows[j], bodies.used[j]
             design = bodies.rows_of(entries, j)[rows]
             if n_factors:
-                design, used = np.hstack([design, columns[rows, j]]), np.r_[used, extra]
+                own = columns[rows, j]
+                acts = own.any(axis=0)
+                design, used = (
+                    np.hstack([design, own[:, acts]]),
+                    np.r_[used, extra[acts]],
+                )
             y = tau[rows, j]
             wide = number.WIDE * max(np.sqrt(np.mean(y**2)), 1e-300)
             plain = wide * self._plain(j)[rows]
@@ -303,6 +308,11 @@ class _Joint:
         self.crossed = turn.T @ moments[k:-1, rest] / time
         self._offset = turn[:2], moments[k, k : k + 2] / time
 
+    def among(self, places):
+        """Count parameters by their places among some."""
+        self.used = np.searchsorted(places, self.used)
+        self.block = np.ix_(self.used, self.used)
+
     def marginal(self, noise):
         """Moments of bodies and torque once plain terms are integrated out."""
         share = 1 / (noise + self.values)
@@ -328,10 +338,52 @@ class _Joint:
 
 def _solve(joints, prior, n_factors, least):
     """`Fit` of joints that share bodies, each with its own plain terms and noise."""
+    first, evidence = prior.size - n_factors, 0.0
+    left, power = np.zeros(len(joints)), np.zeros(len(joints))
+    factors, covariance = np.zeros(n_factors), np.diag(prior[first:] ** 2)
+    parts = _apart(joints)
+    for part in parts:
+        places = np.unique(np.concatenate([joints[k].used for k in part]))
+        for k in part:
+            joints[k].among(places)
+        asked = least if len(parts) == 1 else -np.inf
+        of_part = _solve_together([joints[k] for k in part], places.size, asked)
+        evidence += of_part.evidence
+        left[part], power[part] = of_part.left, of_part.power
+        known = np.flatnonzero(places >= first)
+        at, size = places[known] - first, prior[places[known]]
+        factors[at] = of_part.factors[known] * size
+        covariance[np.ix_(at, at)] = (
+            of_part.covariance[np.ix_(known, known)] * size * size[:, None]
+        )
+    return Fit(
+        evidence=float(evidence),
+        left=left,
+        factors=factors,
+        covariance=covariance,
+        power=power,
+    )
+
+
+def _apart(joints):
+    """Split joints into lists of those that share parameters, by their places."""
+    found = []
+    for k, one in enumerate(joints):
+        own = set(one.used.tolist())
+        shares = [pair for pair in found if pair[1] & own]
+        found = [pair for pair in found if not pair[1] & own]
+        places = sorted([*(place for pair in shares for place in pair[0]), k])
+        found.append((places, own.union(*(pair[1] for pair in shares))))
+    return [places for places, _ in found]
+
+
+def _solve_together(joints, p, least):
+    """`Fit` of joints by p parameters of which the prior is standard normal."""
     # Noise variances are found by fixed points of the evidence (MacKay, Bayesian
     # interpolation, Neural Computation 4, 1992).
-    noise, p = np.array([0.01 * one.variance for one in joints]), prior.size
+    noise = np.array([0.01 * one.variance for one in joints])
     rows = np.array([one.rows for one in joints])
+    size = np.array([one.variance for one in joints])
     for passed in range(number.ITERATIONS):
         A, b, plain = np.eye(p), np.zeros(p), 0.0
         for one, variance in zip(joints, noise):
@@ -341,8 +393,8 @@ def _solve(joints, prior, n_factors, least):
             plain += np.log(variance * share).sum()
         # Columns of wrong units may be so large that rounding exceeds the prior.
         A[np.diag_indices(p)] *= 1.0 + 1e-11
-        covariance = np.linalg.inv(A)
-        theta, before, noise, misfit = covariance @ b, noise, noise.copy(), 0.0
+        theta, covariance, log_det = _solved(A, b)
+        before, noise, misfit = noise, noise.copy(), 0.0
         phis = []
         for i, one in enumerate(joints):
             phi, square = one.plain(theta[one.used], before[i])
@@ -352,35 +404,32 @@ def _solve(joints, prior, n_factors, least):
             misfit += square / before[i] + phi @ phi
             phis.append(phi)
         change = np.log(noise / before)
+        missed = theta @ theta + log_det - plain + misfit + rows @ np.log(before / size)
         if passed and np.abs(change).max() < number.CONVERGED:
             break
-        if passed > 1 and np.isfinite(least):
-            # Each further pass changes noise by less than the one before.
-            gain = rows @ np.maximum(-change, 0.0)
-            size = [one.variance for one in joints]
-            evidence = _evidence(theta, A, plain, misfit, rows, before / size)
-            if evidence + gain < least:
-                break
-    size = np.array([one.variance for one in joints])
-    evidence = _evidence(theta, A, plain, misfit, rows, before / size)
+        # Each further pass changes noise by less than the one before.
+        gain = rows @ np.maximum(-change, 0.0)
+        if passed > 1 and gain - 0.5 * missed < least:
+            break
     power = [
         one.power(phi, variance, covariance[one.block])
         for one, phi, variance in zip(joints, phis, before)
     ]
     # Friction takes power out of a motion; what feeds it is unlikely.
     friction = np.maximum(scipy.special.log_ndtr(power), -number.FRICTION).sum()
-    factors = slice(p - n_factors, p)
     return Fit(
-        evidence=float(evidence + friction),
+        evidence=float(friction - 0.5 * missed),
         left=np.log(noise / size),
-        factors=theta[factors] * prior[factors],
-        covariance=covariance[factors, factors]
-        * np.outer(prior[factors], prior[factors]),
+        factors=theta,
+        covariance=covariance,
         power=np.array(power),
     )
 
 
-def _evidence(theta, A, plain, misfit, rows, noise):
-    """Logarithm of the marginal likelihood; noise: over each torque's variance."""
-    bodies = theta @ theta + np.linalg.slogdet(A)[1] - plain
-    return -0.5 * (bodies + misfit + rows @ np.log(noise))
+def _solved(A, b):
+    """Solve A x = b, A positive definite; x, inverse and log determinant of A."""
+    root = scipy.linalg.cholesky(A, lower=True)
+    inverse, _ = scipy.linalg.lapack.dpotri(root, lower=True)
+    inverse += np.tril(inverse, -1).T
+    x = scipy.linalg.cho_solve((root, True), b)
+    return x, inverse, 2.0 * np.log(np.diagonal(root)).sum()

@@ -22,6 +22,8 @@ GOOD_FIT, NO_FIT, MOST_ORDERS = 0.1, 0.5, 5
 # Changes of one kind that the likelihood is computed of, and pairs of joints whose
 # exchange is examined by each of two rankings.
 MOST_LIKELY, MOST_PAIRS = 6, 40
+# Rows of the rough score of changes, at least, and times the joints.
+LEAST_ROUGH, ROUGH = 60, 4000
 # In the rough score of changes, described torques of another sign count as an error of
 # four times this share of their square.
 ROUGH_PRIOR = 0.05
@@ -72,8 +74,9 @@ PLAUSIBLE = 2.0
 # seldom sampled at that period [s]; 5 kHz read as ms are 0.2.
 TOO_SLOW, LONG_PERIOD = 0.01, 0.15
 # A lag is told from none if it is this many times its deviation, and raises the squared
-# error of no joint by more than this [log]; longer ones than the shifts of the signals
-# are followed by so many moves. Time constants of a low-pass, over the lag.
+# error of no joint by more than this [log], or this share of the fall of all; longer
+# ones than the shifts of the signals are followed by so many moves. Time constants of a
+# low-pass, over the lag.
 LEAST_LAG, HARM, MOVES, CONSTANTS = 3.0, 0.1, 6, (0.7, 1.0, 1.4)
 # A contact pushes a joint by this many deviations of what is left elsewhere, and lasts
 # for this part of the log at least; places of its ends that are tried.

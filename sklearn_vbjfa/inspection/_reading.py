@@ -315,13 +315,20 @@ class Reading:
         # the size of their motion's and their weight's torque.
         if change is None:
             return np.diagonal(self.rough_crossed)
-        signals = change.signals(self.few.signals)
+        signals = change.signals(self._roughly)
         return _left(self.model, signals, self.few.joints, signals.now)
+
+    @functools.cached_property
+    def _roughly(self):
+        """Signals of fewer rows where there are many joints."""
+        return self.few.signals.thinned(
+            max(number.LEAST_ROUGH, number.ROUGH // self.nv)
+        )
 
     @functools.cached_property
     def rough_crossed(self):
         """Of each joint's motion and each torque, (n_joints, n_joints)."""
-        signals, joints = self.few.signals, self.few.joints
+        signals, joints = self._roughly, self.few.joints
         every = [_left(self.model, signals, joints, x[:, None]) for x in signals.now.T]
         return np.column_stack([every[j] for j in joints])
 

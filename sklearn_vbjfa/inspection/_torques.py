@@ -485,14 +485,14 @@ def _shift(robot):
     best = int(np.argmax(evidence))
     gain = float(evidence[best] - evidence[middle])
     step = float(shifts[1] - shifts[0])
-    if best in (0, shifts.size - 1) and fits[best].left.size > 1:
-        return float(shifts[best]), np.inf, gain
     change = fits[best].left - fits[middle].left
-    shared = (
-        change.size > 1 and (change < 0).mean() > 0.5 and change.max() < number.HARM
-    )
-    if (best != middle and not shared) or not 0 < best < shifts.size - 1:
+    harm = number.HARM * max(1.0, -change.sum())
+    shared = change.size > 1 and (change < 0).mean() > 0.5 and change.max() < harm
+    # Friction with memory looks like a lag of its joint, and others get worse.
+    if best != middle and not shared:
         return 0.0, 1.0, 0.0
+    if best in (0, shifts.size - 1):
+        return float(shifts[best]), np.inf, gain
     low, high, after = evidence[best - 1 : best + 2]
     bend = low - 2 * high + after
     if bend >= 0:

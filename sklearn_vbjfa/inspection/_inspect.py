@@ -153,7 +153,11 @@ def inspect_channels(model, q, tau, dt, groups=None, *, drive=None):
     channels = (x[rows] for x in (log.q, tau, log.usable))
     q, tau, usable = channels
     reading = Reading(model, names, q, tau, dt, parts, usable, drive=drive)
-    return in_order(log.findings + _compared(reading))
+    found = _compared(reading)
+    if any(one.severity != "warning" for one in log.findings):
+        # Which robot it is cannot be said of rows that are wrong.
+        found = [one for one in found if one.kind != "other_robot"]
+    return in_order(log.findings + found)
 
 
 def _compared(reading):

@@ -96,9 +96,13 @@ def _offered(table, options, robot, near):
     if len(found) != 1:
         return {}
     (mapping,), more = found, {}
+    columns = matches(mapping["q"], table, "q") if "q" in mapping else []
+    numbered = columns and all(isinstance(x.key, int) for x in columns)
+    if numbered and len(columns) < len(robot.names) and not robot.chosen:
+        more["joint_names"] = robot.names[: len(columns)]
     if "t" in near and not split_unit(mapping["t"])[1]:
         unit = unit_of_steps(usual_step(table.values(mapping["t"]).astype(float)))
-        more = {} if unit in ("", "s") else {"time_unit": unit}
+        more |= {} if unit in ("", "s") else {"time_unit": unit}
     if "tau" in near and options.gains is None:
         columns = matches(mapping["tau"], table, "tau")
         bases = {unit.base for x in columns if (unit := unit_of("tau", x.unit))}
@@ -122,7 +126,7 @@ def _works(table, options, robot):
     except ValueError:
         return False
     counts = {len(found[kind]) for kind in options.kinds[:2]}
-    return len(counts) == 1 and counts <= {len(own.names) or max(counts)}
+    return len(counts) == 1 and max(counts) <= (len(own.names) or max(counts))
 
 
 # -- the nearest names -----------------------------------------------------------------

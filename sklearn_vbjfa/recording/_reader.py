@@ -11,7 +11,6 @@ import numpy as np
 
 from sklearn_vbjfa._core._progress import counted
 from sklearn_vbjfa.model import DoubtWarning
-from sklearn_vbjfa.recording import formats
 from sklearn_vbjfa.recording._clock import distinct, on_one_grid
 from sklearn_vbjfa.recording._conversion import is_recording, recording_of
 from sklearn_vbjfa.recording._drives import Drive, parse_drive
@@ -50,10 +49,10 @@ def read_recording(
     Parameters
     ----------
     path : str, os.PathLike or sequence of these
-        One row per sample, as TABLES;
-        a bag of ROS 1 or 2 or an MCAP file with JointState; the folder of a LeRobot
-        data set; "-" for standard input. Columns: positions q1 ... qn [rad or m],
-        torques tau1 ... taun [N m or N]; optionally v1 ... vn, a1 ... an, t [s or
+        One row per sample, as CSV (also packed), Excel, npz, npy, MATLAB, parquet or
+        JSON; a bag of ROS 1 or 2 or an MCAP file with JointState; the folder of a
+        LeRobot data set; "-" for standard input. Columns: positions q1 ... qn [rad or
+        m], torques tau1 ... taun [N m or N]; optionally v1 ... vn, a1 ... an, t [s or
         dates] and segment, the label of separate recordings. Numbers may count from 0
         or be joint names (q_shoulder), and a unit may follow (q1 [deg], t_ms). Several
         files, or a folder of them, are several recordings of one robot.
@@ -103,8 +102,8 @@ def read_recording(
     FileNotFoundError
         If the file does not exist.
     ImportError
-        If pandas or a package that the format needs is missing (PACKAGES), or Pinocchio
-        for `urdf`.
+        If pandas, or a package that the format needs, is missing (python-calamine,
+        pyarrow or rosbags), or Pinocchio for `urdf`.
     OSError
         If the file cannot be read.
     ValueError
@@ -192,12 +191,6 @@ def read_recording(
     return recording
 
 
-if read_recording.__doc__:  # not if Python leaves docstrings out
-    read_recording.__doc__ = read_recording.__doc__.replace(
-        "TABLES", formats.TABLES
-    ).replace("PACKAGES", formats.PACKAGES)
-
-
 def _checked_gains(gains):
     """Return gains as a tuple of float, "unknown" or None."""
     if gains is None or (isinstance(gains, str) and gains == "unknown"):
@@ -274,7 +267,7 @@ def _of_folder(folder, paths, options, notes):
     for path in paths:
         try:
             table = _table(path, options)
-            if not table.has_numbers:
+            if not any(kind.kind in "iuf" for kind in table.frame.dtypes):
                 raise NotATable(f"{path}: has no column of numbers.")
         except NotATable as error:
             others.append(path.name)

@@ -3,7 +3,7 @@
 import contextlib
 import re
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -77,11 +77,6 @@ class Table:
         """Names of the columns."""
         return list(self.frame)
 
-    @property
-    def has_numbers(self) -> bool:
-        """Whether a column has numbers."""
-        return any(kind.kind in "iuf" for kind in self.frame.dtypes)
-
     def values(self, name) -> np.ndarray:
         """Return a column: numbers, dates, or text as objects."""
         return self.frame[name].to_numpy()
@@ -104,14 +99,6 @@ class Source:
 
     def __str__(self):
         return str(self.shown)
-
-
-@dataclass(frozen=True, kw_only=True)
-class Wanted:
-    """What a user asks of a file that holds more than one robot's recording."""
-
-    topic: str | None = None  # of a bag; None for the only one of joint states
-    joints: Callable = lambda: ()  # returns the robot's, empty for all
 
 
 # -- files that are damaged, too large or empty, packages that are missing -------------

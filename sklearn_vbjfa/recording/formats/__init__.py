@@ -13,7 +13,6 @@ from pathlib import Path
 from sklearn_vbjfa.recording._table import (
     Source,
     Table,
-    Wanted,
     check_size,
     listed,
     no_rows,
@@ -23,12 +22,11 @@ from sklearn_vbjfa.recording.formats import _arrays
 from sklearn_vbjfa.recording.formats._bags import BAGS, bag_files, read_bag
 from sklearn_vbjfa.recording.formats._text import read_sheet, read_text
 
-# What a file may be, and what reads it, for docstrings and the help of commands.
+# What a file may be, for the help of commands.
 TABLES = (
     "CSV (also .gz, .bz2, .xz), Excel, npz, npy with named fields, MATLAB (to version "
     "7.2), parquet or JSON"
 )
-PACKAGES = "python-calamine, pyarrow or rosbags"
 _KNOWN = (
     ".csv, .xlsx, .npz, .npy, .mat, .parquet, .json, .jsonl, .bag, .db3 or .mcap (text "
     "also with .gz, .bz2, .xz or .zst)"
@@ -43,11 +41,9 @@ _READERS = {
     **dict.fromkeys(_arrays.PARQUET, _arrays.read_parquet),
     **dict.fromkeys((".json", ".jsonl", ".ndjson"), _arrays.read_json),
 }
-# Modules by which packed files are opened, and what unpacks others.
+# Modules by which packed files are opened.
 _OPEN = {".gz": gzip, ".bz2": bz2, ".xz": lzma, ".lzma": lzma, ".zst": None}
 _OPEN |= {".zstd": None}
-_UNPACK = {".zip": "unzip", ".7z": "7z x", ".rar": "unrar x", ".lz4": "lz4 -d"}
-_UNPACK |= {".tar": "tar xf", ".tgz": "tar xf"}
 # How files begin, and the ending that they would have.
 _PACKED = {b"\x1f\x8b": ".gz", b"BZh": ".bz2", b"\xfd7zXZ\x00": ".xz"}
 _PACKED |= {b"\x28\xb5\x2f\xfd": ".zst"}
@@ -72,10 +68,9 @@ def read_table(path, topic=None, joints=lambda: ()) -> Table:
     # path: file, folder of a bag or of a LeRobot data set, or "-" for standard input;
     # topic: topic of a bag; joints: function that returns the robot's joints.
     path = expanded(path)
-    wanted = Wanted(topic=topic, joints=joints)
     with contextlib.ExitStack() as stack:
         read = _read_folder if path.is_dir() else _read_file
-        table = read(stack, path, wanted)
+        table = read(stack, path, topic, joints)
     if table.frame.empty:
         raise no_rows(path)
     return table
@@ -126,16 +121,16 @@ def _tables(path):
     return found
 
 
-def _read_folder(stack, path, wanted):
+def _read_folder(stack, path, topic, joints):
     """Read the folder of a bag or of a LeRobot data set."""
     files = bag_files(path)
     if files:
         packed = [x for x in files if x.suffix.startswith(".zst")]
         files = [x for x in files if x not in packed]
         files += [_unpacked(stack, Source(x, path), x.suffix).file for x in packed]
-        return read_bag(files, path, wanted)
+        return read_bag(files, path, topic, joints())
     if (path / "meta" / "info.json").is_file():
-        _check_topic(path, "", wanted)
+        _check_topic(path, "", topic)
         return _arrays.read_lerobot(path)
     names = sorted(x.name for x in path.iterdir() if not x.name.startswith("."))
     raise ValueError(
@@ -147,7 +142,7 @@ def _read_folder(stack, path, wanted):
 # -- files -----------------------------------------------------------------------------
 
 
-def _read_file(stack, path, wanted):
+def _read_file(stack, path, topic, joints):
     source = Source(path, path)
     if str(path) == "-" or (path.exists() and not path.is_file()):
         source = _from_pipe(stack, path)
@@ -164,23 +159,23 @@ def _read_file(stack, path, wanted):
     if ending in _OPEN:
         source = _unpacked(stack, source, ending)
         ending = source.file.suffix.lower()
-    _check_topic(source, ending, wanted)
+    _check_topic(source, ending, topic)
     if ending in BAGS:
-        return read_bag([source.file], source.shown, wanted)
+        return read_bag([source.file], source.shown, topic, joints())
     if ending in _READERS:
         return _READERS[ending](source)
     remedy = "or in Python by numpy.savez(FILE, t=t, q=q, tau=tau)"
-    if ending in _UNPACK:
-        remedy = f"or unpack it first: {_UNPACK[ending]} {shlex.quote(str(source))}"
+    if ending == ".zip":
+        remedy = f"or unpack it first: unzip {shlex.quote(str(source))}"
     raise ValueError(
         f"{source}: unknown ending {ending!r}; save the recording as {_KNOWN}, {remedy}"
     )
 
 
-def _check_topic(path, ending, wanted):
-    if wanted.topic is not None and ending not in BAGS:
+def _check_topic(path, ending, topic):
+    if topic is not None and ending not in BAGS:
         raise ValueError(
-            f"{path}: is not a bag, so it has no topic {wanted.topic!r}; leave out "
+            f"{path}: is not a bag, so it has no topic {topic!r}; leave out "
             "the topic, or give a .bag, .db3 or .mcap file."
         )
 

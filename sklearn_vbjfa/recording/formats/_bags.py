@@ -46,7 +46,7 @@ def _packs_messages(folder):
     return bool(re.search(r"compression_mode:\s*[\"']?message\b", text, re.IGNORECASE))
 
 
-def read_bag(files, shown, wanted) -> Table:
+def read_bag(files, shown, topic, joints) -> Table:
     """Read positions and efforts of the joints in a bag."""
     try:
         from rosbags.highlevel import AnyReader
@@ -65,9 +65,9 @@ def read_bag(files, shown, wanted) -> Table:
         parsing(shown, "bag", remedy),
         AnyReader(files, default_typestore=store) as bag,
     ):
-        connections = _connections(bag, shown, wanted)
+        connections = _connections(bag, shown, topic, joints)
         frame, clock = _messages(bag, shown, connections)
-        return _joint_states(shown, connections[0].topic, frame, clock, wanted.joints())
+        return _joint_states(shown, connections[0].topic, frame, clock, joints)
 
 
 # -- messages as rows ------------------------------------------------------------------
@@ -174,18 +174,18 @@ def _joint_states(shown, topic, frame, clock, wanted):
 # -- which topic -----------------------------------------------------------------------
 
 
-def _connections(bag, shown, wanted):
+def _connections(bag, shown, topic, joints):
     """Return the connections of the topic that was asked for, or of the only one."""
     states = [x for x in bag.connections if x.msgtype == _TYPE and x.msgcount]
     topics = sorted({x.topic for x in states})
-    if wanted.topic is not None:
-        chosen = [x for x in states if x.topic in (wanted.topic, f"/{wanted.topic}")]
+    if topic is not None:
+        chosen = [x for x in states if x.topic in (topic, f"/{topic}")]
         if chosen:
             return chosen
-        near = difflib.get_close_matches(wanted.topic, topics, 1)
+        near = difflib.get_close_matches(topic, topics, 1)
         near = topics if len(topics) == 1 else near
         raise RecordingRefused(
-            f"{shown}: has no joint states ({_TYPE}) in {wanted.topic}, {_all(bag)}.",
+            f"{shown}: has no joint states ({_TYPE}) in {topic}, {_all(bag)}.",
             {"topic": near[0]} if near else {},
         )
     if not topics:
@@ -194,7 +194,7 @@ def _connections(bag, shown, wanted):
             f"positions and efforts, {_all(bag)}; record /joint_states."
         )
     if len(topics) > 1:
-        able = [x for x in topics if _has_joints(bag, states, x, wanted.joints())]
+        able = [x for x in topics if _has_joints(bag, states, x, joints)]
         if len(able) != 1:
             raise RecordingRefused(
                 f"{shown}: holds {len(topics)} topics of joint states: "

@@ -71,11 +71,16 @@ def elements(q, displacements, level=None, creeps=False, before=()):
     if len(before):
         out[0] = elements(np.append(before, q[0]), d, creeps=creeps)[-1]
     level = np.ones(q.size) if level is None else level
-    follow = _creep if creeps else _slip
+    if creeps:
+        # z' = way g + (z - way g) exp(-step / g)
+        way = np.diff(q, prepend=q[0])[:, None]
+        left = -np.abs(way) / (d * level[:, None])
+        drive = -np.sign(way) * level[:, None] * np.expm1(left)
+        return _recursion(np.exp(left), drive, out[0])
     for a, b in itertools.pairwise(_turning_points(q)):
         rows, way = slice(a + 1, b + 1), 1.0 if q[b] >= q[a] else -1.0
         moved = np.abs(q[rows] - q[a])[:, None] / d
-        out[rows] = way * follow(way * out[a], moved, level[rows, None])
+        out[rows] = way * _slip(way * out[a], moved, level[rows, None])
     return out
 
 
@@ -84,14 +89,15 @@ def _slip(z, moved, level):
     return moved + np.minimum(z, np.minimum.accumulate(level - moved))
 
 
-def _creep(z, moved, level):
-    """Elements z (k,), moved (n, k) forward, that approach a level (n, 1)."""
-    # z' = level + (z - level) exp(-step), summed in logarithms, which do not overflow.
-    steps = np.diff(moved, axis=0, prepend=0.0) / level
-    way = np.cumsum(steps, axis=0)
-    with np.errstate(divide="ignore"):
-        gains = np.log(level) + way + np.log(-np.expm1(-steps))
-    return np.exp(np.logaddexp.accumulate(gains) - way) + z * np.exp(-way)
+def _recursion(left, drive, start):
+    """Solve z_i = left_i z_(i-1) + drive_i for rows (n, k), z from start (k,) on."""
+    # Each pass puts twice as many steps together; rows that are changed are read first.
+    shift = 1
+    while shift < len(left):
+        drive[shift:] += left[shift:] * drive[:-shift]
+        left[shift:] *= left[:-shift].copy()
+        shift *= 2
+    return left * start + drive
 
 
 def play(q, width):

@@ -413,13 +413,13 @@ class Path:
         """Search the shape of an effect given a fit, from one or several."""
         return refined(effects, Trials(path=self, fit=fit), self.motion)
 
-    def refined(self, fit, joint=None):
-        """Search the shapes of members again, of all joints or one."""
+    def refined(self, fit, joints=None):
+        """Search the shapes of members again, of all joints or some."""
         shaped = [
             i
             for i, member in enumerate(fit.members)
             if (member.effect.bank or _searched_on(member.effect))
-            and joint in (None, member.effect.joint)
+            and (joints is None or member.effect.joint in joints)
         ]
         fit = self._stepped(fit, shaped)
         for i in shaped:
@@ -547,7 +547,7 @@ class Path:
     def _climb(self, fit):
         """Add, drop, refine and exchange until nothing is more probable."""
         self._moved()
-        been, tuned, self._rejected = {keys_of(fit)}, None, set()
+        been, tuned, self._rejected = {keys_of(fit)}, frozenset(), set()
         tried = fit
         while True:
             full = self.max_effects is not None and len(fit.members) >= self.max_effects
@@ -560,9 +560,10 @@ class Path:
                     self._refused(candidate)
                     continue
             elif fit.members and keys_of(fit) != tuned:
-                # Shapes that were found before the others were there.
+                # Shapes that were found before the others of their joints were there.
+                joints = {joint for _, joint, _ in keys_of(fit) ^ tuned}
                 tuned = keys_of(fit)
-                new = self._pruned(self.refined(fit))
+                new = self._pruned(self.refined(fit, joints))
             elif self._rejected and tried is not fit:
                 # What was refused beside another model.
                 self._rejected, tried = set(), fit
@@ -622,16 +623,16 @@ class Path:
     def _settles(self, fit):
         """Whether a fit stands once the robot is corrected and its load made anew."""
         # What its first derivative promises need not hold: a gain that is hidden looks
-        # like whatever the joint lacks. And what takes the place of bodies takes the
-        # load from friction that depends on it.
+        # like whatever the joint lacks. And bodies take the load from friction that
+        # depends on it; of the other members the next round asks that.
         last = len(fit.members) - 1
-        loaded = [i for i, m in enumerate(fit.members) if "load" in m.effect.depends]
-        if not (loaded or fit.members[last].effect.in_model):
+        effect = fit.members[last].effect
+        if not ("load" in effect.depends or effect.in_model):
             return True
         before = self.view, self.problem, self.motion
         for _ in range(_TURNS):
             fit = self._anew(fit)
-            sure = (self.log_odds(fit)[[*loaded, last]] > self.least).all()
+            sure = self.log_odds(fit)[last] > self.least
             if not sure:
                 break
         natural = fit.members[last].effect.natural(fit.coefficients(last))
@@ -703,7 +704,7 @@ class Path:
             if keys_of(new) in been or len(keys_of(new) - keys_of(fit)) < 2:
                 continue
             been.add(keys_of(new))
-            new = self._pruned(self.refined(new, joint))
+            new = self._pruned(self.refined(new, {joint}))
             if len(keys_of(new) - keys_of(fit)) < 2 or self._excluded(new):
                 continue
             if self.max_effects is not None and len(new.members) > self.max_effects:

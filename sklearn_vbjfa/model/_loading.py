@@ -225,7 +225,7 @@ def _folded(tree, path, moving=None, base=None):
     folded = foldable(robot.carriers, links, robot.called)
     found = fold(robot.model, folded)
     apart = [name for name in links if name not in folded]
-    said = [*said, *robot.left_out(robot.names)]
+    said = [*said, *robot.left_out]
     _warn([*said, *_left_out(apart, found.full, robot.massless)], path.name)
     for one in (found.model, found.still):
         with_extension(one)

@@ -5,7 +5,6 @@ notice of equality constraints. This one keeps all bodies, in the order of MuJoC
 coordinates, and names what it cannot keep.
 """
 
-import functools
 import re
 import xml.etree.ElementTree as ElementTree
 
@@ -26,12 +25,6 @@ _MOST_FILES, _DEEPEST = 100, 300
 _MACROS = ("composite", "flexcomp", "replicate", "attach")
 # What is read of a file; the rest needs files or memory that joints have no use for.
 _READ = ("compiler", "option", "default", "worldbody", "tendon", "equality")
-# What joints do by themselves in MuJoCo, and not in the model.
-_PASSIVE = {
-    "stiffness": "springs",
-    "damping": "damping",
-    "frictionloss": "dry friction",
-}
 _LOOP = "closes a loop, and only trees of joints can be identified"
 _SAVE = (
     "load the file with MuJoCo, save what it made of it (mujoco.mj_saveLastXML), and "
@@ -160,24 +153,8 @@ def _robot(mujoco, model, name, path, n_actuators):
     check_number(model.njnt, called)
     names, nameless = _names(model)
     closures, links = _equalities(mujoco, model, names)
-    beside = []
-    if model.ntendon:
-        tendons = [model.tendon(k).name or "tendon" for k in range(model.ntendon)]
-        beside.append(f"the tendon(s) {', '.join(tendons)}")
-    if model.body_gravcomp.any():
-        listed = ", ".join(
-            names["body"][k] for k in np.flatnonzero(model.body_gravcomp)
-        )
-        beside.append(f"that gravity is compensated on {listed} (gravcomp)")
-    if n_actuators:
-        beside.append(f"the {n_actuators} actuator(s) with their gains and biases")
     tree = _tree(mujoco, model, names)
     tree.name = name
-    after = []
-    if not tree.gravity.linear.any():
-        after.append("there is no gravity in it (option), and so none in the model")
-    if nameless:
-        after.append(f"joints without a name are called {', '.join(nameless)}")
     return Description(
         model=tree,
         called=called,
@@ -188,45 +165,30 @@ def _robot(mujoco, model, name, path, n_actuators):
             for first, n in zip(model.body_jntadr, model.body_jntnum)
             if n > 1
         ),
-        left_out=functools.partial(
-            _left_out, passive=_passive(model, names["joint"]), more=beside, after=after
-        ),
+        left_out=tuple(_left_out(model, tree, n_actuators, nameless)),
     )
 
 
-def _passive(model, names):
-    """Return what joints do by themselves, in words, name -> a set."""
-    found = {}
-    for j, name in enumerate(names):
-        dof = model.jnt_dofadr[j]
-        does = {
-            key: getattr(model, f"dof_{key}")[dof]
-            for key in ("damping", "frictionloss")
-        }
-        does["stiffness"] = model.jnt_stiffness[j]
-        found[name] = {what for key, what in _PASSIVE.items() if does[key]}
-    return found
-
-
-def _left_out(names, passive, more, after):
+def _left_out(model, tree, n_actuators, nameless):
     """Sentences on what is in the file and does not enter the model."""
-    words = []
-    for what in _PASSIVE.values():
-        having = [name for name in names if what in passive[name]]
-        if having:
-            every = len(having) == len(names) > 1
-            words.append(
-                f"the {what} of {'all joints' if every else ', '.join(having)}"
-            )
-    words += more
-    found = []
+    there = {
+        "springs": model.jnt_stiffness.any(),
+        "damping": model.dof_damping.any(),
+        "dry friction": model.dof_frictionloss.any(),
+        "tendons": model.ntendon,
+        "compensation of gravity (gravcomp)": model.body_gravcomp.any(),
+        "actuators": n_actuators,
+    }
+    words = [word for word, found in there.items() if found]
     if words:
-        found.append(
-            "not taken over (simulated by MuJoCo only): "
-            f"{', '.join(words)} (friction and effects identify what the recording "
-            "shows of it)"
+        yield (
+            f"not taken over (simulated by MuJoCo only): {', '.join(words)} (friction "
+            "and effects identify what the recording shows of it)"
         )
-    return found + after
+    if not tree.gravity.linear.any():
+        yield "there is no gravity in it (option), and so none in the model"
+    if nameless:
+        yield f"joints without a name are called {', '.join(nameless)}"
 
 
 def _tree(mujoco, model, names):

@@ -7,7 +7,6 @@ with encoders and motors, which feel the followers' bodies.
 """
 
 import sys
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
@@ -321,8 +320,7 @@ class Description:
     links: dict = field(default_factory=dict)  # name -> `Link`
     closures: tuple = ()
     bodies: tuple = ()  # names of the joints of one body, for each that has several
-    # names of joints -> sentences on what does not enter the model
-    left_out: Callable = lambda names: []
+    left_out: tuple = ()  # sentences on what does not enter the model
 
     @property
     def names(self):

@@ -340,13 +340,24 @@ def _closures(root):
     at = {x.get("name"): x.get("link") for x in root.findall("frame")}
     found = []
     for element in root.iter():
-        closure = _closure(element)
-        if closure is not None:
-            words = dict.fromkeys(at.get(word, word) for word in _words(closure))
-            links = tuple(word for word in words if word in names)
-            joined = f" between {' and '.join(links)}" if links else ""
-            said = f"{_called(closure)}{joined} closes a loop, {_TREE}"
-            found.append(Closure(said, bodies=links))
+        # Without the namespace of its program.
+        tag, where = re.sub(r"^(\{.*\}|.*:)", "", str(element.tag)), ""
+        if tag == "gazebo" and element.find("joint") is not None:
+            # A whole joint of the simulator, beside those of the robot.
+            tag, where, element = "joint", " of <gazebo>", element.find("joint")
+        elif tag not in _CLOSURES:
+            continue
+        words = [
+            word.strip()
+            for one in element.iter()
+            for word in (*one.attrib.values(), one.text or "")
+        ]
+        words = dict.fromkeys(at.get(word, word) for word in words)
+        links = tuple(word for word in words if word in names)
+        called = f" {element.get('name')!r}" if element.get("name") else ""
+        joined = f" between {' and '.join(links)}" if links else ""
+        said = f"<{tag}>{called}{where}{joined} closes a loop, {_TREE}"
+        found.append(Closure(said, bodies=links))
     return tuple(found)
 
 
@@ -399,36 +410,6 @@ def _check_ring(link, above, called):
                 "; correct the parent of one joint."
             )
         seen.append(link)
-
-
-def _plain(tag):
-    """Tag of an element without the namespace of its program."""
-    return re.sub(r"^(\{.*\}|.*:)", "", str(tag))
-
-
-def _closure(element):
-    """Return the element that joins links outside the tree, if this has or is one."""
-    tag = _plain(element.tag)
-    if tag in _CLOSURES:
-        return element
-    # A whole joint of the simulator, beside those of the robot.
-    return element.find("joint") if tag == "gazebo" else None
-
-
-def _words(element):
-    """Texts and attributes of all that is in an element."""
-    return [
-        word.strip()
-        for one in element.iter()
-        for word in (*one.attrib.values(), one.text or "")
-    ]
-
-
-def _called(element):
-    """How messages call an element."""
-    tag, name = _plain(element.tag), element.get("name")
-    where = " of <gazebo>" if tag == "joint" else ""
-    return f"<{tag}>{f' {name!r}' if name else ''}{where}"
 
 
 # -- identified robots -----------------------------------------------------------------

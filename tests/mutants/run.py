@@ -121,11 +121,11 @@ def run(root, tests):
             env=os.environ | {"PYTHONPATH": str(root), "OMP_NUM_THREADS": "1"},
             capture_output=True,
             text=True,
-            timeout=_LONGEST,
+            timeout=_LONGEST * len(tests),
             check=False,
         )
     except subprocess.TimeoutExpired:
-        return None, f"no answer in {_LONGEST:g} s"
+        return None, f"no answer in {_LONGEST * len(tests):g} s"
     said = (done.stdout + done.stderr).strip().splitlines()
     return done.returncode, said[-1] if said else "nothing was said"
 

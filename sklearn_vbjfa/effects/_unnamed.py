@@ -39,7 +39,7 @@ class UnnamedTorque(Stateful):
     name = "unnamed_torque"
     label = "unnamed joint torque"
     formula = r"\mathrm{share} \sum_k w_k\,c_k"
-    coefficients = ("share",)
+    coefficients = nonnegative = ("share",)
     units = (("", ""),)
     kinds = ("speed", "load", "memory", "position")
     files = InFiles.nowhere("a torque without a name")

@@ -434,7 +434,7 @@ def project(found, projector, features, effects=()):
         found.posterior_metric,
         features.friction_,
         nominal_followers(features),
-        _sizes_of_banks(features, effects),
+        _sizes(features, effects),
     )
     kept = np.where(found.prior_std == 0, found.theta_unconstrained, theta)
     own = kept[: features.n_parameters_].reshape(features.n_joints_, -1)
@@ -444,9 +444,14 @@ def project(found, projector, features, effects=()):
     return replace(found, theta=theta, projector=fitted)
 
 
-def _sizes_of_banks(features, effects):
-    every = effect_places(effects, features.n_parameters_)
-    return [place for effect, places in every if effect.bank for place in places]
+def _sizes(features, effects):
+    """Places of the coefficients of effects that physics requires to be positive."""
+    return [
+        places[k]
+        for effect, places in effect_places(effects, features.n_parameters_)
+        for k, name in enumerate(effect.coefficients)
+        if name in effect.nonnegative
+    ]
 
 
 def consistent_anchor(model, theta, metric, per_joint, followers):

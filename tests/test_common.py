@@ -8,11 +8,15 @@ from sklearn.linear_model import LinearRegression
 from sklearn.utils.estimator_checks import parametrize_with_checks
 
 from sklearn_vbjfa import (
+    InstrumentalVariables,
     JFARegressor,
     JointTorqueRegressor,
+    PhysicalProjector,
     RigidBodyFeatures,
     RobotIdentifier,
     StateEstimator,
+    StepwiseRegressor,
+    TotalLeastSquares,
     VBJFARegressor,
 )
 
@@ -27,6 +31,11 @@ ESTIMATORS = [
     VBJFARegressor(prior="paper", max_iter=50),
     JointTorqueRegressor(),
     JointTorqueRegressor(LinearRegression(), joint_weights=None),
+    StepwiseRegressor(),
+    TotalLeastSquares(),
+    InstrumentalVariables(),
+    PhysicalProjector(),
+    PhysicalProjector("eq30"),
 ]
 
 _ORDER = "rows are samples in the order of time, not independent of one another"
@@ -97,9 +106,11 @@ _STRICT = (
 )
 
 
-# Some checks take standardised columns, which is a warning for a single torque.
+# Some checks take standardised columns, which is a warning for a single torque, or
+# tables narrower than one body.
 @pytest.mark.filterwarnings("ignore::sklearn.exceptions.ConvergenceWarning")
 @pytest.mark.filterwarnings("ignore:X is not as RigidBodyFeatures computes it")
+@pytest.mark.filterwarnings("ignore:.*too few for a body:UserWarning")
 @parametrize_with_checks(ESTIMATORS)
 def test_estimator(estimator, check):
     check(estimator)

@@ -4,7 +4,7 @@ import itertools
 
 import numpy as np
 
-from sklearn_vbjfa.effects._base import InFiles, Stateful
+from sklearn_vbjfa.effects._base import RATIO, InFiles, Stateful
 from sklearn_vbjfa.effects._friction import Stribeck, ViscousQuadratic
 from sklearn_vbjfa.effects._memory import MaxwellSlip
 from sklearn_vbjfa.effects._position import Ripple, Spring
@@ -20,7 +20,8 @@ class UnnamedTorque(Stateful):
     """A joint torque that is predicted but not named, share * sum_k w_k c_k.
 
     The terms c_k are those of library effects on one quantity. `EffectDiscovery` finds
-    the weights, and refits the share with the other parameters.
+    the weights, and refits the share with the other parameters. Beyond the range of the
+    fit it is held constant.
 
     Parameters
     ----------
@@ -40,7 +41,7 @@ class UnnamedTorque(Stateful):
     label = "unnamed joint torque"
     formula = r"\mathrm{share} \sum_k w_k\,c_k"
     coefficients = nonnegative = ("share",)
-    units = (("", ""),)
+    units = (RATIO,)
     kinds = ("speed", "load", "memory", "position")
     files = InFiles.nowhere("a torque without a name")
 
@@ -56,16 +57,8 @@ class UnnamedTorque(Stateful):
         super().check()
         self._check_choice("of", self.kinds)
 
-    @property
-    def needs(self):
-        """Whether it needs the load."""
-        return ("load",) if self.of == "load" else ()
-
-    @property
-    def depends(self):
-        """Quantity beyond whose range it is held constant."""
-        found = {"load": ("load", "direction"), "memory": ("direction",)}
-        return found.get(self.of, (self.of,))
+    needs = property(lambda self: self.parts[0].needs)
+    depends = property(lambda self: self.parts[0].depends)
 
     @property
     def parts(self):
@@ -94,11 +87,11 @@ class UnnamedTorque(Stateful):
         return self.terms_of(motion) @ np.reshape(self.weights, (-1, 1))
 
     def law(self, maths):
-        laws, weights = [part.law(maths) for part in self.parts], self.weights
+        laws = [part.law(maths) for part in self.parts]
 
         def torque(state):
             terms = itertools.chain.from_iterable(law(state) for law in laws)
-            return (sum(w * term for w, term in zip(weights, terms, strict=True)),)
+            return (sum(w * x for w, x in zip(self.weights, terms, strict=True)),)
 
         return torque
 

@@ -27,20 +27,27 @@ def _of_joint(view, motion, joint, residual, settings):
     if not (min(scales.values()) > 0 and residual.any()):
         return []
     asked = [UnnamedTorque(joint, of, **scales) for of in UnnamedTorque.kinds]
-    rows = view.gains[joint] * view.root[:, [joint]]
-    columns = [view.filtered(one.terms_of(motion)) * rows for one in asked]
+    columns = [view.filtered(one.terms_of(motion)) for one in asked]
     kind = np.repeat(np.arange(len(asked)), [own.shape[1] for own in columns])
-    X = np.hstack(columns)
+    X = np.hstack(columns) * view.gains[joint] * view.root[:, [joint]]
     size = np.sqrt((X**2).mean(axis=0))
-    size = np.where(size > 0, size, 1.0)
-    bank = _Bank(X / size, residual, view.blocks)
-    penalties = bank.best(kind)
-    before, after = view.blocks.sums(residual**2), bank.left_out(penalties)
+    size[size == 0] = 1.0
+    X /= size
+    # Long stretches, as what comes next is, and not blocks among others.
+    blocks = view.blocks
+    fold = blocks.label * blocks.n_folds // blocks.n_blocks
+    folds = [fold == f for f in range(blocks.n_folds)]
+    moments = [(X[own].T @ X[own], X[own].T @ residual[own]) for own in folds]
+    penalties = np.take(_best(moments, kind, residual.size), kind)
+    left = residual.copy()
+    for own, without in zip(folds, moments):
+        left[own] -= X[own] @ _weights(moments, without, penalties, residual.size)
+    before, after = blocks.sums(residual**2), blocks.sums(left**2)
     gain = before - after
     errors = np.sqrt(gain.size) * gain.std(ddof=1)
     if not gain.sum() > max(settings.chance * errors, settings.worth * before.sum()):
         return []
-    weights = bank.weights(penalties) / size
+    weights = _weights(moments, (0.0, 0.0), penalties, residual.size) / size
     return [
         clone(one).set_params(weights=tuple(weights[kind == k].tolist()))
         for k, one in enumerate(asked)
@@ -48,53 +55,27 @@ def _of_joint(view, motion, joint, residual, settings):
     ]
 
 
-class _Bank:
-    """Ridge regression on columns (m, k) of unit size, with folds of blocks."""
+def _weights(moments, without, penalties, n):
+    """Weights (k,) of all n rows less those of some moments, under penalties (k,)."""
+    out, used = np.zeros(penalties.size), np.isfinite(penalties)
+    G, right = (sum(each) - less for each, less in zip(zip(*moments), without))
+    G = G[np.ix_(used, used)] + n * np.diag(penalties[used])
+    out[used] = np.linalg.solve(G, right[used])
+    return out
 
-    def __init__(self, X, y, blocks):
-        self.X, self.y, self.blocks = X, y, blocks
-        # Long stretches, as what comes next is, and not blocks among others.
-        fold = blocks.label * blocks.n_folds // blocks.n_blocks
-        folds = [fold == f for f in range(blocks.n_folds)]
-        self.folds = folds
-        self.grams = [X[own].T @ X[own] for own in folds]
-        self.rights = [X[own].T @ y[own] for own in folds]
-        self.gram, self.right = sum(self.grams), sum(self.rights)
 
-    def weights(self, penalties, gram=0.0, right=0.0):
-        """Weights (k,) under penalties (k,), of all rows less those of moments."""
-        out, used = np.zeros(penalties.size), np.isfinite(penalties)
-        G = (self.gram - gram)[np.ix_(used, used)]
-        G += len(self.y) * np.diag(penalties[used])
-        out[used] = np.linalg.solve(G, (self.right - right)[used])
-        return out
+def _best(moments, kind, n):
+    """Penalty of each kind of terms with which left-out folds are predicted best."""
 
-    def _without(self, penalties):
-        """Weights of the fits without each fold."""
-        pairs = zip(self.grams, self.rights)
-        return [self.weights(penalties, *own) for own in pairs]
+    def error(found):
+        penalties, total = np.take(found, kind), 0.0
+        for G, right in moments:
+            w = _weights(moments, (G, right), penalties, n)
+            total += w @ G @ w - 2 * w @ right
+        return total
 
-    def best(self, kind):
-        """Penalties (k,) of columns of several kinds that predict folds best."""
-
-        def error(found):
-            penalties = np.take(found, kind)
-            return sum(
-                w @ gram @ w - 2 * w @ right
-                for w, gram, right in zip(
-                    self._without(penalties), self.grams, self.rights
-                )
-            )
-
-        found = np.full(kind.max() + 1, np.inf)
-        for k in np.tile(np.arange(found.size), _SWEEPS):
-            tried = [np.where(np.arange(found.size) == k, p, found) for p in _PENALTIES]
-            found = min(tried, key=error)
-        return np.take(found, kind)
-
-    def left_out(self, penalties):
-        """Squared errors of left-out blocks, (n_blocks,)."""
-        residual = self.y.copy()
-        for own, weights in zip(self.folds, self._without(penalties)):
-            residual[own] -= self.X[own] @ weights
-        return self.blocks.sums(residual**2)
+    found = np.full(kind.max() + 1, np.inf)
+    for k in np.tile(np.arange(found.size), _SWEEPS):
+        tried = [np.where(np.arange(found.size) == k, p, found) for p in _PENALTIES]
+        found = min(tried, key=error)
+    return found

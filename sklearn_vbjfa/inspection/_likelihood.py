@@ -391,8 +391,6 @@ def _solve_together(joints, p, least):
             A[one.block] += M[:-1, :-1]
             b[one.used] += M[:-1, -1]
             plain += np.log(variance * share).sum()
-        # Columns of wrong units may be so large that rounding exceeds the prior.
-        A[np.diag_indices(p)] *= 1.0 + 1e-11
         theta, covariance, log_det = _solved(A, b)
         before, noise, misfit = noise, noise.copy(), 0.0
         phis = []
@@ -427,8 +425,14 @@ def _solve_together(joints, p, least):
 
 
 def _solved(A, b):
-    """Solve A x = b, A positive definite; x, inverse and log determinant of A."""
-    root = scipy.linalg.cholesky(A, lower=True)
+    """Solve A x = b, no eigenvalue below one; x, inverse and log determinant of A."""
+    root, failed = scipy.linalg.lapack.dpotrf(A, lower=True)
+    if failed:
+        # Columns of wrong units may be so large that rounding exceeds the prior.
+        values, vectors = np.linalg.eigh(A)
+        values = np.maximum(values, 1.0)
+        inverse = (vectors / values) @ vectors.T
+        return inverse @ b, inverse, np.log(values).sum()
     inverse, _ = scipy.linalg.lapack.dpotri(root, lower=True)
     inverse += np.tril(inverse, -1).T
     x = scipy.linalg.cho_solve((root, True), b)

@@ -17,7 +17,6 @@ _MODULES = {
     "_columns": (
         "ChannelFinding",
         "OfferedSignals",
-        "check_given",
         "check_useful",
         "columns_beside",
         "fault",
@@ -38,7 +37,6 @@ _MODULES = {
         "check_wait",
         "parse_drive",
     ),
-    "_presets": ("PRESETS",),
     "_reader": ("common_folder", "read_recording"),
     "_recording": (
         "Recording",
@@ -46,7 +44,6 @@ _MODULES = {
         "check_cutoff",
         "check_dt",
         "contiguous_groups",
-        "labels_of",
         "take_arrays",
         "take_rows",
     ),

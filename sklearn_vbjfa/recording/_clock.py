@@ -248,9 +248,8 @@ def _when(t, pieces, period, whole, positions, where):
         slow, fast = row[rate.argmax()], row[rate.argmin()]
         raise ValueError(
             f"time steps by {rate.min() * dt:.4g} s on average after {where(fast)} and "
-            f"by {rate.max() * dt:.4g} s after {where(slow)}, and the positions do not "
-            "follow these stamps; correct t, or mark recordings of different periods "
-            "in a column segment."
+            f"by {rate.max() * dt:.4g} s after {where(slow)}, and positions do not "
+            "follow it; correct t, or mark recordings of other periods in segment."
         )
     return dt, slots, False
 
@@ -338,9 +337,8 @@ def check_time_stamps(t, dt, parts):
             raise ValueError(
                 f"The time stamps of the recording from row {start} advance by "
                 f"{step.mean():.6g} s a row ({usual:.6g} s in the median, at most "
-                f"{step.max():.6g} s), but dt={dt:.6g} s{gaps}. Correct dt, resample "
-                "onto equidistant times, or begin another recording after each gap "
-                "(groups)."
+                f"{step.max():.6g} s), but dt={dt:.6g} s{gaps}. Correct dt, resample, "
+                "or begin another recording after each gap (groups)."
             )
         if odd.size:
             warnings.warn(

@@ -357,8 +357,7 @@ class PDDrive(Drive):
             raise ValueError(
                 f"PDDrive: {name} is missing: give {name}=, a number for each joint "
                 f"({', '.join(joints)}), or record columns {name}_<joint> (command "
-                'line: --drive "pd kp=20,20,40 kd=..."). Gains of the firmware stand '
-                "in the robot's configuration; in other units, torques are in those."
+                'line: --drive "pd kp=20,20,40 kd=...").'
             )
         if (values < 0).any():
             raise ValueError(f"PDDrive: {name} of the recording is negative.")
@@ -552,9 +551,8 @@ def check_wait(delay, recording):
         raise ValueError(
             f"The delay of the commands is {delay:.3g} s, of "
             f"{each if pieces > 1 else f'a recording of {time:.3g} s'}: for more than "
-            "a tenth of it nobody knows what was commanded. Record longer; or, if "
-            "commands and positions are not of one clock, shift the commands by what "
-            "is known and leave the rest to delay='auto'. delay is in seconds."
+            "a tenth of it nobody knows what was commanded. Record longer, or shift "
+            "the commands by what is known. delay is in seconds."
         )
 
 

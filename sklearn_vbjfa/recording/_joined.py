@@ -123,9 +123,8 @@ def _parts(tables, joints, path):
     if len(parts) < 2:
         raise ValueError(
             f"{path}: holds {listed([x.path.name for x in tables])}, of which less "
-            "than two can stand side by side; expected files of one recording, such "
-            "as positions.csv and torques.csv; name those without names of columns "
-            "after what they hold: positions, velocities, torques, currents or time."
+            "than two can stand side by side; expected files called after what they "
+            "hold: positions, velocities, torques, currents or time."
         )
     return parts, left_out
 

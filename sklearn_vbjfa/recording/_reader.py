@@ -405,9 +405,8 @@ def _check_agreement(files):
         fast, slow = (files[dts.index(x)].path for x in (min(dts), max(dts)))
         raise ValueError(
             f"{fast} has a sample period of {min(dts):.6g} s and {slow} one of "
-            f"{max(dts):.6g} s; expected periods that differ by "
-            f"{100 * _DT_TOLERANCE:g} % at most: resample one of the files, or take "
-            "them one by one."
+            f"{max(dts):.6g} s, which differ by more than {100 * _DT_TOLERANCE:g} %: "
+            "resample one of the files, or take them one by one."
         )
 
 

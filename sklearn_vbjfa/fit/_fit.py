@@ -127,9 +127,9 @@ class RobotFit:
             effect_ranges_=effect_ranges(features.friction_, robot.effects_, ranges),
             identifiable_=shown,
         )
-        return cls(robot=robot, found=found, made=made).telling(found)
+        return cls(robot=robot, found=found, made=made).with_estimate(found)
 
-    def telling(self, found, **changes):
+    def with_estimate(self, found, **changes):
         spread = self.robot.prediction_covariance
         if spread is not None:
             spread = spread.of(found.covariance)
@@ -324,7 +324,7 @@ def _in_doubt(fit, other):
     if covariance is not None:
         covariance = covariance + np.outer(moved, moved)
     changed = {"std": np.hypot(std, moved), "covariance": covariance}
-    return fit.telling(replace(found, **changed))
+    return fit.with_estimate(replace(found, **changed))
 
 
 def run_passes(recipe, robot, source, relative, passes, load):
@@ -382,7 +382,7 @@ def iterate_corrections(recipe, fit, source, relative):
             own = _at(fit.robot, with_gains(fit.robot.effects_, relative.gains))
             fit = recipe.of_source(own, source)
             fit, values = _corrected(recipe, fit, source, relative)
-    values.tell_bounds(fit.robot.joint_names_)
+    values.warn_at_bounds(fit.robot.joint_names_)
     for effect in fit.robot.effects_:
         if isinstance(effect, CommandDelay):
             check_wait(effect.delay, source.recording)
@@ -416,7 +416,7 @@ def iterate_corrections(recipe, fit, source, relative):
     known = {"theta": theta, "theta_unconstrained": unconstrained, "std": std}
     known["covariance"] = covariance_of_all
     changes = {"identifiable_": shown, "gains_": gains}
-    fit = fit.telling(replace(found, **known), **changes)
+    fit = fit.with_estimate(replace(found, **known), **changes)
     tangents = found.of_moments(values.moments)
     return replace(fit, made=source.segments(fit.robot), tangents=tangents)
 
@@ -455,7 +455,7 @@ def _corrected(recipe, fit, source, relative):
         factor, before = values.longer(factor, before), values.step
         corrected = _at(robot, values.corrected(factor))
     else:
-        tell_unsettled(values)
+        warn_unsettled(values)
     if number and not loaded:
         fit = _fitted_again(recipe, robot, source, moments)
     robot = replace(fit.robot, load_parameters=_known_load(fit.robot))
@@ -626,7 +626,7 @@ class ModelValues:
             found.append(effect)
         return tuple(found)
 
-    def tell_bounds(self, names):
+    def warn_at_bounds(self, names):
         """Warn of values at the bounds of the plausible: they fit something else."""
         # names: of the joints.
         lines, advice = [], []
@@ -675,7 +675,7 @@ def _within(effect, step):
     return step if share.min() >= 1 else _SHORT * max(share.min(), 0.0) * step
 
 
-def tell_unsettled(values):
+def warn_unsettled(values):
     names = [effect.name for effect in values.effects if effect.in_model]
     warnings.warn(
         f"The values of {', '.join(dict.fromkeys(names))} still moved by more than a "

@@ -27,7 +27,7 @@ from sklearn_vbjfa.equations._plan import CUTOFF_PER_BANDWIDTH
 from sklearn_vbjfa.fit._estimate import project
 from sklearn_vbjfa.model import import_pinocchio
 from sklearn_vbjfa.recording import take_rows
-from sklearn_vbjfa.robot._windows import tell_once
+from sklearn_vbjfa.robot._windows import warn_once
 from sklearn_vbjfa.simulation import (
     SimulationError,
     simulate,
@@ -325,7 +325,7 @@ def refine(predictor, found, recording, states, window, projector):
         # do.
         warnings.simplefilter("always")
         refined = _refine(predictor, found, windows, projector)
-    tell_once(caught, "simulations", stacklevel=5)
+    warn_once(caught, "simulations", stacklevel=5)
     count = int(windows.observations.sum())
     if count < _LEAST_OBSERVATIONS * refined.determined:
         warnings.warn(

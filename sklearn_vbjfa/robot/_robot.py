@@ -416,7 +416,7 @@ class IdentifiedRobot:
                 "VBJFARegressor or JFARegressor)."
             )
         asked = self.prepare(X, groups, t, signals=signals)
-        warn_outside(self.said_outside(asked), stacklevel=3)
+        warn_outside(self.outside_texts(asked), stacklevel=3)
         rows = self._rows(asked)
         torques = np.concatenate([one.predict(self.theta_) for one in rows])
         if not return_std:
@@ -1118,7 +1118,7 @@ class IdentifiedRobot:
         held = [False] * (len(self.effect_ranges_) - len(held)) + held
         return outside(self.effect_ranges_, judged, held)
 
-    def said_outside(self, asked):
+    def outside_texts(self, asked):
         """Say where `Inputs` leaves what was fitted, a list of str."""
         found = self.outside(asked)
         joints = self.joint_names_, is_prismatic(self.features_.model_)

@@ -277,7 +277,7 @@ def follow_windows(
     X, signals = predictor.checked(recording.inputs, signals)
     own = {**recording.signals, **(signals or {})}
     follower = CommandFollower(predictor, drive, replace(recording, signals=own))
-    follower.tell_left_out(stacklevel=2)
+    follower.warn_left_out(stacklevel=2)
     if beside is None:
         made = _measured(predictor, X, recording.groups, t, signals, window)
         commanded = recording.signals[drive.told].reshape(recording.q.shape)
@@ -318,7 +318,7 @@ def _run(made, simulated_window):
                 )
     if len(refusals) == len(rows):
         raise refusals[0]
-    tell_once(caught, "windows", stacklevel=4)
+    warn_once(caught, "windows", stacklevel=4)
     return replace(made, simulated=simulated, failures=tuple(failures))
 
 
@@ -408,7 +408,7 @@ def _rows(asked, standstill, length, dt):
     return np.array(found)[:, None] + np.arange(length + 1)
 
 
-def tell_once(caught, where, stacklevel):
+def warn_once(caught, where, stacklevel):
     """Pass on each kind of recorded warning once, and how often it came up."""
     # Texts that begin alike, up to a colon, are of one kind; where: what was repeated.
     kinds = {}
@@ -463,7 +463,7 @@ class CommandFollower:
             if unfollowed(one)
         )
 
-    def tell_left_out(self, stacklevel):
+    def warn_left_out(self, stacklevel):
         if self.left_out:
             warnings.warn(
                 f"The simulation leaves out {'; '.join(self.left_out)}.",
@@ -493,7 +493,7 @@ def follow(robot, drive, recording, window=None):
     # robot: `IdentifiedRobot`; window: length [s] after which it starts from the
     # recorded state again, None for whole recordings. Returns states (n, 3 nv).
     follower, clock = CommandFollower(robot, drive, recording), recording.clock()
-    follower.tell_left_out(stacklevel=3)
+    follower.warn_left_out(stacklevel=3)
     measured = robot.states(recording.inputs, recording.groups)
     length = recording.n_samples
     if window is not None:

@@ -66,8 +66,8 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
     t = _times(robot, t, len(tau))
     signals = Recorded(_signals(signals, len(tau)), t)
     dynamics = ForwardDynamics(robot, signals)
-    _tell_left_out(robot, dynamics)
-    _tell_driving(robot, dynamics)
+    _warn_left_out(robot, dynamics)
+    _warn_driving(robot, dynamics)
     _check_inertia(robot, dynamics, q0)
     torque = robot.true_torques(tau, t)
 
@@ -75,7 +75,7 @@ def simulate(robot, tau, q0, v0=None, t=None, *, signals=None):
         return torque[row], torque[min(row + 1, len(torque) - 1)]
 
     states = _run(robot, dynamics, torques, q0, v0, t)
-    _tell_limits(robot, states, t)
+    _warn_limits(robot, states, t)
     return states
 
 
@@ -117,7 +117,7 @@ def _run(robot, dynamics, torques, q0, v0, t, updates=None):
                 if not last:
                     until = t[i + 1] if count == 1 else since + length
                     _advance(robot, dynamics, motion, ends, since, until, i, updates)
-    tell_held(robot, motion, stacklevel=5)
+    warn_held(robot, motion, stacklevel=5)
     return states.reshape(n, -1)
 
 
@@ -293,7 +293,7 @@ def _check_inertia(robot, dynamics, q0):
         )
 
 
-def _tell_left_out(robot, dynamics):
+def _warn_left_out(robot, dynamics):
     names, nothing = robot.joint_names, "it has no terms of a simulation"
     left = [(e, e.not_simulated) for e in robot.effects if e.not_simulated]
     left += [(effect, nothing) for effect in dynamics.terms.left_out]
@@ -306,7 +306,7 @@ def _tell_left_out(robot, dynamics):
         )
 
 
-def _tell_driving(robot, dynamics):
+def _warn_driving(robot, dynamics):
     driving = dynamics.terms.drives()
     names = [name for name, bad in zip(robot.joint_names, driving) if bad]
     if names:
@@ -319,7 +319,7 @@ def _tell_driving(robot, dynamics):
         )
 
 
-def tell_held(robot, motion, stacklevel):
+def warn_held(robot, motion, stacklevel):
     """Warn of joints that stopped so often in a sample period that they were held."""
     named = [
         f"{name} in {count} sample period{'s' if count > 1 else ''}"
@@ -338,7 +338,7 @@ def tell_held(robot, motion, stacklevel):
         )
 
 
-def _tell_limits(robot, states, t):
+def _warn_limits(robot, states, t):
     nv = robot.n_joints
     low, high = _limits(robot.model)
     outside = (states[:, :nv] < low) | (states[:, :nv] > high)

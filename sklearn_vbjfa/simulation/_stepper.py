@@ -218,7 +218,7 @@ class Stepper:
             row.signals = self._read(signals)
         # Last of the checks: a state that was refused leaves no trace.
         if self._timed:
-            self._tell_time(t)
+            self._set_time(t)
         self._n += 1
         torque = self._rigid(q, v, a, row)
         self._friction(torque, row)
@@ -248,7 +248,7 @@ class Stepper:
                     f"is {values[j]}."
                 )
 
-    def _tell_time(self, t):
+    def _set_time(self, t):
         since, dt = self._model.since, self._model.dt
         if t is None:
             if dt is None:

@@ -21,7 +21,7 @@ from sklearn_vbjfa.effects import Shaped
 from sklearn_vbjfa.equations._equations import torque_spread
 from sklearn_vbjfa.fit._identifier import RobotIdentifier
 from sklearn_vbjfa.model import is_prismatic
-from sklearn_vbjfa.robot._windows import CommandFollower, tell_once
+from sklearn_vbjfa.robot._windows import CommandFollower, warn_once
 
 # At most so much of the held-out part is simulated [s]: the beginnings of its
 # stretches.
@@ -265,7 +265,7 @@ def commands_alone(models, stretches, recording):
                 found[model] = np.concatenate(states)[:, : recording.nv]
             except ValueError as error:
                 failed[model] = str(error)
-    tell_once(caught, "models", stacklevel=2)
+    warn_once(caught, "models", stacklevel=2)
     reached = {name: found[one] for name, one in known.items()}
     slides = is_prismatic(models.judged.features_.model_)
     result = CommandsAlone(
